@@ -1,0 +1,116 @@
+"""What an identification returns: frozen, complete, and free of any computation that a report would need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from torchrbd.model import RigidBodyDynamics
+    from torchrbd.robot import RobotModel
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well one model predicts the torque of blocks that no fit or choice has seen.
+
+    Attributes:
+        nmse: per joint, mean squared error / variance of the measured torque, both on held-out blocks, [-].
+        rmse: per joint, root mean squared error, [N m] or [N].
+    """
+
+    nmse: dict[str, float]
+    rmse: dict[str, float]
+
+    @property
+    def mean_nmse(self) -> float:
+        """Mean over the joints, every joint counted once."""
+        return float(np.mean(list(self.nmse.values())))
+
+
+@dataclass(frozen=True)
+class TorqueSeries:
+    """Band-limited torques of all recordings on the decimated clock, and what each model predicts for them.
+
+    Attributes:
+        joints: names of the n joints.
+        recordings: names of the recordings.
+        recording: (M,) index into ``recordings``.
+        t: (M,) seconds from that recording's start.
+        held_out: (M,) True where no fit or choice has seen the sample.
+        q, qd, qdd: (M, n) band-limited states, [rad, m], per second, per second squared.
+        measured: (M, n) band-limited torque, NaN where a joint's torque was not recorded.
+        predicted: "urdf", "rigid_body" and, after a diagnosis, "extended": (M, n) each.
+    """
+
+    joints: tuple[str, ...]
+    recordings: tuple[str, ...]
+    recording: np.ndarray
+    t: np.ndarray
+    held_out: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    measured: np.ndarray
+    predicted: dict[str, np.ndarray]
+
+    def residual(self, model: str) -> np.ndarray:
+        """Return measured minus predicted torque, (M, n)."""
+        return self.measured - self.predicted[model]
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """One inertial parameter or one coefficient of a term.
+
+    Attributes:
+        name: e.g. ``mcx_link2``.
+        owner: the body or joint it belongs to.
+        unit: SI unit.
+        urdf: the value the URDF gives.
+        value, std: posterior mean and standard deviation.
+        prior_share: 0 (told by the data) to 1 (told by the URDF alone).
+        status: "identified" (the data moves it alone), "combination" (only a sum with others is told), "not identifiable"
+            (no motion of this robot tells it), "held" (zero-mass or trusted link, kept as the URDF has it), "term".
+    """
+
+    name: str
+    owner: str
+    unit: str
+    urdf: float
+    value: float
+    std: float
+    prior_share: float
+    status: str
+
+
+@dataclass(frozen=True)
+class Identification:
+    """A fitted robot.
+
+    Attributes:
+        robot: the robot as its URDF gives it.
+        recordings, held_out: names of the recordings fitted; what was kept back, in words.
+        cutoff_hz: the one band limit of all torques and features.
+        fits: "urdf", "rigid_body" and, after a diagnosis, "extended".
+        parameters: every inertial parameter, then the coefficients of the terms.
+        combinations: what is identified of the parameters that are not identified alone, one sentence each.
+        noise_std: per joint, standard deviation of the torque that the fitted model leaves, [N m] or [N].
+        series: torques against time.
+        model: the fitted module.
+        notes: what the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
+    """
+
+    robot: RobotModel
+    recordings: tuple[str, ...]
+    held_out: str
+    cutoff_hz: float
+    fits: dict[str, Fit]
+    parameters: tuple[ParameterEstimate, ...]
+    combinations: tuple[str, ...]
+    noise_std: dict[str, float]
+    series: TorqueSeries
+    model: RigidBodyDynamics
+    notes: tuple[str, ...] = field(default=())
