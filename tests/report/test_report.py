@@ -1,0 +1,222 @@
+"""The page opens anywhere, says the verdict first, and shows every joint, measured or not."""
+
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from torchrbd.diagnosis.results import Alternative, Diagnosis, Finding, Quantity, Region, Unexplained, Where
+from torchrbd.inference.results import Fit, Identification, ParameterEstimate, TorqueSeries
+from torchrbd.report import write_report
+
+STATEMENT = "This arm has Coulomb friction at joint2 that its URDF leaves out."
+
+
+def identification(
+    joints: tuple[str, ...], *, name: str = "arm", unmeasured: int | None = None, extended: bool = False
+):
+    """Fabricate two recordings, the second held out; the last joint is prismatic; friction at every joint."""
+    rng, n, m = np.random.default_rng(0), len(joints), 1200
+    t = np.tile(np.arange(m // 2) / 25, 2)
+    phase = rng.uniform(0, 6, n)
+    q, qd = np.sin(t[:, None] + phase), np.cos(t[:, None] + phase)
+    predicted = {"urdf": 9 * q, "rigid_body": 10 * q}
+    if extended:
+        predicted["extended"] = 10 * q + np.sign(qd)
+    measured = 10 * q + np.sign(qd) + 0.05 * rng.standard_normal(q.shape)
+    if unmeasured is not None:
+        measured[:, unmeasured] = np.nan
+    held_out = np.arange(m) >= m // 2
+    series = TorqueSeries(
+        joints, ("fit.csv", "hold.csv"), held_out.astype(int), t, held_out, q, qd, -q, measured, predicted
+    )
+    rmse = {k: dict(zip(joints, np.sqrt((series.residual(k)[held_out] ** 2).mean(0)), strict=True)) for k in predicted}
+    fits = {k: Fit({j: e**2 / 50 for j, e in errors.items()}, errors) for k, errors in rmse.items()}
+    parameters = (
+        ParameterEstimate("m_link1", "link1", "kg", 2.0, 2.1, 0.05, 0.1, "identified"),
+        ParameterEstimate("mcx_link1", "link1", "kg m", 0.0, 0.0, 0.1, 1.0, "not identifiable"),
+        ParameterEstimate("coulomb", joints[0], "N m", 0.0, 1.0, 0.0123, 0.0, "term"),
+    )
+    robot = SimpleNamespace(name=name, joint_names=joints, prismatic=[False] * (n - 1) + [True])
+    noise = dict.fromkeys(joints, 0.05)
+    combinations, notes = ("Izz_link1 + Iyy_link2 = 0.30 ± 0.01 kg m^2",), ("Column 'mode' was ignored.",)
+    return Identification(
+        cast(Any, robot),
+        ("fit.csv",),
+        "hold.csv",
+        5.0,
+        fits,
+        parameters,
+        combinations,
+        noise,
+        series,
+        cast(Any, None),
+        notes,
+    )
+
+
+def diagnosis(joints: tuple[str, ...], **options: Any) -> Diagnosis:
+    result = identification(joints, extended=True, **options)
+    joint = joints[min(1, len(joints) - 1)]
+    finding = Finding(
+        "coulomb_friction", (joint,), (), 0.983, 41.2, {"coulomb": Quantity(1.0, 0.0123, "N m")},
+        Where(("hold.csv",), ((4.0, 7.0),), None), (Alternative("stribeck_friction", (joint,)),),
+        {joint: 0.02}, {joint: 5e-5}, f"{joint} resists motion with 1.0 N m.",
+    )  # fmt: skip
+    region = Where(region=(Region(f"q_{joints[0]}", -0.1, 0.3),))
+    left = Unexplained((joint,), (f"q_{joints[0]}",), region, 0.42, "Something depends on a position.")
+    return Diagnosis(result, "missing_physics", STATEMENT, (finding,), (left,))
+
+
+def render(result: Any, folder: Path) -> str:
+    write_report(result, folder / "report.html")
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+class Text(HTMLParser):
+    """Collect the text of the body and check that every element is closed."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.words: list[str] = []
+        self.open: list[str] = []
+        self.feed(page)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in ("meta", "br"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        pass
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if data.strip() and "body" in self.open:
+            self.words.append(" ".join(data.split()))
+
+
+@pytest.mark.parametrize("n", [1, 7, 30])
+def test_page_is_one_file_that_needs_nothing_else(tmp_path, n):
+    page = render(diagnosis(tuple(f"joint{i + 1}" for i in range(n))), tmp_path)
+    assert not re.search(r"https?:|<script|<link|\bsrc=|@import|url\(", page)
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+    assert len(page) < n * 200_000 + 100_000
+    Text(page)
+
+
+def test_verdict_comes_before_anything_else(tmp_path):
+    words = Text(render(diagnosis(("joint1", "joint2")), tmp_path)).words
+    assert words[:2] == ["! Missing physics", STATEMENT]
+
+
+def test_finding_says_what_where_and_how_sure(tmp_path):
+    text = " ".join(Text(render(diagnosis(("joint1", "joint2", "joint3")), tmp_path)).words)
+    parts = """
+        Coulomb friction at joint2 | 1.000 ± 0.012 N m | 98 % | c sign(qd) | 0.0200 → 5.00·10⁻⁵ | in hold.csv |
+        4 to 7 s | Stribeck friction at joint2 | joint2 resists motion with 1.0 N m. | Unexplained at joint2 | 42 % |
+        q_joint1 from −0.1 to 0.3 | where a finding holds | position of joint1 [rad]
+    """
+    for part in map(str.strip, parts.split("|")):
+        assert part in text
+
+
+def test_finding_on_a_link_is_shown_at_the_joint_that_gains(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    payload = replace(result.findings[0], effect="payload", joints=(), links=("tool",))
+    page = render(replace(result, findings=(payload,), unexplained=()), tmp_path)
+    assert "Payload at tool" in page
+    assert "<b>joint2, held out</b>" in page
+
+
+def test_every_joint_has_its_row_and_figures(tmp_path):
+    joints = tuple(f"joint{i + 1}" for i in range(30))
+    page = render(diagnosis(joints), tmp_path)
+    assert re.findall(r'<section class="panel joint" id="joint-\d+">\s*<header>\s*<h3>(\w+)', page) == list(joints)
+    assert page.count('aria-label="torque of') == 30
+    assert page.count("where the residual is largest") == 30
+
+
+def test_figures_are_well_formed_and_finite(tmp_path):
+    page = render(diagnosis(("joint1", "joint2"), unmeasured=0), tmp_path)
+    figures = re.findall(r"<svg.*?</svg>", page, flags=re.S)
+    assert len(figures) > 5
+    for svg in figures:
+        ET.fromstring(svg)
+        assert "nan" not in svg.replace("nmse urdf nan, rigid_body nan", "")
+
+
+def test_unmeasured_joint_says_so_and_leaves_the_mean_alone(tmp_path):
+    text = " ".join(Text(render(identification(("joint1", "joint2"), unmeasured=0), tmp_path)).words)
+    assert "torque not recorded" in text
+    assert "nothing can be compared" in text
+    assert "nan" not in text
+
+
+def test_identification_says_by_how_much_the_error_fell(tmp_path):
+    result = identification(("joint1", "joint2"))
+    before, after = (result.fits[k].mean_nmse for k in ("urdf", "rigid_body"))
+    words = Text(render(result, tmp_path)).words
+    assert words[0] == "✓ Identified"
+    assert f"by {100 * (1 - after / before):.0f} %" in words[1]
+    assert "extended" not in " ".join(words)
+    worse = replace(result, fits={"urdf": result.fits["rigid_body"], "rigid_body": result.fits["urdf"]})
+    assert "does not lower" in Text(render(worse, tmp_path)).words[1]
+
+
+def test_units_follow_the_joint(tmp_path):
+    page = render(identification(("turn", "slide")), tmp_path)
+    turn, slide = (page.split(f'id="joint-{i}"')[1].split("</section>")[0] for i in (1, 2))
+    assert all(label in turn for label in ("torque [N m]", "position [rad]", "velocity [rad/s]"))
+    assert all(label in slide for label in ("force [N]", "position [m]", "velocity [m/s]"))
+
+
+def test_parameters_show_interval_prior_share_and_status(tmp_path):
+    text = " ".join(Text(render(identification(("joint1",)), tmp_path)).words)
+    for part in ("m_link1", "2.100 ± 0.098", "not identifiable", "1.000 ± 0.024", "Izz_link1 + Iyy_link2", "'mode'"):
+        assert part in text
+
+
+def test_names_are_escaped(tmp_path):
+    evil = '<b onclick="x">&j'
+    page = render(diagnosis((evil, "joint2"), name="<script>alert(1)</script>"), tmp_path)
+    assert evil not in page
+    assert "<script" not in page
+    assert evil in Text(page).words
+
+
+def test_all_samples_are_shown_if_none_is_held_out(tmp_path):
+    result = identification(("joint1", "joint2"))
+    series = replace(result.series, held_out=np.zeros(len(result.series.t), dtype=bool))
+    page = render(replace(result, series=series), tmp_path)
+    assert page.count('class="dots') == 8
+
+
+def test_same_result_gives_the_same_page(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    assert render(result, tmp_path) == render(result, tmp_path)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 40])
+def test_a_handful_of_samples_is_enough_for_a_page(tmp_path, samples):
+    result = identification(("joint1", "joint2"))
+    s, k = result.series, slice(600, 600 + samples)
+    arrays = {name: getattr(s, name)[k] for name in ("recording", "t", "held_out", "q", "qd", "qdd", "measured")}
+    few = replace(s, **arrays, predicted={m: y[k] for m, y in s.predicted.items()})
+    Text(render(replace(result, series=few), tmp_path))
+
+
+def test_consistent_robot_needs_no_findings(tmp_path):
+    result = Diagnosis(identification(("joint1", "joint2")), "consistent", "The URDF explains the data.", ())
+    words = Text(render(result, tmp_path)).words
+    assert words[:2] == ["✓ URDF consistent", "The URDF explains the data."]
+    assert "Probability" not in words

@@ -1,0 +1,143 @@
+"""Turn chosen terms into findings: how sure, what else it could be, what it is worth, and a sentence for a person."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from torchrbd.diagnosis.compare import Comparison, Gain, gain
+from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
+from torchrbd.diagnosis.select import Terms, clearly_worse, plausible, with_term
+from torchrbd.inference.block_statistics import BlockStatistics
+from torchrbd.inference.columns import Candidate
+from torchrbd.inference.fitting import FittedModel, fit_model, judge
+from torchrbd.inference.identify import term_parameters
+from torchrbd.inference.prior import Prior
+from torchrbd.inference.results import Fit
+
+# Below this share of its torque a term is nested in another one: nothing of it is left beside the other.
+NESTED_SHARE = 1e-6
+LARGEST_PROBABILITY = 0.999
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect in the place of a finding, and what the finding gains over it on left-out blocks."""
+
+    candidate: Candidate
+    lead: Gain
+
+
+def explain(
+    comparison: Comparison, terms: Terms, candidates: Sequence[Candidate], model: FittedModel, training: BlockStatistics,
+    judging: BlockStatistics, prior: Prior, after: Fit,
+) -> tuple[Finding, ...]:  # fmt: skip
+    """Describe each chosen term.
+
+    Args:
+        comparison: judged the terms.
+        terms: those chosen.
+        candidates: those that could have been.
+        model: the fit with all terms.
+        training, judging: blocks fitted and kept back.
+        prior: of the fit.
+        after: the model's fit on the blocks kept back.
+
+    Returns:
+        Findings, the largest gain first.
+    """
+    comparison.set_noise(terms)
+    full = comparison.losses(terms)
+    found = []
+    for term in terms:
+        rest = tuple(c for c in terms if c is not term)
+        without = comparison.losses(rest)
+        worth = gain(without, full)
+        rivals = _rivals(comparison, term, rest, candidates, full)
+        joint = comparison.columns.robot.joint_names[term.joint]
+        before = judge(judging, fit_model(training, prior, rest).x).nmse
+        found.append(_finding(comparison, term, model, worth, rivals, _of(before, joint), _of(after.nmse, joint)))
+    return tuple(sorted(found, key=lambda f: -f.log_evidence_gain))
+
+
+def _of(values: dict[str, float], joint: str) -> dict[str, float]:
+    return {joint: values[joint]} if joint in values else {}
+
+
+def _rivals(
+    comparison: Comparison, term: Candidate, rest: Terms, candidates: Sequence[Candidate], full: Tensor
+) -> list[Rival]:
+    """Return the best shape of every other effect at the joint in the term's place; those that contain the term are no rivals."""
+    best: dict[str, Rival] = {}
+    for candidate in candidates:
+        if candidate.joint != term.joint or candidate.effect.id == term.effect.id:
+            continue
+        changed = with_term(rest, candidate)
+        if comparison.share_left(term, changed) < NESTED_SHARE or not plausible(comparison, changed):
+            continue
+        lead = gain(comparison.losses(changed), full)
+        known = best.get(candidate.effect.id)
+        if known is None or lead.total < known.lead.total:
+            best[candidate.effect.id] = Rival(candidate, lead)
+    return list(best.values())
+
+
+def probability(worth: Gain, rivals: Sequence[Rival]) -> float:
+    """Return the probability of a term against none and against each rival, from their left-out log-likelihoods.
+
+        p = 1 / (1 + e^(-G / s) + sum_r e^(-G_r / s_r)),   s = max(1, var(G) / 2G)
+
+    A log-likelihood gain of G from independent data scatters with variance 2G; what it scatters more (correlated
+    noise, other physics left out) flattens the odds.
+    """
+    odds = sum(math.exp(-max(lead.total, 0.0) / _overdispersion(lead)) for lead in (worth, *(r.lead for r in rivals)))
+    return min(1.0 / (1.0 + odds), LARGEST_PROBABILITY)
+
+
+def _overdispersion(lead: Gain) -> float:
+    return max(1.0, lead.std**2 / (2.0 * max(lead.total, 1e-9)))
+
+
+def _finding(
+    comparison: Comparison, term: Candidate, model: FittedModel, worth: Gain, rivals: Sequence[Rival],
+    before: dict[str, float], after: dict[str, float],
+) -> Finding:  # fmt: skip
+    robot = comparison.columns.robot
+    joint = robot.joint_names[term.joint]
+    prismatic = bool(robot.prismatic[term.joint])
+    quantities = {
+        name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic))
+        for name, (value, std) in term_parameters(model, term).items()
+    }
+    alike = tuple(Alternative(r.candidate.effect.id, (joint,)) for r in rivals if not clearly_worse(r.lead, worth.total))
+    return Finding(
+        effect=term.effect.id,
+        joints=(joint,),
+        links=(),
+        probability=probability(worth, rivals),
+        log_evidence_gain=worth.total,
+        parameters=quantities,
+        where=Where(),
+        indistinguishable_from=alike,
+        nmse_before=before,
+        nmse_after=after,
+        statement=_sentence(term, joint, quantities, before, after, alike),
+    )
+
+
+def _sentence(
+    term: Candidate, joint: str, quantities: dict[str, Quantity], before: dict[str, float], after: dict[str, float],
+    alike: Sequence[Alternative],
+) -> str:  # fmt: skip
+    values = ", ".join(f"{name.replace('_', ' ')} {q.value:.4g} ± {1.96 * q.std:.2g} {q.unit}" for name, q in quantities.items())
+    sentence = f"Joint {joint} has {term.effect.words}: {values}"
+    if before and after:
+        sentence += (
+            f"; without it {100 * before[joint]:.2g} % of the torque variance on held-out time stays unpredicted, with it {100 * after[joint]:.2g} %"
+        )
+    if alike:
+        sentence += "; on this data it cannot be told from " + " or ".join(a.effect.replace("_", " ") for a in alike)
+    return sentence + "."

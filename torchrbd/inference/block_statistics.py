@@ -1,0 +1,192 @@
+"""Block statistics: second moments per joint and time block, all that fitting and comparing models needs.
+
+    A_jb = sum over the samples of block b of  a a',   a = [Y_j, phi_j, tau_j]
+
+One pass over the recordings builds them; afterwards nothing costs more than O(P^3), whatever their length. Blocks add, and
+leaving blocks out is subtraction. Samples are weighed so that ``counts`` are *independent* samples: torque band-limited at f_c has
+2 f_c of them a second, however densely it is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchrbd.inference.columns import Columns
+from torchrbd.recordings import States
+
+
+@dataclass(frozen=True)
+class Block:
+    """A stretch of one recording, in seconds from its start."""
+
+    recording: str
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True)
+class BlockStatistics:
+    """Moments of B blocks.
+
+    Attributes:
+        columns: which columns of x each joint has.
+        blocks: (B,) where each block sits.
+        moments: per joint (B, p_j + 1, p_j + 1); the last row and column belong to the torque.
+        torque: (B, n_dof, 3): weight (independent samples), sum and sum of squares of the measured torque; zero where unmeasured.
+    """
+
+    columns: Columns
+    blocks: tuple[Block, ...]
+    moments: tuple[Tensor, ...]
+    torque: Tensor
+
+    def __len__(self) -> int:
+        return len(self.blocks)
+
+    def __add__(self, other: BlockStatistics) -> BlockStatistics:
+        """Join the blocks of two sets of recordings."""
+        moments = tuple(torch.cat(pair) for pair in zip(self.moments, other.moments, strict=True))
+        return replace(
+            self,
+            blocks=self.blocks + other.blocks,
+            moments=moments,
+            torque=torch.cat((self.torque, other.torque)),
+        )
+
+    def select(self, keep: Tensor) -> BlockStatistics:
+        """Return the blocks that ``keep`` (bool, (B,)) marks."""
+        return replace(
+            self,
+            blocks=tuple(block for block, kept in zip(self.blocks, keep.tolist(), strict=True) if kept),
+            moments=tuple(m[keep] for m in self.moments),
+            torque=self.torque[keep],
+        )
+
+    def total(self) -> list[Tensor]:
+        """Return per joint the moments of all blocks together, (p_j + 1, p_j + 1)."""
+        return [m.sum(0) for m in self.moments]
+
+    def coarsened(self, limit: int) -> BlockStatistics:
+        """Merge neighbours of the same recording until at most ``limit`` blocks are left (or one a recording)."""
+        statistics = self
+        while len(statistics) > limit:
+            target = _pairs(statistics.blocks)
+            if max(target) + 1 == len(statistics):
+                break
+            statistics = statistics._merged(torch.tensor(target))
+        return statistics
+
+    def _merged(self, target: Tensor) -> BlockStatistics:
+        n_blocks = int(target.max()) + 1
+
+        def add(values: Tensor) -> Tensor:
+            return values.new_zeros(n_blocks, *values.shape[1:]).index_add_(0, target, values)
+
+        groups = [[b for b, t in zip(self.blocks, target.tolist(), strict=True) if t == k] for k in range(n_blocks)]
+        blocks = tuple(Block(g[0].recording, g[0].start_s, g[-1].end_s) for g in groups)
+        return replace(self, blocks=blocks, moments=tuple(add(m) for m in self.moments), torque=add(self.torque))
+
+    def squared_error(self, x: Tensor) -> Tensor:
+        """Return the weighted sum of squared torque errors of coefficients x (n,): (B, n_dof), [(N m)^2] or [N^2]."""
+        errors = []
+        for joint, moments in enumerate(self.moments):
+            v = torch.cat((-x[self.columns.of_joint[joint]], x.new_ones(1)))
+            errors.append(((moments @ v) * v).sum(-1))
+        return torch.stack(errors, -1).clamp_min(0.0)
+
+    def torque_variance(self) -> Tensor:
+        """Return the variance of the measured torque over all blocks, (n_dof,)."""
+        weight, first, second = self.torque.sum(0).unbind(-1)
+        weight = weight.clamp_min(1e-300)
+        return second / weight - (first / weight) ** 2
+
+    def normal_equations(self, weights: Tensor) -> tuple[Tensor, Tensor]:
+        """Return H = sum_j w_j A_j and h = sum_j w_j a_j' tau_j over all blocks, on the whole vector x.
+
+        Args:
+            weights: (n_dof,) inverse noise variances.
+        """
+        return assemble(self.columns, self.total(), weights)
+
+
+def assemble(columns: Columns, totals: Sequence[Tensor], weights: Tensor) -> tuple[Tensor, Tensor]:
+    """Return H (n, n) and h (n,) from per-joint moments (p_j + 1, p_j + 1)."""
+    H = torch.zeros(columns.n, columns.n, dtype=torch.float64)
+    h = torch.zeros(columns.n, dtype=torch.float64)
+    for own, moments, weight in zip(columns.of_joint, totals, weights.tolist(), strict=True):
+        H[own.unsqueeze(1), own] += weight * moments[:-1, :-1]
+        h[own] += weight * moments[:-1, -1]
+    return H, h
+
+
+def _pairs(blocks: Sequence[Block]) -> list[int]:
+    """Number the blocks so that neighbours of one recording share a number, two by two."""
+    target, previous, open_pair, number = [], None, False, -1
+    for block in blocks:
+        joins = open_pair and block.recording == previous
+        number += 0 if joins else 1
+        open_pair, previous = not joins, block.recording
+        target.append(number)
+    return target
+
+
+def block_statistics(
+    columns: Columns, recording: str, tiles: Iterable[States], measured: Tensor, *, block_s: float, independent_rate_hz: float
+) -> BlockStatistics:
+    """Stream one recording into block statistics.
+
+    Args:
+        columns: the layout of x.
+        recording: its name.
+        tiles: states, tile by tile.
+        measured: (n_dof,) bool, the joints whose torque counts.
+        block_s: length of a block, [s].
+        independent_rate_hz: independent samples a second, 2 f_c.
+    """
+    blocks: dict[tuple[int, int], tuple[Block, list[Tensor], Tensor]] = {}
+    for states in tiles:
+        rows, torque = filtered_rows(columns, states)
+        weight = independent_rate_hz * states.dt_out
+        number = (states.t_out / block_s).floor().long()
+        for b in number.unique().tolist():
+            here = number == b
+            inside = [row[:, here] for row in rows]
+            moments = [weight * (a @ a.T) * float(m) for a, m in zip(inside, measured.tolist(), strict=True)]
+            tau = torque[:, here]
+            sums = weight * torch.stack((torch.ones_like(tau).sum(1), tau.sum(1), tau.square().sum(1)), -1)
+            sums = sums * measured.unsqueeze(-1)
+            start, end = float(states.t_out[here][0]), float(states.t_out[here][-1])
+            key = (states.segment, b)
+            if key in blocks:
+                block, old, old_sums = blocks[key]
+                for total, new in zip(old, moments, strict=True):
+                    total += new
+                blocks[key] = (Block(recording, block.start_s, end), old, old_sums + sums)
+            else:
+                blocks[key] = (Block(recording, start, end), moments, sums)
+    entries = list(blocks.values())
+    sizes = [len(own) + 1 for own in columns.of_joint]
+    empty = [torch.zeros(0, p, p, dtype=torch.float64) for p in sizes]
+    return BlockStatistics(
+        columns=columns,
+        blocks=tuple(block for block, _, _ in entries),
+        moments=tuple(
+            torch.stack([moments[j] for _, moments, _ in entries]) if entries else empty[j] for j in range(len(sizes))
+        ),
+        torque=torch.stack([sums for *_, sums in entries]) if entries else torch.zeros(0, len(sizes), 3, dtype=torch.float64),
+    )
+
+
+def filtered_rows(columns: Columns, states: States) -> tuple[list[Tensor], Tensor]:
+    """Return per joint the band-limited rows [Y_j, phi_j, tau_j] (p_j + 1, M), and the band-limited torque (n_dof, M)."""
+    Y = columns.robot.regressor_batch_last(states.q, states.qd, states.qdd)
+    tau = states.decimate(torch.nan_to_num(states.tau))
+    rows = []
+    for joint in range(columns.robot.n_dof):
+        own = torch.cat((Y[joint, columns.inertial[joint]], columns.features(states, joint)))
+        rows.append(torch.cat((states.decimate(own), tau[joint : joint + 1])))
+    return rows, tau

@@ -1,0 +1,147 @@
+"""Fit the inertial parameters and a set of terms together: physically valid, with uncertainties that respect correlated noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchrbd.inference.block_statistics import BlockStatistics
+from torchrbd.inference.columns import Candidate, Columns
+from torchrbd.inference.map_fit import noise_variance, scaled_equations
+from torchrbd.inference.physical_fit import PhysicalFit, physical_fit
+from torchrbd.inference.prior import Prior
+from torchrbd.inference.results import Fit
+from torchrbd.model import RigidBodyDynamics
+from torchrbd.physics import Term, effect
+from torchrbd.recordings import States
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A fitted coefficient vector.
+
+    Attributes:
+        columns: layout of x.
+        terms: the free terms beside the rigid body.
+        x: (n,) coefficients.
+        free: indices of the fitted ones.
+        laplace: (n_free, n_free) covariance from the curvature, counting independent samples.
+        covariance: (n_free, n_free) the same, widened where the scatter over blocks says so.
+        noise_variance: (n_dof,) of the band-limited torque.
+    """
+
+    columns: Columns
+    terms: tuple[Candidate, ...]
+    x: Tensor
+    free: Tensor
+    laplace: Tensor
+    covariance: Tensor
+    noise_variance: Tensor
+
+    @property
+    def pi(self) -> Tensor:
+        """Inertial parameters (n_params,)."""
+        return self.x[: self.columns.robot.n_params]
+
+    def coefficients(self, candidate: Candidate) -> tuple[Tensor, Tensor]:
+        """Return coefficients (K,) and covariance (K, K) of a fitted term."""
+        index = torch.tensor(self.columns.of(candidate))
+        at = torch.tensor([int((self.free == k).nonzero()) for k in index])
+        return self.x[index], self.covariance[at.unsqueeze(1), at]
+
+    def module(self) -> RigidBodyDynamics:
+        """Return the model as a module; friction that the URDF has stays in it unless a term has re-fitted it."""
+        columns = self.columns
+        refitted = {k for c in self.terms for k in columns.of(c)}
+        kept = [
+            self._term(c, self.x[columns.of(c)])
+            for c in columns.urdf_friction
+            if not refitted & set(columns.of(c)) and bool(self.x[columns.of(c)].any())
+        ]
+        shared: set[int] = set()
+        fitted = []
+        for c in self.terms:
+            index = columns.of(c)
+            # Two terms may share a column; its whole coefficient belongs to the first.
+            w = torch.stack([self.x[k] * float(k not in shared) for k in index])
+            shared.update(index)
+            fitted.append(self._term(c, w))
+        return RigidBodyDynamics(columns.robot, self.pi, [*kept, *fitted])
+
+    def _term(self, candidate: Candidate, w: Tensor) -> Term:
+        width = self.columns.scales[candidate.joint].rest_width
+        return Term(candidate.effect, candidate.joint, w, candidate.shape, width)
+
+
+def fit_model(statistics: BlockStatistics, prior: Prior, terms: Sequence[Candidate] = ()) -> FittedModel:
+    """Fit the rigid body and terms on blocks.
+
+    Args:
+        statistics: blocks to fit.
+        prior: prior of the inertial parameters.
+        terms: terms that are fitted beside them; other columns keep the URDF's value.
+    """
+    columns = statistics.columns
+    term_columns = torch.tensor(sorted({k for c in terms for k in columns.of(c)}), dtype=torch.long)
+    variance = noise_variance(statistics, prior, torch.cat((prior.inertial, term_columns)))
+    equations = scaled_equations(prior, statistics.total(), columns, 1.0 / variance)
+    fit = physical_fit(prior, equations, term_columns)
+    laplace = torch.linalg.inv(fit.precision)
+    S = prior.scale[fit.free.unsqueeze(1), fit.free]
+    sandwich = laplace @ _sandwich_filling(statistics, prior, fit, equations.H, variance) @ laplace
+    wider = (sandwich.diagonal() / laplace.diagonal()).clamp_min(1.0).sqrt()
+    covariance = S @ (wider.unsqueeze(1) * laplace * wider) @ S.T
+    return FittedModel(columns, tuple(terms), fit.x, fit.free, S @ laplace @ S.T, covariance, variance)
+
+
+def _sandwich_filling(statistics: BlockStatistics, prior: Prior, fit: PhysicalFit, H: Tensor, variance: Tensor) -> Tensor:
+    """Return sum_b s_b s_b' + prior curvature, with s_b the gradient that block b contributes, in prior coordinates.
+
+    Blocks are long against the correlation time, so that their scatter measures what correlated noise does to x.
+    """
+    columns, n_blocks = statistics.columns, len(statistics)
+    gradient = torch.zeros(n_blocks, columns.n, dtype=torch.float64)
+    for joint, moments in enumerate(statistics.moments):
+        own = columns.of_joint[joint]
+        v = torch.cat((-fit.x[own], torch.ones(1, dtype=torch.float64)))
+        gradient[:, own] += (moments @ v)[:, :-1] / variance[joint]
+    scores = gradient @ prior.scale[:, fit.free]
+    scores = scores - scores.mean(0)
+    prior_curvature = fit.precision - H[fit.free.unsqueeze(1), fit.free]
+    return n_blocks / max(n_blocks - 1, 1) * scores.T @ scores + prior_curvature
+
+
+def judge(statistics: BlockStatistics, x: Tensor) -> Fit:
+    """Return how well coefficients predict blocks; joints without torque there are left out."""
+    weight = statistics.torque[..., 0].sum(0)
+    mse = statistics.squared_error(x).sum(0) / weight.clamp_min(1e-300)
+    variance = statistics.torque_variance()
+    names = statistics.columns.robot.joint_names
+    seen = [j for j in range(len(names)) if weight[j] > 0]
+    return Fit(
+        nmse={names[j]: float(mse[j] / variance[j].clamp_min(1e-300)) for j in seen},
+        rmse={names[j]: float(mse[j].sqrt()) for j in seen},
+    )
+
+
+def predict(columns: Columns, x: Tensor, states: States) -> Tensor:
+    """Return the torque (n_dof, N) that coefficients x predict for a tile, at its full rate."""
+    rigid = columns.robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, x[: columns.robot.n_params]).T
+    terms = [
+        x[columns.of_joint[joint][len(columns.inertial[joint]) :]] @ columns.features(states, joint)
+        for joint in range(columns.robot.n_dof)
+    ]
+    return rigid + torch.stack(terms)
+
+
+def term_candidates(columns: Columns, identifiers: Sequence[str]) -> tuple[Candidate, ...]:
+    """Return the named effects at every joint, with the middle one of their shapes."""
+    found = []
+    for name in identifiers:
+        for joint in range(columns.robot.n_dof):
+            own = [c for c in columns.candidates if c.effect is effect(name) and c.joint == joint]
+            found += own[len(own) // 2 : len(own) // 2 + 1]
+    return tuple(found)

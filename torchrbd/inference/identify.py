@@ -1,0 +1,180 @@
+"""Identify a robot: prepare, fit, judge, and collect what a person or a report wants to know."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrbd.inference.fitting import FittedModel, fit_model, judge, predict, term_candidates
+from torchrbd.inference.preparation import Prepared, Progress, prepare
+from torchrbd.inference.results import Identification, ParameterEstimate, TorqueSeries
+from torchrbd.inference.settings import Settings
+from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, base_parameters
+from torchrbd.recordings import Recording
+from torchrbd.robot import RobotModel
+
+
+def identify(
+    robot: RobotModel | str | Path | bytes,
+    recordings: Sequence[str | Path | Recording] | str | Path | Recording,
+    *,
+    progress: Progress = lambda *_: None,
+    **options: Any,
+) -> Identification:
+    """Fit a robot's inertial parameters to recordings; the result is always physically valid.
+
+    Args:
+        robot: a robot or its URDF.
+        recordings: files or opened recordings.
+        progress: told how far the work is.
+        **options: see ``Settings``. ``effects`` are fitted beside the inertial parameters, at every joint.
+
+    Raises:
+        InputError: a robot, recording or option that cannot be used.
+    """
+    robot = robot if isinstance(robot, RobotModel) else RobotModel.from_urdf(robot)
+    settings = Settings.from_mapping(options, "identify")
+    prepared = prepare(robot, listed(recordings), settings, progress)
+    progress("fitting", 0.0)
+    models = {"rigid_body": fit_model(prepared.training, prepared.prior)}
+    if settings.effects:
+        terms = term_candidates(prepared.columns, [e.id for e in settings.chosen_effects()])
+        models["extended"] = fit_model(prepared.training, prepared.prior, terms)
+    return summarise(prepared, models, progress)
+
+
+def listed(recordings: Sequence[str | Path | Recording] | str | Path | Recording) -> list[str | Path | Recording]:
+    """Return one or several recordings as a list."""
+    return [recordings] if isinstance(recordings, (str, Path, Recording)) else list(recordings)
+
+
+def summarise(prepared: Prepared, models: dict[str, FittedModel], progress: Progress) -> Identification:
+    """Judge the URDF and fitted models on the blocks kept back; the last model is the one whose parameters are reported.
+
+    Args:
+        prepared: the data.
+        models: fitted ones by name, "rigid_body" first.
+        progress: told how far the work is.
+    """
+    coefficients = {"urdf": prepared.prior.reference, **{name: model.x for name, model in models.items()}}
+    final = list(models.values())[-1]
+    base = base_parameters(prepared.robot)
+    return Identification(
+        robot=prepared.robot,
+        recordings=tuple(r.name for r in prepared.recordings),
+        held_out=prepared.holdout_words,
+        cutoff_hz=prepared.filtering.cutoff_hz,
+        fits={name: judge(prepared.judging, x) for name, x in coefficients.items()},
+        parameters=(*_inertial_estimates(prepared, final, set(base.alone), set(base.invisible)), *term_estimates(final)),
+        combinations=base.sentences(),
+        noise_std={
+            name: float(v.sqrt())
+            for name, v in zip(prepared.robot.joint_names, final.noise_variance, strict=True)
+            if torch.isfinite(v)
+        },
+        series=torque_series(prepared, coefficients, progress),
+        model=final.module(),
+        notes=prepared.notes,
+    )
+
+
+def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress: Progress) -> TorqueSeries:
+    """Stream the recordings once more and predict every torque with every model."""
+    parts: dict[str, list[np.ndarray]] = {key: [] for key in ("recording", "t", "held_out", "q", "qd", "qdd", "measured")}
+    predicted: dict[str, list[np.ndarray]] = {name: [] for name in coefficients}
+    unmeasured = ~prepared.used
+    for k, recording in enumerate(prepared.recordings):
+        progress("predicting torques", k / len(prepared.recordings))
+        for states in prepared.tiles(k):
+            measured = states.decimate(torch.nan_to_num(states.tau)).T
+            measured[:, unmeasured | ~torch.as_tensor(recording.measured)] = torch.nan
+            parts["recording"].append(np.full(len(states.t_out), k))
+            parts["t"].append(states.t_out.numpy())
+            parts["held_out"].append(_kept_back(prepared, recording.name, states.t_out).numpy())
+            parts["measured"].append(measured.numpy())
+            for key, signal in (("q", states.q), ("qd", states.qd), ("qdd", states.qdd)):
+                parts[key].append(states.decimate(signal).T.numpy())
+            for name, x in coefficients.items():
+                predicted[name].append(states.decimate(predict(prepared.columns, x, states)).T.numpy())
+    joined = {key: np.concatenate(values) for key, values in parts.items()}
+    return TorqueSeries(
+        joints=tuple(prepared.robot.joint_names),
+        recordings=tuple(r.name for r in prepared.recordings),
+        predicted={name: np.concatenate(values) for name, values in predicted.items()},
+        **joined,
+    )
+
+
+def _kept_back(prepared: Prepared, recording: str, t: Tensor) -> Tensor:
+    inside = torch.zeros(len(t), dtype=torch.bool)
+    for block, held in zip(prepared.statistics.blocks, prepared.held_out.tolist(), strict=True):
+        if held and block.recording == recording:
+            inside |= (t >= block.start_s) & (t <= block.end_s)
+    return inside
+
+
+def _inertial_estimates(
+    prepared: Prepared, model: FittedModel, alone: set[int], invisible: set[int]
+) -> list[ParameterEstimate]:
+    robot, prior = prepared.robot, prepared.prior
+    std, share = torch.zeros(robot.n_params, dtype=torch.float64), torch.ones(robot.n_params, dtype=torch.float64)
+    n = len(prior.inertial)
+    std[prior.inertial] = model.covariance.diagonal()[:n].sqrt()
+    believed = (prior.scale @ prior.scale.T).diagonal()[prior.inertial]
+    share[prior.inertial] = (model.laplace.diagonal()[:n] / believed).clamp(0.0, 1.0)
+    fitted = set(prior.inertial.tolist())
+    found = []
+    for k, name in enumerate(robot.parameter_names):
+        status = "combination"
+        if k not in fitted:
+            status = "held"
+        elif k in invisible:
+            status = "not identifiable"
+        elif k in alone:
+            status = "identified"
+        found.append(
+            ParameterEstimate(
+                name=name,
+                owner=robot.body_names[k // PARAMETERS_PER_BODY],
+                unit=UNITS[k % PARAMETERS_PER_BODY],
+                urdf=float(prior.reference[k]),
+                value=float(model.x[k]),
+                std=float(std[k]),
+                prior_share=float(share[k]),
+                status=status,
+            )
+        )
+    return found
+
+
+def term_estimates(model: FittedModel) -> list[ParameterEstimate]:
+    """Return the physical parameters of the terms, standard deviations by the delta method."""
+    robot, found = model.columns.robot, []
+    for candidate in model.terms:
+        joint = robot.joint_names[candidate.joint]
+        urdf = {"viscous": float(robot.damping[candidate.joint]), "coulomb": float(robot.friction[candidate.joint])}
+        for name, (value, std) in term_parameters(model, candidate).items():
+            unit = candidate.effect.unit(name, prismatic=bool(robot.prismatic[candidate.joint]))
+            found.append(
+                ParameterEstimate(f"{name} ({candidate.effect.id})", joint, unit, urdf.get(name, 0.0), value, std, 0.0, "term")
+            )
+    return found
+
+
+def term_parameters(model: FittedModel, candidate) -> dict[str, tuple[float, float]]:  # noqa: ANN001
+    """Return value and standard deviation of a term's physical parameters: var p = (dp/dw) cov(w) (dp/dw)'."""
+    w, covariance = model.coefficients(candidate)
+    w = w.clone().requires_grad_(True)
+    found = {}
+    for name, value in candidate.effect.parameters(w, candidate.shape).items():
+        variance = 0.0
+        if value.requires_grad:
+            (slope,) = torch.autograd.grad(value, w, retain_graph=True)
+            variance = float(slope @ covariance @ slope)
+        found[name] = (float(value.detach()), variance**0.5)
+    return found

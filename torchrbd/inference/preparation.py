@@ -1,0 +1,228 @@
+"""From files to block statistics: the two streaming passes that every fit and diagnosis starts with.
+
+    survey (clock, noise, band) -> one cut-off for all -> states, regressor and features, tile by tile -> block statistics
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrbd.errors import OptionError, RecordingError
+from torchrbd.inference.block_statistics import BlockStatistics, block_statistics
+from torchrbd.inference.columns import Columns
+from torchrbd.inference.prior import Prior, unphysical_bodies, urdf_prior
+from torchrbd.inference.settings import Payload, Settings
+from torchrbd.parameters import PARAMETERS_PER_BODY
+from torchrbd.physics import JointScale
+from torchrbd.recordings import Filtering, Recording, States, Survey, choose_cutoff, open_recording, read_mapping, survey, tiles
+from torchrbd.robot import RobotModel
+
+Progress = Callable[[str, float], None]
+"""Told what is being done and which part (0 to 1) of it is done."""
+
+_BLOCK_S, _BLOCK_CYCLES, _MOST_BLOCKS, _LEAST_BLOCKS = 1.0, 5.0, 256, 8
+# Neighbouring blocks that are kept back together: fewer seams between what is fitted and what is judged.
+_HOLDOUT_RUN = 2
+# Below this many standard deviations of its noise a velocity has no direction.
+_REST_NOISE, _REST_PART = 2.0, 1e-3
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A robot, its recordings, and the statistics of both.
+
+    Attributes:
+        robot: as the URDF gives it.
+        recordings, surveys: in the order given, held-out ones last.
+        filtering: the one filter pair of all.
+        columns: layout of x.
+        statistics: all blocks.
+        held_out: (B,) bool, blocks that no fit or choice may see.
+        holdout_words: the same for a person.
+        prior: around the URDF.
+        used: (n_dof,) bool, joints whose torque counts.
+        payload: per recording name, inertial parameters (n_params,) of known loads.
+        notes: what the user should know of the input.
+    """
+
+    robot: RobotModel
+    recordings: tuple[Recording, ...]
+    surveys: tuple[Survey, ...]
+    filtering: Filtering
+    columns: Columns
+    statistics: BlockStatistics
+    held_out: Tensor
+    holdout_words: str
+    prior: Prior
+    used: Tensor
+    payload: dict[str, Tensor]
+    notes: tuple[str, ...]
+
+    @property
+    def training(self) -> BlockStatistics:
+        """Blocks to fit and choose with."""
+        return self.statistics.select(~self.held_out)
+
+    @property
+    def judging(self) -> BlockStatistics:
+        """Blocks kept back."""
+        return self.statistics.select(self.held_out)
+
+    def tiles(self, k: int) -> Iterator[States]:
+        """Stream the states of recording k; known payloads are taken off its torque."""
+        return _tiles(self.robot, self.recordings[k], self.surveys[k], self.filtering, self.payload)
+
+
+def prepare(
+    robot: RobotModel, recordings: Sequence[str | Path | Recording], settings: Settings, progress: Progress = lambda *_: None
+) -> Prepared:
+    """Read everything.
+
+    Args:
+        robot: the robot.
+        recordings: files or opened recordings to fit.
+        settings: the user's choices.
+        progress: told how far the work is.
+
+    Raises:
+        RecordingError, OptionError: input that cannot be used.
+    """
+    opened, n_fitted = _open(robot, recordings, settings)
+    surveys = []
+    for k, recording in enumerate(opened):
+        progress("looking through the recordings", k / len(opened))
+        surveys.append(survey(recording))
+    filtering = Filtering(settings.cutoff_hz or choose_cutoff(surveys))
+    columns = Columns(robot, settings.chosen_effects(), _scales(robot, surveys, filtering))
+    used, held = settings.used_joints(robot), settings.held_bodies(robot)
+    payload = _payloads(robot, opened, settings.payload)
+    statistics = _stream(columns, opened, surveys, filtering, used, payload, progress)
+    held_out, words = _held_out(statistics, opened, n_fitted, settings)
+    total = statistics.torque.sum(0)
+    torque_rms = (total[:, 2] / total[:, 0].clamp_min(1e-300)).sqrt()
+    prior = urdf_prior(columns, torque_rms, _feature_rms(statistics), held=held, kappa=settings.kappa)
+    unmeasured = [n for n, ok, w in zip(robot.joint_names, used.tolist(), total[:, 0].tolist(), strict=True) if ok and not w]
+    notes = [note if note.startswith(s.name) else f"{s.name}: {note}" for r, s in zip(opened, surveys, strict=True) for note in (*r.notes, *s.notes)]
+    notes += [f"no recording has a torque for {name}" for name in unmeasured]
+    notes += [f"the URDF's inertia of {body} is not physical; the fit starts from the nearest that is" for body in unphysical_bodies(columns)]
+    massless = [n for b, n in enumerate(robot.body_names) if b not in prior.bodies and n not in held]
+    notes += [f"{name} has no mass in the URDF and keeps none" for name in massless]
+    return Prepared(
+        robot, opened, tuple(surveys), filtering, columns, statistics, held_out, words, prior, used, payload, tuple(notes)
+    )  # fmt: skip
+
+
+def _open(robot: RobotModel, recordings: Sequence[str | Path | Recording], settings: Settings) -> tuple[tuple[Recording, ...], int]:
+    mapping = read_mapping(settings.mapping) if settings.mapping else None
+
+    def opened(source: str | Path | Recording) -> Recording:
+        if isinstance(source, Recording):
+            return source
+        return open_recording(source, robot.joint_names, mapping=mapping, time=settings.time)
+
+    if not recordings:
+        raise OptionError("no recording to fit; give at least one")
+    both = {str(r) for r in recordings} & {str(h) for h in settings.holdout}
+    if both:
+        raise OptionError(f"{', '.join(sorted(both))} is both fitted and held out; leave it out of one list")
+    found = [*map(opened, recordings), *map(opened, settings.holdout)]
+    names = [r.name for r in found]
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            parents = [str(r.path or r.name) for r in found if r.name == name]
+            raise RecordingError(f"two recordings are called '{name}' ({', '.join(parents)}); rename one, results refer to them by name")
+    return tuple(found), len(recordings)
+
+
+def _scales(robot: RobotModel, surveys: Sequence[Survey], filtering: Filtering) -> tuple[JointScale, ...]:
+    speed = np.max([s.velocity_max for s in surveys], axis=0)
+    noise = np.max([np.sqrt(filtering.state_noise(s.q_noise_std, s.clock.dt, s.qd_noise_std)[:, 1, 1].numpy()) for s in surveys], axis=0)
+    rest = np.maximum.reduce([_REST_NOISE * noise, _REST_PART * speed, np.full(robot.n_dof, 1e-6)])
+    low, high = np.min([s.q_min for s in surveys], axis=0), np.max([s.q_max for s in surveys], axis=0)
+    return tuple(JointScale(*map(float, values)) for values in zip(low, high, speed, rest, strict=True))
+
+
+def _payloads(robot: RobotModel, recordings: Sequence[Recording], payloads: Sequence[Payload]) -> dict[str, Tensor]:
+    known = {r.name for r in recordings}
+    where = {link.name: (body, link.pose) for body, links in robot.folded.items() for link in links}
+    found: dict[str, Tensor] = {}
+    for load in payloads:
+        if load.recording not in known:
+            raise OptionError(f"payload for '{load.recording}', which is no recording here; there are: {', '.join(sorted(known))}")
+        link = load.link or robot.body_names[-1]
+        if link not in where:
+            raise OptionError(f"payload on '{link}', which is no moving link of robot '{robot.name}'; it has: {', '.join(where)}")
+        body, pose = where[link]
+        c = torch.as_tensor(pose[:3, :3]) @ torch.tensor(load.centre, dtype=torch.float64) + torch.as_tensor(pose[:3, 3])
+        point = (c @ c) * torch.eye(3, dtype=torch.float64) - torch.outer(c, c)
+        own = load.mass * torch.stack((torch.ones_like(c[0]), *c, *(point[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))))
+        first = PARAMETERS_PER_BODY * robot.body_names.index(body)
+        pi = found.setdefault(load.recording, torch.zeros(robot.n_params, dtype=torch.float64))
+        pi[first : first + PARAMETERS_PER_BODY] += own
+    return found
+
+
+def _tiles(robot: RobotModel, recording: Recording, s: Survey, filtering: Filtering, payload: dict[str, Tensor]) -> Iterator[States]:
+    for states in tiles(recording, s, filtering):
+        if recording.name in payload:
+            known = robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, payload[recording.name]).T
+            states = replace(states, tau=states.tau - known)
+        yield states
+
+
+def _stream(
+    columns: Columns, recordings: Sequence[Recording], surveys: Sequence[Survey], filtering: Filtering, used: Tensor,
+    payload: dict[str, Tensor], progress: Progress,
+) -> BlockStatistics:  # fmt: skip
+    duration = sum(s.duration_s for s in surveys)
+    block_s = max(_BLOCK_S, _BLOCK_CYCLES / filtering.cutoff_hz, duration / _MOST_BLOCKS)
+    done, statistics = 0.0, None
+    for recording, s in zip(recordings, surveys, strict=True):
+
+        def watched(stream: Iterator[States], before: float = done) -> Iterator[States]:
+            for states in stream:
+                progress("building the statistics", min(1.0, (before + float(states.t[0])) / duration))
+                yield states
+
+        measured = torch.as_tensor(recording.measured) & used
+        stream = watched(_tiles(columns.robot, recording, s, filtering, payload))
+        part = block_statistics(
+            columns, recording.name, stream, measured, block_s=block_s, independent_rate_hz=filtering.effective_rate
+        )
+        statistics = part if statistics is None else statistics + part
+        done += s.duration_s
+    assert statistics is not None
+    if len(statistics) < _LEAST_BLOCKS:
+        raise RecordingError(
+            f"the recordings hold {len(statistics)} blocks of {block_s:.3g} s after filtering at {filtering.cutoff_hz:g} Hz; "
+            f"at least {_LEAST_BLOCKS} are needed: give longer or more recordings"
+        )
+    return statistics.coarsened(_MOST_BLOCKS)
+
+
+def _held_out(statistics: BlockStatistics, recordings: Sequence[Recording], n_fitted: int, settings: Settings) -> tuple[Tensor, str]:
+    names = [block.recording for block in statistics.blocks]
+    if settings.holdout:
+        kept = {r.name for r in recordings[n_fitted:]}
+        return torch.tensor([name in kept for name in names]), "recordings " + ", ".join(sorted(kept))
+    period = max(2, round(_HOLDOUT_RUN / settings.holdout_fraction))
+    run = min(_HOLDOUT_RUN, period // 2)
+    # Counted through all recordings; the run never starts the first one.
+    position = (torch.arange(len(names)) + settings.seed * run) % period
+    held_out = position >= period - run
+    return held_out, f"{100 * float(held_out.double().mean()):.0f} % of the time, in runs of {run} blocks throughout"
+
+
+def _feature_rms(statistics: BlockStatistics) -> Tensor:
+    columns = statistics.columns
+    power, weight = torch.zeros(columns.n, dtype=torch.float64), statistics.torque[..., 0].sum(0)
+    for joint, total in enumerate(statistics.total()):
+        if weight[joint] > 0:
+            power[columns.of_joint[joint]] += total.diagonal()[:-1] / weight[joint]
+    return power.sqrt()

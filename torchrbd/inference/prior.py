@@ -1,0 +1,100 @@
+"""The prior: the URDF's inertial parameters, as the entropic divergence between pseudo-inertias and its quadratic form.
+
+    D(J | J0) = tr(J0^-1 J) - logdet(J0^-1 J) - 4,   Hessian at J0:  M_kl = tr(J0^-1 E_k J0^-1 E_l)
+
+kappa D is added to the negative log-likelihood. D is invariant to the frame and the units, so one kappa serves a finger and a crane,
+and it is infinite for every unphysical body. The quadratic form is what a linear (ridge) fit uses.
+
+Source: Lee, Wensing, Park, "Geometric Robot Dynamic Identification: A Convex Programming Approach", IEEE T-RO 2020, eq. (25), (31).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchrbd.inference.columns import Columns
+from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical, nearest_physical, pseudo_inertia
+from torchrbd.parameters.inertial import BASIS
+
+KAPPA = 3.0
+# Prior standard deviation of a term's torque, in units of the joint's torque RMS: wide, it only keeps directions bounded that no data tells.
+TERM_WIDTH = 10.0
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is believed before the data.
+
+    Attributes:
+        mean: x0 (n,): the URDF, bodies without a possible mass distribution replaced by the nearest physical ones.
+        reference: the URDF's x as it stands.
+        bodies: indices of the bodies that are fitted; the others are held.
+        inverse_inertia: J0^-1 (n_fitted, 4, 4) of those.
+        kappa: weight of the divergence.
+        scale: S (n, n), columns of prior standard deviations: x = x0 + S z with z ~ N(0, 1).
+    """
+
+    mean: Tensor
+    reference: Tensor
+    bodies: tuple[int, ...]
+    inverse_inertia: Tensor
+    kappa: float
+    scale: Tensor
+
+    @property
+    def inertial(self) -> Tensor:
+        """Indices in x of the fitted inertial parameters."""
+        first = PARAMETERS_PER_BODY * torch.tensor(self.bodies, dtype=torch.long).unsqueeze(1)
+        return (first + torch.arange(PARAMETERS_PER_BODY)).flatten()
+
+
+def divergence_hessian(inverse: Tensor) -> Tensor:
+    """Return M (*batch, 10, 10) with M_kl = tr(W E_k W E_l), W = J^-1 (*batch, 4, 4): the Hessian of -logdet J in pi."""
+    WE = torch.einsum("...ab,kbc->...kac", inverse, BASIS)
+    return torch.einsum("...kac,...lca->...kl", WE, WE)
+
+
+def urdf_prior(columns: Columns, torque_rms: Tensor, feature_rms: Tensor, *, held: Collection[str] = (), kappa: float = KAPPA) -> Prior:
+    """Build the prior around the URDF.
+
+    Args:
+        columns: the layout of x.
+        torque_rms: (n_dof,) of the measured torque, [N m] or [N].
+        feature_rms: (n,) root mean square of the columns, entries of features are used.
+        held: bodies that keep the URDF's inertia. Bodies without mass are always held: no distribution to start from.
+        kappa: weight of the divergence; 1 is one observation's worth in each direction of a relative change of order one.
+    """
+    robot = columns.robot
+    reference = columns.reference()
+    pi = reference[: robot.n_params].reshape(-1, PARAMETERS_PER_BODY)
+    bodies = tuple(b for b, name in enumerate(robot.body_names) if float(pi[b, 0]) > 0 and name not in held)
+    fitted = torch.tensor(bodies, dtype=torch.long)
+    mean, scale = reference.clone(), torch.zeros(columns.n, columns.n, dtype=torch.float64)
+    pi0 = nearest_physical(pi[fitted])
+    inverse = torch.linalg.inv(pseudo_inertia(pi0))
+    for b, own, metric in zip(bodies, pi0, divergence_hessian(inverse), strict=True):
+        here = slice(PARAMETERS_PER_BODY * b, PARAMETERS_PER_BODY * (b + 1))
+        mean[here] = own
+        scale[here, here] = _inverse_root(kappa * metric)
+    for joint in range(robot.n_dof):
+        for k in columns.of_joint[joint].tolist():
+            if k >= robot.n_params:
+                rms = float(feature_rms[k])
+                scale[k, k] = TERM_WIDTH * float(torque_rms[joint]) / rms if rms > 0 else 0.0
+    return Prior(mean, reference, bodies, inverse, kappa, scale)
+
+
+def _inverse_root(A: Tensor) -> Tensor:
+    """Return S with S S' = A^-1. The matrix is balanced first: its entries differ by the square of the body's size."""
+    d = A.diagonal().rsqrt()
+    return d.unsqueeze(1) * torch.linalg.inv(torch.linalg.cholesky(d.unsqueeze(1) * A * d)).mT
+
+
+def unphysical_bodies(columns: Columns) -> tuple[str, ...]:
+    """Return the names of bodies whose URDF inertia no mass distribution has (massless ones are not counted)."""
+    pi = columns.robot.pi.reshape(-1, PARAMETERS_PER_BODY)
+    return tuple(n for n, m, ok in zip(columns.robot.body_names, pi[:, 0], is_physical(pi), strict=True) if m > 0 and not ok)

@@ -1,0 +1,146 @@
+"""What a user may choose, checked against the robot and the recordings."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchrbd.errors import OptionError
+from torchrbd.physics import Effect, effect, effects
+from torchrbd.robot import RobotModel
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A known load on the robot in one recording: mass [kg] and centre of mass [m] in the frame of ``link``."""
+
+    recording: str
+    mass: float
+    centre: tuple[float, float, float]
+    link: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Payload:
+        """Read ``FILE=kg,x,y,z`` or ``FILE=kg,x,y,z@LINK``."""
+        name, _, numbers = text.rpartition("=")
+        numbers, _, link = numbers.partition("@")
+        try:
+            mass, x, y, z = (float(part) for part in numbers.split(","))
+        except ValueError:
+            raise OptionError(f"payload '{text}': expected FILE=kg,x,y,z or FILE=kg,x,y,z@LINK") from None
+        if not name or not all(map(math.isfinite, (mass, x, y, z))) or mass <= 0:
+            raise OptionError(f"payload '{text}': expected FILE=kg,x,y,z with a mass above zero")
+        return cls(Path(name).name, mass, (x, y, z), link or None)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The options that ``identify`` and ``diagnose`` share.
+
+    Attributes:
+        holdout: recordings that no fit or choice sees.
+        holdout_fraction: without ``holdout``, the part of each recording that is kept back, (0, 0.5].
+        time: use only this part of each recording, (from, to) [s] from its start.
+        joints: joints whose torque counts; all by default.
+        effects, exclude: effects that the search may use, by id.
+        trust: links whose inertia is not re-fitted.
+        payload: known loads.
+        mapping: YAML file that maps other column names and units.
+        cutoff_hz: band limit; chosen from the data by default.
+        kappa: weight of the URDF's inertia against the data.
+        seed: which blocks are kept back.
+    """
+
+    holdout: tuple[Path, ...] = ()
+    holdout_fraction: float = 0.25
+    time: tuple[float, float] | None = None
+    joints: tuple[str, ...] | None = None
+    effects: tuple[str, ...] | None = None
+    exclude: tuple[str, ...] = ()
+    trust: tuple[str, ...] = ()
+    payload: tuple[Payload, ...] = ()
+    mapping: Path | None = None
+    cutoff_hz: float | None = None
+    kappa: float = 3.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.holdout_fraction <= 0.5:
+            raise OptionError(f"holdout_fraction is {self.holdout_fraction:g}; expected a number in (0, 0.5]")
+        if not self.kappa > 0:
+            raise OptionError(f"kappa is {self.kappa:g}; expected a number above 0")
+
+    @classmethod
+    def from_mapping(cls, options: Mapping[str, Any], place: str) -> Settings:
+        """Read settings as a YAML file or keyword arguments give them; ``place`` is named in errors."""
+        known = {f.name for f in fields(cls)}
+        for key in options:
+            if key not in known:
+                close = difflib.get_close_matches(key, known, 1)
+                raise OptionError(f"{place}: unknown setting '{key}'" + (f"; did you mean '{close[0]}'?" if close else f"; known: {', '.join(sorted(known))}"))
+        values = dict(options)
+        for key in ("holdout",):
+            values[key] = tuple(Path(p) for p in _listed(values.get(key)))
+        for key in ("joints", "effects"):
+            if values.get(key) is not None:
+                values[key] = tuple(_listed(values[key]))
+        for key in ("exclude", "trust"):
+            values[key] = tuple(_listed(values.get(key)))
+        values["payload"] = tuple(p if isinstance(p, Payload) else Payload.parse(str(p)) for p in _listed(values.get("payload")))
+        if values.get("time") is not None:
+            values["time"] = _interval(values["time"], place)
+        if values.get("mapping") is not None:
+            values["mapping"] = Path(values["mapping"])
+        return cls(**values)
+
+    def chosen_effects(self) -> tuple[Effect, ...]:
+        """Return the effects to search for.
+
+        Raises:
+            OptionError: an id is unknown, or nothing is left.
+        """
+        excluded = {effect(name).id for name in self.exclude}
+        wanted = effects() if self.effects is None else {name: effect(name) for name in self.effects}
+        return tuple(e for name, e in wanted.items() if name not in excluded)
+
+    def used_joints(self, robot: RobotModel) -> Tensor:
+        """Return (n_dof,) bool, the joints whose torque counts."""
+        names = robot.joint_names if self.joints is None else self.joints
+        _check_names(names, robot.joint_names, "joint", robot.name)
+        return torch.tensor([name in names for name in robot.joint_names])
+
+    def held_bodies(self, robot: RobotModel) -> tuple[str, ...]:
+        """Return the bodies that ``trust`` keeps; a link that is fixed to a body stands for the body."""
+        body_of = {link.name: body for body, links in robot.folded.items() for link in links}
+        _check_names(self.trust, tuple(body_of), "link", robot.name)
+        return tuple(dict.fromkeys(body_of[name] for name in self.trust))
+
+
+def _check_names(names: Iterable[str], known: tuple[str, ...], kind: str, robot: str) -> None:
+    for name in names:
+        if name not in known:
+            raise OptionError(f"robot '{robot}' has no moving {kind} '{name}'; it has: {', '.join(known)}")
+
+
+def _listed(value: Any) -> list[Any]:
+    if value is None:
+        return []
+    return list(value) if isinstance(value, (list, tuple)) else [value]
+
+
+def _interval(value: Any, place: str) -> tuple[float, float]:
+    try:
+        start, end = (value.split(":") if isinstance(value, str) else value)
+        low, high = float(start or 0.0), float(end) if end not in ("", None) else math.inf
+    except (ValueError, TypeError):
+        raise OptionError(f"{place}: time '{value}': expected FROM:TO in seconds, e.g. 2:30") from None
+    if not low < high:
+        raise OptionError(f"{place}: time '{value}': the end must come after the start")
+    return low, high

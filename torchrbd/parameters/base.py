@@ -1,0 +1,96 @@
+"""Base parameters: the combinations of inertial parameters that any motion of this robot can tell.
+
+The columns of the regressor are linearly dependent: Y = Y_b K with Y_b the independent ones, so that torque depends on
+beta = K pi only. Column by column, from the base outwards, a column that earlier ones span is expressed by them.
+
+Source: Gautier, "Numerical calculation of the base inertial parameters of robots", ICRA 1990 (there by QR).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchrbd.robot import RobotModel
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """The structural identifiability of a robot.
+
+    Attributes:
+        names: (n_params,) names of the inertial parameters.
+        independent: indices of the columns that span all others, ascending.
+        combination: K (n_base, n_params): beta = K pi; the identity on ``independent``.
+        invisible: indices of the parameters that no motion tells at all.
+    """
+
+    names: tuple[str, ...]
+    independent: tuple[int, ...]
+    combination: Tensor
+    invisible: tuple[int, ...]
+
+    @property
+    def alone(self) -> tuple[int, ...]:
+        """Indices of the parameters that are identified on their own."""
+        return tuple(k for row, k in enumerate(self.independent) if torch.count_nonzero(self.combination[row]) == 1)
+
+    def sentences(self) -> tuple[str, ...]:
+        """Say in one sentence each which combinations are identified where their parts are not."""
+        said = []
+        for row, k in enumerate(self.independent):
+            partners = [c for c in torch.nonzero(self.combination[row]).flatten().tolist() if c != k]
+            if partners:
+                terms = "".join(_term(float(self.combination[row, c]), self.names[c]) for c in partners)
+                said.append(f"only {self.names[k]}{terms} is identified")
+        if self.invisible:
+            said.append("no motion of this robot tells " + ", ".join(self.names[k] for k in self.invisible))
+        return tuple(said)
+
+
+def _term(factor: float, name: str) -> str:
+    sign, size = ("-" if factor < 0 else "+"), abs(factor)
+    return f" {sign} {name}" if abs(size - 1.0) < 1e-9 else f" {sign} {size:.4g} {name}"
+
+
+def base_parameters(robot: RobotModel, *, seed: int = 0, tolerance: float = 1e-8) -> BaseParameters:
+    """Find a robot's base parameters from its regressor at random states.
+
+    Args:
+        robot: the robot; its gravity counts.
+        seed: of the random states.
+        tolerance: a column whose part outside the span of the earlier ones is below this fraction of its norm depends on them.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    n_samples = 4 * robot.n_params // robot.n_dof + 20
+    q, qd, qdd = (3.0 * torch.randn(n_samples, robot.n_dof, generator=generator, dtype=torch.float64) for _ in range(3))
+    Y = robot.to(dtype=torch.float64, device="cpu").regressor(q, qd, qdd).reshape(-1, robot.n_params)
+    norms = Y.norm(dim=0)
+    visible = norms > tolerance * norms.max()
+    scale = torch.where(visible, norms, torch.ones_like(norms))
+    independent = _independent_columns(Y / scale, visible, tolerance)
+    solution = torch.linalg.lstsq(Y[:, independent] / scale[independent], Y / scale).solution
+    combination = solution * scale / scale[independent].unsqueeze(-1)
+    relative = solution.abs() > 1e-7
+    return BaseParameters(
+        names=tuple(robot.parameter_names),
+        independent=tuple(independent),
+        combination=torch.where(relative, combination, torch.zeros_like(combination)),
+        invisible=tuple(torch.nonzero(~visible).flatten().tolist()),
+    )
+
+
+def _independent_columns(X: Tensor, visible: Tensor, tolerance: float) -> list[int]:
+    """Pick columns first to last; a column counts if, orthogonalised twice against those picked, more than ``tolerance`` is left."""
+    basis = torch.empty(X.shape[0], 0, dtype=X.dtype)
+    picked: list[int] = []
+    for k in torch.nonzero(visible).flatten().tolist():
+        rest = X[:, k]
+        for _ in range(2):
+            rest = rest - basis @ (basis.T @ rest)
+        if rest.norm() > tolerance:
+            basis = torch.cat((basis, (rest / rest.norm()).unsqueeze(1)), 1)
+            picked.append(k)
+    return picked

@@ -1,0 +1,64 @@
+"""Coulomb friction: a constant resistance against motion, the same or different in the two directions.
+
+Different directions: with s = sign(qd), c_plus max(s, 0) + c_minus min(s, 0). Away from rest this spans the same torques as one
+symmetric coefficient plus a constant offset, from which motion alone cannot tell it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, JointScale, JointState, Shape
+
+
+class CoulombFriction(Effect):
+    """tau += c sign(qd) with c >= 0."""
+
+    id = "coulomb_friction"
+    words = "Coulomb friction"
+    equation = "c sign(qd)"
+    units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}"}
+    complexity = 1
+    dissipative = True
+
+    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        return {"sign(qd)": state.direction()}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"coulomb": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["coulomb"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["coulomb"] >= 0
+
+    def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        return {"friction": parameters["coulomb"]}
+
+
+class AsymmetricCoulombFriction(Effect):
+    """tau += c_plus for qd > 0, -c_minus for qd < 0, both >= 0."""
+
+    id = "asymmetric_coulomb_friction"
+    words = "Coulomb friction that differs between the directions"
+    equation = "c_plus if qd > 0, -c_minus if qd < 0"
+    units: ClassVar[Mapping[str, str]] = {"coulomb_plus": "{tau}", "coulomb_minus": "{tau}"}
+    complexity = 2
+    dissipative = True
+
+    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        direction = state.direction()
+        return {"max(sign(qd), 0)": direction.clamp_min(0.0), "min(sign(qd), 0)": direction.clamp_max(0.0)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"coulomb_plus": coefficients[0], "coulomb_minus": coefficients[1]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["coulomb_plus"], parameters["coulomb_minus"]), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["coulomb_plus"] >= 0 and parameters["coulomb_minus"] >= 0

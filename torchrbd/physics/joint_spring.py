@@ -1,0 +1,34 @@
+"""A spring between a link and its parent: a counterbalance, a bent cable bundle, a preloaded seal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, JointScale, JointState, Shape
+
+
+class JointSpring(Effect):
+    """tau += k (q - q0) with k >= 0; linear in k and the torque at zero, -k q0."""
+
+    id = "joint_spring"
+    words = "a joint spring"
+    equation = "k (q - q0)"
+    units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
+    complexity = 2
+
+    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        return {"q": state.q, "1": torch.ones_like(state.q)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"stiffness": coefficients[0], "rest_position": -coefficients[1] / coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        stiffness = parameters["stiffness"]
+        return (stiffness, -stiffness * parameters["rest_position"]), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["stiffness"] >= 0

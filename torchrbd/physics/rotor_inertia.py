@@ -1,0 +1,32 @@
+"""Rotor inertia (armature): the motor's own inertia seen through the gear, ratio squared times that of the rotor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, JointScale, JointState, Shape
+
+
+class RotorInertia(Effect):
+    """tau += I_r qdd with I_r >= 0. At the first joint it *is* an inertia of the link, and no motion separates them."""
+
+    id = "rotor_inertia"
+    words = "rotor inertia (armature)"
+    equation = "I_r qdd"
+    units: ClassVar[Mapping[str, str]] = {"rotor_inertia": "{tau} s^2/{q}"}
+    complexity = 1
+
+    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        return {"qdd": state.qdd}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"rotor_inertia": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["rotor_inertia"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["rotor_inertia"] >= 0

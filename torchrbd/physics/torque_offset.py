@@ -1,0 +1,33 @@
+"""Torque offset: a constant error of the torque or current sensor, or a constant load at the joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, JointScale, JointState, Shape
+
+
+class TorqueOffset(Effect):
+    """tau += tau_0."""
+
+    id = "torque_offset"
+    words = "a constant torque offset"
+    equation = "tau_0"
+    units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}
+    complexity = 1
+
+    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        return {"1": torch.ones_like(state.q)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"offset": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["offset"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return True

@@ -1,0 +1,22 @@
+"""Recordings of the real robot: files in, tiles of filtered states out."""
+
+from torchrbd.recordings.filtering import Filtering
+from torchrbd.recordings.mapping import Mapping, read_mapping
+from torchrbd.recordings.recording import Chunk, Recording, open_recording
+from torchrbd.recordings.states import States, skipped_segments, tiles
+from torchrbd.recordings.survey import Survey, choose_cutoff, survey
+
+__all__ = [
+    "Chunk",
+    "Filtering",
+    "Mapping",
+    "Recording",
+    "States",
+    "Survey",
+    "choose_cutoff",
+    "open_recording",
+    "read_mapping",
+    "skipped_segments",
+    "survey",
+    "tiles",
+]

@@ -1,0 +1,212 @@
+"""Turn raw rows into uninterrupted segments on a uniform clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchrbd.errors import RecordingError
+from torchrbd.recordings.recording import Chunk, Recording
+
+_GAP = 5.0
+_DUPLICATE = 0.1
+_REGULAR = 0.02
+_WRAP_TOLERANCE = 0.2
+_STENCIL = 4
+_FIRST_ROWS = 16384
+_ENOUGH_STEPS = 50
+_FEW = 20
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Hold the uniform clock of a recording, and what counts as a gap or a duplicate.
+
+    Attributes:
+        dt: interval of the uniform clock [s].
+        gap: rows further apart than this [s] start a new segment; nothing is interpolated across.
+        duplicate: rows closer than this [s] to the row before are dropped.
+    """
+
+    dt: float
+    gap: float
+    duplicate: float
+
+    @staticmethod
+    def of(recording: Recording) -> Clock:
+        """Find the clock from the first rows: the mean interval, of the usual intervals only if nine in ten are.
+
+        Raises: RecordingError if there are too few rows to tell.
+        """
+        t = np.empty(0)
+        for chunk in recording.chunks():
+            t = np.concatenate([t, chunk.t])[:_FIRST_ROWS]
+            if len(t) == _FIRST_ROWS:
+                break
+        steps = np.diff(t[~np.isnan(t)])
+        steps = steps[steps > 0]
+        if len(steps) < 2 * _STENCIL:
+            part = "" if recording.time is None else f" between {recording.time[0]:g} and {recording.time[1]:g} s"
+            raise RecordingError(
+                f"{recording.path or recording.name}: only {len(t)} rows with {len(steps) + 1} different times{part}; "
+                f"that is too short to learn anything from"
+            )
+        median = float(np.median(steps))
+        steps = steps[(steps >= _DUPLICATE * median) & (steps <= _GAP * median)]
+        typical = np.abs(steps - median) <= _REGULAR * median
+        if typical.mean() >= 0.9:  # a regular clock that lost some rows keeps its rate
+            steps = steps[typical]
+        # nine digits: .001 stays .001 however the times were rounded
+        return Clock(float(f"{steps.mean():.9g}"), _GAP * median, _DUPLICATE * median)
+
+
+class Census:
+    """Count what cleaning removed or repaired, while the rows of n joints stream by.
+
+    Attributes:
+        rows, duplicates, incomplete: rows read; of these, dropped as repeated in time, or lacking a value.
+        wrapped: joints whose full turns were unwrapped.
+        resolution: (n,) quantisation step of the positions, NaN where none is seen.
+    """
+
+    def __init__(self, n: int):
+        self.rows = self.duplicates = self.incomplete = 0
+        self.wrapped: set[int] = set()
+        self.resolution = np.full(n, np.nan)
+
+    def see_steps(self, steps: np.ndarray) -> None:
+        """Look for a quantisation step in position changes (n, N): most are small multiples of the smallest."""
+        for joint, changes in enumerate(np.abs(steps)):
+            changes = changes[changes > 0]
+            if len(changes) < _ENOUGH_STEPS:
+                continue
+            smallest = np.percentile(changes, 1)
+            # the smallest change carries the file's rounding: average over all that are one step
+            single = changes[changes < 1.5 * smallest].mean()
+            few = changes[changes < _FEW * single] / single
+            quantised = len(few) >= 0.2 * len(changes) and np.mean(np.abs(few - np.round(few)) < 0.1) > 0.95
+            if quantised:
+                self.resolution[joint] = np.fmin(self.resolution[joint], single)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Hold consecutive samples of one segment.
+
+    Attributes:
+        segment: which segment.
+        t: (K,) [s].
+        x: (C, K) channels: q, tau, then qd if the recording has it.
+    """
+
+    segment: int
+    t: np.ndarray
+    x: np.ndarray
+
+
+def clean_blocks(recording: Recording, clock: Clock, census: Census | None = None) -> Iterator[Block]:
+    """Yield the usable raw rows: no missing values, no duplicates, turns of continuous joints unwrapped, gaps split."""
+    n = len(recording.joints)
+    census = census if census is not None else Census(n)
+    segment, latest, q_latest, turns = 0, -np.inf, None, np.zeros((n, 1))
+    for chunk in recording.chunks():
+        t, x = _channels(chunk)
+        census.rows += len(t)
+        complete = ~(np.isnan(t) | np.isnan(x[_required(recording, len(x))]).any(axis=0))
+        census.incomplete += int(len(t) - complete.sum())
+        t, x = t[complete], x[:, complete]
+        fresh = np.diff(t, prepend=latest) >= clock.duplicate
+        census.duplicates += int(len(t) - fresh.sum())
+        t, x = t[fresh], x[:, fresh]
+        if not len(t):
+            continue
+        q = x[:n]
+        jumps = np.diff(q, axis=1, prepend=q[:, :1] if q_latest is None else q_latest)
+        q_latest = q[:, -1:].copy()
+        whole = np.round(jumps / (2 * np.pi))
+        whole[np.abs(jumps - 2 * np.pi * whole) > _WRAP_TOLERANCE] = 0
+        census.wrapped.update(np.flatnonzero(whole.any(axis=1)).tolist())
+        total = turns + np.cumsum(whole, axis=1)
+        x[:n] -= 2 * np.pi * total
+        census.see_steps(np.where(whole == 0, jumps, 0))
+        turns = total[:, -1:]
+        starts = np.flatnonzero(np.diff(t, prepend=latest if np.isfinite(latest) else t[0]) > clock.gap)
+        latest = t[-1]
+        for piece, (start, end) in enumerate(zip((0, *starts), (*starts, len(t)), strict=True)):
+            segment += piece > 0
+            if end > start:
+                yield Block(segment, t[start:end], x[:, start:end])
+
+
+def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = None) -> Iterator[Block]:
+    """Yield the clean rows interpolated onto `t_k = t_start + k dt` within each segment.
+
+    Local cubics through the four nearest rows; a sample that lies on a row is that row. The result does not depend on
+    how the rows were chunked. Segments of fewer than four rows are left out.
+    """
+    held: _Resampler | None = None
+    for block in clean_blocks(recording, clock, census):
+        if held is not None and held.segment != block.segment:
+            yield from held.advance(last=True)
+            held = None
+        if held is None:
+            held = _Resampler(block.segment, clock.dt, block.t[0])
+        held.append(block)
+        yield from held.advance(last=False)
+    if held is not None:
+        yield from held.advance(last=True)
+
+
+class _Resampler:
+    """Interpolate one segment as its rows arrive."""
+
+    def __init__(self, segment: int, dt: float, start: float):
+        self.segment, self._dt, self._start, self._next = segment, dt, start, 0
+        self._t, self._x = np.empty(0), np.empty((0, 0))
+
+    def append(self, block: Block) -> None:
+        self._t = np.concatenate([self._t, block.t])
+        self._x = np.concatenate([self._x, block.x], axis=1) if self._x.size else block.x
+
+    def advance(self, last: bool) -> Iterator[Block]:
+        """Yield the samples whose four nearest rows are known."""
+        if len(self._t) < _STENCIL:
+            return
+        end = self._t[-1] + 1e-6 * self._dt if last else self._t[-2]
+        count = max(0, int((end - self._start) / self._dt) + 2 - self._next)
+        t = self._start + self._dt * np.arange(self._next, self._next + count)
+        t = t[t <= end] if last else t[t < end]
+        if not len(t):
+            return
+        first = np.clip(np.searchsorted(self._t, t, side="right") - 2, 0, len(self._t) - _STENCIL)
+        weights = _cubic_weights(self._t[first[:, None] + np.arange(_STENCIL)].T, t)
+        x = sum(weights[k] * self._x[:, first + k] for k in range(_STENCIL))
+        self._next += len(t)
+        used = max(0, int(first[-1]))
+        self._t, self._x = self._t[used:], self._x[:, used:]
+        yield Block(self.segment, t, np.asarray(x))
+
+
+def _cubic_weights(nodes: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Return Lagrange's weights (4, K) at t (K,) for nodes (4, K)."""
+    weights = np.ones_like(nodes)
+    for k in range(_STENCIL):
+        for other in range(_STENCIL):
+            if other != k:
+                weights[k] *= (t - nodes[other]) / (nodes[k] - nodes[other])
+    return weights
+
+
+def _channels(chunk: Chunk) -> tuple[np.ndarray, np.ndarray]:
+    signals = [chunk.q, chunk.tau] + ([chunk.qd] if chunk.qd is not None else [])
+    return chunk.t, np.concatenate(signals, axis=1).T.copy()
+
+
+def _required(recording: Recording, channels: int) -> np.ndarray:
+    """Return which channels must hold a number: all but the torques that the file lacks."""
+    required = np.ones(channels, dtype=bool)
+    n = len(recording.joints)
+    required[n : 2 * n] = recording.measured
+    return required

@@ -1,0 +1,142 @@
+"""Differentiate and band-limit with symmetric filters whose effect on noise is known exactly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import torch
+
+from torchrbd.errors import OptionError
+
+# Half-lengths of the windowed sincs, times the width of their transition band: Blackman (75 dB) and Kaiser (60 dB).
+_BLACKMAN_REACH = 2.75
+_KAISER_REACH = 1.815
+_KAISER_BETA = 5.653
+_OVERSAMPLING = 2.5
+
+
+@dataclass(frozen=True)
+class Filtering:
+    """Hold the one cut-off of a data set, and make from it the two filters of the chain.
+
+    *State filter* (cut-off `state_cutoff_hz`): low-passes q and differentiates it; flat up to `cutoff_hz`.
+    *Feature filter* (cut-off `cutoff_hz`, half amplitude there): low-passes the torque and every feature alike, so
+    that both sides of `tau = Y pi` are seen through the same filter. Both are symmetric: exactly zero phase.
+
+    Attributes:
+        cutoff_hz: half-amplitude frequency of the feature filter [Hz].
+        state_cutoff_hz: half-amplitude frequency of the state filter [Hz]; twice `cutoff_hz` unless given.
+    """
+
+    cutoff_hz: float
+    state_cutoff_hz: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.cutoff_hz) and self.cutoff_hz > 0):
+            raise OptionError(f"cut-off {self.cutoff_hz} Hz: expected a frequency above zero")
+        if not self.state_cutoff_hz:
+            object.__setattr__(self, "state_cutoff_hz", 2 * self.cutoff_hz)
+        if self.state_cutoff_hz < self.cutoff_hz:
+            raise OptionError(
+                f"state cut-off {self.state_cutoff_hz} Hz lies below the cut-off {self.cutoff_hz} Hz: "
+                f"the filtered states would lack motion that the torque still shows"
+            )
+
+    @property
+    def effective_rate(self) -> float:
+        """Return the independent samples per second that the band holds, `2 cutoff_hz`."""
+        return 2 * self.cutoff_hz
+
+    def state_kernels(self, dt: float) -> torch.Tensor:
+        """Return the kernels (3, 2 S + 1) that convolved with q give q, qd and qdd, at the sampling interval dt [s]."""
+        # a slow clock leaves no room for the upper half of the transition band
+        return torch.from_numpy(_state_kernels(min(self.state_cutoff_hz * dt, 1 / 3), dt))
+
+    def feature_kernel(self, dt: float) -> torch.Tensor:
+        """Return the low-pass kernel (2 F + 1,) that torque and features share, at the sampling interval dt [s].
+
+        Raises: OptionError if the cut-off is too high for the clock.
+        """
+        if self.cutoff_hz * dt > 1 / 3:
+            raise OptionError(
+                f"cut-off {self.cutoff_hz:g} Hz is too high for a recording at {1 / dt:.4g} Hz; "
+                f"at most {1 / (3 * dt):.3g} Hz"
+            )
+        return torch.from_numpy(_feature_kernel(self.cutoff_hz * dt))
+
+    def stride(self, dt: float) -> int:
+        """Return how many samples of the clock lie between two outputs: about 2.5 outputs per cut-off period."""
+        return max(1, math.floor((1 + 1e-6) / (_OVERSAMPLING * self.cutoff_hz * dt)))
+
+    def reach(self, dt: float) -> int:
+        """Return how many samples at each end of a segment have no output, because the filters would leave it."""
+        return (self.state_kernels(dt).shape[1] + self.feature_kernel(dt).shape[0]) // 2 - 1
+
+    def state_noise(self, q_noise_std: np.ndarray, dt: float, qd_noise_std: np.ndarray | None = None) -> torch.Tensor:
+        """Propagate white encoder noise through the state filter.
+
+        `cov (q, qd, qdd) = q_noise_std^2 K K^T` with K the three kernels. Where a joint's measured velocity is used
+        (`qd_noise_std` is not NaN), q has its own noise and (qd, qdd) that of the velocity sensor.
+
+        Args:
+            q_noise_std: (n,) [rad or m]. dt: [s]. qd_noise_std: (n,) [rad/s or m/s].
+
+        Returns: (n, 3, 3), in units of q, qd, qdd.
+        """
+        kernels = self.state_kernels(dt)
+        gram = kernels @ kernels.T
+        cov = torch.as_tensor(q_noise_std, dtype=torch.float64).square()[:, None, None] * gram
+        if qd_noise_std is not None:
+            measured = torch.zeros(3, 3, dtype=torch.float64)
+            qd_var = torch.as_tensor(qd_noise_std, dtype=torch.float64).square()
+            for joint in torch.nonzero(~qd_var.isnan()).flatten().tolist():
+                measured[1:, 1:] = qd_var[joint] * gram[:2, :2]
+                measured[0, 0] = cov[joint, 0, 0]
+                cov[joint] = measured
+        return cov
+
+
+@lru_cache(maxsize=64)
+def _feature_kernel(cutoff: float) -> np.ndarray:
+    """Make a Kaiser-windowed sinc of gain one; `cutoff` in cycles per sample, transition from half to 1.5 times it."""
+    half = math.ceil(_KAISER_REACH / cutoff)
+    n = np.arange(-half, half + 1)
+    kernel = np.sinc(2 * cutoff * n) * np.kaiser(2 * half + 1, _KAISER_BETA)
+    return kernel / kernel.sum()
+
+
+@lru_cache(maxsize=64)
+def _state_kernels(cutoff: float, dt: float) -> np.ndarray:
+    """Make a Blackman-windowed sinc, of response H, and its derivatives, of i w H and (i w)^2 H.
+
+    `cutoff` in cycles per sample; the transition goes from half to 1.5 times it.
+
+    The derivatives are taken in the frequency domain, on a grid dense enough to make the kernels of the sampled sinc's
+    trigonometric interpolant. All are then multiplied by even polynomials, next to one, that set their moments:
+    cubics and their derivatives pass exactly, and the gain is flat at zero frequency up to fourth order.
+    """
+    half = math.ceil(_BLACKMAN_REACH / cutoff)
+    n = np.arange(-half, half + 1)
+    x = n / half
+    size = 16 * half
+    response = np.fft.rfft(np.sinc(2 * cutoff * n) * np.blackman(2 * half + 3)[1:-1], size)
+    omega = 2 * math.pi * np.fft.rfftfreq(size)
+    # advance by `half` so that the derivative of a kernel centred on zero is what gets truncated
+    centred = response * np.exp(1j * omega * half)
+    kernels = [np.roll(np.fft.irfft((1j * omega) ** k * centred, size), half)[: 2 * half + 1] for k in range(3)]
+    position = _set_moments(kernels[0], x, {0: 1.0, 2: 0.0})
+    velocity = _set_moments(kernels[1], x, {1: -1.0 / half, 3: 0.0})
+    acceleration = _set_moments(kernels[2], x, {0: 0.0, 2: 2.0 / half**2, 4: 0.0})
+    return np.stack([position, velocity / dt, acceleration / dt**2])
+
+
+def _set_moments(kernel: np.ndarray, x: np.ndarray, moments: dict[int, float]) -> np.ndarray:
+    """Multiply the kernel by an even polynomial in x, so that `sum x^k kernel = moments[k]`."""
+    basis = [kernel * x ** (2 * power) for power in range(len(moments))]
+    system = np.array([[np.sum(x**order * term) for term in basis] for order in moments])
+    kernel = np.linalg.solve(system, np.array(list(moments.values()))) @ np.stack(basis)
+    even = 1 if 0 in moments else -1
+    return (kernel + even * kernel[::-1]) / 2

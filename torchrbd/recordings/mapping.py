@@ -1,0 +1,189 @@
+"""Read the YAML file that says which columns of a recording hold what, in which units."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from torchrbd.errors import RecordingError
+
+SIGNALS = ("q", "qd", "qdd", "tau")
+_EVERY_JOINT = "*"
+_DEG = math.pi / 180
+_TURN = 2 * math.pi
+_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_CURRENT = {"A": 1.0, "mA": 1e-3}
+_UNITS = {
+    "q": {"rad": 1.0, "mrad": 1e-3, "deg": _DEG, "turn": _TURN, "m": 1.0, "mm": 1e-3},
+    "qd": {"rad/s": 1.0, "deg/s": _DEG, "rpm": _TURN / 60, "turn/s": _TURN, "m/s": 1.0, "mm/s": 1e-3},
+    "qdd": {"rad/s^2": 1.0, "deg/s^2": _DEG, "turn/s^2": _TURN, "m/s^2": 1.0, "mm/s^2": 1e-3},
+    "tau": {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3, "N mm": 1e-3, "N": 1.0, "kN": 1e3},
+}
+_SIGNAL_KEYS = ("column", "unit", "sign", "scale", "offset", "gear_ratio")
+_CURRENT_KEYS = ("current", "unit", "torque_constant", "sign", "scale", "offset", "gear_ratio")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Name the column that a signal comes from: `signal = scale * column + offset`, in SI units."""
+
+    column: str
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """Hold where time and each joint's signals are found; what it does not name is looked for under its usual name.
+
+    Attributes:
+        file: where the mapping was read, for messages.
+        time: the column of time.
+        joints: joint name, or "*" for every joint, to signal (q, qd, qdd, tau) to its source.
+    """
+
+    file: str = ""
+    time: Source = Source("t")
+    joints: dict[str, dict[str, Source]] = field(default_factory=dict)
+
+    def source(self, joint: str, index: int, signal: str) -> Source:
+        """Return the source of a joint's signal; `{joint}` and `{index}` in a column's name are filled in."""
+        for name in (joint, _EVERY_JOINT):
+            found = self.joints.get(name, {}).get(signal)
+            if found is not None:
+                column = found.column.replace("{joint}", joint).replace("{index}", str(index))
+                return Source(column, found.scale, found.offset)
+        return Source(f"{signal}_{joint}")
+
+    def named(self, joints: Sequence[str]) -> list[Source]:
+        """Return the sources that are named for single joints: a recording must have them."""
+        return [self.source(joint, joints.index(joint), key) for joint in joints for key in self.joints.get(joint, {})]
+
+    def check_joints(self, joints: Sequence[str]) -> None:
+        """Raise RecordingError if the mapping names a joint that the robot lacks."""
+        for name in self.joints:
+            if name != _EVERY_JOINT and name not in joints:
+                raise RecordingError(
+                    f"{self.file}: joints: the robot has no joint '{name}'{closest(name, joints)}; "
+                    f"its joints are {', '.join(joints)}"
+                )
+
+
+def read_mapping(path: str | Path) -> Mapping:
+    """Read and check a mapping.
+
+    The file holds `time: {column, unit}` and `joints: {<joint>: {<signal>: {column, unit, sign, scale, offset,
+    gear_ratio}}}` with signals q, qd, qdd, tau. A signal may be just the column's name. The joint "*" stands for every
+    joint; `{joint}` and `{index}` (from 0) in a column's name are filled in. With a gear ratio the column is the
+    motor's: `q = motor / gear_ratio`, `tau = motor * gear_ratio`. A torque may come from a current:
+    `{current, torque_constant, unit, gear_ratio, sign, offset}`, `tau = current * torque_constant * gear_ratio`.
+    Offsets are added last, in SI units of the joint.
+
+    Raises: RecordingError naming the file, the key and the closest valid one.
+    """
+    path = Path(path)
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot read the mapping: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+    reader = _Reader(str(path))
+    top = reader.table(content, "the file", ("time", "joints"))
+    time = reader.time(top["time"]) if "time" in top else Source("t")
+    joints = {}
+    for joint, signals in reader.table(top.get("joints", {}), "joints").items():
+        where = f"joints.{joint}"
+        table = reader.table(signals, where, SIGNALS)
+        joints[joint] = {name: reader.signal(entry, name, f"{where}.{name}") for name, entry in table.items()}
+    return Mapping(str(path), time, joints)
+
+
+def closest(name: str, candidates: Iterable[str]) -> str:
+    """Return " (did you mean 'x'?)" for the candidate most like `name`, or nothing if none is alike."""
+    alike = difflib.get_close_matches(name, list(candidates), n=1)
+    return f" (did you mean '{alike[0]}'?)" if alike else ""
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Turn the YAML tree into sources, and every mistake into a message that names file and key."""
+
+    file: str
+
+    def fail(self, message: str) -> RecordingError:
+        return RecordingError(f"{self.file}: {message}")
+
+    def table(self, value: Any, where: str, keys: Sequence[str] | None = None) -> dict[str, Any]:
+        if not isinstance(value, dict):
+            expected = " or ".join(keys) if keys else "one key for each joint"
+            raise self.fail(f"{where}: expected {expected}, got {value!r}")
+        for key in value:
+            if not isinstance(key, str):
+                raise self.fail(f"{where}: the key {key!r} must be text; put it in quotes")
+            if keys is not None and key not in keys:
+                hint = closest(key, keys)
+                raise self.fail(f"{where}: unknown key '{key}'{hint}; valid keys are {', '.join(keys)}")
+        return value
+
+    def text(self, table: dict[str, Any], key: str, where: str) -> str:
+        value = table.get(key)
+        if not isinstance(value, str) or not value:
+            raise self.fail(f"{where}.{key}: expected a column's name, got {value!r}")
+        return value
+
+    def number(self, table: dict[str, Any], key: str, where: str, default: float = 1.0) -> float:
+        value = table.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise self.fail(f"{where}.{key}: expected a number, got {value!r}")
+        return float(value)
+
+    def factor(self, table: dict[str, Any], key: str, where: str) -> float:
+        value = self.number(table, key, where)
+        if value == 0:
+            raise self.fail(f"{where}.{key}: zero would erase the signal")
+        return value
+
+    def unit(self, table: dict[str, Any], units: dict[str, float], default: str, where: str) -> float:
+        name = table.get("unit", default)
+        known = {_plain(key): value for key, value in units.items()}
+        if not isinstance(name, str) or _plain(name) not in known:
+            raise self.fail(f"{where}.unit: unknown unit {name!r}; valid units are {', '.join(units)}")
+        return known[_plain(name)]
+
+    def time(self, entry: Any) -> Source:
+        if isinstance(entry, str):
+            return Source(entry)
+        table = self.table(entry, "time", ("column", "unit"))
+        return Source(self.text(table, "column", "time"), self.unit(table, _TIME, "s", "time"))
+
+    def signal(self, entry: Any, signal: str, where: str) -> Source:
+        if isinstance(entry, str):
+            return Source(entry)
+        from_current = signal == "tau" and isinstance(entry, dict) and "current" in entry
+        table = self.table(entry, where, _CURRENT_KEYS if from_current else _SIGNAL_KEYS)
+        sign = self.number(table, "sign", where)
+        if abs(sign) != 1:
+            raise self.fail(f"{where}.sign: expected 1 or -1, got {sign:g}; use scale for other factors")
+        scale = sign * self.factor(table, "scale", where)
+        ratio = self.factor(table, "gear_ratio", where)
+        offset = self.number(table, "offset", where, 0.0)
+        if from_current:
+            if "torque_constant" not in table:
+                raise self.fail(f"{where}: a current needs its torque_constant [N m / A]")
+            scale *= self.factor(table, "torque_constant", where) * self.unit(table, _CURRENT, "A", where)
+            return Source(self.text(table, "current", where), scale * ratio, offset)
+        scale *= self.unit(table, _UNITS[signal], next(iter(_UNITS[signal])), where)
+        scale = scale * ratio if signal == "tau" else scale / ratio
+        return Source(self.text(table, "column", where), scale, offset)
+
+
+def _plain(unit: str) -> str:
+    """Make 'N m', 'N*m' and 'Nm' one."""
+    return unit.replace(" ", "").replace("*", "").replace("·", "")

@@ -1,0 +1,100 @@
+"""Stream NPZ files row by row, so that the arrays never lie in memory as a whole."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from torchrbd.errors import RecordingError
+
+_NPZ_SIGNALS = ("q", "tau", "qd", "qdd")
+
+
+@dataclass(frozen=True)
+class _Array:
+    """Where an array lies in an NPZ file."""
+
+    member: str
+    shape: tuple[int, ...]
+
+
+class NpzTable:
+    """Stream `t (N,)`, `q`, `tau` and optional `qd`, `qdd` `(N, n)` with `joints (n,)` from an NPZ file.
+
+    The arrays are decompressed row by row, so that the file never lies in memory as a whole.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        try:
+            with zipfile.ZipFile(path) as archive:
+                members = {name.removesuffix(".npy"): name for name in archive.namelist()}
+                self._arrays = {}
+                for name in ("t", *_NPZ_SIGNALS):
+                    if name in members:
+                        with archive.open(members[name]) as stream:
+                            self._arrays[name] = _Array(members[name], _read_npy_header(stream, path, name)[0])
+            if "joints" not in members:
+                raise RecordingError(f"{path}: the array 'joints' with the joints' names is missing")
+            with np.load(path, allow_pickle=False) as arrays:
+                joints = [str(name) for name in np.atleast_1d(arrays["joints"])]
+        except (zipfile.BadZipFile, ValueError, EOFError) as error:
+            if isinstance(error, RecordingError):
+                raise
+            raise RecordingError(f"{path}: not a readable NPZ file: {error}") from None
+        self._check_shapes(joints)
+        self._slots = {"t": ("t", 0)} if "t" in self._arrays else {}
+        for name in _NPZ_SIGNALS:
+            if name in self._arrays:
+                self._slots |= {f"{name}_{joint}": (name, index) for index, joint in enumerate(joints)}
+        self.columns = tuple(self._slots)
+
+    def _check_shapes(self, joints: list[str]) -> None:
+        length = self._arrays["t"].shape[0] if "t" in self._arrays and self._arrays["t"].shape else None
+        for name, array in self._arrays.items():
+            expected = (length,) if name == "t" else (length, len(joints))
+            if array.shape != expected:
+                raise RecordingError(
+                    f"{self.path}: array '{name}' has shape {array.shape}; expected {expected} for {length} times "
+                    f"and the {len(joints)} names in 'joints'"
+                )
+
+    def batches(self, columns: Sequence[str], rows: int) -> Iterator[np.ndarray]:
+        names = list(dict.fromkeys(self._slots[column][0] for column in columns))
+        with zipfile.ZipFile(self.path) as archive:
+            streams = [_stream_npy(archive.open(self._arrays[name].member), self.path, name, rows) for name in names]
+            for blocks in zip(*streams, strict=True):
+                block = dict(zip(names, blocks, strict=True))
+                yield np.stack([block[name][:, index] for name, index in (self._slots[c] for c in columns)])
+
+
+def _read_npy_header(stream: IO[bytes], path: Path, name: str) -> tuple[tuple[int, ...], bool, np.dtype]:
+    version = np.lib.format.read_magic(stream)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = read(stream)
+    if dtype.kind not in "fiu":
+        raise RecordingError(f"{path}: array '{name}' holds {dtype}; expected numbers")
+    return shape, fortran, dtype
+
+
+def _stream_npy(stream: IO[bytes], path: Path, name: str, rows: int) -> Iterator[np.ndarray]:
+    """Yield blocks (at most `rows`, columns) of an array in NPY format."""
+    with stream:
+        shape, fortran, dtype = _read_npy_header(stream, path, name)
+        length, width = shape[0], shape[1] if len(shape) > 1 else 1
+        if fortran and width > 1:  # stored column by column: rows cannot be streamed
+            whole = np.frombuffer(stream.read(), dtype).reshape(width, length).T.astype(np.float64)
+            for start in range(0, length, rows):
+                yield whole[start : start + rows]
+            return
+        for start in range(0, length, rows):
+            count = min(rows, length - start) * width
+            data = stream.read(count * dtype.itemsize)
+            if len(data) < count * dtype.itemsize:
+                raise RecordingError(f"{path}: array '{name}' ends early: damaged file")
+            yield np.frombuffer(data, dtype).reshape(-1, width).astype(np.float64)

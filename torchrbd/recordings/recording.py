@@ -1,0 +1,220 @@
+"""Open a recording and stream its rows in SI units, joints in the robot's order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import compress
+from pathlib import Path
+
+import numpy as np
+
+from torchrbd.errors import RecordingError
+from torchrbd.recordings.formats import ArrayTable, Table, open_table
+from torchrbd.recordings.mapping import Mapping, Source, closest
+
+_OPTIONAL_CHANNELS = ("q_ref_", "q_link_", "temperature_", "current_", "wrench_")
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Hold consecutive rows of a recording.
+
+    Attributes:
+        t: (N,) seconds since the recording's first row.
+        q: (N, n) [rad or m].
+        tau: (N, n) [N m or N]; NaN where a joint's torque is not in the file.
+        qd: (N, n) [rad/s or m/s], or None.
+        qdd: (N, n) [rad/s^2 or m/s^2], or None.
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    tau: np.ndarray
+    qd: np.ndarray | None = None
+    qdd: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Stream the rows of a checked table; as often as one likes.
+
+    Attributes:
+        name: the file's name.
+        path: where it lies; None for arrays.
+        joints: the robot's joints, in its order.
+        measured: (n,) bool, which joints have torque.
+        has_velocity, has_acceleration: whether every joint has a measured one.
+        time: the part that is used, seconds since the first row; None for all.
+        notes: what was left aside on opening.
+    """
+
+    name: str
+    path: Path | None
+    joints: tuple[str, ...]
+    measured: np.ndarray
+    has_velocity: bool
+    has_acceleration: bool
+    time: tuple[float, float] | None
+    notes: tuple[str, ...]
+    _table: Table
+    _sources: dict[str, tuple[Source, ...]]
+
+    @staticmethod
+    def from_arrays(
+        name: str,
+        joints: Sequence[str],
+        t: np.ndarray,
+        q: np.ndarray,
+        tau: np.ndarray,
+        qd: np.ndarray | None = None,
+        qdd: np.ndarray | None = None,
+    ) -> Recording:
+        """Make a recording from arrays: t (N,) [s]; q, tau, qd, qdd (N, n), columns in the order of `joints`.
+
+        A column of tau that is NaN throughout means that the joint's torque was not measured.
+
+        Raises: RecordingError naming the array whose shape does not fit.
+        """
+        columns = {"t": np.asarray(t, dtype=np.float64)}
+        for signal, array in (("q", q), ("tau", tau), ("qd", qd), ("qdd", qdd)):
+            if array is None:
+                continue
+            array = np.asarray(array, dtype=np.float64)
+            if array.shape != (len(t), len(joints)):
+                raise RecordingError(
+                    f"{name}: {signal} has shape {array.shape}; expected ({len(t)}, {len(joints)}) for {len(t)} times "
+                    f"and joints {', '.join(joints)}"
+                )
+            for index, joint in enumerate(joints):
+                if signal != "tau" or not np.isnan(array[:, index]).all():
+                    columns[f"{signal}_{joint}"] = array[:, index]
+        return _connect(name, None, ArrayTable(columns), joints, Mapping(), None)
+
+    def chunks(self, rows: int = 16384) -> Iterator[Chunk]:
+        """Yield the rows in pieces of at most about `rows`.
+
+        Raises: RecordingError naming the column and data row of an infinite value or of a time that goes backwards.
+        """
+        sources = [source for group in self._sources.values() for source in group]
+        columns = list(dict.fromkeys(source.column for source in sources))
+        where = {column: index for index, column in enumerate(columns)}
+        slots = {key: [where[source.column] for source in group] for key, group in self._sources.items()}
+        scales = {key: np.array([source.scale for source in group]) for key, group in self._sources.items()}
+        offsets = {key: np.array([source.offset for source in group]) for key, group in self._sources.items()}
+        first_row, start, latest = 1, np.nan, -np.inf
+        for block in self._table.batches(columns, rows):
+            self._check_finite(block, columns, first_row)
+            values = {key: block[slots[key]].T * scales[key] + offsets[key] for key in slots}
+            t = values["t"][:, 0]
+            known = t[~np.isnan(t)]
+            if np.isnan(start) and len(known):
+                start = known[0]
+            self._check_order(t, latest, first_row)
+            latest = known[-1] if len(known) else latest
+            first_row += len(t)
+            chunk = self._assemble(t - start, values)
+            if chunk is not None:
+                yield chunk
+
+    def _assemble(self, t: np.ndarray, values: dict[str, np.ndarray]) -> Chunk | None:
+        keep = slice(None)
+        if self.time is not None:
+            keep = (t >= self.time[0]) & (t <= self.time[1])
+            if not keep.any():
+                return None
+        tau = np.full((len(t), len(self.joints)), np.nan)
+        tau[:, self.measured] = values["tau"]
+        qd, qdd = (values[key][keep] if key in values else None for key in ("qd", "qdd"))
+        return Chunk(t[keep], values["q"][keep], tau[keep], qd, qdd)
+
+    def _check_finite(self, block: np.ndarray, columns: list[str], first_row: int) -> None:
+        if np.isinf(block).any():
+            row, column = np.argwhere(np.isinf(block.T))[0]
+            raise RecordingError(
+                f"{self.path or self.name}: column '{columns[column]}', data row {first_row + row}: infinite value; "
+                f"leave a missing cell empty or write nan"
+            )
+
+    def _check_order(self, t: np.ndarray, latest: float, first_row: int) -> None:
+        rows = np.flatnonzero(~np.isnan(t))
+        steps = np.diff(t[rows], prepend=latest if np.isfinite(latest) else t[rows[:1]])
+        if (steps < 0).any():
+            row = int(rows[np.argmax(steps < 0)])
+            raise RecordingError(
+                f"{self.path or self.name}: data row {first_row + row}: time goes backwards, to {t[row]:.9g} s; "
+                f"sort the rows, or split the file where two recordings were joined"
+            )
+
+
+def open_recording(
+    path: str | Path,
+    joints: Sequence[str],
+    *,
+    mapping: Mapping | None = None,
+    time: tuple[float, float] | None = None,
+) -> Recording:
+    """Open a CSV, Parquet or NPZ recording and check that its columns fit the robot's joints.
+
+    Args:
+        path: the file.
+        joints: the robot's joints, in its order.
+        mapping: where the columns have other names, units or signs.
+        time: use only this part, (from, to) in seconds since the recording's first row.
+
+    Raises: RecordingError naming the columns that are missing, those present, and the closest matches.
+    """
+    path = Path(path)
+    if time is not None and not time[0] < time[1]:
+        raise RecordingError(f"{path}: time {time[0]:g}:{time[1]:g} s is empty; expected from < to")
+    mapping = mapping or Mapping()
+    mapping.check_joints(joints)
+    return _connect(path.name, path, open_table(path), joints, mapping, time)
+
+
+def _connect(
+    name: str,
+    path: Path | None,
+    table: Table,
+    joints: Sequence[str],
+    mapping: Mapping,
+    time: tuple[float, float] | None,
+) -> Recording:
+    """Match the table's columns with the joints."""
+    wanted = {
+        key: [mapping.source(joint, index, key) for index, joint in enumerate(joints)]
+        for key in ("q", "tau", "qd", "qdd")
+    }
+    present = set(table.columns)
+    place = str(path or name)
+    required = [mapping.time, *wanted["q"], *mapping.named(joints)]
+    missing = list(dict.fromkeys(source.column for source in required if source.column not in present))
+    if missing:
+        raise RecordingError(
+            f"{place}: missing columns: {', '.join(missing)}{closest(missing[0], table.columns)}; "
+            f"present: {', '.join(table.columns)}; give a mapping if they have other names"
+        )
+    measured = np.array([source.column in present for source in wanted["tau"]])
+    if not measured.any():
+        expected = ", ".join(source.column for source in wanted["tau"])
+        raise RecordingError(
+            f"{place}: no joint has a torque; expected at least one of {expected}; present: {', '.join(table.columns)}"
+        )
+    sources = {"t": (mapping.time,), "q": tuple(wanted["q"])}
+    sources["tau"] = tuple(compress(wanted["tau"], measured))
+    notes = []
+    if not measured.all():
+        notes.append("no torque for " + ", ".join(compress(joints, ~measured)))
+    for key in ("qd", "qdd"):
+        there = [source.column in present for source in wanted[key]]
+        if all(there):
+            sources[key] = tuple(wanted[key])
+        elif any(there):
+            notes.append(f"{key} is not used: it is there for some joints only")
+    known = {source.column for group in wanted.values() for source in group} | {mapping.time.column}
+    ignored = [c for c in table.columns if c not in known and not c.startswith(_OPTIONAL_CHANNELS)]
+    if ignored:
+        notes.append("columns not used: " + ", ".join(ignored))
+    return Recording(
+        name, path, tuple(joints), measured, "qd" in sources, "qdd" in sources, time, tuple(notes), table, sources
+    )

@@ -1,0 +1,169 @@
+"""Estimate spectra of motion and noise in one pass, and read the cut-off from them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from torchrbd.recordings.clock import Block
+
+LOWEST_HZ = 0.5
+HIGHEST_SHARE = 0.2
+_WINDOW_S = 4.0
+_LONGEST_WINDOW = 32768
+_SHORTEST_WINDOW = 16
+_VELOCITY_LAG_S = 0.05
+_NOISE_BAND = (0.3, 0.45)
+_BANDS = 80
+_VALLEY_RISE = 1.4
+_HARMONICS = 10.0
+_REACHES = 12.8
+_LAG_TOLERANCE = 0.005
+_QUIETER = 0.25
+
+
+class Spectrum:
+    """Gather averaged spectra (Welch: Hann windows of 4 s, half overlapping) while samples stream by.
+
+    The second difference of q is what is transformed: it takes the slow motion's leakage off the noise.
+
+    Attributes:
+        frequency: (F,) [Hz].
+        acceleration: (n, F) one-sided power density of the second difference / dt^2.
+        measured, derived, cross: (n, F) densities of the measured velocity, of the central difference of q, and of
+            their product (complex); zero if velocities are not measured.
+        velocity_square, velocity_max: (n,) of differences over 50 ms.
+    """
+
+    def __init__(self, dt: float, n: int, has_velocity: bool):
+        self.dt, self._n, self._has_velocity = dt, n, has_velocity
+        self._size = int(min(max(_WINDOW_S / dt, _SHORTEST_WINDOW), _LONGEST_WINDOW))
+        self._lag = max(1, round(_VELOCITY_LAG_S / dt))
+        self.frequency = np.fft.rfftfreq(self._size, dt)
+        shape = (n, len(self.frequency))
+        self.acceleration, self.measured, self.derived = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self.cross = np.zeros(shape, dtype=complex)
+        self.velocity_max = np.zeros(n)
+        self._velocity_square, self._weight, self._count = np.zeros(n), 0.0, 0
+        self._segment, self._x, self._seen = -1, np.empty((0, 0)), 0
+
+    def add(self, block: Block) -> None:
+        """Take the next samples."""
+        if block.segment != self._segment:
+            self._finish_segment()
+            self._segment, self._x, self._seen = block.segment, block.x, 0
+        else:
+            self._x = np.concatenate([self._x, block.x], axis=1)
+        need = self._size + 2
+        while self._x.shape[1] >= need + self._size // 2:
+            self._window(self._x[:, :need])
+            self._x = self._x[:, self._size // 2 :]
+
+    def close(self) -> None:
+        """Take what is left, and turn sums into averages."""
+        self._finish_segment()
+        weight = max(self._weight, 1e-300)
+        for sums in (self.acceleration, self.measured, self.derived, self.cross):
+            sums /= weight
+
+    def _finish_segment(self) -> None:
+        x, need = self._x, self._size + 2
+        if x.shape[1] > need:
+            self._window(x[:, :need])
+        if x.shape[1] >= _SHORTEST_WINDOW:  # the last window ends where the segment does
+            self._window(x[:, -need:])
+        self._x = np.empty((0, 0))
+
+    def _window(self, x: np.ndarray) -> None:
+        n, dt = self._n, self.dt
+        q = x[:n]
+        length = q.shape[1] - 2
+        hann = 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(length) + 0.5) / length)
+        scale = 2 * dt / np.sum(hann**2)
+
+        def transform(signal: np.ndarray) -> np.ndarray:
+            return np.fft.rfft((signal - signal.mean(axis=1, keepdims=True)) * hann, self._size)
+
+        # a short window says less, so it counts less
+        weight = length / self._size
+        self._weight += weight
+        self.acceleration += weight * scale * np.abs(transform(np.diff(q, 2, axis=1) / dt**2)) ** 2
+        if self._has_velocity:
+            derived, measured = transform((q[:, 2:] - q[:, :-2]) / (2 * dt)), transform(x[2 * n :, 1:-1])
+            self.derived += weight * scale * np.abs(derived) ** 2
+            self.measured += weight * scale * np.abs(measured) ** 2
+            self.cross += weight * scale * derived * measured.conj()
+        lag = min(self._lag, q.shape[1] - 1)
+        velocity = (q[:, lag:] - q[:, :-lag]) / (lag * dt)
+        self.velocity_max = np.maximum(self.velocity_max, np.abs(velocity).max(axis=1))
+        self._velocity_square += np.sum(velocity**2, axis=1)
+        self._count += velocity.shape[1]
+
+    @property
+    def velocity_rms(self) -> np.ndarray:
+        """Return the root mean square velocity (n,)."""
+        return np.sqrt(self._velocity_square / max(1, self._count))
+
+    @property
+    def difference_gain(self) -> np.ndarray:
+        """Return `(2 sin(w dt / 2) / dt)^2` (F,), the power gain of a first difference."""
+        return (2 * np.sin(np.pi * self.frequency * self.dt) / self.dt) ** 2
+
+    def q_noise_std(self) -> np.ndarray:
+        """Return the standard deviation (n,) of white position noise, from the density near the Nyquist frequency."""
+        band = (self.frequency * self.dt > _NOISE_BAND[0]) & (self.frequency * self.dt < _NOISE_BAND[1])
+        density = np.median(self.acceleration[:, band] / self.difference_gain[band] ** 2, axis=1)
+        return np.sqrt(density / (2 * self.dt))
+
+    def cutoff(self, moves: np.ndarray, longest_s: float) -> float:
+        """Find the valley between the motion, whose acceleration density falls, and the noise, whose rises [Hz].
+
+        There both are equally strong: lower, motion is lost; higher, differentiated noise is let in. Taken is the
+        valley's upper edge, 1.5 dB above its floor. Densities are averaged over an octave, so that the dip between
+        two harmonics is no valley, and their decibels over the moving joints, so that no joint's scale matters and one
+        that vibrates does not decide. Where no noise limits the band, ten times the frequency below which 99 % of the
+        acceleration lies is enough.
+
+        Args:
+            moves: (n,) bool, joints to look at. longest_s: longest segment; the filters must leave something of it.
+        """
+        f, rate = self.frequency, 1 / self.dt
+        acceleration = self.acceleration[moves]
+        centres = np.geomspace(LOWEST_HZ, max(_NOISE_BAND[1] * rate, 2 * LOWEST_HZ), _BANDS)
+        octaves = ((f >= centres[:, None] / np.sqrt(2)) & (f <= centres[:, None] * np.sqrt(2))).astype(float)
+        octaves[np.arange(_BANDS), np.searchsorted(f[:-1], centres).clip(max=len(f) - 1)] = 1.0
+        level = np.log(acceleration @ octaves.T / octaves.sum(axis=1) + 1e-300).mean(axis=0)
+        velocity = acceleration[:, 1:] / self.difference_gain[1:]
+        motion = f[1 + np.argmax((velocity / velocity.sum(axis=1, keepdims=True)).mean(axis=0))]
+        start = int(np.searchsorted(centres[:-1], motion))
+        floor = start + int(np.argmin(level[start:]))
+        rises = np.flatnonzero(level[floor:] > level[floor] + math.log(_VALLEY_RISE))
+        valley = centres[floor + rises[0] - 1] if len(rises) else centres[-1]
+        share = np.cumsum(acceleration[:, f <= valley], axis=1)
+        highest = np.median(f[np.argmax(share >= 0.99 * share[:, -1:], axis=1)])
+        proposal = max(float(min(valley, _HARMONICS * max(highest, f[1]))), LOWEST_HZ, _REACHES / longest_s)
+        return two_digits(min(proposal, HIGHEST_SHARE * rate))
+
+    def qd_noise_std(self, cutoff_hz: float) -> np.ndarray:
+        """Return the noise (n,) of measured velocities that serve better than the differentiated position, else NaN.
+
+        Better: just above the motion the measured velocity carries less than a quarter of the power of the
+        differentiated position, and within the motion it follows that without lag or gain error. Many drives report a
+        velocity that looks smooth because it is late, which would pass for physics.
+        """
+        f = self.frequency
+        inside, beyond = (f > 0) & (f <= cutoff_hz), (f > cutoff_hz) & (f <= 2 * cutoff_hz)
+        if not self._has_velocity or not beyond.any():
+            return np.full(self._n, np.nan)
+        # a central difference has no phase and the gain sin(w dt) / (w dt)
+        error = np.abs(self.cross - np.sinc(2 * f * self.dt) * self.measured)[:, inside].sum(axis=1)
+        follows = error <= _LAG_TOLERANCE * self.measured[:, inside].sum(axis=1)
+        power = self.measured[:, beyond].mean(axis=1)
+        quieter = power < _QUIETER * self.derived[:, beyond].mean(axis=1)
+        return np.where(follows & quieter, np.sqrt(power / (2 * self.dt)), np.nan)
+
+
+def two_digits(value: float) -> float:
+    """Round to two significant digits."""
+    return float(f"{value:.2g}") if math.isfinite(value) else value

@@ -1,0 +1,155 @@
+"""Cut a recording into tiles of filtered states that the rest of the package works on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+import torch
+
+from torchrbd.errors import RecordingError
+from torchrbd.recordings.clock import Block, uniform_blocks
+from torchrbd.recordings.filtering import Filtering
+from torchrbd.recordings.recording import Recording
+from torchrbd.recordings.survey import Survey
+
+
+@dataclass(frozen=True)
+class States:
+    """Hold one contiguous piece of one segment on the uniform clock; float64, batch last.
+
+    Compute features from (q, qd, qdd) at all N samples, then `decimate` them and the torque alike: outputs of
+    consecutive tiles join without gap or repetition.
+
+    Attributes:
+        segment: which segment of the recording.
+        dt: clock interval [s].
+        t: (N,) seconds since the recording's first row.
+        q, qd, qdd: (n, N) low-passed by the state filter [rad or m, per s, per s^2].
+        tau: (n, N) raw [N m or N]; NaN for joints without torque. Only to be decimated.
+        t_out: (M,) times of the outputs of `decimate` [s].
+    """
+
+    segment: int
+    dt: float
+    t: torch.Tensor
+    q: torch.Tensor
+    qd: torch.Tensor
+    qdd: torch.Tensor
+    tau: torch.Tensor
+    t_out: torch.Tensor
+    _kernel: torch.Tensor
+    _stride: int
+
+    @property
+    def dt_out(self) -> float:
+        """Return the time between two outputs of `decimate` [s]."""
+        return self._stride * self.dt
+
+    def decimate(self, x: torch.Tensor) -> torch.Tensor:
+        """Low-pass x (..., N) with the feature filter and keep every `stride`-th sample: (..., M). Differentiable."""
+        taps, outputs = self._kernel.shape[0], self.t_out.shape[0]
+        # a banded matrix for a few outputs at a time: as fast as BLAS, without copying x into windows
+        group = min(outputs, max(1, taps // self._stride))
+        matrix = x.new_zeros((group - 1) * self._stride + taps, group)
+        for column in range(group):
+            matrix[column * self._stride : column * self._stride + taps, column] = self._kernel.to(matrix)
+        parts = []
+        for first in range(0, outputs, group):
+            begin, count = first * self._stride, min(group, outputs - first)
+            width = (count - 1) * self._stride + taps
+            parts.append(x[..., begin : begin + width] @ matrix[:width, :count])
+        return torch.cat(parts, dim=-1)
+
+
+def tiles(recording: Recording, survey: Survey, filtering: Filtering, rows: int = 4096) -> Iterator[States]:
+    """Stream a recording as tiles of about `rows` new samples each (plus the feature filter's reach at both ends).
+
+    Ends of segments within reach of the filters have no output, and segments shorter than that none at all.
+
+    Raises: RecordingError if no segment is long enough for the filters.
+    """
+    cutter = _Cutter(survey, filtering, rows)
+    for block in uniform_blocks(recording, survey.clock):
+        yield from cutter.push(block)
+    yield from cutter.finish()
+    if not cutter.produced:
+        longest = max((end - start for start, end in survey.segments), default=0.0)
+        raise RecordingError(
+            f"{recording.path or recording.name}: the longest uninterrupted piece lasts {longest:.3g} s, but the "
+            f"filters at {filtering.cutoff_hz:g} Hz need {2 * cutter.reach * survey.clock.dt:.3g} s; "
+            f"leave the recording out or raise the cut-off"
+        )
+
+
+def skipped_segments(survey: Survey, filtering: Filtering) -> tuple[tuple[float, float], ...]:
+    """Return the segments (from, to) [s] that are too short for the filters: `tiles` leaves them out."""
+    shortest = 2 * filtering.reach(survey.clock.dt) * survey.clock.dt
+    return tuple((start, end) for start, end in survey.segments if end - start < shortest * (1 - 1e-9))
+
+
+class _Cutter:
+    """Hold the samples that the next tile needs, and cut tiles from them."""
+
+    def __init__(self, survey: Survey, filtering: Filtering, rows: int):
+        self._dt = survey.clock.dt
+        self._use_velocity = torch.from_numpy(~np.isnan(survey.qd_noise_std))
+        self._kernels = filtering.state_kernels(self._dt)
+        self._feature_kernel = filtering.feature_kernel(self._dt)
+        self._stride = filtering.stride(self._dt)
+        self._state_half = self._kernels.shape[1] // 2
+        self._feature_half = self._feature_kernel.shape[0] // 2
+        self._outputs = max(1, rows // self._stride)
+        self._responses: dict[int, torch.Tensor] = {}
+        self.reach = filtering.reach(self._dt)
+        self.produced = False
+        self._segment, self._origin, self._index, self._x = -1, 0.0, 0, np.empty((0, 0))
+
+    def push(self, block: Block) -> Iterator[States]:
+        """Add samples; yield the full tiles that they complete."""
+        if block.segment != self._segment:
+            yield from self.finish()
+            self._segment, self._origin, self._index, self._x = block.segment, float(block.t[0]), 0, block.x
+        else:
+            self._x = np.concatenate([self._x, block.x], axis=1)
+        while self._available() >= self._outputs:
+            yield self._cut(self._outputs)
+
+    def finish(self) -> Iterator[States]:
+        """Close the segment: yield what is left as a shorter tile."""
+        if self._available() > 0:
+            yield self._cut(self._available())
+        self._x = np.empty((0, 0))
+
+    def _available(self) -> int:
+        return (self._x.shape[1] - 2 * self.reach - 1) // self._stride + 1
+
+    def _cut(self, outputs: int) -> States:
+        length = (outputs - 1) * self._stride + 2 * self._feature_half + 1
+        n, half = len(self._use_velocity), self._state_half
+        raw = torch.from_numpy(self._x[:, : length + 2 * half])
+        q, qd, qdd = self._filter(raw[:n], self._kernels)
+        if self._use_velocity.any():
+            measured = self._filter(raw[2 * n :], self._kernels[:2])
+            qd = torch.where(self._use_velocity[:, None], measured[0], qd)
+            qdd = torch.where(self._use_velocity[:, None], measured[1], qdd)
+        t = self._origin + self._dt * torch.arange(self._index + half, self._index + half + length, dtype=torch.float64)
+        t_out = t[self._feature_half : length - self._feature_half : self._stride]
+        tau = raw[n : 2 * n, half : half + length].clone()
+        self._x = self._x[:, outputs * self._stride :]
+        self._index += outputs * self._stride
+        self.produced = True
+        return States(
+            self._segment, self._dt, t, q, qd, qdd, tau, t_out, _kernel=self._feature_kernel, _stride=self._stride
+        )
+
+    def _filter(self, x: torch.Tensor, kernels: torch.Tensor) -> torch.Tensor:
+        """Convolve x (n, N) with each kernel (k, taps) where they overlap fully: (k, n, N - taps + 1)."""
+        samples, taps = x.shape[1], kernels.shape[1]
+        size = int(scipy.fft.next_fast_len(samples, real=True) or samples)
+        if size not in self._responses:
+            self._responses[size] = torch.fft.rfft(self._kernels, size)
+        spectrum = torch.fft.rfft(x, size) * self._responses[size][: len(kernels), None]
+        return torch.fft.irfft(spectrum, size)[..., taps - 1 : samples]

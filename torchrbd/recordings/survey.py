@@ -1,0 +1,151 @@
+"""Look through a recording once: its clock, its motion, its noise, and the cut-off that suits it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import compress
+
+import numpy as np
+
+from torchrbd.errors import RecordingError
+from torchrbd.recordings.clock import Census, Clock, uniform_blocks
+from torchrbd.recordings.recording import Recording
+from torchrbd.recordings.spectrum import HIGHEST_SHARE, Spectrum, two_digits
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Hold what one pass over a recording shows.
+
+    Attributes:
+        name: the recording's name.
+        clock: the uniform clock, and what counts as a gap.
+        rate_hz: 1 / clock.dt.
+        rows: rows read. duplicates, incomplete: of these, dropped as repeated in time, or lacking a value.
+        segments: (from, to) of the uninterrupted pieces [s].
+        duration_s: their total length.
+        q_min, q_max: (n,) [rad or m].
+        velocity_rms, velocity_max: (n,) over 50 ms [rad/s or m/s].
+        tau_rms: (n,) [N m or N], NaN where not measured.
+        q_noise_std: (n,) white noise of the positions, from the spectrum above the motion [rad or m].
+        q_resolution: (n,) quantisation step, NaN if none is seen [rad or m].
+        qd_noise_std: (n,) white noise of the measured velocity for joints whose measured velocity is used instead of
+            the differentiated position; NaN for the others [rad/s or m/s].
+        cutoff_hz: the cut-off that suits this recording.
+        constant_q, constant_tau: joints whose position or torque never changes.
+        notes: for a person.
+    """
+
+    name: str
+    clock: Clock
+    rate_hz: float
+    rows: int
+    duplicates: int
+    incomplete: int
+    segments: tuple[tuple[float, float], ...]
+    duration_s: float
+    q_min: np.ndarray
+    q_max: np.ndarray
+    velocity_rms: np.ndarray
+    velocity_max: np.ndarray
+    tau_rms: np.ndarray
+    q_noise_std: np.ndarray
+    q_resolution: np.ndarray
+    qd_noise_std: np.ndarray
+    cutoff_hz: float
+    constant_q: tuple[str, ...]
+    constant_tau: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def choose_cutoff(surveys: Sequence[Survey]) -> float:
+    """Choose one cut-off [Hz] for a data set: the median of what suits its recordings, within what all clocks allow."""
+    proposal = float(np.median([survey.cutoff_hz for survey in surveys]))
+    return two_digits(min(proposal, *(HIGHEST_SHARE * survey.rate_hz for survey in surveys)))
+
+
+def survey(recording: Recording) -> Survey:
+    """Stream a recording once and describe it.
+
+    Raises: RecordingError if it is too short or nothing in it moves.
+    """
+    clock = Clock.of(recording)
+    n = len(recording.joints)
+    census, extent, spectrum = Census(n), _Extent(2 * n), Spectrum(clock.dt, n, recording.has_velocity)
+    segments: dict[int, tuple[float, float]] = {}
+    for block in uniform_blocks(recording, clock, census):
+        start, _ = segments.setdefault(block.segment, (float(block.t[0]), 0.0))
+        segments[block.segment] = (start, float(block.t[-1]))
+        extent.add(block.x[: 2 * n])
+        spectrum.add(block)
+    spectrum.close()
+    lengths = [end - start for start, end in segments.values()]
+    place = recording.path or recording.name
+    if not segments:
+        notes = "; ".join(_notes(recording, census, 0))
+        raise RecordingError(f"{place}: no four usable rows in succession: {notes}")
+    q_moves, tau_varies = np.split(extent.varies, 2)
+    if not q_moves.any():
+        raise RecordingError(f"{place}: nothing moves: the position of every joint is constant")
+    cutoff_hz = spectrum.cutoff(q_moves, max(lengths))
+    return Survey(
+        name=recording.name,
+        clock=clock,
+        rate_hz=1 / clock.dt,
+        rows=census.rows,
+        duplicates=census.duplicates,
+        incomplete=census.incomplete,
+        segments=tuple(segments.values()),
+        duration_s=sum(lengths),
+        q_min=extent.low[:n],
+        q_max=extent.high[:n],
+        velocity_rms=spectrum.velocity_rms,
+        velocity_max=spectrum.velocity_max,
+        tau_rms=extent.rms[n:],
+        q_noise_std=np.fmax(spectrum.q_noise_std(), census.resolution / np.sqrt(12)),
+        q_resolution=census.resolution,
+        qd_noise_std=spectrum.qd_noise_std(cutoff_hz),
+        cutoff_hz=cutoff_hz,
+        constant_q=tuple(compress(recording.joints, ~q_moves)),
+        constant_tau=tuple(compress(recording.joints, ~tau_varies & recording.measured)),
+        notes=recording.notes + _notes(recording, census, len(segments)),
+    )
+
+
+class _Extent:
+    """Follow range and mean square of channels."""
+
+    def __init__(self, channels: int):
+        self.low, self.high = np.full(channels, np.inf), np.full(channels, -np.inf)
+        self._square, self._count = np.zeros(channels), 0
+
+    def add(self, x: np.ndarray) -> None:
+        self.low, self.high = np.minimum(self.low, x.min(axis=1)), np.maximum(self.high, x.max(axis=1))
+        self._square += np.sum(x**2, axis=1)
+        self._count += x.shape[1]
+
+    @property
+    def rms(self) -> np.ndarray:
+        return np.sqrt(self._square / max(1, self._count))
+
+    @property
+    def varies(self) -> np.ndarray:
+        # interpolation may change a constant in its last digits
+        return self.high - self.low > 1e-12 * (1 + np.abs(self.high))
+
+
+def _notes(recording: Recording, census: Census, segments: int) -> tuple[str, ...]:
+    notes = []
+    if census.duplicates:
+        notes.append(f"{census.duplicates} of {census.rows} rows dropped: their time repeats the row before")
+    if census.incomplete:
+        notes.append(f"{census.incomplete} of {census.rows} rows dropped: a value is missing")
+    if segments > 1:
+        notes.append(f"gaps in time: {segments} separate pieces, nothing is interpolated between them")
+    if census.wrapped:
+        wrapped = ", ".join(recording.joints[index] for index in sorted(census.wrapped))
+        notes.append(f"full turns unwrapped: {wrapped}")
+    if recording.has_acceleration:
+        notes.append("measured accelerations are not used: they come from the filtered positions")
+    return tuple(notes)

@@ -1,0 +1,15 @@
+"""The rigid body: reading robots, kinematics, inverse and forward dynamics, the regressor."""
+
+from torchrbd.robot.inertia import PARAMETERS, from_pseudo_inertia, inertia_matrix, pseudo_inertia, transform_inertia
+from torchrbd.robot.model import RobotModel
+from torchrbd.robot.tree import FoldedLink
+
+__all__ = [
+    "PARAMETERS",
+    "FoldedLink",
+    "RobotModel",
+    "from_pseudo_inertia",
+    "inertia_matrix",
+    "pseudo_inertia",
+    "transform_inertia",
+]

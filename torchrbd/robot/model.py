@@ -1,0 +1,317 @@
+"""The rigid body as people use it: names, inertial parameters, inverse and forward dynamics."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrbd.errors import InputError, PhysicalError
+from torchrbd.robot import chain as chains
+from torchrbd.robot import dynamics, kinematics
+from torchrbd.robot.description import Description
+from torchrbd.robot.inertia import PARAMETERS
+from torchrbd.robot.tree import FoldedLink, build_tree
+from torchrbd.robot.urdf import read_urdf
+
+if TYPE_CHECKING:
+    import pytorch_kinematics
+
+TILE = 2048
+"""Samples worked on at a time: the intermediate results stay in the cache, and memory beyond the result bounded."""
+
+
+EXACT = (torch.float64, torch.device("cpu"))
+
+
+class RobotModel:
+    """A fixed-base tree of rigid bodies.
+
+    A body is the child link of a moving joint with everything fixed to it; the torque `Y pi` is linear in the bodies'
+    inertial parameters. Bodies and joints are numbered depth-first, in the description's order: refer to them by name.
+    Methods follow the dtype and device of their inputs and are differentiable, twice, in all of them.
+
+    Attributes:
+        name: the robot's name.
+        joint_names: (n_dof,) the driving joints; mimic joints follow them and are no degrees of freedom.
+        body_names: (n_bodies,) the child link of every moving joint.
+        parameter_names: (n_params,) such as "mcx_link1".
+        pi: (n_params,) inertial parameters [m, mcx, mcy, mcz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz] of each body about its
+            origin, in its axes, links behind fixed joints included.
+        folded: the links of each body, its own link first.
+        prismatic: (n_dof,) bool.
+        damping, friction: (n_dof,) the description's friction; the methods here leave it out.
+        lower, upper, velocity, effort: (n_dof,) limits, infinite where not given.
+        gravity: (3,) [m/s^2].
+        urdf: the URDF text, if the robot came from one.
+    """
+
+    damping: Tensor
+    friction: Tensor
+    lower: Tensor
+    upper: Tensor
+    velocity: Tensor
+    effort: Tensor
+
+    def __init__(self, description: Description, *, gravity: Sequence[float] | Tensor = (0.0, 0.0, -9.81)) -> None:
+        tree = build_tree(description)
+        self.description = description
+        self.name = description.name
+        self.urdf = description.urdf
+        self.joint_names = tuple(joint.name for joint in tree.driving)
+        self.body_names = tuple(joint.child for joint in tree.moving)
+        self.parameter_names = tuple(f"{name}_{body}" for body in self.body_names for name in PARAMETERS)
+        self.folded: dict[str, tuple[FoldedLink, ...]] = dict(zip(self.body_names, tree.folded, strict=True))
+        self.pi = tree.pi
+        self.gravity = torch.as_tensor(gravity, dtype=torch.float64)
+        self.prismatic = torch.tensor([joint.kind == "prismatic" for joint in tree.driving])
+        for limit in ("damping", "friction", "lower", "upper", "velocity", "effort"):
+            setattr(self, limit, torch.tensor([getattr(joint, limit) for joint in tree.driving], dtype=torch.float64))
+        self._geometries = {EXACT: kinematics.build_geometry(tree)}
+        self._chain: pytorch_kinematics.Chain | None = None
+
+    @classmethod
+    def from_urdf(
+        cls, source: str | Path | bytes, *, gravity: Sequence[float] | Tensor = (0.0, 0.0, -9.81)
+    ) -> RobotModel:
+        """Read a robot from a URDF file or URDF text.
+
+        Args:
+            source: a path, or the text itself.
+            gravity: (3,) in the base's axes [m/s^2].
+
+        Raises:
+            RobotError: the file cannot be used; the message says which joint or link, and what to do.
+        """
+        return cls(read_urdf(source), gravity=gravity)
+
+    @classmethod
+    def from_chain(
+        cls,
+        chain: pytorch_kinematics.Chain,
+        inertials: Mapping[str, Tensor],
+        *,
+        gravity: Sequence[float] | Tensor = (0.0, 0.0, -9.81),
+    ) -> RobotModel:
+        """Take the kinematics from a pytorch-kinematics chain, whose offsets are exact to float32 only (about 1e-6).
+
+        Args:
+            chain: the chain; it has no inertials, friction or mimic joints.
+            inertials: (10,) inertial parameters about the link's origin by link name; other links are massless.
+            gravity: (3,) in the base's axes [m/s^2].
+
+        Raises:
+            RobotError: an inertial names no link of the chain.
+        """
+        robot = cls(chains.read_chain(chain, inertials), gravity=gravity)
+        robot._chain = chain
+        return robot
+
+    def to_chain(
+        self, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
+    ) -> pytorch_kinematics.Chain:
+        """Return the kinematics as a pytorch-kinematics chain; a mimic joint is a free joint there.
+
+        A robot that was made from a chain returns that chain, as it is.
+        """
+        return self._chain or chains.write_chain(self.description, dtype, device)
+
+    @property
+    def n_dof(self) -> int:
+        """Number of driving joints."""
+        return len(self.joint_names)
+
+    @property
+    def n_bodies(self) -> int:
+        """Number of bodies: one for each moving joint, mimic joints included."""
+        return len(self.body_names)
+
+    @property
+    def n_params(self) -> int:
+        """Number of inertial parameters, `10 n_bodies`."""
+        return len(self.parameter_names)
+
+    def columns(self, joint_index: int) -> Tensor:
+        """Return the indices of the parameters that can appear in a joint's torque: those of the bodies it moves."""
+        geometry = self._geometries[EXACT]
+        moved = set[int]()
+        for body, (driver, end) in enumerate(zip(geometry.drivers, geometry.ends, strict=True)):
+            if driver == range(self.n_dof)[joint_index]:
+                moved.update(range(body, end))
+        return (10 * torch.tensor(sorted(moved))[:, None] + torch.arange(10)).flatten()
+
+    def regressor(self, q: Tensor, qd: Tensor, qdd: Tensor, gravity: Tensor | None = None) -> Tensor:
+        """Return the regressor Y of the inverse dynamics: `tau = Y(q, qd, qdd) pi`.
+
+        Args:
+            q, qd, qdd: (*batch, n_dof) position, velocity, acceleration [rad or m, per s, per s^2].
+            gravity: (3,) instead of the robot's own [m/s^2].
+
+        Returns:
+            (*batch, n_dof, n_params), a permuted view: the samples are contiguous in memory.
+        """
+        (q, qd, qdd), batch = self._batch_last(q, qd, qdd)
+        return _batch_first(self.regressor_batch_last(q, qd, qdd, gravity), batch)
+
+    def regressor_batch_last(self, q: Tensor, qd: Tensor, qdd: Tensor, gravity: Tensor | None = None) -> Tensor:
+        """Return the regressor with the samples last, as it is computed: for loops that care about time.
+
+        Args:
+            q, qd, qdd: (n_dof, N).
+            gravity: (3,) instead of the robot's own [m/s^2].
+
+        Returns:
+            (n_dof, n_params, N).
+        """
+        geometry, gravity = self._constants(q, gravity)
+        if torch.is_grad_enabled() and any(x.requires_grad for x in (q, qd, qdd, gravity)):
+            return _tiled(lambda q, qd, qdd: dynamics.regressor(geometry, q, qd, qdd, gravity), q, qd, qdd)
+        Y = _zeros(q, self.n_dof, self.n_params, q.shape[-1])
+        for q_k, qd_k, qdd_k, Y_k in zip(*(x.split(TILE, -1) for x in (q, qd, qdd, Y)), strict=True):
+            dynamics.write_regressor(geometry, q_k, qd_k, qdd_k, gravity, out=Y_k)
+        return Y
+
+    def inverse_dynamics(
+        self, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor | None = None, gravity: Tensor | None = None
+    ) -> Tensor:
+        """Return the rigid body's torques, by recursion: `tau = M(q) qdd + c(q, qd) + g(q)`.
+
+        Args:
+            q, qd, qdd: (*batch, n_dof) position, velocity, acceleration [rad or m, per s, per s^2].
+            pi: (n_params,) instead of the robot's own.
+            gravity: (3,) instead of the robot's own [m/s^2].
+
+        Returns:
+            (*batch, n_dof) torque of revolute, force of prismatic joints [N m, N].
+        """
+        (q, qd, qdd), batch = self._batch_last(q, qd, qdd)
+        geometry, gravity = self._constants(q, gravity)
+        pi = self._parameters(q, pi)
+        tau = _tiled(lambda q, qd, qdd: dynamics.inverse_dynamics(geometry, q, qd, qdd, pi, gravity), q, qd, qdd)
+        return _batch_first(tau, batch)
+
+    def mass_matrix(self, q: Tensor, pi: Tensor | None = None) -> Tensor:
+        """Return the joint-space mass matrix M: kinetic energy is `qd' M qd / 2`.
+
+        Args:
+            q: (*batch, n_dof) [rad or m].
+            pi: (n_params,) instead of the robot's own.
+
+        Returns:
+            (*batch, n_dof, n_dof), symmetric; positive definite if the bodies are physical.
+        """
+        (q,), batch = self._batch_last(q)
+        geometry, _ = self._constants(q, None)
+        pi = self._parameters(q, pi)
+        return _batch_first(_tiled(lambda q: dynamics.mass_matrix(geometry, q, pi), q), batch)
+
+    def forward_dynamics(
+        self, q: Tensor, qd: Tensor, tau: Tensor, pi: Tensor | None = None, gravity: Tensor | None = None
+    ) -> Tensor:
+        """Return the accelerations under given torques: `qdd = M(q)^-1 (tau - c(q, qd) - g(q))`.
+
+        Args:
+            q, qd: (*batch, n_dof) position and velocity [rad or m, per s].
+            tau: (*batch, n_dof) torque of revolute, force of prismatic joints [N m, N].
+            pi: (n_params,) instead of the robot's own.
+            gravity: (3,) instead of the robot's own [m/s^2].
+
+        Returns:
+            (*batch, n_dof) [rad/s^2 or m/s^2].
+
+        Raises:
+            PhysicalError: the mass matrix is not positive definite.
+        """
+        bias = self.inverse_dynamics(q, qd, torch.zeros_like(q), pi, gravity)
+        factor, info = torch.linalg.cholesky_ex(self.mass_matrix(q, pi))
+        if info.any():
+            joint = self.joint_names[int(info[info > 0].flatten()[0]) - 1]
+            raise PhysicalError(
+                f"robot '{self.name}': the mass matrix is not positive definite at {int((info > 0).sum())} of "
+                f"{info.numel()} positions, first at joint '{joint}': what it moves is massless or has inertial "
+                "parameters that no rigid body can have; give it mass and inertia, or use physically valid parameters"
+            )
+        return torch.cholesky_solve((tau - bias)[..., None], factor)[..., 0]
+
+    def body_poses(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Return where the bodies' frames are in the base's.
+
+        Args:
+            q: (*batch, n_dof) [rad or m].
+
+        Returns:
+            rotations (*batch, n_bodies, 3, 3) and origins (*batch, n_bodies, 3) [m].
+        """
+        (q,), batch = self._batch_last(q)
+        geometry, _ = self._constants(q, None)
+        pose = kinematics.body_poses(geometry, *kinematics.body_coordinates(geometry, q))
+        return _batch_first(pose.R.transpose(0, 1), batch), _batch_first(pose.p.transpose(0, 1), batch)
+
+    def with_gravity(self, gravity: Sequence[float] | Tensor) -> RobotModel:
+        """Return the same robot under another gravity (3,) [m/s^2], such as on a tilted base."""
+        robot = copy.copy(self)
+        robot.gravity = torch.as_tensor(gravity, dtype=self.gravity.dtype, device=self.gravity.device)
+        return robot
+
+    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> RobotModel:
+        """Return the same robot with its tensors in another dtype or on another device."""
+        robot = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, Tensor):
+                setattr(robot, name, value.to(device=device, dtype=dtype if value.is_floating_point() else None))
+        return robot
+
+    def _batch_last(self, *coordinates: Tensor) -> tuple[tuple[Tensor, ...], torch.Size]:
+        """Return (*batch, n_dof) tensors as (n_dof, N), and the batch shape."""
+        for x in coordinates:
+            if x.ndim == 0 or x.shape[-1] != self.n_dof:
+                raise InputError(
+                    f"got a tensor of shape {tuple(x.shape)}, expected (..., {self.n_dof}): robot '{self.name}' has "
+                    f"joints {', '.join(self.joint_names)}"
+                )
+        batch = torch.broadcast_shapes(*(x.shape[:-1] for x in coordinates))
+        flat = (x.expand(*batch, -1).reshape(-1, self.n_dof).T.contiguous() for x in coordinates)
+        return tuple(flat), batch
+
+    def _constants(self, like: Tensor, gravity: Tensor | None) -> tuple[kinematics.Geometry, Tensor]:
+        """Return geometry and gravity in the dtype and on the device of `like`."""
+        key = (like.dtype, like.device)
+        if key not in self._geometries:
+            self._geometries[key] = self._geometries[EXACT].to(*key)
+        gravity = self.gravity if gravity is None else gravity
+        return self._geometries[key], gravity.to(like)
+
+    def _parameters(self, like: Tensor, pi: Tensor | None) -> Tensor:
+        """Return the inertial parameters to use, in the dtype and on the device of `like`."""
+        pi = self.pi if pi is None else pi
+        if pi.shape != (self.n_params,):
+            raise InputError(
+                f"pi has shape {tuple(pi.shape)}, expected ({self.n_params},): 10 for each of "
+                f"{', '.join(self.body_names)}"
+            )
+        return pi.to(like)
+
+
+def _tiled(function: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
+    """Return a function of (n_dof, N) tensors, computed tile by tile along N."""
+    tiles = [function(*tile) for tile in zip(*(x.split(TILE, -1) for x in inputs), strict=True)]
+    return tiles[0] if len(tiles) == 1 else torch.cat(tiles, -1)
+
+
+def _zeros(like: Tensor, *shape: int) -> Tensor:
+    """Return zeros in the dtype and on the device of `like`."""
+    numpy_dtype = {torch.float32: np.float32, torch.float64: np.float64}.get(like.dtype)
+    if like.device.type != "cpu" or numpy_dtype is None:
+        return like.new_zeros(shape)
+    # numpy asks the system for zeroed pages, huge ones: structural zeros then cost neither time nor memory.
+    return torch.from_numpy(np.zeros(shape, numpy_dtype))
+
+
+def _batch_first(x: Tensor, batch: torch.Size) -> Tensor:
+    """Return a (..., N) tensor as a (*batch, ...) view."""
+    return x.movedim(-1, 0).unflatten(0, batch) if batch else x[..., 0]
