@@ -23,7 +23,7 @@ def torque(t):
 
 def clean_recording(t, name="clean", noise=0.0, **changes):
     """Return a recording of the motion at times t."""
-    q, qd, _ = motion(t)
+    q = motion(t)[0]
     rng = np.random.default_rng(3)
     arrays = {"q": q + noise * rng.normal(size=q.shape), "tau": torque(t)} | changes
     return Recording.from_arrays(name, JOINTS, t, **arrays)

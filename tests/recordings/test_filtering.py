@@ -89,7 +89,7 @@ def test_options_that_cannot_work():
         Filtering(0.0)
     with pytest.raises(OptionError, match="below the cut-off"):
         Filtering(5.0, 3.0)
-    with pytest.raises(OptionError, match="too high for a recording at 50 Hz; at most 16.7 Hz"):
+    with pytest.raises(OptionError, match=r"too high for a recording at 50 Hz; at most 16\.7 Hz"):
         Filtering(20.0).feature_kernel(0.02)
     assert Filtering(5.0).state_cutoff_hz == 10.0
     assert Filtering(5.0).effective_rate == 10.0

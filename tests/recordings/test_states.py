@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from recordings.motion import JOINTS, clean_recording, motion, torque
+from recordings.motion import clean_recording, motion, torque
 
 from torchrbd.errors import RecordingError
 from torchrbd.recordings import Filtering, Recording, skipped_segments, survey, tiles
@@ -33,9 +33,7 @@ def test_states_and_torque_match_the_motion():
         assert np.abs(part.q.numpy().T - q).max() < 1e-4
         assert np.abs(part.qd.numpy().T - qd).max() < 1e-3
         assert np.abs(part.qdd.numpy().T - qdd).max() < 1e-2
-        assert np.array_equal(part.tau.numpy().T, torque(part.t.numpy())) or np.allclose(
-            part.tau.numpy().T, torque(part.t.numpy()), atol=1e-9
-        )
+        assert np.allclose(part.tau.numpy().T, torque(part.t.numpy()), atol=1e-9)
 
 
 def test_linear_relation_survives_the_chain():
@@ -90,7 +88,7 @@ def test_nothing_is_interpolated_over_a_gap():
     t = np.concatenate([np.arange(0, 5, 0.004), np.arange(5.7, 11, 0.004)])
     recording = clean_recording(t)
     seen = survey(recording)
-    assert seen.segments == pytest.approx([(0, 4.996), (5.7, 10.996)])
+    assert np.allclose(seen.segments, [(0, 4.996), (5.7, 10.996)])
     assert "2 separate pieces" in " ".join(seen.notes)
     reach = FILTERING.reach(0.004) * 0.004
     times, got = outputs(recording)
@@ -103,9 +101,9 @@ def test_short_segments_are_left_out_and_reported():
     t = np.concatenate([np.arange(0, 0.5, 0.004), np.arange(1, 9, 0.004)])
     recording = clean_recording(t)
     seen = survey(recording)
-    assert skipped_segments(seen, FILTERING) == pytest.approx([(0, 0.496)])
+    assert np.allclose(skipped_segments(seen, FILTERING), [(0, 0.496)])
     assert {part.segment for part in tiles(recording, seen, FILTERING)} == {1}
-    with pytest.raises(RecordingError, match=r"lasts 8 s, but the filters at 0.2 Hz need 3\d s"):
+    with pytest.raises(RecordingError, match=r"lasts 8 s, but the filters at 0.2 Hz need 31.9 s"):
         list(tiles(recording, seen, Filtering(0.2)))
 
 
@@ -147,15 +145,14 @@ def test_measured_velocity_is_used_only_where_it_is_better():
     rng = np.random.default_rng(0)
     q, qd, _ = motion(CLOCK)
     noisy = q + 3e-3 * rng.normal(size=q.shape)
-    good = qd + 1e-4 * rng.normal(size=q.shape)
+    good = qd + 1e-3 * rng.normal(size=q.shape)
     late = motion(CLOCK - 0.02)[1]
     bad = qd + 1.0 * rng.normal(size=q.shape)
     seen = survey(clean_recording(CLOCK, q=noisy, qd=np.stack([good[:, 0], bad[:, 1]], axis=1)))
     assert np.isnan(seen.qd_noise_std).tolist() == [False, True]
-    assert seen.qd_noise_std[0] == pytest.approx(1e-4, rel=0.5)
+    assert seen.qd_noise_std[0] == pytest.approx(1e-3, rel=0.3)
     assert np.isnan(survey(clean_recording(CLOCK, q=noisy, qd=late)).qd_noise_std).all()
     _, got = outputs(clean_recording(CLOCK, q=noisy, qd=good))
     t, without = outputs(clean_recording(CLOCK, q=noisy))
     error, error_without = (np.abs(x - truth(t))[2:6].max() for x in (got, without))
     assert error < 0.2 * error_without
-    assert JOINTS == ("a", "b")

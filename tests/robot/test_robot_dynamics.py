@@ -11,7 +11,7 @@ from torch.autograd import gradcheck, gradgradcheck
 from torchrbd.errors import InputError, PhysicalError
 from torchrbd.robot import RobotModel, transform_inertia
 
-MIXED = random_urdf(5, 4, mimic=0.3)
+MIXED = random_urdf(9, 4, mimic=0.3)
 """Four bodies, revolute and prismatic, branches, one mimic joint."""
 
 
@@ -174,7 +174,7 @@ def test_impossible_inertia_is_told(robot: RobotModel) -> None:
 
 def test_wrong_sizes_are_told(robot: RobotModel) -> None:
     q, qd, qdd = states(robot, 4)
-    with pytest.raises(InputError, match=r"shape \(4, 2\), expected \(..., 3\): robot 'random5' has joints joint1, "):
+    with pytest.raises(InputError, match=r"shape \(4, 2\), expected \(..., 3\): robot 'random9' has joints "):
         robot.inverse_dynamics(q, qd[:, :2], qdd)
     with pytest.raises(InputError, match=r"pi has shape \(10,\), expected \(40,\)"):
         robot.mass_matrix(q, pi=robot.pi[:10])

@@ -1,9 +1,12 @@
 """Compare models on blocks that they have not seen.
 
 Every model (a set of terms, with the inertial parameters re-fitted beside them) is fitted on all folds but one and judged on
-that one. Its loss in block b is half the squared error over the noise variance, in log-likelihood units; two models are
-compared by the paired differences of their losses over the blocks, whose scatter is the honest measure of chance: it
-holds under correlated noise, where counting samples does not.
+that one. With v the left-out mean squared error of a joint and n its independent samples, one model's gain over another is
+
+    G = sum_j n_j / 2 log(v_j / v'_j) = sum_b d_b,   d_b = sum_j (e_jb - e'_jb) / (2 m_j),   m = (v - v') / log(v / v')
+
+in log-likelihood units: m, the logarithmic mean, spreads the gain over the blocks b. The scatter of the paired differences d_b is
+the honest measure of chance: it holds under correlated noise, where counting samples does not.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from torch import Tensor
 
 from torchrbd.inference.block_statistics import BlockStatistics
 from torchrbd.inference.columns import Candidate
-from torchrbd.inference.map_fit import noise_variance, scaled_equations, solve
+from torchrbd.inference.map_fit import LEAST_NOISE, noise_variance, scaled_equations, solve
 from torchrbd.inference.prior import Prior
 
 MOST_BLOCKS = 64
@@ -39,7 +42,7 @@ class Gain:
 
 
 class Comparison:
-    """Cross-validated losses of models on one set of blocks.
+    """Cross-validated errors of models on one set of blocks.
 
     Args:
         statistics: the blocks; held-out ones must not be among them.
@@ -62,9 +65,8 @@ class Comparison:
         return torch.cat((self.prior.inertial, columns)) if rigid else columns
 
     def set_noise(self, terms: Collection[Candidate]) -> None:
-        """Take the joints' noise levels from the fit of one model; losses are in units of it until the next call."""
-        self.variance = noise_variance(self.statistics, self.prior, self.free(terms))
-        weights = 1.0 / self.variance
+        """Weigh the joints by the noise that one model leaves, for all fits until the next call."""
+        weights = 1.0 / noise_variance(self.statistics, self.prior, self.free(terms))
         totals = self.statistics.total()
         self._equations = []
         for part in self._by_fold:
@@ -90,8 +92,8 @@ class Comparison:
         S = self.prior.scale[free.unsqueeze(1), free]
         return free, S @ torch.linalg.inv(H) @ S.T
 
-    def losses(self, terms: Collection[Candidate], *, rigid: bool = True) -> Tensor:
-        """Return the left-out losses of a model, (B, n_dof) in the order of folds, in log-likelihood units.
+    def errors(self, terms: Collection[Candidate], *, rigid: bool = True) -> Tensor:
+        """Return the left-out squared errors of a model, (B, n_dof) in the order of folds, [(N m)^2] or [N^2].
 
         Args:
             terms: its terms.
@@ -101,8 +103,19 @@ class Comparison:
         found = []
         for part, equations in zip(self._by_fold, self._equations, strict=True):
             x = solve(self.prior, equations, free) if len(free) else self.prior.reference
-            found.append(0.5 * part.squared_error(x) / self.variance)
+            found.append(part.squared_error(x))
         return torch.cat(found)
+
+    def gain(self, before: Tensor, after: Tensor) -> Gain:
+        """Return the gain of left-out errors ``after`` over ``before``, both (B, n_dof)."""
+        count = self.statistics.torque[..., 0].sum(0)
+        seen = count > 0
+        least = (LEAST_NOISE**2 * self.statistics.torque[..., 2].sum(0))[seen]
+        old, new = before.sum(0)[seen].clamp_min(least), after.sum(0)[seen].clamp_min(least)
+        ratio = torch.log(old / new)
+        mean = torch.where(ratio.abs() > 1e-6, (old - new) / ratio, old) / count[seen]
+        difference = 0.5 * ((before - after)[:, seen] / mean).sum(1)
+        return Gain(float(difference.sum()), float(difference.std() * len(difference) ** 0.5))
 
     def share_left(self, candidate: Candidate, terms: Collection[Candidate]) -> float:
         """Return which part (0 to 1) of a candidate's torque the rest of the model cannot imitate, however free it is.
@@ -122,9 +135,3 @@ class Comparison:
         explained = (cross**2 / values[kept].unsqueeze(1)).sum(0)
         total = H[own, own]
         return float(((total - explained) / total.clamp_min(1e-300)).max())
-
-
-def gain(before: Tensor, after: Tensor) -> Gain:
-    """Return the paired gain of losses ``after`` over ``before``, both (B, n_dof)."""
-    difference = (before - after).sum(1)
-    return Gain(float(difference.sum()), float(difference.std() * len(difference) ** 0.5))

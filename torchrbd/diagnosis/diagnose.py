@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from torchrbd.diagnosis.compare import Comparison, gain
+from torchrbd.diagnosis.compare import Comparison
 from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.leftover import unexplained
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
-from torchrbd.diagnosis.select import LEAST_GAIN, LEAST_T, select_terms
+from torchrbd.diagnosis.select import LEAST_GAIN, LEAST_T, Terms, distinguishable, select_terms
 from torchrbd.inference.fitting import fit_model
 from torchrbd.inference.identify import listed, summarise
 from torchrbd.inference.preparation import Prepared, Progress, prepare
@@ -44,9 +44,14 @@ def diagnose(
     training, judging, prior = prepared.training, prepared.judging, prepared.prior
     comparison = Comparison(training, prior)
     measured = prepared.statistics.torque[..., 0].sum(0) > 0
-    candidates = [c for c in prepared.columns.candidates if measured[c.joint]]
-    progress("searching", 0.0)
-    terms = select_terms(comparison, candidates, lambda found: progress(f"found {found}", 0.0))
+    progress("searching for missing physics", 0.0)
+    candidates = distinguishable(comparison, [c for c in prepared.columns.candidates if measured[c.joint]])
+
+    def tell(found: Terms) -> None:
+        last = f": {found[-1].effect.words} at {robot.joint_names[found[-1].joint]}" if found else ""
+        progress(f"searching for missing physics, {len(found)} found{last}", 0.0)
+
+    terms = select_terms(comparison, candidates, tell)
     progress("fitting", 0.0)
     models = {"rigid_body": fit_model(training, prior), "extended": fit_model(training, prior, terms)}
     identification = summarise(prepared, models, progress)
@@ -62,7 +67,7 @@ def diagnose(
 def _refit_matters(prepared: Prepared, comparison: Comparison) -> bool:
     """Say whether re-fitted inertial parameters predict unseen blocks better than the URDF's."""
     comparison.set_noise(())
-    better = gain(comparison.losses((), rigid=False), comparison.losses(()))
+    better = comparison.gain(comparison.errors((), rigid=False), comparison.errors(()))
     return better.total > LEAST_GAIN and better.t > LEAST_T
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from torchrbd.diagnosis.compare import Comparison, Gain, gain
+from torchrbd.diagnosis.compare import Comparison, Gain
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
-from torchrbd.diagnosis.select import Terms, clearly_worse, plausible, with_term
+from torchrbd.diagnosis.select import Terms, clearly_worse, plausible, with_terms
 from torchrbd.inference.block_statistics import BlockStatistics
 from torchrbd.inference.columns import Candidate
 from torchrbd.inference.fitting import FittedModel, fit_model, judge
@@ -50,12 +50,12 @@ def explain(
         Findings, the largest gain first.
     """
     comparison.set_noise(terms)
-    full = comparison.losses(terms)
+    full = comparison.errors(terms)
     found = []
     for term in terms:
         rest = tuple(c for c in terms if c is not term)
-        without = comparison.losses(rest)
-        worth = gain(without, full)
+        without = comparison.errors(rest)
+        worth = comparison.gain(without, full)
         rivals = _rivals(comparison, term, rest, candidates, full)
         joint = comparison.columns.robot.joint_names[term.joint]
         before = judge(judging, fit_model(training, prior, rest).x).nmse
@@ -75,10 +75,12 @@ def _rivals(
     for candidate in candidates:
         if candidate.joint != term.joint or candidate.effect.id == term.effect.id:
             continue
-        changed = with_term(rest, candidate)
+        changed = with_terms(rest, (candidate,))
+        if set(term.labels) <= set(candidate.labels):
+            continue
         if comparison.share_left(term, changed) < NESTED_SHARE or not plausible(comparison, changed):
             continue
-        lead = gain(comparison.losses(changed), full)
+        lead = comparison.gain(comparison.errors(changed), full)
         known = best.get(candidate.effect.id)
         if known is None or lead.total < known.lead.total:
             best[candidate.effect.id] = Rival(candidate, lead)

@@ -17,6 +17,7 @@ from torchrbd.recordings.npz import NpzTable
 
 _CSV_BLOCK_BYTES = 1 << 20
 _PARQUET_BUFFER_BYTES = 1 << 16
+_FIRST_CHARACTERS = 4096
 _MISSING = ("", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A")
 
 
@@ -64,9 +65,9 @@ class CsvTable:
 
     def __init__(self, path: Path):
         self.path = path
-        self._skip, self._delimiter, self.columns, first_row = _read_header(path)
+        self._skip, self._delimiter, self.columns, first_rows = _read_header(path)
         # 1,5;2,5 is how spreadsheets in half of Europe write 1.5 and 2.5
-        self._decimal = "," if self._delimiter == ";" and "," in first_row else "."
+        self._decimal = "," if self._delimiter == ";" and "," in first_rows else "."
 
     def batches(self, columns: Sequence[str], rows: int) -> Iterator[np.ndarray]:
         try:
@@ -159,7 +160,7 @@ def _is_number(text: str, decimal: str = ".") -> bool:
 def _read_header(path: Path) -> tuple[int, str, tuple[str, ...], str]:
     """Find the header: the first line that is no comment, or the comment just above the first row of numbers.
 
-    Returns: the number of lines to skip, the delimiter, the columns' names, the first data row.
+    Returns: the number of lines to skip, the delimiter, the columns' names, the first data rows.
     """
     comment, skip = "", 0
     with path.open(encoding="utf-8-sig", newline="", errors="replace") as stream:
@@ -168,7 +169,7 @@ def _read_header(path: Path) -> tuple[int, str, tuple[str, ...], str]:
             comment, skip, line = line.lstrip("# ") if line.strip() else comment, skip + 1, stream.readline()
         delimiter = max(",;\t", key=line.count) if any(mark in line for mark in ",;\t") else " "
         cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
-        first_row = line
+        first_rows = line
         if cells and all(_is_number(cell) or _is_number(cell, ",") for cell in cells):
             cells = [cell.strip() for cell in next(csv.reader([comment], delimiter=delimiter), [])]
             if len(cells) != len(next(csv.reader([line], delimiter=delimiter))):
@@ -177,12 +178,12 @@ def _read_header(path: Path) -> tuple[int, str, tuple[str, ...], str]:
                     f"such as t,q_joint1,tau_joint1"
                 )
         else:
-            first_row, skip = stream.readline(), skip + 1
+            first_rows, skip = stream.read(_FIRST_CHARACTERS), skip + 1
     if not cells:
         raise RecordingError(f"{path}: no header found; expected the columns' names in the first row")
-    if not first_row.strip():
+    if not first_rows.strip():
         raise RecordingError(f"{path}: the file has a header but no rows")
     twice = sorted({name for name in cells if cells.count(name) > 1 and name})
     if twice:
         raise RecordingError(f"{path}: column '{twice[0]}' appears more than once in the header")
-    return skip, delimiter, tuple(name or f"(unnamed {index})" for index, name in enumerate(cells, 1)), first_row
+    return skip, delimiter, tuple(name or f"(unnamed {index})" for index, name in enumerate(cells, 1)), first_rows

@@ -148,19 +148,19 @@ class Spectrum:
     def qd_noise_std(self, cutoff_hz: float) -> np.ndarray:
         """Return the noise (n,) of measured velocities that serve better than the differentiated position, else NaN.
 
-        Better: just above the motion the measured velocity carries less than a quarter of the power of the
+        Better: above the motion the measured velocity carries less than a quarter of the power of the
         differentiated position, and within the motion it follows that without lag or gain error. Many drives report a
         velocity that looks smooth because it is late, which would pass for physics.
         """
         f = self.frequency
-        inside, beyond = (f > 0) & (f <= cutoff_hz), (f > cutoff_hz) & (f <= 2 * cutoff_hz)
+        inside, beyond = (f > 0) & (f <= cutoff_hz), (f > 2 * cutoff_hz) & (f <= 4 * cutoff_hz)
         if not self._has_velocity or not beyond.any():
             return np.full(self._n, np.nan)
         # a central difference has no phase and the gain sin(w dt) / (w dt)
         error = np.abs(self.cross - np.sinc(2 * f * self.dt) * self.measured)[:, inside].sum(axis=1)
         follows = error <= _LAG_TOLERANCE * self.measured[:, inside].sum(axis=1)
-        power = self.measured[:, beyond].mean(axis=1)
-        quieter = power < _QUIETER * self.derived[:, beyond].mean(axis=1)
+        power = np.median(self.measured[:, beyond], axis=1)
+        quieter = power < _QUIETER * np.median(self.derived[:, beyond], axis=1)
         return np.where(follows & quieter, np.sqrt(power / (2 * self.dt)), np.nan)
 
 

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import count
 from pathlib import Path
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
+from matplotlib.figure import Figure
 
-from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained, Where
+from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.physics import effects
-from torchrbd.report.figures import (
-    SIGNALS,
-    ErrorScale,
-    Units,
-    dependence_figure,
-    informative_stretch,
-    telling_signal,
-    time_figure,
-)
-from torchrbd.report.svg import MINUS, plain, power_of_ten
+from torchrbd.report.excerpt import SIGNALS, informative_stretch, signal_words, telling_signal
+from torchrbd.report.figures import Units, decades, dependence_figure, error_figure, time_figure
+from torchrbd.report.inline import inline, page_style
+from torchrbd.report.words import change, measure, number, percent, plain, unit, where_words, words_of
 
 MODELS = {"urdf": "URDF", "rigid_body": "re-fitted rigid body", "extended": "extended model"}
 BADGES = {
@@ -32,6 +30,8 @@ BADGES = {
     "unexplained": "? Unexplained",
     "identified": "✓ Identified",
 }
+
+CERTAIN, DOUBTFUL = 20.0, 0.9  # log-evidence gain of what is surely there, probability that needs a word
 
 
 def write_report(result: Identification | Diagnosis, path: Path) -> None:
@@ -49,73 +49,35 @@ def write_report(result: Identification | Diagnosis, path: Path) -> None:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"number": number, "measure": measure, "percent": percent, "change": change, "plain": plain}
-    Path(path).write_text(environment.get_template("report.html.j2").render(page=page), encoding="utf-8")
-
-
-def number(value: float) -> str:
-    """Return three significant digits, or a dash where there is no number."""
-    if not math.isfinite(value):
-        return "–"
-    if value == 0 or 1e-4 <= abs(value) < 1e3:
-        return (f"{value:#.3g}" if value else "0").rstrip(".").replace("-", MINUS)
-    if 1e3 <= abs(value) < 1e6:
-        return f"{value:.0f}".replace("-", MINUS)
-    mantissa, exponent = f"{value:.2e}".split("e")
-    return f"{mantissa}·{power_of_ten(int(exponent))}".replace("-", MINUS)
-
-
-def measure(value: float, spread: float) -> str:
-    """Return ``value ± spread`` with the digits that two significant ones of the spread leave."""
-    if not (math.isfinite(spread) and spread > 0):
-        return number(value)
-    digits = 1 - math.floor(math.log10(spread))
-    if digits > 6:
-        return f"{number(value)} ± {number(spread)}"
-    return f"{value:.{max(0, digits)}f} ± {spread:.{max(0, digits)}f}".replace("-", MINUS)
-
-
-def percent(share: float) -> str:
-    """Return a share in per cent; only certainty is 0 or 100."""
-    if 0.995 <= share < 1.0:
-        return "> 99 %"
-    return "< 1 %" if 0.0 < share < 0.005 else f"{100 * share:.0f} %"
-
-
-def change(before: float, after: float) -> str:
-    """Return by how much an error fell or rose."""
-    if not (before > 0 and math.isfinite(after)):
-        return ""
-    if 0 < after < 0.01 * before:
-        return f"{float(f'{before / after:.2g}'):,.0f} times less".replace(",", "\N{NARROW NO-BREAK SPACE}")
-    return f"{100 * (after / before - 1):+.0f} %".replace("-", MINUS)
-
-
-def words_of(effect: str) -> str:
-    """Return an effect's name in words, whether or not its effect is registered here."""
-    known = effects().get(effect)
-    return known.words if known else effect.replace("_", " ").capitalize()
-
-
-def where_words(where: Where) -> str:
-    """Return in which recordings, when and in which region, or nothing for everywhere."""
-    parts = [] if where.recordings is None else ["in " + ", ".join(where.recordings)]
-    parts += [f"{low:g} to {high:g} s" for low, high in where.time_s or ()]
-    parts += [f"{r.signal} from {plain(r.low)} to {plain(r.high)}" for r in where.region or ()]
-    return "; ".join(parts)
+    environment.filters |= {"number": number, "measure": measure, "percent": percent, "change": change}
+    environment.filters |= {"plain": plain, "unit": unit}
+    with page_style():
+        text = environment.get_template("report.html.j2").render(page=page)
+    Path(path).write_text(text, encoding="utf-8")
 
 
 @dataclass(frozen=True)
 class Card:
-    """A finding or something unexplained, with its picture."""
+    """A finding or something unexplained, with its picture; ``line`` is a remark, or empty."""
 
     item: Finding | Unexplained
     title: str
     equation: str
     where: str
     joints: list[str]
+    line: str
     picture: Markup
     models: list[str]
+
+
+@dataclass(frozen=True)
+class JointFigures:
+    """Torque against time, the stretch that it shows in words, whether findings are marked, residual against states."""
+
+    time: Markup
+    words: str
+    marked: bool
+    states: list[Markup]
 
 
 class Page:
@@ -133,6 +95,7 @@ class Page:
         names = list(self.result.robot.joint_names)
         prismatic = [bool(self.result.robot.prismatic[names.index(j)]) for j in self.joints]
         self.units = [Units("N", "m") if p else Units("N m", "rad") for p in prismatic]
+        self._keys = count(1)
         self.measured = [bool(np.isfinite(self.series.measured[:, i]).any()) for i in range(len(self.joints))]
 
     @property
@@ -142,20 +105,28 @@ class Page:
         return {m: float(np.mean(v)) if v else math.nan for m, v in finite.items()}
 
     @property
-    def headline(self) -> str:
-        """The verdict in one sentence."""
+    def headline(self) -> tuple[str, str]:
+        """The verdict in one sentence, and what else is to say of it."""
         if self.diagnosis:
-            return self.diagnosis.statement
+            first, stop, rest = self.diagnosis.statement.partition(". ")
+            return first + stop.strip(), rest
         before, after = self.mean["urdf"], self.mean["rigid_body"]
         name, numbers = self.result.robot.name, f"mean nmse {number(before)} → {number(after)}"
         if not after < before:
-            return f"Re-fitting does not lower the held-out torque error of {name}: {numbers}."
-        return f"Re-fitting lowers the held-out torque error of {name} by {percent(1 - after / before)}: {numbers}."
+            return f"Re-fitting does not lower the held-out torque error of {name}: {numbers}.", ""
+        return f"Re-fitting lowers the held-out torque error of {name} by {percent(1 - after / before)}: {numbers}.", ""
 
-    @property
-    def scale(self) -> ErrorScale:
-        """The scale of the table's dots."""
-        return ErrorScale.over([v for m in self.models for v in self.result.fits[m].nmse.values()])
+    @cached_property
+    def _decades(self) -> tuple[float, float]:
+        return decades([v for m in self.models for v in self.result.fits[m].nmse.values()])
+
+    def dots(self, errors: dict[str, float]) -> Markup:
+        """Return errors as dots on the scale of the table, or the scale's labels if there are none."""
+        label = ", ".join(f"{m} {number(v)}" for m, v in errors.items()) or "logarithmic"
+        return self._inline(error_figure(errors, self._decades, labels=not errors), f"nmse {label}")
+
+    def _inline(self, figure: Figure, label: str) -> Markup:
+        return inline(figure, label, f"f{next(self._keys)}")
 
     def errors(self, kind: str, joint: str) -> dict[str, float]:
         """Return nmse or rmse of one joint by model, NaN where there is none."""
@@ -168,7 +139,10 @@ class Page:
         return [(worse or self.drawn)[-1 if worse else 0], last] if len(self.drawn) > 1 else self.drawn
 
     def _picture(self, joint: int, signal: tuple[str, int], models: list[str]) -> Markup:
-        return dependence_figure(self.series, joint, signal, (self.units[joint], self.units[signal[1]]), models)
+        figure = dependence_figure(self.series, joint, signal, (self.units[joint], self.units[signal[1]]), models)
+        return self._inline(
+            figure, f"residual of {self.joints[joint]} against {signal_words(self.series, joint, signal)}"
+        )
 
     def _card(self, item: Finding | Unexplained, title: str, equation: str, signals: tuple[str, ...]) -> Card:
         """Illustrate an item by the first of ``signals`` that is a state ("q_joint2"), or the most telling one."""
@@ -183,20 +157,27 @@ class Page:
             states = {f"{key}_{j}": (key, i) for key in SIGNALS for i, j in enumerate(self.joints)}
             signal = next((states[s] for s in signals if s in states), None)
             picture = self._picture(joint, signal or (telling_signal(self.series, joint, models[0]), joint), models)
-        return Card(item, title, equation, where_words(item.where), joints, picture, models)
+        line = ""
+        if isinstance(item, Finding) and item.indistinguishable_from and item.probability < DOUBTFUL:
+            line = "The probability is shared with what it could also be."
+            if item.log_evidence_gain > CERTAIN:
+                line = "Something is missing here beyond doubt. " + line
+        return Card(item, title, equation, where_words(item.where), joints, line, picture, models)
 
-    @property
+    @cached_property
     def findings(self) -> list[Card]:
         """The named effects, strongest first."""
         cards = []
         for finding in self.diagnosis.findings if self.diagnosis else ():
             known = effects().get(finding.effect)
+            equation = known.equation if known else ""
             title = f"{words_of(finding.effect)} at {', '.join(finding.joints + finding.links) or 'the robot'}"
-            signals = tuple(r.signal for r in finding.where.region or ())
-            cards.append(self._card(finding, title, known.equation if known else "", signals))
+            states = [f"{key}_{j}" for key in re.findall(r"\bq(?:dd?)?\b", equation) for j in finding.joints]
+            signals = (*(r.signal for r in finding.where.region or ()), *states)
+            cards.append(self._card(finding, title[0].upper() + title[1:], equation, signals))
         return cards
 
-    @property
+    @cached_property
     def unexplained(self) -> list[Card]:
         """What depends on something and has no name."""
         items = self.diagnosis.unexplained if self.diagnosis else ()
@@ -207,13 +188,17 @@ class Page:
         places = [(a.effect, ", ".join(a.joints + a.links)) for a in finding.indistinguishable_from]
         return [words_of(effect) + (f" at {place}" if place else "") for effect, place in places]
 
-    def figures(self, joint: int) -> tuple[Markup, str, list[Markup]]:
-        """Return the figure against time, the stretch it shows in words, and those against position and velocity."""
-        compared = self.compared(self.joints[joint])
+    def figures(self, joint: int) -> JointFigures:
+        """Return what is drawn of one joint."""
+        name = self.joints[joint]
+        compared = self.compared(name)
         stretch = informative_stretch(self.series, joint, compared[0])
-        marks = self.marks(self.joints[joint], stretch.recording)
-        against_time = time_figure(self.series, joint, stretch, self.units[joint], self.drawn, compared, marks)
-        return against_time, stretch.words, [self._picture(joint, (s, joint), compared) for s in ("q", "qd")]
+        marks = self.marks(name, stretch.recording)
+        figure = time_figure(self.series, joint, stretch, self.units[joint], self.drawn, compared, marks)
+        time = self._inline(figure, f"torque of {name} against time")
+        return JointFigures(
+            time, stretch.words, bool(marks), [self._picture(joint, (s, joint), compared) for s in ("q", "qd")]
+        )
 
     def marks(self, joint: str, recording: str) -> list[tuple[float, float]]:
         """Return when in a recording something that was found at a joint holds, if it does not always."""
