@@ -1,12 +1,16 @@
 """What the figures choose and how numbers are written."""
 
+import re
+
+import matplotlib
 import numpy as np
 import pytest
 
 from torchrbd.inference.results import TorqueSeries
-from torchrbd.report.figures import ErrorScale, binned_median, informative_stretch, telling_signal
-from torchrbd.report.page import change, measure, number, percent
-from torchrbd.report.svg import Axes, limits, ticks
+from torchrbd.report.excerpt import binned_mean, informative_stretch, telling_signal
+from torchrbd.report.figures import Units, decades, dependence_figure, error_figure
+from torchrbd.report.inline import canvas, inline, page_style
+from torchrbd.report.words import change, measure, number, percent, unit
 
 
 def series(residual: np.ndarray, held_out: np.ndarray, signal: np.ndarray | None = None) -> TorqueSeries:
@@ -45,41 +49,71 @@ def test_telling_signal_of_friction_is_the_velocity():
     assert telling_signal(series(np.sign(qd), np.ones(800, dtype=bool), qd), 0, "urdf") == "qd"
 
 
-def test_binned_median_is_the_loop_over_bins():
+def test_binned_mean_is_the_loop_over_bins_and_zero_is_an_edge():
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-1, 1, (2, 900))
-    centre, median, count = binned_median(x, y)
+    centre, mean, error, count = binned_mean(x, y)
     width = centre[1] - centre[0]
-    for c, m, k in list(zip(centre, median, count, strict=True))[1:-1]:
+    assert np.abs(centre / width - np.round(centre / width)).min() > 0.49
+    for c, m, e, k in list(zip(centre, mean, error, count, strict=True))[1:-1]:
         inside = y[(x >= c - width / 2) & (x < c + width / 2)]
-        assert (np.median(inside), len(inside)) == (m, k)
+        assert (m, k) == (pytest.approx(inside.mean()), len(inside))
+        assert e == pytest.approx(inside.std() / np.sqrt(len(inside)), rel=0.5)  # nearly every visit is one sample
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.1, 2.9), (1e-7, 3e-7), (-2e5, 9e5)])
-def test_ticks_are_round_inside_and_evenly_apart(low, high):
-    found = ticks(low, high, about=5)
-    assert 3 <= len(found) <= 9
-    assert found[0] >= low - 1e-9 * (high - low)
-    assert found[-1] <= high + 1e-9 * (high - low)
-    leading = np.diff(found) / 10 ** np.floor(np.log10(np.diff(found)) + 1e-9)
-    np.testing.assert_allclose(leading, np.round(leading[0]), rtol=1e-6)
+def test_error_of_a_bin_does_not_shrink_with_repeated_samples():
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(-1, 1, (2, 900))
+    once, often = binned_mean(x, y), binned_mean(np.repeat(x, 10), np.repeat(y, 10))
+    for few, many in zip(once[:3], often[:3], strict=True):  # only the scarce last bin may differ
+        np.testing.assert_allclose(many[: len(few) - 1], few[:-1], rtol=2e-3)
 
 
-def test_limits_of_constant_or_missing_data_are_not_empty():
-    for values in (np.full(3, 2.0), np.zeros(3), np.full(3, np.nan)):
-        low, high = limits(values)
-        assert low < high
+@pytest.mark.parametrize("x", [np.zeros(40), np.full(40, -3.0), np.arange(40.0), np.zeros(1)])
+def test_constant_or_few_samples_still_have_bins(x):
+    centre, mean, error, count = binned_mean(x, np.ones(len(x)))
+    assert len(centre) == len(mean) == len(error) == len(count)
+    np.testing.assert_allclose(mean, 1.0)
 
 
-def test_line_breaks_at_nan():
-    line = Axes(0, 0, 10, 10, (0, 4), (0, 1)).line(np.arange(5.0), np.array([0, 1, np.nan, 0, 1]), "urdf")
-    assert str(line).count("M") == 2
-    assert "nan" not in line
+def test_a_single_visit_has_no_error():
+    assert np.isnan(binned_mean(np.arange(240.0), np.random.default_rng(5).standard_normal(240))[2]).all()
 
 
-def test_error_scale_holds_all_errors():
-    assert ErrorScale.over([3e-5, 0.2, float("nan"), 0.0]) == ErrorScale(-5, 0)
-    assert ErrorScale.over([float("nan")]) == ErrorScale(0, 1)
+def test_decades_hold_all_errors():
+    assert decades([3e-5, 0.2, float("nan"), 0.0]) == pytest.approx((1e-5, 1.0))
+    assert decades([float("nan")]) == (1.0, 10.0)
+
+
+def test_inlined_figure_names_nothing_outside_itself_and_clashes_with_no_other():
+    s = series(np.ones(800), np.ones(800, dtype=bool))
+    with page_style():
+        figures = [dependence_figure(s, 0, ("q", 0), (Units("N", "m"),) * 2, ["urdf"]) for _ in range(2)]
+        a, b = (inline(f, "<residual>", f"f{i}") for i, f in enumerate(figures))
+        inline(error_figure({"urdf": float("nan")}, (1.0, 10.0)), "nothing", "f2")
+    names = [set(re.findall(r'\bid="([^"]+)"', svg)) for svg in (a, b)]
+    assert names[0]
+    assert not names[0] & names[1]
+    assert set(re.findall(r'(?:href="|url\()#([^")]+)', a)) <= names[0]
+    assert 'href="data:image/png' in a
+    assert re.match(r'<svg viewBox="0 0 510 250" role="img" aria-label="&lt;residual&gt;">', a)
+    assert not re.search(r"https?:|<style|<metadata|<!", a)
+
+
+def test_names_that_matplotlib_cannot_draw_stay_text():
+    with page_style():
+        figure = canvas(100, 50)
+        figure.text(0, 0, "$q_1$ 関節 <b>")
+        svg = inline(figure, "", "f")
+    assert "$q_1$ 関節 &lt;b&gt;" in svg
+
+
+def test_style_of_the_user_is_neither_used_nor_changed():
+    with matplotlib.rc_context({"font.size": 31.0, "text.parse_math": True}):
+        with page_style():
+            assert matplotlib.rcParams["font.size"] == 12
+        assert matplotlib.rcParams["font.size"] == 31
+        assert matplotlib.rcParams["text.parse_math"]
 
 
 def test_numbers_are_short_and_honest():
@@ -94,3 +128,4 @@ def test_numbers_are_short_and_honest():
         "1\u202f000 times less",
         "",
     ]
+    assert unit("kg m^2") == "kg m²"

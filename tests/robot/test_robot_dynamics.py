@@ -178,3 +178,9 @@ def test_wrong_sizes_are_told(robot: RobotModel) -> None:
         robot.inverse_dynamics(q, qd[:, :2], qdd)
     with pytest.raises(InputError, match=r"pi has shape \(10,\), expected \(40,\)"):
         robot.mass_matrix(q, pi=robot.pi[:10])
+    with pytest.raises(InputError, match=r"shape \(4, 3\), expected \(3, N\)"):
+        robot.regressor_batch_last(q, qd, qdd)
+    with pytest.raises(InputError, match=r"shape \(4, 1\), expected \(..., 3\)"):
+        robot.forward_dynamics(q, qd, qdd[:, :1])
+    with pytest.raises(InputError, match=r"gravity has shape \(\), expected \(3,\)"):
+        robot.inverse_dynamics(q, qd, qdd, gravity=torch.tensor(9.81))

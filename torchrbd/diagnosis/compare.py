@@ -79,7 +79,9 @@ class Comparison:
         free = self.free(terms)
         H = self._all.H[free.unsqueeze(1), free] + torch.eye(len(free), dtype=torch.float64)
         h = self._all.h[free]
-        return -0.5 * float(torch.linalg.solve_triangular(torch.linalg.cholesky(H), h.unsqueeze(1), upper=False).square().sum())
+        return -0.5 * float(
+            torch.linalg.solve_triangular(torch.linalg.cholesky(H), h.unsqueeze(1), upper=False).square().sum()
+        )
 
     def fit(self, terms: Collection[Candidate]) -> Tensor:
         """Return x fitted on all blocks."""

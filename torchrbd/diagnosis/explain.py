@@ -114,7 +114,9 @@ def _finding(
         name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic))
         for name, (value, std) in term_parameters(model, term).items()
     }
-    alike = tuple(Alternative(r.candidate.effect.id, (joint,)) for r in rivals if not clearly_worse(r.lead, worth.total))
+    alike = tuple(
+        Alternative(r.candidate.effect.id, (joint,)) for r in rivals if not clearly_worse(r.lead, worth.total)
+    )
     return Finding(
         effect=term.effect.id,
         joints=(joint,),
@@ -134,12 +136,12 @@ def _sentence(
     term: Candidate, joint: str, quantities: dict[str, Quantity], before: dict[str, float], after: dict[str, float],
     alike: Sequence[Alternative],
 ) -> str:  # fmt: skip
-    values = ", ".join(f"{name.replace('_', ' ')} {q.value:.4g} ± {1.96 * q.std:.2g} {q.unit}" for name, q in quantities.items())
+    values = ", ".join(
+        f"{name.replace('_', ' ')} {q.value:.4g} ± {1.96 * q.std:.2g} {q.unit}" for name, q in quantities.items()
+    )
     sentence = f"Joint {joint} has {term.effect.words}: {values}"
     if before and after:
-        sentence += (
-            f"; without it {100 * before[joint]:.2g} % of the torque variance on held-out time stays unpredicted, with it {100 * after[joint]:.2g} %"
-        )
+        sentence += f"; without it {100 * before[joint]:.2g} % of the torque variance on held-out time stays unpredicted, with it {100 * after[joint]:.2g} %"
     if alike:
         sentence += "; on this data it cannot be told from " + " or ".join(a.effect.replace("_", " ") for a in alike)
     return sentence + "."

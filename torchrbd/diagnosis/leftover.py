@@ -1,7 +1,8 @@
 """What a fitted model still leaves: is it more than noise, and what does it depend on?
 
-The residual of each joint is regressed on smooth functions of one variable after another (position, velocity, acceleration of
-any joint) and judged on blocks left out. Noise depends on nothing; what predicts unseen residual is missing physics, named or not.
+Noise depends on nothing. A learner without any physics (gradient-boosted trees on position, velocity and acceleration of all
+joints) is trained on the residual of some blocks and judged on the others: what it predicts there is missing physics, named or
+not. What it depends on is told by shuffling one signal at a time and seeing the prediction fail.
 """
 
 from __future__ import annotations
@@ -10,34 +11,38 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from sklearn.ensemble import HistGradientBoostingRegressor
 
-from torchrbd.diagnosis.compare import Gain
 from torchrbd.diagnosis.results import Region, Unexplained, Where
+from torchrbd.diagnosis.select import LEAST_GAIN, LEAST_T
 from torchrbd.inference.results import TorqueSeries
 
-KNOTS, FOLDS, BLOCK_S = 10, 8, 1.0
-LEAST_GAIN, LEAST_T = 12.5, 2.5
+FOLDS, BLOCK_S = 8, 1.0
 # Reported if this part of the leftover is predicted, and it is this part of the joint's torque variance.
 LEAST_SHARE, LEAST_TORQUE_PART = 0.05, 1e-4
-MOST_VARIABLES = 3
+# A signal is named if shuffling it destroys this part of the prediction; at most so many.
+LEAST_IMPORTANCE, MOST_SIGNALS = 0.2, 3
+_BINS = 12
 
 
 @dataclass(frozen=True)
-class Dependence:
-    """The residual's smooth dependence on one variable: knots (K,), curve there (K,), and the left-out gain."""
+class Prediction:
+    """The left-out prediction of a residual.
 
-    signal: str
-    knots: np.ndarray
-    curve: np.ndarray
-    gain: Gain
+    ``values`` (M,); ``share`` of the residual's power that it predicts; ``gain`` in log-likelihood units and its ``t`` over blocks;
+    ``importance`` per signal, the part of the prediction that is lost without it.
+    """
+
+    values: np.ndarray
+    share: float
+    gain: float
+    t: float
+    importance: np.ndarray
 
 
-def hat_functions(v: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """Return piecewise linear basis functions (M, K), one at each knot; they sum to one, and are constant outside."""
-    return np.stack([np.interp(v, knots, row) for row in np.eye(len(knots))], axis=1)
-
-
-def unexplained(series: TorqueSeries, model: str, independent_rate_hz: float, units: Sequence[str]) -> tuple[Unexplained, ...]:
+def unexplained(
+    series: TorqueSeries, model: str, independent_rate_hz: float, units: Sequence[str], *, seed: int = 0
+) -> tuple[Unexplained, ...]:
     """Find what is left at each joint and depends on something.
 
     Args:
@@ -45,116 +50,101 @@ def unexplained(series: TorqueSeries, model: str, independent_rate_hz: float, un
         model: whose residual.
         independent_rate_hz: independent samples a second, 2 f_c.
         units: per joint, of its torque.
+        seed: of the shuffling.
     """
     seen = ~series.held_out
-    t, recording = series.t[seen], series.recording[seen]
-    variables = _variables(series, seen)
-    block = _blocks(t, recording)
-    steps = np.diff(t)
-    weight = independent_rate_hz * float(np.median(steps[steps > 0]))
+    recording = series.recording[seen]
+    signals = [f"{prefix}_{joint}" for prefix in ("q", "qd", "qdd") for joint in series.joints]
+    X = np.concatenate((series.q, series.qd, series.qdd), axis=1)[seen]
+    block = _blocks(series.t[seen], recording)
     found = []
     for j, joint in enumerate(series.joints):
         r, tau = series.residual(model)[seen, j], series.measured[seen, j]
         if np.isnan(r).any():
             continue
-        chosen = _dependences(r, variables, block, weight)
-        if not chosen:
-            continue
-        predicted = _left_out_prediction(r, [variables[d.signal] for d in chosen], block)
-        share = 1.0 - np.mean((r - predicted) ** 2) / np.mean(r**2)
-        if share < LEAST_SHARE or share * np.mean(r**2) < LEAST_TORQUE_PART * np.var(tau):
-            continue
-        found.append(_described(series, joint, chosen, share, float(np.sqrt(np.mean(r**2))), units[j], recording, r))
+        prediction = predict_left_out(X, r, block, _independent_samples(series.t[seen], independent_rate_hz), seed)
+        power = float(np.mean(r**2))
+        told = prediction.gain > LEAST_GAIN and prediction.t > LEAST_T and prediction.share > LEAST_SHARE
+        if told and prediction.share * power > LEAST_TORQUE_PART * np.var(tau):
+            where = _loud_recordings(series, recording, r)
+            found.append(_described(joint, signals, X, prediction, power**0.5, units[j], where))
     return tuple(found)
 
 
-def _variables(series: TorqueSeries, seen: np.ndarray) -> dict[str, np.ndarray]:
-    found = {}
-    for prefix, values in (("q", series.q), ("qd", series.qd), ("qdd", series.qdd)):
-        for k, joint in enumerate(series.joints):
-            found[f"{prefix}_{joint}"] = values[seen, k]
-    return found
+def predict_left_out(
+    X: np.ndarray, r: np.ndarray, block: np.ndarray, n_independent: float, seed: int = 0
+) -> Prediction:
+    """Predict a residual from signals, each fold of blocks from the others.
+
+    Args:
+        X: (M, K) signals.
+        r: (M,) residual.
+        block: (M,) number of the block that a sample belongs to; runs of two stay together.
+        n_independent: independent samples among the M.
+        seed: of the shuffling.
+    """
+    rng = np.random.default_rng(seed)
+    fold = (block // 2) % FOLDS
+    values, spoiled = np.zeros_like(r), np.zeros((X.shape[1], len(r)))
+    for f in np.unique(fold):
+        own = fold == f
+        learner = HistGradientBoostingRegressor(max_iter=60, learning_rate=0.1, max_leaf_nodes=15, early_stopping=False)
+        learner.fit(X[~own], r[~own])
+        values[own] = learner.predict(X[own])
+        for k in range(X.shape[1]):
+            shuffled = X[own].copy()
+            shuffled[:, k] = rng.permutation(shuffled[:, k])
+            spoiled[k, own] = learner.predict(shuffled)
+    before, after = r**2, (r - values) ** 2
+    old, new = float(before.mean()), float(after.mean())
+    gain = 0.5 * n_independent * float(np.log(old / new)) if new > 0 else 0.0
+    per_block = np.bincount(block, before - after)
+    spread = float(per_block.std(ddof=1)) * len(per_block) ** 0.5
+    lost = np.mean((r - spoiled) ** 2, axis=1) - new
+    importance = lost / (old - new) if old > new else np.zeros(X.shape[1])
+    return Prediction(values, 1.0 - new / old, gain, float(per_block.sum()) / spread if spread else 0.0, importance)
+
+
+def _independent_samples(t: np.ndarray, rate_hz: float) -> float:
+    steps = np.diff(t)
+    return rate_hz * len(t) * float(np.median(steps[steps > 0]))
 
 
 def _blocks(t: np.ndarray, recording: np.ndarray) -> np.ndarray:
     """Number stretches of BLOCK_S of each recording, (M,)."""
-    raw = recording.astype(np.int64) * 10_000_000 + np.floor(t / BLOCK_S).astype(np.int64)
-    return np.unique(raw, return_inverse=True)[1]
-
-
-def _knots(v: np.ndarray) -> np.ndarray:
-    return np.unique(np.quantile(v, np.linspace(0.01, 0.99, KNOTS)))
-
-
-def _left_out_prediction(r: np.ndarray, variables: Sequence[np.ndarray], block: np.ndarray) -> np.ndarray:
-    """Predict the residual (M,) by an additive smooth model, each fold from the others."""
-    X = np.concatenate([hat_functions(v, _knots(v)) for v in variables], axis=1)
-    fold = (block // 2) % FOLDS
-    ridge = 1e-3 * len(r) / X.shape[1] * np.eye(X.shape[1])
-    G, g = X.T @ X, X.T @ r
-    predicted = np.zeros_like(r)
-    for f in np.unique(fold):
-        own = fold == f
-        w = np.linalg.solve(G - X[own].T @ X[own] + ridge, g - X[own].T @ r[own])
-        predicted[own] = X[own] @ w
-    return predicted
-
-
-def _dependences(r: np.ndarray, variables: dict[str, np.ndarray], block: np.ndarray, weight: float) -> list[Dependence]:
-    """Choose variables one after another while each predicts left-out blocks better."""
-    chosen: list[Dependence] = []
-    moving = {name: v for name, v in variables.items() if len(_knots(v)) > 3}
-    current = np.zeros_like(r)
-    while len(chosen) < MOST_VARIABLES:
-        variance = np.mean((r - current) ** 2)
-        options = []
-        for name in moving.keys() - {d.signal for d in chosen}:
-            predicted = _left_out_prediction(r, [moving[d.signal] for d in chosen] + [moving[name]], block)
-            difference = 0.5 * weight / variance * ((r - current) ** 2 - (r - predicted) ** 2)
-            per_block = np.bincount(block, difference)
-            gained = Gain(float(per_block.sum()), float(per_block.std(ddof=1) * len(per_block) ** 0.5))
-            options.append((gained.total, name, gained, predicted))
-        if not options:
-            break
-        _, name, gained, predicted = max(options, key=lambda option: option[:2])
-        if gained.total < LEAST_GAIN or gained.t < LEAST_T:
-            break
-        knots = _knots(moving[name])
-        X = hat_functions(moving[name], knots)
-        curve = np.linalg.lstsq(X, r - current, rcond=None)[0]
-        chosen.append(Dependence(name, knots, curve, gained))
-        current = predicted
-    return chosen
+    raw = np.stack((recording, np.floor(t / BLOCK_S).astype(recording.dtype)), axis=1)
+    return np.unique(raw, axis=0, return_inverse=True)[1].ravel()
 
 
 def _described(
-    series: TorqueSeries, joint: str, chosen: list[Dependence], share: float, rms: float, unit: str, recording: np.ndarray, r: np.ndarray
+    joint: str, signals: Sequence[str], X: np.ndarray, prediction: Prediction, rms: float, unit: str, loud: tuple[str, ...] | None
 ) -> Unexplained:  # fmt: skip
-    first = chosen[0]
-    low, high = _strongest_interval(first)
-    loud = _loud_recordings(series, recording, r)
-    names = ", ".join(d.signal for d in chosen)
-    prefix = first.signal.split("_")[0]
-    words = {"q": "position", "qd": "velocity", "qdd": "acceleration"}[prefix]
+    ranked = np.argsort(-prediction.importance)[:MOST_SIGNALS]
+    named = [k for k in ranked if prediction.importance[k] > LEAST_IMPORTANCE] or [ranked[0]]
+    low, high = _strongest_interval(X[:, named[0]], prediction.values)
+    depends_on = tuple(signals[k] for k in named)
     statement = (
-        f"At joint {joint} an RMS of {rms:.3g} {unit} is left that none of the known effects explains; {100 * share:.0f} % of its power "
-        f"depends on {names}, most for a {words} {first.signal} between {low:.3g} and {high:.3g}."
+        f"At joint {joint} an RMS of {rms:.3g} {unit} is left that no known effect explains; {100 * prediction.share:.0f} % of its "
+        f"power can be predicted, from {' and '.join(depends_on)}, most of it where {signals[named[0]]} is between {low:.3g} and {high:.3g}"
+        + (f", in {', '.join(loud)}." if loud else ".")
     )
-    where = Where(recordings=loud, region=(Region(first.signal, low, high),))
-    return Unexplained((joint,), tuple(d.signal for d in chosen), where, float(share), statement)
+    where = Where(recordings=loud, region=(Region(signals[named[0]], low, high),))
+    return Unexplained((joint,), depends_on, where, float(prediction.share), statement)
 
 
-def _strongest_interval(d: Dependence) -> tuple[float, float]:
-    """Return the interval around the curve's largest value in which it stays above half of it."""
-    size = np.abs(d.curve - np.median(d.curve))
-    peak = int(size.argmax())
-    low = high = peak
-    while low > 0 and size[low - 1] > 0.5 * size[peak]:
+def _strongest_interval(v: np.ndarray, predicted: np.ndarray) -> tuple[float, float]:
+    """Return the interval of v around the strongest prediction, over which its power stays above half of the peak's."""
+    edges = np.unique(np.quantile(v, np.linspace(0.0, 1.0, _BINS + 1)))
+    inside = np.clip(np.searchsorted(edges, v, side="right") - 1, 0, len(edges) - 2)
+    power = np.bincount(inside, predicted**2, len(edges) - 1) / np.maximum(
+        np.bincount(inside, minlength=len(edges) - 1), 1
+    )
+    low = high = int(power.argmax())
+    while low > 0 and power[low - 1] > 0.5 * power.max():
         low -= 1
-    while high < len(size) - 1 and size[high + 1] > 0.5 * size[peak]:
+    while high < len(power) - 1 and power[high + 1] > 0.5 * power.max():
         high += 1
-    # A single knot stands for the ground up to its neighbours.
-    return float(d.knots[max(low - (low == high), 0)]), float(d.knots[min(high + (low == high), len(size) - 1)])
+    return float(edges[low]), float(edges[high + 1])
 
 
 def _loud_recordings(series: TorqueSeries, recording: np.ndarray, r: np.ndarray) -> tuple[str, ...] | None:
@@ -162,4 +152,6 @@ def _loud_recordings(series: TorqueSeries, recording: np.ndarray, r: np.ndarray)
     present = np.unique(recording)
     power = np.array([np.mean(r[recording == k] ** 2) for k in present])
     loud = power > 0.25 * power.max()
-    return None if loud.all() else tuple(series.recordings[k] for k, is_loud in zip(present, loud, strict=True) if is_loud)
+    return (
+        None if loud.all() else tuple(series.recordings[k] for k, is_loud in zip(present, loud, strict=True) if is_loud)
+    )

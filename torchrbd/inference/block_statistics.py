@@ -135,7 +135,13 @@ def _pairs(blocks: Sequence[Block]) -> list[int]:
 
 
 def block_statistics(
-    columns: Columns, recording: str, tiles: Iterable[States], measured: Tensor, *, block_s: float, independent_rate_hz: float
+    columns: Columns,
+    recording: str,
+    tiles: Iterable[States],
+    measured: Tensor,
+    *,
+    block_s: float,
+    independent_rate_hz: float,
 ) -> BlockStatistics:
     """Stream one recording into block statistics.
 
@@ -177,7 +183,9 @@ def block_statistics(
         moments=tuple(
             torch.stack([moments[j] for _, moments, _ in entries]) if entries else empty[j] for j in range(len(sizes))
         ),
-        torque=torch.stack([sums for *_, sums in entries]) if entries else torch.zeros(0, len(sizes), 3, dtype=torch.float64),
+        torque=torch.stack([sums for *_, sums in entries])
+        if entries
+        else torch.zeros(0, len(sizes), 3, dtype=torch.float64),
     )
 
 

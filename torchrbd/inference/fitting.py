@@ -97,7 +97,9 @@ def fit_model(statistics: BlockStatistics, prior: Prior, terms: Sequence[Candida
     return FittedModel(columns, tuple(terms), fit.x, fit.free, S @ laplace @ S.T, covariance, variance)
 
 
-def _sandwich_filling(statistics: BlockStatistics, prior: Prior, fit: PhysicalFit, H: Tensor, variance: Tensor) -> Tensor:
+def _sandwich_filling(
+    statistics: BlockStatistics, prior: Prior, fit: PhysicalFit, H: Tensor, variance: Tensor
+) -> Tensor:
     """Return sum_b s_b s_b' + prior curvature, with s_b the gradient that block b contributes, in prior coordinates.
 
     Blocks are long against the correlation time, so that their scatter measures what correlated noise does to x.

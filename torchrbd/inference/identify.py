@@ -70,7 +70,10 @@ def summarise(prepared: Prepared, models: dict[str, FittedModel], progress: Prog
         held_out=prepared.holdout_words,
         cutoff_hz=prepared.filtering.cutoff_hz,
         fits={name: judge(prepared.judging, x) for name, x in coefficients.items()},
-        parameters=(*_inertial_estimates(prepared, final, set(base.alone), set(base.invisible)), *term_estimates(final)),
+        parameters=(
+            *_inertial_estimates(prepared, final, set(base.alone), set(base.invisible)),
+            *term_estimates(final),
+        ),
         combinations=base.sentences(),
         noise_std={
             name: float(v.sqrt())
@@ -85,7 +88,9 @@ def summarise(prepared: Prepared, models: dict[str, FittedModel], progress: Prog
 
 def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress: Progress) -> TorqueSeries:
     """Stream the recordings once more and predict every torque with every model."""
-    parts: dict[str, list[np.ndarray]] = {key: [] for key in ("recording", "t", "held_out", "q", "qd", "qdd", "measured")}
+    parts: dict[str, list[np.ndarray]] = {
+        key: [] for key in ("recording", "t", "held_out", "q", "qd", "qdd", "measured")
+    }
     predicted: dict[str, list[np.ndarray]] = {name: [] for name in coefficients}
     unmeasured = ~prepared.used
     for k, recording in enumerate(prepared.recordings):
@@ -161,7 +166,9 @@ def term_estimates(model: FittedModel) -> list[ParameterEstimate]:
         for name, (value, std) in term_parameters(model, candidate).items():
             unit = candidate.effect.unit(name, prismatic=bool(robot.prismatic[candidate.joint]))
             found.append(
-                ParameterEstimate(f"{name} ({candidate.effect.id})", joint, unit, urdf.get(name, 0.0), value, std, 0.0, "term")
+                ParameterEstimate(
+                    f"{name} ({candidate.effect.id})", joint, unit, urdf.get(name, 0.0), value, std, 0.0, "term"
+                )
             )
     return found
 

@@ -75,7 +75,9 @@ def noise_variance(statistics: BlockStatistics, prior: Prior, free: Tensor, *, r
     return torch.where(count > 0, variance.clamp_min(LEAST_NOISE**2 * power.clamp_min(1e-300)), torch.inf)
 
 
-def effective_parameters(statistics: BlockStatistics, prior: Prior, free: Tensor, equations: Scaled, variance: Tensor) -> Tensor:
+def effective_parameters(
+    statistics: BlockStatistics, prior: Prior, free: Tensor, equations: Scaled, variance: Tensor
+) -> Tensor:
     """Return gamma_j (n_dof,): how many parameters each joint's data has used up."""
     H = equations.H[free.unsqueeze(1), free] + torch.eye(len(free), dtype=torch.float64)
     covariance = torch.linalg.inv(H)

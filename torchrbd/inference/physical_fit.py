@@ -17,8 +17,8 @@ from torch import Tensor
 
 from torchrbd.inference.map_fit import Scaled
 from torchrbd.inference.prior import Prior, divergence_hessian
-from torchrbd.parameters import PARAMETERS_PER_BODY, pseudo_inertia
-from torchrbd.parameters.inertial import BASIS
+from torchrbd.parameters import BASIS, PARAMETERS_PER_BODY
+from torchrbd.robot import pseudo_inertia
 
 _PATH_FACTOR, _DECREMENT, _MOST_STEPS = 10.0, 1e-9, 60
 

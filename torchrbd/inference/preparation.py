@@ -1,6 +1,6 @@
 """From files to block statistics: the two streaming passes that every fit and diagnosis starts with.
 
-    survey (clock, noise, band) -> one cut-off for all -> states, regressor and features, tile by tile -> block statistics
+survey (clock, noise, band) -> one cut-off for all -> states, regressor and features, tile by tile -> block statistics
 """
 
 from __future__ import annotations
@@ -20,8 +20,18 @@ from torchrbd.inference.prior import Prior, unphysical_bodies, urdf_prior
 from torchrbd.inference.settings import Payload, Settings
 from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.physics import JointScale
-from torchrbd.recordings import Filtering, Recording, States, Survey, choose_cutoff, open_recording, read_mapping, survey, tiles
-from torchrbd.robot import RobotModel
+from torchrbd.recordings import (
+    Filtering,
+    Recording,
+    States,
+    Survey,
+    choose_cutoff,
+    open_recording,
+    read_mapping,
+    survey,
+    tiles,
+)
+from torchrbd.robot import RobotModel, from_pseudo_inertia
 
 Progress = Callable[[str, float], None]
 """Told what is being done and which part (0 to 1) of it is done."""
@@ -80,7 +90,10 @@ class Prepared:
 
 
 def prepare(
-    robot: RobotModel, recordings: Sequence[str | Path | Recording], settings: Settings, progress: Progress = lambda *_: None
+    robot: RobotModel,
+    recordings: Sequence[str | Path | Recording],
+    settings: Settings,
+    progress: Progress = lambda *_: None,
 ) -> Prepared:
     """Read everything.
 
@@ -107,10 +120,19 @@ def prepare(
     total = statistics.torque.sum(0)
     torque_rms = (total[:, 2] / total[:, 0].clamp_min(1e-300)).sqrt()
     prior = urdf_prior(columns, torque_rms, _feature_rms(statistics), held=held, kappa=settings.kappa)
-    unmeasured = [n for n, ok, w in zip(robot.joint_names, used.tolist(), total[:, 0].tolist(), strict=True) if ok and not w]
-    notes = [note if note.startswith(s.name) else f"{s.name}: {note}" for r, s in zip(opened, surveys, strict=True) for note in (*r.notes, *s.notes)]
+    unmeasured = [
+        n for n, ok, w in zip(robot.joint_names, used.tolist(), total[:, 0].tolist(), strict=True) if ok and not w
+    ]
+    notes = [
+        note if note.startswith(s.name) else f"{s.name}: {note}"
+        for r, s in zip(opened, surveys, strict=True)
+        for note in (*r.notes, *s.notes)
+    ]
     notes += [f"no recording has a torque for {name}" for name in unmeasured]
-    notes += [f"the URDF's inertia of {body} is not physical; the fit starts from the nearest that is" for body in unphysical_bodies(columns)]
+    notes += [
+        f"the URDF's inertia of {body} is not physical; the fit starts from the nearest that is"
+        for body in unphysical_bodies(columns)
+    ]
     massless = [n for b, n in enumerate(robot.body_names) if b not in prior.bodies and n not in held]
     notes += [f"{name} has no mass in the URDF and keeps none" for name in massless]
     return Prepared(
@@ -118,7 +140,9 @@ def prepare(
     )  # fmt: skip
 
 
-def _open(robot: RobotModel, recordings: Sequence[str | Path | Recording], settings: Settings) -> tuple[tuple[Recording, ...], int]:
+def _open(
+    robot: RobotModel, recordings: Sequence[str | Path | Recording], settings: Settings
+) -> tuple[tuple[Recording, ...], int]:
     mapping = read_mapping(settings.mapping) if settings.mapping else None
 
     def opened(source: str | Path | Recording) -> Recording:
@@ -136,13 +160,18 @@ def _open(robot: RobotModel, recordings: Sequence[str | Path | Recording], setti
     for k, name in enumerate(names):
         if name in names[:k]:
             parents = [str(r.path or r.name) for r in found if r.name == name]
-            raise RecordingError(f"two recordings are called '{name}' ({', '.join(parents)}); rename one, results refer to them by name")
+            raise RecordingError(
+                f"two recordings are called '{name}' ({', '.join(parents)}); rename one, results refer to them by name"
+            )
     return tuple(found), len(recordings)
 
 
 def _scales(robot: RobotModel, surveys: Sequence[Survey], filtering: Filtering) -> tuple[JointScale, ...]:
     speed = np.max([s.velocity_max for s in surveys], axis=0)
-    noise = np.max([np.sqrt(filtering.state_noise(s.q_noise_std, s.clock.dt, s.qd_noise_std)[:, 1, 1].numpy()) for s in surveys], axis=0)
+    noise = np.max(
+        [np.sqrt(filtering.state_noise(s.q_noise_std, s.clock.dt, s.qd_noise_std)[:, 1, 1].numpy()) for s in surveys],
+        axis=0,
+    )
     rest = np.maximum.reduce([_REST_NOISE * noise, _REST_PART * speed, np.full(robot.n_dof, 1e-6)])
     low, high = np.min([s.q_min for s in surveys], axis=0), np.max([s.q_max for s in surveys], axis=0)
     return tuple(JointScale(*map(float, values)) for values in zip(low, high, speed, rest, strict=True))
@@ -154,21 +183,26 @@ def _payloads(robot: RobotModel, recordings: Sequence[Recording], payloads: Sequ
     found: dict[str, Tensor] = {}
     for load in payloads:
         if load.recording not in known:
-            raise OptionError(f"payload for '{load.recording}', which is no recording here; there are: {', '.join(sorted(known))}")
+            raise OptionError(
+                f"payload for '{load.recording}', which is no recording here; there are: {', '.join(sorted(known))}"
+            )
         link = load.link or robot.body_names[-1]
         if link not in where:
-            raise OptionError(f"payload on '{link}', which is no moving link of robot '{robot.name}'; it has: {', '.join(where)}")
+            raise OptionError(
+                f"payload on '{link}', which is no moving link of robot '{robot.name}'; it has: {', '.join(where)}"
+            )
         body, pose = where[link]
-        c = torch.as_tensor(pose[:3, :3]) @ torch.tensor(load.centre, dtype=torch.float64) + torch.as_tensor(pose[:3, 3])
-        point = (c @ c) * torch.eye(3, dtype=torch.float64) - torch.outer(c, c)
-        own = load.mass * torch.stack((torch.ones_like(c[0]), *c, *(point[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))))
+        point = pose @ torch.tensor((*load.centre, 1.0), dtype=torch.float64)
+        own = from_pseudo_inertia(load.mass * torch.outer(point, point))
         first = PARAMETERS_PER_BODY * robot.body_names.index(body)
         pi = found.setdefault(load.recording, torch.zeros(robot.n_params, dtype=torch.float64))
         pi[first : first + PARAMETERS_PER_BODY] += own
     return found
 
 
-def _tiles(robot: RobotModel, recording: Recording, s: Survey, filtering: Filtering, payload: dict[str, Tensor]) -> Iterator[States]:
+def _tiles(
+    robot: RobotModel, recording: Recording, s: Survey, filtering: Filtering, payload: dict[str, Tensor]
+) -> Iterator[States]:
     for states in tiles(recording, s, filtering):
         if recording.name in payload:
             known = robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, payload[recording.name]).T
@@ -206,7 +240,9 @@ def _stream(
     return statistics.coarsened(_MOST_BLOCKS)
 
 
-def _held_out(statistics: BlockStatistics, recordings: Sequence[Recording], n_fitted: int, settings: Settings) -> tuple[Tensor, str]:
+def _held_out(
+    statistics: BlockStatistics, recordings: Sequence[Recording], n_fitted: int, settings: Settings
+) -> tuple[Tensor, str]:
     names = [block.recording for block in statistics.blocks]
     if settings.holdout:
         kept = {r.name for r in recordings[n_fitted:]}

@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.columns import Columns
-from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical, nearest_physical, pseudo_inertia
-from torchrbd.parameters.inertial import BASIS
+from torchrbd.parameters import BASIS, PARAMETERS_PER_BODY, is_physical, nearest_physical
+from torchrbd.robot import pseudo_inertia
 
 KAPPA = 3.0
 # Prior standard deviation of a term's torque, in units of the joint's torque RMS: wide, it only keeps directions bounded that no data tells.
@@ -58,7 +58,9 @@ def divergence_hessian(inverse: Tensor) -> Tensor:
     return torch.einsum("...kac,...lca->...kl", WE, WE)
 
 
-def urdf_prior(columns: Columns, torque_rms: Tensor, feature_rms: Tensor, *, held: Collection[str] = (), kappa: float = KAPPA) -> Prior:
+def urdf_prior(
+    columns: Columns, torque_rms: Tensor, feature_rms: Tensor, *, held: Collection[str] = (), kappa: float = KAPPA
+) -> Prior:
     """Build the prior around the URDF.
 
     Args:
@@ -97,4 +99,6 @@ def _inverse_root(A: Tensor) -> Tensor:
 def unphysical_bodies(columns: Columns) -> tuple[str, ...]:
     """Return the names of bodies whose URDF inertia no mass distribution has (massless ones are not counted)."""
     pi = columns.robot.pi.reshape(-1, PARAMETERS_PER_BODY)
-    return tuple(n for n, m, ok in zip(columns.robot.body_names, pi[:, 0], is_physical(pi), strict=True) if m > 0 and not ok)
+    return tuple(
+        n for n, m, ok in zip(columns.robot.body_names, pi[:, 0], is_physical(pi), strict=True) if m > 0 and not ok
+    )

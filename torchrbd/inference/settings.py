@@ -84,7 +84,10 @@ class Settings:
         for key in options:
             if key not in known:
                 close = difflib.get_close_matches(key, known, 1)
-                raise OptionError(f"{place}: unknown setting '{key}'" + (f"; did you mean '{close[0]}'?" if close else f"; known: {', '.join(sorted(known))}"))
+                raise OptionError(
+                    f"{place}: unknown setting '{key}'"
+                    + (f"; did you mean '{close[0]}'?" if close else f"; known: {', '.join(sorted(known))}")
+                )
         values = dict(options)
         for key in ("holdout",):
             values[key] = tuple(Path(p) for p in _listed(values.get(key)))
@@ -93,7 +96,9 @@ class Settings:
                 values[key] = tuple(_listed(values[key]))
         for key in ("exclude", "trust"):
             values[key] = tuple(_listed(values.get(key)))
-        values["payload"] = tuple(p if isinstance(p, Payload) else Payload.parse(str(p)) for p in _listed(values.get("payload")))
+        values["payload"] = tuple(
+            p if isinstance(p, Payload) else Payload.parse(str(p)) for p in _listed(values.get("payload"))
+        )
         if values.get("time") is not None:
             values["time"] = _interval(values["time"], place)
         if values.get("mapping") is not None:
@@ -137,7 +142,7 @@ def _listed(value: Any) -> list[Any]:
 
 def _interval(value: Any, place: str) -> tuple[float, float]:
     try:
-        start, end = (value.split(":") if isinstance(value, str) else value)
+        start, end = value.split(":") if isinstance(value, str) else value
         low, high = float(start or 0.0), float(end) if end not in ("", None) else math.inf
     except (ValueError, TypeError):
         raise OptionError(f"{place}: time '{value}': expected FROM:TO in seconds, e.g. 2:30") from None

@@ -1,10 +1,11 @@
-"""Inertial parameters: pseudo-inertia, log-Cholesky coordinates, and what a robot's motion can tell of them."""
+"""Inertial parameters: physical validity, log-Cholesky coordinates, and what a robot's motion can tell of them."""
 
 from torchrbd.parameters.base import BaseParameters, base_parameters
-from torchrbd.parameters.inertial import PARAMETERS_PER_BODY, UNITS, is_physical, nearest_physical, pseudo_inertia
+from torchrbd.parameters.inertial import BASIS, PARAMETERS_PER_BODY, UNITS, is_physical, nearest_physical
 from torchrbd.parameters.log_cholesky import from_log_cholesky, to_log_cholesky
 
 __all__ = [
+    "BASIS",
     "PARAMETERS_PER_BODY",
     "UNITS",
     "BaseParameters",
@@ -12,6 +13,5 @@ __all__ = [
     "from_log_cholesky",
     "is_physical",
     "nearest_physical",
-    "pseudo_inertia",
     "to_log_cholesky",
 ]

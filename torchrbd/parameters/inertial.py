@@ -1,4 +1,4 @@
-"""The pseudo-inertia matrix: a body's ten inertial parameters as a 4x4 matrix that is positive definite iff they are physical.
+"""What makes inertial parameters physical: a positive definite pseudo-inertia.
 
     J = [[Sigma, h], [h', m]],   Sigma = 1/2 tr(I) 1 - I,   h = m c
 
@@ -14,51 +14,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-PARAMETERS_PER_BODY = 10
+from torchrbd.robot import PARAMETERS, from_pseudo_inertia, pseudo_inertia
+
+PARAMETERS_PER_BODY = len(PARAMETERS)
 UNITS = ("kg", "kg m", "kg m", "kg m", *("kg m^2",) * 6)
-
-
-def _pseudo_inertia_basis() -> Tensor:
-    """Return E (10, 4, 4) with J = sum_k pi_k E_k."""
-    basis = torch.zeros(PARAMETERS_PER_BODY, 4, 4, dtype=torch.float64)
-    basis[0, 3, 3] = 1.0
-    for axis in range(3):
-        basis[1 + axis, axis, 3] = basis[1 + axis, 3, axis] = 1.0
-    diagonal, off_diagonal = {4: 0, 6: 1, 9: 2}, {5: (0, 1), 7: (0, 2), 8: (1, 2)}
-    for k, axis in diagonal.items():
-        basis[k, :3, :3] = 0.5 * torch.eye(3, dtype=torch.float64)
-        basis[k, axis, axis] -= 1.0
-    for k, (row, column) in off_diagonal.items():
-        basis[k, row, column] = basis[k, column, row] = -1.0
-    return basis
-
-
-BASIS = _pseudo_inertia_basis()
-
-
-def pseudo_inertia(pi: Tensor) -> Tensor:
-    """Return the pseudo-inertia J = sum_k pi_k E_k.
-
-    Args:
-        pi: (*batch, 10) inertial parameters about the body origin.
-
-    Returns:
-        (*batch, 4, 4), [kg m^2, kg m; kg m, kg].
-    """
-    return torch.einsum("...k,kab->...ab", pi, BASIS.to(pi))
-
-
-def inertial_parameters(J: Tensor) -> Tensor:
-    """Return pi (*batch, 10) of a pseudo-inertia (*batch, 4, 4): the inverse of ``pseudo_inertia``; I = tr(Sigma) 1 - Sigma."""
-    sigma, trace = J[..., :3, :3], J[..., :3, :3].diagonal(dim1=-2, dim2=-1).sum(-1)
-    return torch.stack(
-        (
-            J[..., 3, 3], J[..., 0, 3], J[..., 1, 3], J[..., 2, 3],
-            trace - sigma[..., 0, 0], -sigma[..., 0, 1], trace - sigma[..., 1, 1],
-            -sigma[..., 0, 2], -sigma[..., 1, 2], trace - sigma[..., 2, 2],
-        ),
-        dim=-1,
-    )  # fmt: skip
+BASIS = pseudo_inertia(torch.eye(PARAMETERS_PER_BODY, dtype=torch.float64))
+"""E (10, 4, 4) with J = sum_k pi_k E_k."""
 
 
 def central_covariance(pi: Tensor) -> Tensor:
@@ -92,4 +53,4 @@ def nearest_physical(pi: Tensor, thinness: float = 0.05) -> Tensor:
     raised = torch.maximum(eigenvalues, (m * thinness**2 * radius_sq).unsqueeze(-1))
     J = pseudo_inertia(pi)
     J[..., :3, :3] = axes @ torch.diag_embed(raised) @ axes.mT + m[..., None, None] * c.unsqueeze(-1) * c.unsqueeze(-2)
-    return torch.where(is_physical(pi).unsqueeze(-1), pi, inertial_parameters(J))
+    return torch.where(is_physical(pi).unsqueeze(-1), pi, from_pseudo_inertia(J))

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import PhysicalError
-from torchrbd.parameters.inertial import inertial_parameters, pseudo_inertia
+from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 
 
 def from_log_cholesky(theta: Tensor) -> Tensor:
@@ -22,7 +22,7 @@ def from_log_cholesky(theta: Tensor) -> Tensor:
     zero, one = torch.zeros_like(alpha), torch.ones_like(alpha)
     rows = (d1.exp(), s12, s13, t1, zero, d2.exp(), s23, t2, zero, zero, d3.exp(), t3, zero, zero, zero, one)
     U = alpha.exp()[..., None, None] * torch.stack(rows, -1).unflatten(-1, (4, 4))
-    return inertial_parameters(U @ U.mT)
+    return from_pseudo_inertia(U @ U.mT)
 
 
 def to_log_cholesky(pi: Tensor) -> Tensor:

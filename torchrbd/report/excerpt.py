@@ -46,8 +46,8 @@ def binned_mean(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     """Return centre, mean, its standard error and count of up to 25 equal bins of x, zero on an edge.
 
     Neighbouring samples are not independent, so the error counts visits to a bin, not samples: with the sum s_v of
-    the deviations of visit v from the mean of its bin of n samples, it is sqrt(sum_v s_v^2) / n. Bins of fewer than
-    five samples are left out.
+    the deviations of visit v of V from the mean of its bin of n samples, it is sqrt(V / (V - 1) sum_v s_v^2) / n, and
+    NaN after a single visit. Bins of fewer than five samples are left out.
     """
     low, high = np.quantile(x, [0.005, 0.995])
     width = (high - low) / np.clip(len(x) // 12, 2, 24) or 1.0
@@ -57,7 +57,9 @@ def binned_mean(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     mean = np.bincount(which, y) / np.maximum(count, 1)
     start = np.flatnonzero(np.diff(which, prepend=-1))
     deviation = np.add.reduceat(y - mean[which], start)
-    error = np.sqrt(np.bincount(which[start], deviation**2)) / np.maximum(count, 1)
+    visits = np.bincount(which[start]).astype(float)
+    visits[visits < 2] = np.nan
+    error = np.sqrt(np.bincount(which[start], deviation**2) * visits / (visits - 1)) / np.maximum(count, 1)
     centre = (first + np.arange(len(count)) + 0.5) * width
     kept = count >= 5
     return centre[kept], mean[kept], error[kept], count[kept]

@@ -96,7 +96,7 @@ def dependence_figure(
         axes.plot(x[thin], y[thin], "o", color=COLOURS[model], **dots)
     for model, y in residual.items():
         centre, mean, error, _ = binned_mean(x, y)
-        axes.fill_between(centre, mean - error, mean + error, color=COLOURS[model], alpha=0.35, linewidth=0)
+        axes.fill_between(centre, mean - error, mean + error, color=COLOURS[model], alpha=0.22, linewidth=0)
         axes.plot(centre, mean, color=COLOURS[model], linewidth=2.5)
     _zero_line(axes, f"residual [{units[0].tau}]")
     axes.set_xlabel(signal_words(series, joint, signal) + f" [{units[1].of(key)}]")

@@ -20,7 +20,7 @@ from torchrbd.physics import effects
 from torchrbd.report.excerpt import SIGNALS, informative_stretch, signal_words, telling_signal
 from torchrbd.report.figures import Units, decades, dependence_figure, error_figure, time_figure
 from torchrbd.report.inline import inline, page_style
-from torchrbd.report.words import change, measure, number, percent, plain, unit, where_words, words_of
+from torchrbd.report.words import change, measure, number, percent, plain, tied, unit, where_words, words_of
 
 MODELS = {"urdf": "URDF", "rigid_body": "re-fitted rigid body", "extended": "extended model"}
 BADGES = {
@@ -50,7 +50,7 @@ def write_report(result: Identification | Diagnosis, path: Path) -> None:
         lstrip_blocks=True,
     )
     environment.filters |= {"number": number, "measure": measure, "percent": percent, "change": change}
-    environment.filters |= {"plain": plain, "unit": unit}
+    environment.filters |= {"plain": plain, "unit": unit, "tied": tied}
     with page_style():
         text = environment.get_template("report.html.j2").render(page=page)
     Path(path).write_text(text, encoding="utf-8")

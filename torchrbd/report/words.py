@@ -63,6 +63,11 @@ def unit(symbol: str) -> str:
     return symbol.replace("^2", "²").replace("^3", "³")
 
 
+def tied(sentence: str) -> str:
+    """Return a sentence that breaks no line before a per-cent sign or around ±."""
+    return sentence.replace(" %", "\N{NO-BREAK SPACE}%").replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
+
+
 def words_of(effect: str) -> str:
     """Return an effect's name in words, whether or not its effect is registered here."""
     known = effects().get(effect)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import pytorch_kinematics as pk
 import torch
+from pytorch_kinematics import Chain, Transform3d
 from pytorch_kinematics import frame as pk_frame
 from torch import Tensor
 
@@ -15,7 +15,7 @@ from torchrbd.errors import RobotError
 from torchrbd.robot.description import Description, Joint, Link
 
 
-def read_chain(chain: pk.Chain, inertials: Mapping[str, Tensor]) -> Description:
+def read_chain(chain: Chain, inertials: Mapping[str, Tensor]) -> Description:
     """Describe a robot by a chain and its links' inertial parameters.
 
     Args:
@@ -44,7 +44,7 @@ def read_chain(chain: pk.Chain, inertials: Mapping[str, Tensor]) -> Description:
     return Description("chain", tuple(_read_link(source, name, inertials) for name in names), tuple(joints), source)
 
 
-def write_chain(description: Description, dtype: torch.dtype, device: torch.device | str) -> pk.Chain:
+def write_chain(description: Description, dtype: torch.dtype, device: torch.device | str) -> Chain:
     """Build a chain with the described offsets and axes, in the wanted dtype; a mimic joint is a free joint there."""
     root = description.root()
     frames = {link.name: pk_frame.Frame(link.name, pk_frame.Link(link.name)) for link in description.links}
@@ -52,7 +52,7 @@ def write_chain(description: Description, dtype: torch.dtype, device: torch.devi
         child = frames[joint.child]
         child.joint = pk_frame.Joint(
             joint.name,
-            offset=pk.Transform3d(matrix=joint.pose.to(dtype=dtype, device=device)),
+            offset=Transform3d(matrix=joint.pose.to(dtype=dtype, device=device)),
             joint_type=joint.kind,
             axis=joint.axis,
             dtype=dtype,
@@ -62,10 +62,10 @@ def write_chain(description: Description, dtype: torch.dtype, device: torch.devi
             effort_limits=(-joint.effort, joint.effort),
         )
         frames[joint.parent].add_child(child)
-    return pk.Chain(frames[root].to(dtype=dtype, device=device), dtype=dtype, device=str(device))
+    return Chain(frames[root].to(dtype=dtype, device=device), dtype=dtype, device=str(device))
 
 
-def _matrix(offset: pk.Transform3d | None) -> Tensor:
+def _matrix(offset: Transform3d | None) -> Tensor:
     """Return an offset as a (4, 4) pose; its rotation is made orthogonal, as float32 is only nearly."""
     if offset is None:
         return torch.eye(4, dtype=torch.float64)

@@ -74,6 +74,7 @@ def _rows(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, gravity: Tenso
     for body, end in enumerate(geometry.ends):
         z, subtree = pose.z[:, body], slice(body, end)
         if geometry.prismatic[body]:
+            # A moment does no work on a slide: zero, whatever the inertia.
             yield (force[:, subtree], z), (couple[:1, subtree], torch.zeros_like(z[:1]))
         else:
             wrench = (*moment[:, subtree], *force[:, subtree])
@@ -134,13 +135,8 @@ def inverse_dynamics(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, pi:
     F = a * m + apply(turn, c)
     spin = apply(R, apply(inertia, _in_body(R, omega)))
     N = cross(pose.p, F) + cross(c, a) + apply(R, apply(inertia, _in_body(R, alpha))) + cross(omega, spin)
-    return _project(geometry, pose, geometry.above.T @ F, geometry.above.T @ N)
-
-
-def _project(geometry: Geometry, pose: Pose, F: Tensor, N: Tensor) -> Tensor:
-    """Return the torques (n_dof, N) that bear a force F and a moment N about the world's origin on every subtree."""
     angular, linear = _screws(geometry, pose)
-    tau = dot(angular, N) + dot(linear, F)
+    tau = dot(angular, geometry.above.T @ N) + dot(linear, geometry.above.T @ F)
     return geometry.coupling.T @ tau if geometry.is_coupled else tau
 
 

@@ -61,13 +61,11 @@ def build_geometry(tree: Tree) -> Geometry:
     n = len(tree.moving)
     axis = torch.stack([joint.axis for joint in tree.moving])
     prismatic = torch.tensor([joint.kind == "prismatic" for joint in tree.moving])
-    skew = torch.linalg.cross(axis[:, None, :], torch.eye(3, dtype=axis.dtype)[None]).mT
-    fixed = tree.poses[:, :3, :3]
+    eye = torch.eye(3, dtype=axis.dtype)
     # Rodrigues: E = P (1 + sin q K + (1 - cos q) K^2); a prismatic joint keeps P.
-    square = skew @ skew
-    parts = torch.stack((fixed @ (torch.eye(3, dtype=axis.dtype) + square), fixed @ skew, -fixed @ square))
-    parts[0, prismatic] = fixed[prismatic]
-    parts[1:, prismatic] = 0
+    K, P = torch.linalg.cross(axis[:, None], eye[None]).mT, tree.poses[:, :3, :3]
+    K[prismatic] = 0
+    parts = torch.stack((P @ (eye + K @ K), P @ K, -P @ K @ K))
     above = torch.zeros(n, n, dtype=axis.dtype)
     for body, end in enumerate(tree.ends):
         above[body:end, body] = 1

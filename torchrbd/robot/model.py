@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError, PhysicalError
-from torchrbd.robot import chain as chains
 from torchrbd.robot import dynamics, kinematics
+from torchrbd.robot.batching import batch_first, batch_last, tiled, tiles, zeros
 from torchrbd.robot.description import Description
 from torchrbd.robot.inertia import PARAMETERS
 from torchrbd.robot.tree import FoldedLink, build_tree
 from torchrbd.robot.urdf import read_urdf
 
 if TYPE_CHECKING:
-    import pytorch_kinematics
-
-TILE = 2048
-"""Samples worked on at a time: the intermediate results stay in the cache, and memory beyond the result bounded."""
-
+    from torchrbd.robot.chain import Chain
 
 EXACT = (torch.float64, torch.device("cpu"))
+"""Where the constants are kept that those of other dtypes and devices are made from."""
 
 
 class RobotModel:
@@ -73,7 +69,7 @@ class RobotModel:
         for limit in ("damping", "friction", "lower", "upper", "velocity", "effort"):
             setattr(self, limit, torch.tensor([getattr(joint, limit) for joint in tree.driving], dtype=torch.float64))
         self._geometries = {EXACT: kinematics.build_geometry(tree)}
-        self._chain: pytorch_kinematics.Chain | None = None
+        self._chain: Chain | None = None
 
     @classmethod
     def from_urdf(
@@ -93,7 +89,7 @@ class RobotModel:
     @classmethod
     def from_chain(
         cls,
-        chain: pytorch_kinematics.Chain,
+        chain: Chain,
         inertials: Mapping[str, Tensor],
         *,
         gravity: Sequence[float] | Tensor = (0.0, 0.0, -9.81),
@@ -108,18 +104,20 @@ class RobotModel:
         Raises:
             RobotError: an inertial names no link of the chain.
         """
-        robot = cls(chains.read_chain(chain, inertials), gravity=gravity)
+        from torchrbd.robot.chain import read_chain  # pytorch-kinematics takes long to import
+
+        robot = cls(read_chain(chain, inertials), gravity=gravity)
         robot._chain = chain
         return robot
 
-    def to_chain(
-        self, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
-    ) -> pytorch_kinematics.Chain:
+    def to_chain(self, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> Chain:
         """Return the kinematics as a pytorch-kinematics chain; a mimic joint is a free joint there.
 
         A robot that was made from a chain returns that chain, as it is.
         """
-        return self._chain or chains.write_chain(self.description, dtype, device)
+        from torchrbd.robot.chain import write_chain  # pytorch-kinematics takes long to import
+
+        return self._chain or write_chain(self.description, dtype, device)
 
     @property
     def n_dof(self) -> int:
@@ -155,8 +153,9 @@ class RobotModel:
         Returns:
             (*batch, n_dof, n_params), a permuted view: the samples are contiguous in memory.
         """
-        (q, qd, qdd), batch = self._batch_last(q, qd, qdd)
-        return _batch_first(self.regressor_batch_last(q, qd, qdd, gravity), batch)
+        self._check(-1, q, qd, qdd)
+        (q, qd, qdd), batch = batch_last(q, qd, qdd)
+        return batch_first(self.regressor_batch_last(q, qd, qdd, gravity), batch)
 
     def regressor_batch_last(self, q: Tensor, qd: Tensor, qdd: Tensor, gravity: Tensor | None = None) -> Tensor:
         """Return the regressor with the samples last, as it is computed: for loops that care about time.
@@ -168,11 +167,13 @@ class RobotModel:
         Returns:
             (n_dof, n_params, N).
         """
+        self._check(0, q, qd, qdd)
+        q, qd, qdd = q.contiguous(), qd.contiguous(), qdd.contiguous()
         geometry, gravity = self._constants(q, gravity)
         if torch.is_grad_enabled() and any(x.requires_grad for x in (q, qd, qdd, gravity)):
-            return _tiled(lambda q, qd, qdd: dynamics.regressor(geometry, q, qd, qdd, gravity), q, qd, qdd)
-        Y = _zeros(q, self.n_dof, self.n_params, q.shape[-1])
-        for q_k, qd_k, qdd_k, Y_k in zip(*(x.split(TILE, -1) for x in (q, qd, qdd, Y)), strict=True):
+            return tiled(lambda q, qd, qdd: dynamics.regressor(geometry, q, qd, qdd, gravity), q, qd, qdd)
+        Y = zeros(q, self.n_dof, self.n_params, q.shape[-1])
+        for q_k, qd_k, qdd_k, Y_k in tiles(q, qd, qdd, Y):
             dynamics.write_regressor(geometry, q_k, qd_k, qdd_k, gravity, out=Y_k)
         return Y
 
@@ -189,11 +190,12 @@ class RobotModel:
         Returns:
             (*batch, n_dof) torque of revolute, force of prismatic joints [N m, N].
         """
-        (q, qd, qdd), batch = self._batch_last(q, qd, qdd)
+        self._check(-1, q, qd, qdd)
+        (q, qd, qdd), batch = batch_last(q, qd, qdd)
         geometry, gravity = self._constants(q, gravity)
         pi = self._parameters(q, pi)
-        tau = _tiled(lambda q, qd, qdd: dynamics.inverse_dynamics(geometry, q, qd, qdd, pi, gravity), q, qd, qdd)
-        return _batch_first(tau, batch)
+        tau = tiled(lambda q, qd, qdd: dynamics.inverse_dynamics(geometry, q, qd, qdd, pi, gravity), q, qd, qdd)
+        return batch_first(tau, batch)
 
     def mass_matrix(self, q: Tensor, pi: Tensor | None = None) -> Tensor:
         """Return the joint-space mass matrix M: kinetic energy is `qd' M qd / 2`.
@@ -205,10 +207,11 @@ class RobotModel:
         Returns:
             (*batch, n_dof, n_dof), symmetric; positive definite if the bodies are physical.
         """
-        (q,), batch = self._batch_last(q)
+        self._check(-1, q)
+        (q,), batch = batch_last(q)
         geometry, _ = self._constants(q, None)
         pi = self._parameters(q, pi)
-        return _batch_first(_tiled(lambda q: dynamics.mass_matrix(geometry, q, pi), q), batch)
+        return batch_first(tiled(lambda q: dynamics.mass_matrix(geometry, q, pi), q), batch)
 
     def forward_dynamics(
         self, q: Tensor, qd: Tensor, tau: Tensor, pi: Tensor | None = None, gravity: Tensor | None = None
@@ -227,6 +230,7 @@ class RobotModel:
         Raises:
             PhysicalError: the mass matrix is not positive definite.
         """
+        self._check(-1, q, qd, tau)
         bias = self.inverse_dynamics(q, qd, torch.zeros_like(q), pi, gravity)
         factor, info = torch.linalg.cholesky_ex(self.mass_matrix(q, pi))
         if info.any():
@@ -247,10 +251,11 @@ class RobotModel:
         Returns:
             rotations (*batch, n_bodies, 3, 3) and origins (*batch, n_bodies, 3) [m].
         """
-        (q,), batch = self._batch_last(q)
+        self._check(-1, q)
+        (q,), batch = batch_last(q)
         geometry, _ = self._constants(q, None)
         pose = kinematics.body_poses(geometry, *kinematics.body_coordinates(geometry, q))
-        return _batch_first(pose.R.transpose(0, 1), batch), _batch_first(pose.p.transpose(0, 1), batch)
+        return batch_first(pose.R.transpose(0, 1), batch), batch_first(pose.p.transpose(0, 1), batch)
 
     def with_gravity(self, gravity: Sequence[float] | Tensor) -> RobotModel:
         """Return the same robot under another gravity (3,) [m/s^2], such as on a tilted base."""
@@ -266,17 +271,15 @@ class RobotModel:
                 setattr(robot, name, value.to(device=device, dtype=dtype if value.is_floating_point() else None))
         return robot
 
-    def _batch_last(self, *coordinates: Tensor) -> tuple[tuple[Tensor, ...], torch.Size]:
-        """Return (*batch, n_dof) tensors as (n_dof, N), and the batch shape."""
+    def _check(self, dimension: int, *coordinates: Tensor) -> None:
+        """Reject tensors that do not have n_dof entries along a dimension."""
         for x in coordinates:
-            if x.ndim == 0 or x.shape[-1] != self.n_dof:
+            if x.ndim == 0 or x.shape[dimension] != self.n_dof:
+                shape = f"(..., {self.n_dof})" if dimension else f"({self.n_dof}, N)"
                 raise InputError(
-                    f"got a tensor of shape {tuple(x.shape)}, expected (..., {self.n_dof}): robot '{self.name}' has "
-                    f"joints {', '.join(self.joint_names)}"
+                    f"got a tensor of shape {tuple(x.shape)}, expected {shape}: robot '{self.name}' has joints "
+                    f"{', '.join(self.joint_names)}"
                 )
-        batch = torch.broadcast_shapes(*(x.shape[:-1] for x in coordinates))
-        flat = (x.expand(*batch, -1).reshape(-1, self.n_dof).T.contiguous() for x in coordinates)
-        return tuple(flat), batch
 
     def _constants(self, like: Tensor, gravity: Tensor | None) -> tuple[kinematics.Geometry, Tensor]:
         """Return geometry and gravity in the dtype and on the device of `like`."""
@@ -284,6 +287,8 @@ class RobotModel:
         if key not in self._geometries:
             self._geometries[key] = self._geometries[EXACT].to(*key)
         gravity = self.gravity if gravity is None else gravity
+        if gravity.shape != (3,):
+            raise InputError(f"gravity has shape {tuple(gravity.shape)}, expected (3,): x, y, z in the base's axes")
         return self._geometries[key], gravity.to(like)
 
     def _parameters(self, like: Tensor, pi: Tensor | None) -> Tensor:
@@ -295,23 +300,3 @@ class RobotModel:
                 f"{', '.join(self.body_names)}"
             )
         return pi.to(like)
-
-
-def _tiled(function: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
-    """Return a function of (n_dof, N) tensors, computed tile by tile along N."""
-    tiles = [function(*tile) for tile in zip(*(x.split(TILE, -1) for x in inputs), strict=True)]
-    return tiles[0] if len(tiles) == 1 else torch.cat(tiles, -1)
-
-
-def _zeros(like: Tensor, *shape: int) -> Tensor:
-    """Return zeros in the dtype and on the device of `like`."""
-    numpy_dtype = {torch.float32: np.float32, torch.float64: np.float64}.get(like.dtype)
-    if like.device.type != "cpu" or numpy_dtype is None:
-        return like.new_zeros(shape)
-    # numpy asks the system for zeroed pages, huge ones: structural zeros then cost neither time nor memory.
-    return torch.from_numpy(np.zeros(shape, numpy_dtype))
-
-
-def _batch_first(x: Tensor, batch: torch.Size) -> Tensor:
-    """Return a (..., N) tensor as a (*batch, ...) view."""
-    return x.movedim(-1, 0).unflatten(0, batch) if batch else x[..., 0]

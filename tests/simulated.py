@@ -1,0 +1,80 @@
+"""Recordings of simulated robots, their torques computed by Pinocchio, that is by nothing of ours."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from torchrbd.recordings import Recording
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A smooth motion that never repeats: t (N,), and q, qd, qdd (N, n)."""
+
+    t: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+
+
+def multisine(n_dof: int, seed: int, *, duration_s: float = 30.0, rate_hz: float = 200.0, fastest_hz: float = 1.2) -> Motion:
+    """Sum six sines of random frequency and phase per joint, about 1 rad/s RMS."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, duration_s, 1.0 / rate_hz)
+    omega = 2 * np.pi * rng.uniform(0.1, fastest_hz, (n_dof, 6))
+    phase, speed = rng.uniform(0, 2 * np.pi, (n_dof, 6)), rng.uniform(0.3, 0.9, (n_dof, 6))
+    angle = omega * t[:, None, None] + phase
+    q = (speed / omega * np.sin(angle)).sum(-1) + rng.uniform(-1, 1, n_dof)
+    return Motion(t, q, (speed * np.cos(angle)).sum(-1), (-speed * omega * np.sin(angle)).sum(-1))
+
+
+def joint_names(urdf: str) -> list[str]:
+    """Return Pinocchio's joints in its order."""
+    return list(pin.buildModelFromXML(urdf).names)[1:]
+
+
+def inverse_dynamics(urdf: str, motion: Motion) -> np.ndarray:
+    """Return Pinocchio's torques (N, n), joints in its order; revolute and prismatic joints only."""
+    model = pin.buildModelFromXML(urdf)
+    data = model.createData()
+    rows = zip(motion.q, motion.qd, motion.qdd, strict=True)
+    return np.stack([pin.rnea(model, data, *row).copy() for row in rows])
+
+
+def record(
+    urdf: str, seed: int, *, name: str = "simulated", extra=None, torque_noise: float = 0.02, encoder_noise: float = 1e-5, **motion_options
+) -> Recording:  # fmt: skip
+    """Record a motion.
+
+    Args:
+        urdf: the real robot.
+        seed: of motion and noise.
+        name: of the recording.
+        extra: function of a Motion that returns additional torque (N, n).
+        torque_noise: white, part of each joint's torque RMS.
+        encoder_noise: white, [rad] or [m].
+    """
+    names = joint_names(urdf)
+    motion = multisine(len(names), seed, **motion_options)
+    tau = inverse_dynamics(urdf, motion) + (0.0 if extra is None else extra(motion))
+    rng = np.random.default_rng(seed + 10_000)
+    tau = tau + torque_noise * np.sqrt(np.mean(tau**2, 0)) * rng.standard_normal(tau.shape)
+    return Recording.from_arrays(name, names, motion.t, motion.q + encoder_noise * rng.standard_normal(tau.shape), tau)
+
+
+def with_wrong_inertials(urdf: str, seed: int, size: float = 0.15) -> str:
+    """Scale every mass, centre of mass and inertia of a URDF by its own random factor around one; bodies stay physical."""
+    rng = np.random.default_rng(seed)
+
+    def changed(tag: re.Match[str]) -> str:
+        mass, lever = (1.0 + size * rng.choice((-1.0, 1.0), 2)).tolist()
+        text = re.sub(r'<mass value="([^"]+)"', lambda m: f'<mass value="{float(m[1]) * mass!r}"', tag[0])
+        text = re.sub(r'((?:ixx|ixy|ixz|iyy|iyz|izz))="([^"]+)"', lambda m: f'{m[1]}="{float(m[2]) * mass!r}"', text)
+        scaled = lambda m: 'xyz="' + " ".join(repr(float(v) * lever) for v in m[1].split()) + '"'  # noqa: E731
+        return re.sub(r'xyz="([^"]+)"', scaled, text)
+
+    return re.sub(r"<inertial>.*?</inertial>", changed, urdf, flags=re.S)

@@ -1,0 +1,43 @@
+"""From batches as people hold them, samples first, to tiles as the computation likes them, samples last, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+TILE = 2048
+"""Samples worked on at a time: intermediate results stay in the cache, and memory beyond the result is bounded."""
+
+
+def batch_last(*inputs: Tensor) -> tuple[tuple[Tensor, ...], torch.Size]:
+    """Return (*batch, n) tensors, whose batches broadcast, as (n, N), and the batch shape."""
+    batch = torch.broadcast_shapes(*(x.shape[:-1] for x in inputs))
+    return tuple(x.expand(*batch, -1).reshape(-1, x.shape[-1]).T.contiguous() for x in inputs), batch
+
+
+def batch_first(x: Tensor, batch: torch.Size) -> Tensor:
+    """Return a (..., N) tensor as a (*batch, ...) view."""
+    return x.movedim(-1, 0).unflatten(0, batch) if batch else x[..., 0]
+
+
+def tiles(*inputs: Tensor) -> list[tuple[Tensor, ...]]:
+    """Return (..., N) tensors as views of at most `TILE` samples."""
+    return list(zip(*(x.split(TILE, -1) for x in inputs), strict=True))
+
+
+def tiled(function: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
+    """Return a function of (..., N) tensors, computed tile by tile."""
+    parts = [function(*tile) for tile in tiles(*inputs)]
+    return parts[0] if len(parts) == 1 else torch.cat(parts, -1)
+
+
+def zeros(like: Tensor, *shape: int) -> Tensor:
+    """Return zeros in the dtype and on the device of `like`."""
+    numpy_dtype = {torch.float32: np.float32, torch.float64: np.float64}.get(like.dtype)
+    if like.device.type != "cpu" or numpy_dtype is None:
+        return like.new_zeros(shape)
+    # numpy asks the system for zeroed pages, huge ones: zeros that nobody writes to then cost neither time nor memory.
+    return torch.from_numpy(np.zeros(shape, numpy_dtype))
