@@ -1,0 +1,43 @@
+"""Find, name and model the physics that a robot's URDF leaves out.
+
+import torchrbd
+diagnosis = torchrbd.diagnose("robot.urdf", ["recording.csv"])
+model = diagnosis.identification.model          # an nn.Module: tau = model(q, qd, qdd)
+"""
+
+from torchrbd.diagnosis import Diagnosis, Finding, diagnose
+from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
+from torchrbd.export import load_model, save_model, to_urdf
+from torchrbd.inference import Identification, identify
+from torchrbd.model import RigidBodyDynamics
+from torchrbd.physics import effects, register
+from torchrbd.recordings import Recording, open_recording, read_mapping
+from torchrbd.report import write_report
+from torchrbd.robot import RobotModel
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Diagnosis",
+    "Finding",
+    "Identification",
+    "InputError",
+    "OptionError",
+    "PhysicalError",
+    "Recording",
+    "RecordingError",
+    "RigidBodyDynamics",
+    "RobotError",
+    "RobotModel",
+    "TorchRBDError",
+    "diagnose",
+    "effects",
+    "identify",
+    "load_model",
+    "open_recording",
+    "read_mapping",
+    "register",
+    "save_model",
+    "to_urdf",
+    "write_report",
+]

@@ -1,0 +1,7 @@
+"""Run ``python -m torchrbd``."""
+
+import sys
+
+from torchrbd.cli import main
+
+sys.exit(main())

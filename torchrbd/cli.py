@@ -1,0 +1,228 @@
+"""The command line: parse, call, print. Exit code 0 when the work was done, 2 for input that cannot be used."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich_argparse import RichHelpFormatter
+
+from torchrbd import __version__
+from torchrbd.diagnosis import Diagnosis, diagnose
+from torchrbd.errors import OptionError, TorchRBDError
+from torchrbd.export import save_model, to_urdf, write_diagnosis, write_parameters
+from torchrbd.inference import Identification, identify
+from torchrbd.physics import effects
+from torchrbd.report import write_report
+
+_PATHS = ("holdout", "mapping")
+_MODEL_WORDS = {"urdf": "URDF", "rigid_body": "re-fitted", "extended": "extended"}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    options = _parser().parse_args(arguments)
+    errors = Console(stderr=True, highlight=False, soft_wrap=True)
+    try:
+        options.run(options)
+    except (TorchRBDError, OSError) as error:
+        errors.print("torchrbd: error:", style="bold red", end=" ")
+        errors.print(str(error), markup=False)
+        return 2
+    except KeyboardInterrupt:
+        errors.print("torchrbd: interrupted; nothing was written")
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        "torchrbd",
+        description="Find, name and model the physics that a robot's URDF leaves out.",
+        formatter_class=RichHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"torchrbd {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name: str, run: Callable[[argparse.Namespace], None], words: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=words, description=words, formatter_class=RichHelpFormatter)
+        sub.set_defaults(run=run)
+        return sub
+
+    sub = command(
+        "identify", _identify, "Fit the inertial parameters of a URDF to recordings; always physically valid."
+    )
+    _add_shared(sub, "effects to fit beside the inertial parameters, at every joint (default: none)")
+    sub = command("diagnose", _diagnose, "Find, name and model what the URDF leaves out.")
+    _add_shared(sub, "effects that the search may use (default: all)")
+    sub = command(
+        "demo", _demo, "Diagnose a bundled case: a six-joint arm with a friction that its URDF does not hold."
+    )
+    sub.add_argument(
+        "-o", "--output", type=Path, default=Path("torchrbd-demo"), metavar="DIR", help="(default: %(default)s)"
+    )
+    return parser
+
+
+def _add_shared(sub: argparse.ArgumentParser, effects_words: str) -> None:
+    sub.add_argument("robot", type=Path, metavar="ROBOT.urdf", help="what the simulator believes")
+    sub.add_argument(
+        "recordings",
+        nargs="+",
+        type=Path,
+        metavar="RECORDING",
+        help="CSV, Parquet or NPZ with columns t [s], q_<joint> [rad, m], tau_<joint> [N m, N], optionally qd_<joint>",
+    )
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for the results")
+    data = sub.add_argument_group("data")
+    many: dict[str, Any] = {"nargs": "+", "action": "extend"}
+    data.add_argument("--holdout", type=Path, metavar="FILE", help="recordings that no fit or choice sees", **many)
+    data.add_argument(
+        "--holdout-fraction", type=float, metavar="X", help="else, the part of each recording kept back (default: 0.25)"
+    )
+    data.add_argument("--time", metavar="A:B", help="use only these seconds of each recording")
+    data.add_argument("--joints", metavar="JOINT", help="joints whose torque counts (default: all)", **many)
+    data.add_argument("--payload", metavar="FILE=kg,x,y,z[@LINK]", help="known load in a recording: mass and centre [kg, m] on a link (default: the last)", **many)  # fmt: skip
+    data.add_argument(
+        "--mapping", type=Path, metavar="YAML", help="other column names, units, signs, gear ratios, torque constants"
+    )
+    data.add_argument(
+        "--cutoff", type=float, metavar="HZ", help="band limit of torque and features (default: chosen from the data)"
+    )
+    model = sub.add_argument_group("model")
+    known = ", ".join(effects())
+    model.add_argument("--effects", metavar="EFFECT", help=f"{effects_words}; known: {known}", **many)
+    model.add_argument("--exclude", metavar="EFFECT", help="effects not to use", **many)
+    model.add_argument("--trust", metavar="LINK", help="links whose inertia is not re-fitted", **many)
+    model.add_argument("--seed", type=int, metavar="N", help="of the choice of blocks kept back (default: 0)")
+    sub.add_argument("--config", type=Path, metavar="YAML", help="file with any of these options; those given here win")
+
+
+def _settings(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options that were given, the configuration file's first; its paths count from its own folder."""
+    chosen: dict[str, Any] = {}
+    if options.config:
+        for key, value in _read_config(options.config).items():
+            name = str(key).replace("-", "_")
+            if name in _PATHS:
+                value = [options.config.parent / str(v) for v in (value if isinstance(value, list) else [value])]
+                value = value[0] if name == "mapping" else value
+            chosen["cutoff_hz" if name == "cutoff" else name] = value
+    given = {
+        name: getattr(options, name)
+        for name in (
+            "holdout",
+            "holdout_fraction",
+            "time",
+            "joints",
+            "payload",
+            "mapping",
+            "effects",
+            "exclude",
+            "trust",
+            "seed",
+        )
+    }
+    given["cutoff_hz"] = options.cutoff
+    return chosen | {name: value for name, value in given.items() if value is not None}
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise OptionError(f"{path}: is not YAML ({error})") from None
+    if not isinstance(content, dict):
+        raise OptionError(f"{path}: expected 'option: value' lines, e.g. 'cutoff: 5'")
+    return content
+
+
+def _identify(options: argparse.Namespace) -> None:
+    settings = _settings(options)
+    with _progress() as progress:
+        result = identify(options.robot, options.recordings, progress=progress, **settings)
+    _print_fits(result)
+    _write(result, options.output)
+
+
+def _diagnose(options: argparse.Namespace) -> None:
+    settings = _settings(options)
+    with _progress() as progress:
+        result = diagnose(options.robot, options.recordings, progress=progress, **settings)
+    _print_diagnosis(result)
+    _write(result, options.output)
+
+
+def _demo(options: argparse.Namespace) -> None:
+    with as_file(files("torchrbd") / "demo") as case, _progress() as progress:
+        result = diagnose(
+            case / "arm.urdf", case / "fit.parquet", holdout=[case / "holdout.parquet"], progress=progress
+        )
+    _print_diagnosis(result)
+    _write(result, options.output)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """Show one bar on a terminal, and nothing where the output is not one."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading", total=None)
+
+        def report(stage: str, part: float) -> None:
+            bar.update(task, description=stage, total=1.0 if part else None, completed=part)
+
+        yield report
+
+
+def _print_diagnosis(result: Diagnosis) -> None:
+    out = Console(highlight=False)
+    out.print(f"{result.verdict.replace('_', ' ')}:", style="bold", end=" ")
+    out.print(result.statement, markup=False)
+    for finding in result.findings:
+        out.print(f"  {finding.probability:4.0%}  {finding.statement}", markup=False)
+    for rest in result.unexplained:
+        out.print(f"     ?  {rest.statement}", markup=False)
+    _print_fits(result.identification)
+
+
+def _print_fits(result: Identification) -> None:
+    table = Table(
+        title=f"torque error on held-out data ({result.held_out}), up to {result.cutoff_hz:.3g} Hz: part of the variance"
+    )
+    table.add_column("joint")
+    for name in result.fits:
+        table.add_column(_MODEL_WORDS[name], justify="right")
+    for joint in result.fits["urdf"].nmse:
+        table.add_row(joint, *(f"{fit.nmse[joint]:.4f}" for fit in result.fits.values()))
+    table.add_row("mean", *(f"{fit.mean_nmse:.4f}" for fit in result.fits.values()), style="bold")
+    out = Console(highlight=False)
+    out.print(table)
+    for note in result.notes:
+        out.print(f"note: {note}", markup=False)
+
+
+def _write(result: Identification | Diagnosis, folder: Path) -> None:
+    """Write every result file and name them."""
+    identification = result.identification if isinstance(result, Diagnosis) else result
+    folder.mkdir(parents=True, exist_ok=True)
+    write_parameters(identification, folder / "parameters.json")
+    (folder / "identified.urdf").write_bytes(to_urdf(identification.model))
+    save_model(identification.model, folder / "model.safetensors")
+    names = ["parameters.json", "identified.urdf", "model.safetensors"]
+    if isinstance(result, Diagnosis):
+        write_diagnosis(result, folder / "diagnosis.json")
+        names.append("diagnosis.json")
+    write_report(result, folder / "report.html")
+    out = Console(highlight=False, soft_wrap=True)
+    out.print(f"wrote {', '.join(names)} to {folder}", markup=False)
+    out.print(f"report: {(folder / 'report.html').resolve()}", style="bold")

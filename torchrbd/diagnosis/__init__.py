@@ -1,0 +1,14 @@
+"""Diagnosis: what the rigid body leaves out, where, and how sure that is."""
+
+from torchrbd.diagnosis.diagnose import diagnose
+from torchrbd.diagnosis.results import (
+    Alternative,
+    Diagnosis,
+    Finding,
+    Quantity,
+    Region,
+    Unexplained,
+    Where,
+)
+
+__all__ = ["Alternative", "Diagnosis", "Finding", "Quantity", "Region", "Unexplained", "Where", "diagnose"]
