@@ -21,7 +21,9 @@ class Motion:
     qdd: np.ndarray
 
 
-def multisine(n_dof: int, seed: int, *, duration_s: float = 30.0, rate_hz: float = 200.0, fastest_hz: float = 1.2) -> Motion:
+def multisine(
+    n_dof: int, seed: int, *, duration_s: float = 30.0, rate_hz: float = 200.0, fastest_hz: float = 1.2
+) -> Motion:
     """Sum six sines of random frequency and phase per joint, about 1 rad/s RMS."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, duration_s, 1.0 / rate_hz)
@@ -46,7 +48,8 @@ def inverse_dynamics(urdf: str, motion: Motion) -> np.ndarray:
 
 
 def record(
-    urdf: str, seed: int, *, name: str = "simulated", extra=None, torque_noise: float = 0.02, encoder_noise: float = 1e-5, **motion_options
+    urdf: str, seed: int, *, name: str = "simulated", extra=None, torque_noise: float = 0.02, encoder_noise: float =
+        1e-5, **motion_options
 ) -> Recording:  # fmt: skip
     """Record a motion.
 
@@ -67,7 +70,7 @@ def record(
 
 
 def with_wrong_inertials(urdf: str, seed: int, size: float = 0.15) -> str:
-    """Scale every mass, centre of mass and inertia of a URDF by its own random factor around one; bodies stay physical."""
+    """Make every mass and centre of mass of a URDF wrong by ``size``, up or down at random; bodies stay physical."""
     rng = np.random.default_rng(seed)
 
     def changed(tag: re.Match[str]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.resources import as_file, files
@@ -18,11 +17,19 @@ from rich_argparse import RichHelpFormatter
 
 from torchrbd import __version__
 from torchrbd.diagnosis import Diagnosis, diagnose
+from torchrbd.diagnosis.words import interval, words_of
 from torchrbd.errors import OptionError, TorchRBDError
 from torchrbd.export import save_model, to_urdf, write_diagnosis, write_parameters
 from torchrbd.inference import Identification, identify
 from torchrbd.physics import effects
 from torchrbd.report import write_report
+
+
+class _Help(RichHelpFormatter):
+    """Help in colours, in which [m] is a unit."""
+
+    help_markup = text_markup = False
+
 
 _PATHS = ("holdout", "mapping")
 _MODEL_WORDS = {"urdf": "URDF", "rigid_body": "re-fitted", "extended": "extended"}
@@ -48,13 +55,13 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         "torchrbd",
         description="Find, name and model the physics that a robot's URDF leaves out.",
-        formatter_class=RichHelpFormatter,
+        formatter_class=_Help,
     )
     parser.add_argument("--version", action="version", version=f"torchrbd {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def command(name: str, run: Callable[[argparse.Namespace], None], words: str) -> argparse.ArgumentParser:
-        sub = commands.add_parser(name, help=words, description=words, formatter_class=RichHelpFormatter)
+        sub = commands.add_parser(name, help=words, description=words, formatter_class=_Help)
         sub.set_defaults(run=run)
         return sub
 
@@ -91,7 +98,12 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str) -> None:
     )
     data.add_argument("--time", metavar="A:B", help="use only these seconds of each recording")
     data.add_argument("--joints", metavar="JOINT", help="joints whose torque counts (default: all)", **many)
-    data.add_argument("--payload", metavar="FILE=kg,x,y,z[@LINK]", help="known load in a recording: mass and centre [kg, m] on a link (default: the last)", **many)  # fmt: skip
+    data.add_argument(
+        "--payload",
+        metavar="FILE=kg,x,y,z[@LINK]",
+        help="known load in a recording: mass and centre [kg, m] on a link (default: the last)",
+        **many,
+    )
     data.add_argument(
         "--mapping", type=Path, metavar="YAML", help="other column names, units, signs, gear ratios, torque constants"
     )
@@ -188,24 +200,27 @@ def _print_diagnosis(result: Diagnosis) -> None:
     out = Console(highlight=False)
     out.print(f"{result.verdict.replace('_', ' ')}:", style="bold", end=" ")
     out.print(result.statement, markup=False)
-    for finding in result.findings:
-        out.print(f"  {finding.probability:4.0%}  {finding.statement}", markup=False)
+    if result.findings:
+        table = Table("joint", "missing", "95 % interval", "probability")
+        for f in result.findings:
+            values = "\n".join(f"{name.replace('_', ' ')} {interval(q)}" for name, q in f.parameters.items())
+            table.add_row(", ".join(f.joints), words_of(f.effect), values, f"{f.probability:.0%}")
+        out.print(table)
     for rest in result.unexplained:
-        out.print(f"     ?  {rest.statement}", markup=False)
+        out.print(rest.statement, markup=False)
     _print_fits(result.identification)
 
 
 def _print_fits(result: Identification) -> None:
-    table = Table(
-        title=f"torque error on held-out data ({result.held_out}), up to {result.cutoff_hz:.3g} Hz: part of the variance"
-    )
-    table.add_column("joint")
+    out = Console(highlight=False)
+    out.print(f"Unpredicted part of the torque variance on held-out data ({result.held_out}),", markup=False)
+    out.print(f"torque and features band-limited at {result.cutoff_hz:.3g} Hz:")
+    table = Table("joint")
     for name in result.fits:
         table.add_column(_MODEL_WORDS[name], justify="right")
     for joint in result.fits["urdf"].nmse:
         table.add_row(joint, *(f"{fit.nmse[joint]:.4f}" for fit in result.fits.values()))
     table.add_row("mean", *(f"{fit.mean_nmse:.4f}" for fit in result.fits.values()), style="bold")
-    out = Console(highlight=False)
     out.print(table)
     for note in result.notes:
         out.print(f"note: {note}", markup=False)

@@ -1,4 +1,5 @@
-"""The one model: a rigid body with trainable, always physical inertial parameters, and terms for what a rigid body leaves out.
+"""The one model: a rigid body with trainable, always physical inertial parameters, and terms for what a rigid body
+leaves out.
 
     tau = Y(q, qd, qdd) pi(theta) + sum_terms sum_k w_k phi_k
 
@@ -31,7 +32,8 @@ class RigidBodyDynamics(nn.Module):
 
     Attributes:
         raw_inertia: (n_physical, 10) log-Cholesky coordinates; any values give a physical robot.
-        constant_pi: (n_bodies, 10) the parameters of bodies that have no such coordinates (massless ones), zero elsewhere.
+        constant_pi: (n_bodies, 10) the parameters of bodies that have no such coordinates (massless ones), zero
+            elsewhere.
     """
 
     raw_inertia: nn.Parameter
@@ -46,13 +48,18 @@ class RigidBodyDynamics(nn.Module):
         self.register_buffer("physical", physical)
         self.register_buffer("constant_pi", torch.where(physical.unsqueeze(1), torch.zeros_like(bodies), bodies))
         self.raw_inertia = nn.Parameter(to_log_cholesky(bodies[physical]))
-        self.terms = nn.ModuleList(terms)
+        self._terms = nn.ModuleList(terms)
 
     @classmethod
     def from_urdf(cls, source: str) -> RigidBodyDynamics:
         """Read a URDF with the friction of its <dynamics> tags: the model that a simulator of it runs."""
         robot = RobotModel.from_urdf(source)
         return cls(robot, terms=urdf_friction(robot))
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """What adds to the rigid body's torque."""
+        return tuple(term for term in self._terms if isinstance(term, Term))
 
     @property
     def pi(self) -> Tensor:
@@ -100,7 +107,7 @@ class RigidBodyDynamics(nn.Module):
 
 
 def urdf_friction(robot: RobotModel, rest_width: Tensor | None = None) -> list[Term]:
-    """Return the terms that the <dynamics> tags of a URDF stand for: damping as viscous, friction as Coulomb friction."""
+    """Return the terms that a URDF's <dynamics> tags stand for: damping is viscous, friction Coulomb friction."""
     widths = torch.full((robot.n_dof,), REST_WIDTH) if rest_width is None else rest_width
     terms = []
     for joint in range(robot.n_dof):

@@ -1,12 +1,13 @@
 """Compare models on blocks that they have not seen.
 
-Every model (a set of terms, with the inertial parameters re-fitted beside them) is fitted on all folds but one and judged on
-that one. With v the left-out mean squared error of a joint and n its independent samples, one model's gain over another is
+Every model (a set of terms, with the inertial parameters re-fitted beside them) is fitted on all folds but one and
+judged on that one. With v the left-out mean squared error of a joint and n its independent samples, one model's gain
+over another is
 
     G = sum_j n_j / 2 log(v_j / v'_j) = sum_b d_b,   d_b = sum_j (e_jb - e'_jb) / (2 m_j),   m = (v - v') / log(v / v')
 
-in log-likelihood units: m, the logarithmic mean, spreads the gain over the blocks b. The scatter of the paired differences d_b is
-the honest measure of chance: it holds under correlated noise, where counting samples does not.
+in log-likelihood units: m, the logarithmic mean, spreads the gain over the blocks b. The scatter of the paired
+differences d_b is the honest measure of chance: it holds under correlated noise, where counting samples does not.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class Comparison:
         self.set_noise(())
 
     def free(self, terms: Collection[Candidate], *, rigid: bool = True) -> Tensor:
-        """Return the indices in x that a model fits: the inertial parameters (if ``rigid``) and the columns of its terms."""
+        """Return the indices in x that a model fits: the inertial parameters, if ``rigid``, and its terms' columns."""
         columns = torch.tensor(sorted({k for c in terms for k in self.columns.of(c)}), dtype=torch.long)
         return torch.cat((self.prior.inertial, columns)) if rigid else columns
 

@@ -11,10 +11,10 @@ from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.leftover import unexplained
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.select import LEAST_GAIN, LEAST_T, Terms, distinguishable, select_terms
+from torchrbd.diagnosis.words import verdict_statement
 from torchrbd.inference.fitting import fit_model
 from torchrbd.inference.identify import listed, summarise
 from torchrbd.inference.preparation import Prepared, Progress, prepare
-from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
@@ -61,7 +61,9 @@ def diagnose(
     units = ["N" if prismatic else "N m" for prismatic in robot.prismatic.tolist()]
     rest = unexplained(identification.series, "extended", prepared.filtering.effective_rate, units)
     verdict = _verdict(findings, rest, _refit_matters(prepared, comparison))
-    return Diagnosis(identification, verdict, _statement(verdict, findings, rest, identification), findings, rest)
+    return Diagnosis(
+        identification, verdict, verdict_statement(verdict, findings, rest, identification.fits), findings, rest
+    )
 
 
 def _refit_matters(prepared: Prepared, comparison: Comparison) -> bool:
@@ -77,37 +79,3 @@ def _verdict(findings: Sequence[Finding], rest: Sequence[Unexplained], refit_mat
     if rest:
         return "unexplained"
     return "parameters" if refit_matters else "consistent"
-
-
-def _statement(
-    verdict: str, findings: Sequence[Finding], rest: Sequence[Unexplained], identification: Identification
-) -> str:
-    fits = identification.fits
-    fell = (
-        f"The unpredicted part of the torque variance on held-out time falls from {_percent(fits['urdf'].mean_nmse)} (URDF) "
-        f"and {_percent(fits['rigid_body'].mean_nmse)} (re-fitted rigid body) to {_percent(fits['extended'].mean_nmse)}."
-    )
-    open_end = f" Something is left unexplained at {_joined(j for u in rest for j in u.joints)}." if rest else ""
-    if verdict == "consistent":
-        return "The URDF as given explains the recordings: nothing is missing that this data could show."
-    if verdict == "parameters":
-        return (
-            "A rigid body explains the recordings, but not with the URDF's inertial parameters: re-fitted ones lower the "
-            f"unpredicted part of the torque variance from {_percent(fits['urdf'].mean_nmse)} to {_percent(fits['rigid_body'].mean_nmse)}."
-        )
-    if verdict == "unexplained":
-        return f"No known effect explains what the rigid body leaves.{open_end}"
-    by_effect: dict[str, list[str]] = {}
-    for finding in findings:
-        by_effect.setdefault(finding.effect.replace("_", " "), []).extend(finding.joints)
-    named = _joined(f"{effect} at {_joined(joints)}" for effect, joints in by_effect.items())
-    return f"The URDF leaves out {named}. {fell}{open_end}"
-
-
-def _percent(part: float) -> str:
-    return f"{100 * part:.2g} %" if part < 1 else f"{100 * part:.0f} %"
-
-
-def _joined(words) -> str:  # noqa: ANN001
-    listed_words = list(dict.fromkeys(words))
-    return listed_words[0] if len(listed_words) == 1 else ", ".join(listed_words[:-1]) + " and " + listed_words[-1]

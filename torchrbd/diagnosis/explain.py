@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torchrbd.diagnosis.compare import Comparison, Gain
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
-from torchrbd.diagnosis.select import Terms, clearly_worse, plausible, with_terms
+from torchrbd.diagnosis.select import CLOSE_GAIN, CLOSE_STD, Terms, plausible, with_terms
+from torchrbd.diagnosis.words import finding_sentence
 from torchrbd.inference.block_statistics import BlockStatistics
 from torchrbd.inference.columns import Candidate
 from torchrbd.inference.fitting import FittedModel, fit_model, judge
@@ -32,9 +33,15 @@ class Rival:
 
 
 def explain(
-    comparison: Comparison, terms: Terms, candidates: Sequence[Candidate], model: FittedModel, training: BlockStatistics,
-    judging: BlockStatistics, prior: Prior, after: Fit,
-) -> tuple[Finding, ...]:  # fmt: skip
+    comparison: Comparison,
+    terms: Terms,
+    candidates: Sequence[Candidate],
+    model: FittedModel,
+    training: BlockStatistics,
+    judging: BlockStatistics,
+    prior: Prior,
+    after: Fit,
+) -> tuple[Finding, ...]:
     """Describe each chosen term.
 
     Args:
@@ -70,7 +77,10 @@ def _of(values: dict[str, float], joint: str) -> dict[str, float]:
 def _rivals(
     comparison: Comparison, term: Candidate, rest: Terms, candidates: Sequence[Candidate], full: Tensor
 ) -> list[Rival]:
-    """Return the best shape of every other effect at the joint in the term's place; those that contain the term are no rivals."""
+    """Return the best shape of every other effect at the joint in the term's place.
+
+    Effects that contain the term fit as well by construction and are no rivals.
+    """
     best: dict[str, Rival] = {}
     for candidate in candidates:
         if candidate.joint != term.joint or candidate.effect.id == term.effect.id:
@@ -87,20 +97,23 @@ def _rivals(
     return list(best.values())
 
 
+def indistinguishable(lead: Gain) -> bool:
+    """Say whether the lead over a rival is within chance."""
+    return lead.total < max(CLOSE_STD * lead.std, CLOSE_GAIN)
+
+
 def probability(worth: Gain, rivals: Sequence[Rival]) -> float:
-    """Return the probability of a term against none and against each rival, from their left-out log-likelihoods.
+    """Return the probability of a term against none and against each rival, from its left-out leads G over them.
 
-        p = 1 / (1 + e^(-G / s) + sum_r e^(-G_r / s_r)),   s = max(1, var(G) / 2G)
+        p = 1 / (1 + sum_r o_r),   o = max(exp(-G), exp(-t^2 / 2)),   t = G / std(G)
 
-    A log-likelihood gain of G from independent data scatters with variance 2G; what it scatters more (correlated
-    noise, other physics left out) flattens the odds.
+    The odds are the likelihood ratio, but never longer than the scatter of the lead over the blocks supports:
+    correlated noise and other physics left out make the likelihood overconfident.
     """
-    odds = sum(math.exp(-max(lead.total, 0.0) / _overdispersion(lead)) for lead in (worth, *(r.lead for r in rivals)))
+    odds = 0.0
+    for lead in (worth, *(r.lead for r in rivals)):
+        odds += max(math.exp(-max(lead.total, 0.0)), math.exp(-0.5 * max(lead.t, 0.0) ** 2))
     return min(1.0 / (1.0 + odds), LARGEST_PROBABILITY)
-
-
-def _overdispersion(lead: Gain) -> float:
-    return max(1.0, lead.std**2 / (2.0 * max(lead.total, 1e-9)))
 
 
 def _finding(
@@ -114,9 +127,7 @@ def _finding(
         name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic))
         for name, (value, std) in term_parameters(model, term).items()
     }
-    alike = tuple(
-        Alternative(r.candidate.effect.id, (joint,)) for r in rivals if not clearly_worse(r.lead, worth.total)
-    )
+    alike = tuple(Alternative(r.candidate.effect.id, (joint,)) for r in rivals if indistinguishable(r.lead))
     return Finding(
         effect=term.effect.id,
         joints=(joint,),
@@ -128,20 +139,5 @@ def _finding(
         indistinguishable_from=alike,
         nmse_before=before,
         nmse_after=after,
-        statement=_sentence(term, joint, quantities, before, after, alike),
+        statement=finding_sentence(term.effect.id, joint, quantities, before, after, alike),
     )
-
-
-def _sentence(
-    term: Candidate, joint: str, quantities: dict[str, Quantity], before: dict[str, float], after: dict[str, float],
-    alike: Sequence[Alternative],
-) -> str:  # fmt: skip
-    values = ", ".join(
-        f"{name.replace('_', ' ')} {q.value:.4g} ± {1.96 * q.std:.2g} {q.unit}" for name, q in quantities.items()
-    )
-    sentence = f"Joint {joint} has {term.effect.words}: {values}"
-    if before and after:
-        sentence += f"; without it {100 * before[joint]:.2g} % of the torque variance on held-out time stays unpredicted, with it {100 * after[joint]:.2g} %"
-    if alike:
-        sentence += "; on this data it cannot be told from " + " or ".join(a.effect.replace("_", " ") for a in alike)
-    return sentence + "."

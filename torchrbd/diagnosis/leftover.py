@@ -1,8 +1,8 @@
 """What a fitted model still leaves: is it more than noise, and what does it depend on?
 
-Noise depends on nothing. A learner without any physics (gradient-boosted trees on position, velocity and acceleration of all
-joints) is trained on the residual of some blocks and judged on the others: what it predicts there is missing physics, named or
-not. What it depends on is told by shuffling one signal at a time and seeing the prediction fail.
+Noise depends on nothing. A learner without any physics (gradient-boosted trees on position, velocity and acceleration
+of all joints) is trained on the residual of some blocks and judged on the others: what it predicts there is missing
+physics, named or not. What it depends on is told by shuffling one signal at a time and seeing the prediction fail.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 
 from torchrbd.diagnosis.results import Region, Unexplained, Where
 from torchrbd.diagnosis.select import LEAST_GAIN, LEAST_T
+from torchrbd.diagnosis.words import joined, number, percent
 from torchrbd.inference.results import TorqueSeries
 
 FOLDS, BLOCK_S = 8, 1.0
@@ -29,8 +30,8 @@ _BINS = 12
 class Prediction:
     """The left-out prediction of a residual.
 
-    ``values`` (M,); ``share`` of the residual's power that it predicts; ``gain`` in log-likelihood units and its ``t`` over blocks;
-    ``importance`` per signal, the part of the prediction that is lost without it.
+    ``values`` (M,); ``share`` of the residual's power that it predicts; ``gain`` in log-likelihood units and its
+    ``t`` over blocks; ``importance`` per signal, the part of the prediction that is lost without it.
     """
 
     values: np.ndarray
@@ -88,7 +89,7 @@ def predict_left_out(
     values, spoiled = np.zeros_like(r), np.zeros((X.shape[1], len(r)))
     for f in np.unique(fold):
         own = fold == f
-        learner = HistGradientBoostingRegressor(max_iter=60, learning_rate=0.1, max_leaf_nodes=15, early_stopping=False)
+        learner = HistGradientBoostingRegressor(max_iter=60, learning_rate=0.1, max_leaf_nodes=15, random_state=seed)
         learner.fit(X[~own], r[~own])
         values[own] = learner.predict(X[own])
         for k in range(X.shape[1]):
@@ -117,18 +118,25 @@ def _blocks(t: np.ndarray, recording: np.ndarray) -> np.ndarray:
 
 
 def _described(
-    joint: str, signals: Sequence[str], X: np.ndarray, prediction: Prediction, rms: float, unit: str, loud: tuple[str, ...] | None
-) -> Unexplained:  # fmt: skip
-    ranked = np.argsort(-prediction.importance)[:MOST_SIGNALS]
-    named = [k for k in ranked if prediction.importance[k] > LEAST_IMPORTANCE] or [ranked[0]]
+    joint: str,
+    signals: Sequence[str],
+    X: np.ndarray,
+    prediction: Prediction,
+    rms: float,
+    unit: str,
+    loud: tuple[str, ...] | None,
+) -> Unexplained:
+    ranked: list[int] = np.argsort(-prediction.importance)[:MOST_SIGNALS].tolist()
+    named = [k for k in ranked if prediction.importance[k] > LEAST_IMPORTANCE] or ranked[:1]
     low, high = _strongest_interval(X[:, named[0]], prediction.values)
     depends_on = tuple(signals[k] for k in named)
     statement = (
-        f"At joint {joint} an RMS of {rms:.3g} {unit} is left that no known effect explains; {100 * prediction.share:.0f} % of its "
-        f"power can be predicted, from {' and '.join(depends_on)}, most of it where {signals[named[0]]} is between {low:.3g} and {high:.3g}"
-        + (f", in {', '.join(loud)}." if loud else ".")
+        f"{joint}: an RMS of {number(rms)} {unit} is left that no known effect explains. "
+        f"{percent(prediction.share)} of its power can be predicted, from {joined(depends_on)}, "
+        f"most of it where {depends_on[0]} is between {number(low)} and {number(high)}"
     )
-    where = Where(recordings=loud, region=(Region(signals[named[0]], low, high),))
+    statement += f", in {joined(loud)}." if loud else "."
+    where = Where(recordings=loud, region=(Region(depends_on[0], low, high),))
     return Unexplained((joint,), depends_on, where, float(prediction.share), statement)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 from torchrbd.inference.results import Identification
 
@@ -63,7 +62,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What is left at a joint and depends on something, without a name. ``share`` is its part of the leftover variance."""
+    """What is left at a joint and depends on something, nameless; ``share`` is its part of the leftover's power."""
 
     joints: tuple[str, ...]
     depends_on: tuple[str, ...]
@@ -77,7 +76,8 @@ class Diagnosis:
     """Verdict, findings strongest first, and the identification they belong to.
 
     ``verdict`` is "consistent" (the URDF as given explains the data), "parameters" (a rigid body with other parameters
-    does), "missing_physics" (named effects are needed) or "unexplained" (something is left that no known effect explains).
+    does), "missing_physics" (named effects are needed) or "unexplained" (something is left that no known effect
+    explains).
     """
 
     identification: Identification

@@ -1,8 +1,8 @@
 """Choose the missing physics: grow a set of terms, prefer the simple, reconsider after every step.
 
-Terms are taken if they predict unseen blocks better on several counts together: by enough, in enough blocks, and by a part of the
-leftover that matters. Of several that do, the simplest that is not clearly worse is taken: the richer term always fits
-better. Terms are offered singly and in pairs: two that act together may each look idle alone.
+Terms are taken if they predict unseen blocks better on several counts together: by enough, in enough blocks, and by a
+part of the leftover that matters. Of several that do, the simplest that is not clearly worse is taken: the richer
+term always fits better. Terms are offered singly and in pairs: two that act together may each look idle alone.
 """
 
 from __future__ import annotations
@@ -16,13 +16,15 @@ from torch import Tensor
 from torchrbd.diagnosis.compare import Comparison, Gain
 from torchrbd.inference.columns import Candidate
 
-# 2 x 12.5 = 25 in units of 2 log L: over 800 candidates on recordings without any effect the largest seen was 18 (t 2.4).
+# 2 x 12.5 = 25 in units of 2 log L: over 800 candidates on recordings without any effect the largest seen was 18 (t
+# 2.4).
 LEAST_GAIN, LEAST_T, LEAST_PART = 12.5, 2.5, 0.01
 # Not clearly worse: within two standard errors, 3 log-likelihood units or 0.3 % of the gain.
 CLOSE_STD, CLOSE_GAIN, CLOSE_PART = 2.0, 3.0, 0.003
 # A candidate of whose torque less than this is left beside the rigid body's is the rigid body's.
 LEAST_SHARE = 1e-4
-# Additions a joint that are compared on left-out blocks in each round, best first by their gain on the blocks they were fitted to.
+# Additions a joint that are compared on left-out blocks in each round, best first by their gain on the blocks they
+# were fitted to.
 SHORTLIST = 8
 MOST_TERMS_PER_JOINT = 6
 
@@ -54,7 +56,7 @@ def select_terms(
         report: told of the terms after each step.
     """
     terms: Terms = ()
-    visited = {frozenset(terms)}
+    visited: set[frozenset[Candidate]] = {frozenset()}
     while True:
         comparison.set_noise(terms)
         for grown in _additions(comparison, terms, candidates):
@@ -77,19 +79,19 @@ def with_terms(terms: Terms, added: Terms) -> Terms:
 
 
 def accepted(comparison: Comparison, before: Tensor, after: Tensor, joint: int) -> bool:
-    """Say whether errors ``after`` are better than ``before`` on all counts: gain, t, and part of the joint's leftover."""
+    """Say whether errors ``after`` are better than ``before`` by gain, by t, and by a part of the joint's leftover."""
     found = comparison.gain(before, after)
     part = 1.0 - float(after[:, joint].sum() / before[:, joint].sum().clamp_min(1e-300))
     return found.total > LEAST_GAIN and found.t > LEAST_T and part > LEAST_PART
 
 
 def clearly_worse(lead: Gain, best: float) -> bool:
-    """Say whether a model over which the best one (of gain ``best``) has this lead is worse beyond chance and triviality."""
+    """Say whether a model is worse than the best one, whose gain is ``best``, beyond chance and triviality."""
     return lead.total > max(CLOSE_STD * lead.std, CLOSE_GAIN, CLOSE_PART * best)
 
 
 def plausible(comparison: Comparison, terms: Terms) -> bool:
-    """Say whether the fitted parameters of all terms are ones that their physics allows; the URDF's own friction counts in."""
+    """Say whether the physics allows the fitted parameters of all terms; the URDF's own friction counts in."""
     x = comparison.fit(terms)
     for c in terms:
         values = c.effect.parameters(x[comparison.columns.of(c)], c.shape)
@@ -104,7 +106,10 @@ def complexity(terms: Terms) -> int:
 
 
 def simplest(comparison: Comparison, scored: Sequence[Scored], before: Tensor) -> list[Scored]:
-    """Order models: first the simplest at the best one's joint that is not clearly worse than the best, then the others by error."""
+    """Order models: the simplest at the best one's joint that is not clearly worse than the best, then the others.
+
+    The others follow by their gain over ``before``.
+    """
     by_gain = sorted(scored, key=lambda s: -comparison.gain(before, s.errors).total)
     if not by_gain:
         return []
@@ -131,7 +136,7 @@ def _additions(comparison: Comparison, terms: Terms, candidates: Sequence[Candid
 
 
 def _shortlist(comparison: Comparison, terms: Terms, candidates: Sequence[Candidate]) -> list[Terms]:
-    """Return the additions of one joint, singles and pairs of one-coefficient effects, that fit the seen blocks best."""
+    """Return the additions at one joint, singles and pairs of one-coefficient effects that fit the seen blocks best."""
     if sum(c.joint == candidates[0].joint for c in terms) >= MOST_TERMS_PER_JOINT:
         return []
     fresh = [c for c in candidates if c not in terms]

@@ -1,4 +1,4 @@
-"""A model as one safetensors file: numbers as tensors, URDF text and the list of terms as metadata. Nothing in it can run code."""
+"""A model as one safetensors file: numbers as tensors, URDF and terms as metadata. Nothing in it can run code."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def load_model(path: str | Path) -> RigidBodyDynamics:
         )
     robot = RobotModel.from_urdf(metadata["urdf"].encode(), gravity=json.loads(metadata["gravity"]))
     terms = [
-        Term(effect(t["effect"]), t["joint"], state[f"terms.{k}.coefficients"], t["shape"], t["rest_width"])
+        Term(effect(t["effect"]), t["joint"], state[f"_terms.{k}.coefficients"], t["shape"], t["rest_width"])
         for k, t in enumerate(json.loads(metadata["terms"]))
     ]
     pi = state["constant_pi"].clone()

@@ -1,4 +1,4 @@
-"""An identified robot as URDF: the original text with new numbers, everything else (comments, meshes, mimic, gazebo) untouched."""
+"""An identified robot as URDF: the original with new numbers; comments, meshes, mimic and gazebo tags stay."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from torchrbd.robot import FoldedLink, inertia_matrix, transform_inertia
 def to_urdf(model: RigidBodyDynamics) -> bytes:
     """Write a model's inertial parameters and friction into the URDF that it came from.
 
-    Links fixed to a moving link keep their own inertia; the moving link takes the rest. If the rest is no physical body, the moving
-    link takes all and the fixed ones lose theirs. Terms that URDF has no word for are named in a comment at their joint.
+    Links fixed to a moving link keep their own inertia; the moving link takes the rest. If the rest is no physical
+    body, the moving link takes all and the fixed ones lose theirs. Terms that URDF has no word for are named in a
+    comment at their joint.
 
     Raises:
         RobotError: the robot was not made from a URDF.

@@ -2,9 +2,9 @@
 
     A_jb = sum over the samples of block b of  a a',   a = [Y_j, phi_j, tau_j]
 
-One pass over the recordings builds them; afterwards nothing costs more than O(P^3), whatever their length. Blocks add, and
-leaving blocks out is subtraction. Samples are weighed so that ``counts`` are *independent* samples: torque band-limited at f_c has
-2 f_c of them a second, however densely it is written.
+One pass over the recordings builds them; afterwards nothing costs more than O(P^3), whatever their length. Blocks
+add, and leaving blocks out is subtraction. Samples are weighed so that ``counts`` are *independent* samples: torque
+band-limited at f_c has 2 f_c of them a second, however densely it is written.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class BlockStatistics:
         columns: which columns of x each joint has.
         blocks: (B,) where each block sits.
         moments: per joint (B, p_j + 1, p_j + 1); the last row and column belong to the torque.
-        torque: (B, n_dof, 3): weight (independent samples), sum and sum of squares of the measured torque; zero where unmeasured.
+        torque: (B, n_dof, 3): weight (independent samples), sum and sum of squares of the measured torque; zero where
+            unmeasured.
     """
 
     columns: Columns
@@ -190,7 +191,7 @@ def block_statistics(
 
 
 def filtered_rows(columns: Columns, states: States) -> tuple[list[Tensor], Tensor]:
-    """Return per joint the band-limited rows [Y_j, phi_j, tau_j] (p_j + 1, M), and the band-limited torque (n_dof, M)."""
+    """Return the band-limited rows [Y_j, phi_j, tau_j] of each joint, (p_j + 1, M), and the torque (n_dof, M)."""
     Y = columns.robot.regressor_batch_last(states.q, states.qd, states.qdd)
     tau = states.decimate(torch.nan_to_num(states.tau))
     rows = []

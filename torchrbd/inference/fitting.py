@@ -1,4 +1,4 @@
-"""Fit the inertial parameters and a set of terms together: physically valid, with uncertainties that respect correlated noise."""
+"""Fit inertial parameters and terms together: physically valid, with errors that respect correlated noise."""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.inference.columns import Candidate, Columns
 from torchrbd.inference.fitting import FittedModel, fit_model, judge, predict, term_candidates
 from torchrbd.inference.preparation import Prepared, Progress, prepare
 from torchrbd.inference.results import Identification, ParameterEstimate, TorqueSeries
@@ -54,7 +55,8 @@ def listed(recordings: Sequence[str | Path | Recording] | str | Path | Recording
 
 
 def summarise(prepared: Prepared, models: dict[str, FittedModel], progress: Progress) -> Identification:
-    """Judge the URDF and fitted models on the blocks kept back; the last model is the one whose parameters are reported.
+    """Judge the URDF and fitted models on the blocks kept back; the last model is the one whose parameters are
+    reported.
 
     Args:
         prepared: the data.
@@ -66,7 +68,7 @@ def summarise(prepared: Prepared, models: dict[str, FittedModel], progress: Prog
     base = base_parameters(prepared.robot)
     return Identification(
         robot=prepared.robot,
-        recordings=tuple(r.name for r in prepared.recordings),
+        recordings=prepared.fitted,
         held_out=prepared.holdout_words,
         cutoff_hz=prepared.filtering.cutoff_hz,
         fits={name: judge(prepared.judging, x) for name, x in coefficients.items()},
@@ -173,15 +175,27 @@ def term_estimates(model: FittedModel) -> list[ParameterEstimate]:
     return found
 
 
-def term_parameters(model: FittedModel, candidate) -> dict[str, tuple[float, float]]:  # noqa: ANN001
-    """Return value and standard deviation of a term's physical parameters: var p = (dp/dw) cov(w) (dp/dw)'."""
+def term_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple[float, float]]:
+    """Return value and standard deviation of a term's physical parameters.
+
+    var p = (dp/dw) cov(w) (dp/dw)';  a shape parameter is known to its place on the grid only.
+    """
     w, covariance = model.coefficients(candidate)
     w = w.clone().requires_grad_(True)
     found = {}
     for name, value in candidate.effect.parameters(w, candidate.shape).items():
-        variance = 0.0
         if value.requires_grad:
             (slope,) = torch.autograd.grad(value, w, retain_graph=True)
-            variance = float(slope @ covariance @ slope)
-        found[name] = (float(value.detach()), variance**0.5)
+            std = float(slope @ covariance @ slope) ** 0.5
+        else:
+            std = _grid_std(model.columns, candidate, name)
+        found[name] = (float(value.detach()), std)
     return found
+
+
+def _grid_std(columns: Columns, candidate: Candidate, name: str) -> float:
+    """Return the standard deviation of a value that is known to lie nearer to its grid point than to the next."""
+    grid = sorted(shape[name] for shape in candidate.effect.shapes(columns.scales[candidate.joint]))
+    at = grid.index(candidate.shape[name])
+    low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
+    return 0.5 * (high - low) / 12**0.5

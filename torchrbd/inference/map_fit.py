@@ -1,6 +1,6 @@
 """Linear Gaussian fits on block statistics: the posterior mean and precision of x, with one noise level a joint.
 
-In prior coordinates x = x0 + S z the prior is N(0, 1), so H_z = S'HS + 1 is well scaled whatever the sizes of the links:
+In prior coordinates x = x0 + S z the prior is N(0, 1), so that H_z = S'HS + 1 is well scaled:
 
     z = H_z^-1 S'(h - H x0),   H = sum_j A_j / sigma_j^2
 
@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.block_statistics import BlockStatistics, assemble
+from torchrbd.inference.columns import Columns
 from torchrbd.inference.prior import Prior
 
 # Torque is believed to this part of its RMS at best: noise-free simulations would have infinite weights.
@@ -24,15 +25,15 @@ LEAST_NOISE = 1e-5
 
 @dataclass(frozen=True)
 class Scaled:
-    """Normal equations in prior coordinates, over all columns: H (n, n), h (n,), and the joints' share of H per unit weight."""
+    """Normal equations in prior coordinates, over all columns: H (n, n), h (n,)."""
 
     H: Tensor
     h: Tensor
 
 
-def scaled_equations(prior: Prior, statistics_total: Sequence[Tensor], columns, weights: Tensor) -> Scaled:  # noqa: ANN001
+def scaled_equations(prior: Prior, totals: Sequence[Tensor], columns: Columns, weights: Tensor) -> Scaled:
     """Return S'HS and S'(h - H x0) of summed moments."""
-    H, h = assemble(columns, statistics_total, weights)
+    H, h = assemble(columns, totals, weights)
     return Scaled(prior.scale.T @ H @ prior.scale, prior.scale.T @ (h - H @ prior.mean))
 
 

@@ -2,8 +2,8 @@
 
     minimise  1/2 x'Hx - h'x + kappa sum_bodies [tr(J0^-1 J) - logdet J]
 
-In prior coordinates, with Newton's method. The path starts at the URDF, the minimiser for infinite kappa, and follows kappa
-downwards, so that every Newton step is short; the objective is self-concordant, so that every step succeeds.
+In prior coordinates, with Newton's method. The path starts at the URDF, the minimiser for infinite kappa, and follows
+kappa downwards, so that every Newton step is short; the objective is self-concordant, so that every step succeeds.
 
 Source: Lee, Wensing, Park (T-RO 2020), eq. (31); Boyd, Vandenberghe, "Convex Optimization", sections 9.6 and 11.3.
 """
@@ -27,7 +27,8 @@ _PATH_FACTOR, _DECREMENT, _MOST_STEPS = 10.0, 1e-9, 60
 class PhysicalFit:
     """Coefficients with a positive definite pseudo-inertia for every fitted body, and the precision of z there.
 
-    ``x`` (n,); ``precision`` (n_free, n_free) is the Hessian of the objective in prior coordinates; ``steps`` Newton steps taken.
+    ``x`` (n,); ``precision`` (n_free, n_free) is the Hessian of the objective in prior coordinates; ``steps`` Newton
+    steps taken.
     """
 
     x: Tensor

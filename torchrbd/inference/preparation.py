@@ -75,6 +75,12 @@ class Prepared:
     notes: tuple[str, ...]
 
     @property
+    def fitted(self) -> tuple[str, ...]:
+        """Names of the recordings that are not held out as a whole."""
+        seen = {b.recording for b, held in zip(self.statistics.blocks, self.held_out.tolist(), strict=True) if not held}
+        return tuple(r.name for r in self.recordings if r.name in seen)
+
+    @property
     def training(self) -> BlockStatistics:
         """Blocks to fit and choose with."""
         return self.statistics.select(~self.held_out)
@@ -136,8 +142,19 @@ def prepare(
     massless = [n for b, n in enumerate(robot.body_names) if b not in prior.bodies and n not in held]
     notes += [f"{name} has no mass in the URDF and keeps none" for name in massless]
     return Prepared(
-        robot, opened, tuple(surveys), filtering, columns, statistics, held_out, words, prior, used, payload, tuple(notes)
-    )  # fmt: skip
+        robot=robot,
+        recordings=opened,
+        surveys=tuple(surveys),
+        filtering=filtering,
+        columns=columns,
+        statistics=statistics,
+        held_out=held_out,
+        holdout_words=words,
+        prior=prior,
+        used=used,
+        payload=payload,
+        notes=tuple(notes),
+    )
 
 
 def _open(
@@ -234,8 +251,8 @@ def _stream(
     assert statistics is not None
     if len(statistics) < _LEAST_BLOCKS:
         raise RecordingError(
-            f"the recordings hold {len(statistics)} blocks of {block_s:.3g} s after filtering at {filtering.cutoff_hz:g} Hz; "
-            f"at least {_LEAST_BLOCKS} are needed: give longer or more recordings"
+            f"the recordings hold {len(statistics)} blocks of {block_s:.3g} s after filtering at "
+            f"{filtering.cutoff_hz:g} Hz; at least {_LEAST_BLOCKS} are needed: give longer or more recordings"
         )
     return statistics.coarsened(_MOST_BLOCKS)
 
@@ -246,13 +263,13 @@ def _held_out(
     names = [block.recording for block in statistics.blocks]
     if settings.holdout:
         kept = {r.name for r in recordings[n_fitted:]}
-        return torch.tensor([name in kept for name in names]), "recordings " + ", ".join(sorted(kept))
+        return torch.tensor([name in kept for name in names]), ", ".join(sorted(kept))
     period = max(2, round(_HOLDOUT_RUN / settings.holdout_fraction))
     run = min(_HOLDOUT_RUN, period // 2)
     # Counted through all recordings; the run never starts the first one.
     position = (torch.arange(len(names)) + settings.seed * run) % period
     held_out = position >= period - run
-    return held_out, f"{100 * float(held_out.double().mean()):.0f} % of the time, in runs of {run} blocks throughout"
+    return held_out, f"{100 * float(held_out.double().mean()):.0f} % of the time, in short runs throughout"
 
 
 def _feature_rms(statistics: BlockStatistics) -> Tensor:

@@ -2,10 +2,11 @@
 
     D(J | J0) = tr(J0^-1 J) - logdet(J0^-1 J) - 4,   Hessian at J0:  M_kl = tr(J0^-1 E_k J0^-1 E_l)
 
-kappa D is added to the negative log-likelihood. D is invariant to the frame and the units, so one kappa serves a finger and a crane,
-and it is infinite for every unphysical body. The quadratic form is what a linear (ridge) fit uses.
+kappa D is added to the negative log-likelihood. D is invariant to the frame and the units, so one kappa serves a finger
+and a crane, and it is infinite for every unphysical body. The quadratic form is what a linear (ridge) fit uses.
 
-Source: Lee, Wensing, Park, "Geometric Robot Dynamic Identification: A Convex Programming Approach", IEEE T-RO 2020, eq. (25), (31).
+Source: Lee, Wensing, Park, "Geometric Robot Dynamic Identification: A Convex Programming Approach", IEEE T-RO 2020,
+eq. (25), (31).
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from torchrbd.parameters import BASIS, PARAMETERS_PER_BODY, is_physical, nearest
 from torchrbd.robot import pseudo_inertia
 
 KAPPA = 3.0
-# Prior standard deviation of a term's torque, in units of the joint's torque RMS: wide, it only keeps directions bounded that no data tells.
+# Prior standard deviation of a term's torque, in units of the joint's torque RMS: wide, it only keeps directions
+# bounded that no data tells.
 TERM_WIDTH = 10.0
 
 
@@ -53,7 +55,7 @@ class Prior:
 
 
 def divergence_hessian(inverse: Tensor) -> Tensor:
-    """Return M (*batch, 10, 10) with M_kl = tr(W E_k W E_l), W = J^-1 (*batch, 4, 4): the Hessian of -logdet J in pi."""
+    """Return the Hessian of -logdet J in pi, M_kl = tr(W E_k W E_l) with W = J^-1 (*batch, 4, 4): (*batch, 10, 10)."""
     WE = torch.einsum("...ab,kbc->...kac", inverse, BASIS)
     return torch.einsum("...kac,...lca->...kl", WE, WE)
 
@@ -68,7 +70,8 @@ def urdf_prior(
         torque_rms: (n_dof,) of the measured torque, [N m] or [N].
         feature_rms: (n,) root mean square of the columns, entries of features are used.
         held: bodies that keep the URDF's inertia. Bodies without mass are always held: no distribution to start from.
-        kappa: weight of the divergence; 1 is one observation's worth in each direction of a relative change of order one.
+        kappa: weight of the divergence; 1 is one observation's worth in each direction of a relative change of order
+            one.
     """
     robot = columns.robot
     reference = columns.reference()

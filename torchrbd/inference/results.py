@@ -72,8 +72,9 @@ class ParameterEstimate:
         urdf: the value the URDF gives.
         value, std: posterior mean and standard deviation.
         prior_share: 0 (told by the data) to 1 (told by the URDF alone).
-        status: "identified" (the data moves it alone), "combination" (only a sum with others is told), "not identifiable"
-            (no motion of this robot tells it), "held" (zero-mass or trusted link, kept as the URDF has it), "term".
+        status: "identified" (the data moves it alone), "combination" (only a sum with others is told), "not
+            identifiable" (no motion of this robot tells it), "held" (zero-mass or trusted link, kept as the URDF has
+            it), "term".
     """
 
     name: str

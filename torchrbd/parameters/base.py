@@ -61,7 +61,8 @@ def base_parameters(robot: RobotModel, *, seed: int = 0, tolerance: float = 1e-8
     Args:
         robot: the robot; its gravity counts.
         seed: of the random states.
-        tolerance: a column whose part outside the span of the earlier ones is below this fraction of its norm depends on them.
+        tolerance: a column whose part outside the span of the earlier ones is below this fraction of its norm depends
+            on them.
     """
     generator = torch.Generator().manual_seed(seed)
     n_samples = 4 * robot.n_params // robot.n_dof + 20
@@ -83,7 +84,7 @@ def base_parameters(robot: RobotModel, *, seed: int = 0, tolerance: float = 1e-8
 
 
 def _independent_columns(X: Tensor, visible: Tensor, tolerance: float) -> list[int]:
-    """Pick columns first to last; a column counts if, orthogonalised twice against those picked, more than ``tolerance`` is left."""
+    """Pick, first to last, every column of which more than ``tolerance`` is left beside those picked before."""
     basis = torch.empty(X.shape[0], 0, dtype=X.dtype)
     picked: list[int] = []
     for k in torch.nonzero(visible).flatten().tolist():

@@ -29,7 +29,7 @@ def central_covariance(pi: Tensor) -> Tensor:
 
 
 def is_physical(pi: Tensor, tolerance: float = 1e-10) -> Tensor:
-    """Say which bodies (*batch,) have m > 0 and a central covariance that is positive definite beyond ``tolerance`` times its trace."""
+    """Say which bodies (*batch,) have m > 0 and central second moments above ``tolerance`` times its trace."""
     heavy = pi[..., 0] > 0
     sigma = central_covariance(torch.where(heavy.unsqueeze(-1), pi, torch.ones_like(pi)))
     eigenvalues = torch.linalg.eigvalsh(sigma)
@@ -39,8 +39,8 @@ def is_physical(pi: Tensor, tolerance: float = 1e-10) -> Tensor:
 def nearest_physical(pi: Tensor, thinness: float = 0.05) -> Tensor:
     """Replace unphysical bodies by near physical ones of the same mass and centre; leave the physical ones untouched.
 
-    The central covariance is brought to principal axes and its eigenvalues are raised to at least m (thinness r)^2, with
-    r the body's radius of gyration about its origin (1 cm for a point mass there).
+    The central covariance is brought to principal axes and its eigenvalues are raised to at least m (thinness r)^2,
+    with r the body's radius of gyration about its origin (1 cm for a point mass there).
 
     Args:
         pi: (*batch, 10), every mass positive.

@@ -5,8 +5,8 @@ An effect at joint j adds to the torque that the actuator must supply
     tau_j += sum_k w_k phi_k(q_j, qd_j, qdd_j; shape)
 
 It is linear in its coefficients w, so that block statistics suffice to fit it, and has at most a few nonlinear shape
-parameters, each tried on a grid. An ``Effect`` describes the physics and holds no numbers; a ``Term`` is an effect at a joint
-with numbers, as a module.
+parameters, each tried on a grid. An ``Effect`` describes the physics and holds no numbers; a ``Term`` is an effect at
+a joint with numbers, as a module.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ Shape = Mapping[str, float]
 class JointState:
     """The signals of one joint that an effect may depend on; q, qd and qdd have one common shape.
 
-    ``rest_width`` is the speed [rad/s, m/s] below which the direction of motion is not told: sign(qd) is tanh(qd / rest_width).
+    ``rest_width`` is the speed [rad/s, m/s] below which the direction of motion is not told: sign(qd) is tanh(qd /
+    rest_width).
     """
 
     q: Tensor
@@ -78,7 +79,7 @@ class Effect(ABC):
 
     @abstractmethod
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        """Return the physical parameters, one for each entry of ``units``, differentiable in the coefficients w (K,)."""
+        """Return the physical parameters, one for each entry of ``units``, differentiable in w (K,)."""
 
     @abstractmethod
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:

@@ -1,7 +1,7 @@
 """Coulomb friction: a constant resistance against motion, the same or different in the two directions.
 
-Different directions: with s = sign(qd), c_plus max(s, 0) + c_minus min(s, 0). Away from rest this spans the same torques as one
-symmetric coefficient plus a constant offset, from which motion alone cannot tell it.
+Different directions: with s = sign(qd), c_plus max(s, 0) + c_minus min(s, 0). Away from rest this spans the same
+torques as one symmetric coefficient plus a constant offset, from which motion alone cannot tell it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class AsymmetricCoulombFriction(Effect):
     """tau += c_plus for qd > 0, -c_minus for qd < 0, both >= 0."""
 
     id = "asymmetric_coulomb_friction"
-    words = "Coulomb friction that differs between the directions"
+    words = "direction-dependent Coulomb friction"
     equation = "c_plus if qd > 0, -c_minus if qd < 0"
     units: ClassVar[Mapping[str, str]] = {"coulomb_plus": "{tau}", "coulomb_minus": "{tau}"}
     complexity = 2

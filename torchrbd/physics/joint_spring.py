@@ -15,7 +15,7 @@ class JointSpring(Effect):
     """tau += k (q - q0) with k >= 0; linear in k and the torque at zero, -k q0."""
 
     id = "joint_spring"
-    words = "a joint spring"
+    words = "joint spring"
     equation = "k (q - q0)"
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
     complexity = 2

@@ -1,7 +1,8 @@
 """Stribeck friction: more at the start of motion than in it, as a lubricant film builds up with speed.
 
-Source: Armstrong-Helouvry, Dupont, Canudas de Wit, "A survey of models, analysis tools and compensation methods for the control
-of machines with friction", Automatica 1994, eq. (9), with exponent 2 and without its viscous part, which is an effect of its own.
+Source: Armstrong-Helouvry, Dupont, Canudas de Wit, "A survey of models, analysis tools and compensation methods for the
+    control of machines with friction", Automatica 1994, eq. (9), with exponent 2 and without its viscous part, which is
+    an effect of its own.
 """
 
 from __future__ import annotations

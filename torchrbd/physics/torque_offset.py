@@ -15,7 +15,7 @@ class TorqueOffset(Effect):
     """tau += tau_0."""
 
     id = "torque_offset"
-    words = "a constant torque offset"
+    words = "constant torque offset"
     equation = "tau_0"
     units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}
     complexity = 1

@@ -15,12 +15,13 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
+from torchrbd.diagnosis.words import number, words_of
 from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.physics import effects
 from torchrbd.report.excerpt import SIGNALS, informative_stretch, signal_words, telling_signal
 from torchrbd.report.figures import Units, decades, dependence_figure, error_figure, time_figure
 from torchrbd.report.inline import inline, page_style
-from torchrbd.report.words import change, measure, number, percent, plain, tied, unit, where_words, words_of
+from torchrbd.report.words import change, measure, percent, plain, tied, unit, where_words
 
 MODELS = {"urdf": "URDF", "rigid_body": "re-fitted rigid body", "extended": "extended model"}
 BADGES = {

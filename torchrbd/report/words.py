@@ -5,31 +5,12 @@ from __future__ import annotations
 import math
 
 from torchrbd.diagnosis.results import Where
-from torchrbd.physics import effects
-
-MINUS = "\N{MINUS SIGN}"
+from torchrbd.diagnosis.words import MINUS, number
 
 
 def plain(value: float) -> str:
     """Return a number in at most four digits, without trailing zeros and with a true minus sign."""
     return f"{float(f'{value:.4g}') + 0.0:g}".replace("-", MINUS)
-
-
-def power_of_ten(exponent: int) -> str:
-    """Return e.g. "10⁻⁵"."""
-    return "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-
-
-def number(value: float) -> str:
-    """Return three significant digits, or a dash where there is no number."""
-    if not math.isfinite(value):
-        return "–"
-    if value == 0 or 1e-4 <= abs(value) < 1e3:
-        return (f"{value:#.3g}" if value else "0").rstrip(".").replace("-", MINUS)
-    if 1e3 <= abs(value) < 1e6:
-        return f"{value:.0f}".replace("-", MINUS)
-    mantissa, exponent = f"{value:.2e}".split("e")
-    return f"{mantissa}·{power_of_ten(int(exponent))}".replace("-", MINUS)
 
 
 def measure(value: float, spread: float) -> str:
@@ -66,12 +47,6 @@ def unit(symbol: str) -> str:
 def tied(sentence: str) -> str:
     """Return a sentence that breaks no line before a per-cent sign or around ±."""
     return sentence.replace(" %", "\N{NO-BREAK SPACE}%").replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
-
-
-def words_of(effect: str) -> str:
-    """Return an effect's name in words, whether or not its effect is registered here."""
-    known = effects().get(effect)
-    return known.words if known else effect.replace("_", " ")
 
 
 def where_words(where: Where) -> str:

@@ -1,0 +1,96 @@
+"""Sentences for a person: numbers as one reads them, findings, verdicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Unexplained
+from torchrbd.inference.results import Fit
+from torchrbd.physics import effect, effects
+
+MINUS = "\N{MINUS SIGN}"
+
+
+def number(value: float) -> str:
+    """Return three significant digits, or a dash where there is no number."""
+    if not math.isfinite(value):
+        return "–"
+    if value == 0 or 1e-4 <= abs(value) < 1e3:
+        return (f"{value:#.3g}" if value else "0").rstrip(".").replace("-", MINUS)
+    if 1e3 <= abs(value) < 1e6:
+        return f"{value:.0f}".replace("-", MINUS)
+    mantissa, exponent = f"{value:.2e}".split("e")
+    return f"{mantissa}·{power_of_ten(int(exponent))}".replace("-", MINUS)
+
+
+def power_of_ten(exponent: int) -> str:
+    """Return e.g. "10⁻⁵"."""
+    return "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def interval(q: Quantity) -> str:
+    """Return the 95 % interval of a quantity with its unit."""
+    return f"{number(q.value - 1.96 * q.std)} to {number(q.value + 1.96 * q.std)} {q.unit}"
+
+
+def percent(part: float) -> str:
+    """Return a part of one in per cent, two significant digits."""
+    return f"{100 * part:.2g} %" if part < 0.995 else f"{100 * part:.0f} %"
+
+
+def joined(words: Iterable[str], last: str = "and") -> str:
+    """Return "a, b and c", every word once."""
+    *first, end = dict.fromkeys(words)
+    return f"{', '.join(first)} {last} {end}" if first else end
+
+
+def words_of(identifier: str) -> str:
+    """Return an effect's name in words, whether or not it is registered here."""
+    return effect(identifier).words if identifier in effects() else identifier.replace("_", " ")
+
+
+def finding_sentence(
+    identifier: str,
+    joint: str,
+    quantities: Mapping[str, Quantity],
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+    alike: Sequence[Alternative],
+) -> str:
+    """Say what was found, how large it is, what it is worth on held-out time, and what else it could be."""
+    values = (f"{name.replace('_', ' ')} {number(q.value)} (95 %: {interval(q)})" for name, q in quantities.items())
+    sentence = f"{joint}: {words_of(identifier)}, {', '.join(values)}."
+    if joint in before and joint in after:
+        sentence += (
+            f" Without it {percent(before[joint])} of the torque variance on held-out time stays unpredicted, "
+            f"with it {percent(after[joint])}."
+        )
+    if alike:
+        sentence += f" This data cannot tell it from {joined((words_of(a.effect) for a in alike), 'or')}."
+    return sentence
+
+
+def verdict_statement(
+    verdict: str, findings: Sequence[Finding], rest: Sequence[Unexplained], fits: Mapping[str, Fit]
+) -> str:
+    """Say the verdict in one or two sentences."""
+    urdf, rigid, extended = (percent(fits[name].mean_nmse) for name in ("urdf", "rigid_body", "extended"))
+    open_end = f" Something is left unexplained at {joined(j for u in rest for j in u.joints)}." if rest else ""
+    if verdict == "consistent":
+        return "The URDF as given explains the recordings: nothing is missing that this data could show."
+    if verdict == "parameters":
+        return (
+            "A rigid body explains the recordings, but not with the URDF's inertial parameters. "
+            f"Re-fitted ones lower the unpredicted part of the torque variance on held-out time from {urdf} to {rigid}."
+        )
+    if verdict == "unexplained":
+        return f"No known effect explains what the rigid body leaves.{open_end}"
+    by_effect: dict[str, list[str]] = {}
+    for finding in findings:
+        by_effect.setdefault(words_of(finding.effect), []).extend(finding.joints)
+    named = joined(f"{words} at {joined(joints)}" for words, joints in by_effect.items())
+    return (
+        f"The URDF leaves out {named}. The unpredicted part of the torque variance on held-out time falls from {urdf} "
+        f"(URDF) and {rigid} (re-fitted rigid body) to {extended}.{open_end}"
+    )
