@@ -40,7 +40,7 @@ def diagnose(
     """
     robot = robot if isinstance(robot, RobotModel) else RobotModel.from_urdf(robot)
     settings = Settings.from_mapping(options, "diagnose")
-    prepared = prepare(robot, listed(recordings), settings, progress)
+    prepared = prepare(robot, listed(recordings), settings, settings.chosen_effects(), progress)
     training, judging, prior = prepared.training, prepared.judging, prepared.prior
     comparison = Comparison(training, prior)
     measured = prepared.statistics.torque[..., 0].sum(0) > 0

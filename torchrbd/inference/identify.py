@@ -40,11 +40,12 @@ def identify(
     """
     robot = robot if isinstance(robot, RobotModel) else RobotModel.from_urdf(robot)
     settings = Settings.from_mapping(options, "identify")
-    prepared = prepare(robot, listed(recordings), settings, progress)
+    effects = settings.chosen_effects() if settings.effects else ()
+    prepared = prepare(robot, listed(recordings), settings, effects, progress)
     progress("fitting", 0.0)
     models = {"rigid_body": fit_model(prepared.training, prepared.prior)}
-    if settings.effects:
-        terms = term_candidates(prepared.columns, [e.id for e in settings.chosen_effects()])
+    if effects:
+        terms = term_candidates(prepared.columns, [e.id for e in effects])
         models["extended"] = fit_model(prepared.training, prepared.prior, terms)
     return summarise(prepared, models, progress)
 

@@ -19,7 +19,7 @@ from torchrbd.inference.columns import Columns
 from torchrbd.inference.prior import Prior, unphysical_bodies, urdf_prior
 from torchrbd.inference.settings import Payload, Settings
 from torchrbd.parameters import PARAMETERS_PER_BODY
-from torchrbd.physics import JointScale
+from torchrbd.physics import Effect, JointScale
 from torchrbd.recordings import (
     Filtering,
     Recording,
@@ -99,6 +99,7 @@ def prepare(
     robot: RobotModel,
     recordings: Sequence[str | Path | Recording],
     settings: Settings,
+    effects: Sequence[Effect],
     progress: Progress = lambda *_: None,
 ) -> Prepared:
     """Read everything.
@@ -107,6 +108,7 @@ def prepare(
         robot: the robot.
         recordings: files or opened recordings to fit.
         settings: the user's choices.
+        effects: physics to have columns for.
         progress: told how far the work is.
 
     Raises:
@@ -118,7 +120,7 @@ def prepare(
         progress("looking through the recordings", k / len(opened))
         surveys.append(survey(recording))
     filtering = Filtering(settings.cutoff_hz or choose_cutoff(surveys))
-    columns = Columns(robot, settings.chosen_effects(), _scales(robot, surveys, filtering))
+    columns = Columns(robot, effects, _scales(robot, surveys, filtering))
     used, held = settings.used_joints(robot), settings.held_bodies(robot)
     payload = _payloads(robot, opened, settings.payload)
     statistics = _stream(columns, opened, surveys, filtering, used, payload, progress)

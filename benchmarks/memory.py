@@ -1,0 +1,88 @@
+"""Peak memory of an identification: 1e6 samples of a seven-joint arm, streamed from Parquet.
+
+    python benchmarks/memory.py [ROWS]
+
+Prints seconds, and peak resident memory above that after ``import torchrbd``. Linux only (reads /proc).
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+JOINTS, RATE_HZ = 7, 500.0
+
+
+def arm() -> str:
+    """Return a URDF of seven links of 0.3 m with alternating axes."""
+    axes = ("0 0 1", "0 1 0")
+    links = "".join(
+        f'<link name="link{k}"><inertial><origin xyz="0 0.02 0.15"/><mass value="{4.0 - 0.4 * k}"/>'
+        f'<inertia ixx="0.03" iyy="0.03" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        f'<joint name="joint{k}" type="continuous"><parent link="{f"link{k - 1}" if k else "base"}"/>'
+        f'<child link="link{k}"/><origin xyz="0 0 0.3"/><axis xyz="{axes[k % 2]}"/></joint>'
+        for k in range(JOINTS)
+    )
+    return f'<robot name="arm"><link name="base"/>{links}</robot>'
+
+
+def write(path: Path, urdf: str, rows: int) -> None:
+    """Write a recording of smooth random motion in pieces."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+    import torch
+
+    from torchrbd import RobotModel
+
+    robot, rng = RobotModel.from_urdf(urdf), np.random.default_rng(0)
+    omega, phase = 2 * np.pi * rng.uniform(0.1, 1.0, (JOINTS, 5)), rng.uniform(0, 2 * np.pi, (JOINTS, 5))
+    writer = None
+    for start in range(0, rows, 50_000):
+        t = np.arange(start, min(start + 50_000, rows)) / RATE_HZ
+        angle = omega * t[:, None, None] + phase
+        q, qd, qdd = (0.5 / omega * np.sin(angle)).sum(-1), 0.5 * np.cos(angle).sum(-1), -(0.5 * omega * np.sin(angle)).sum(-1)
+        tau = robot.inverse_dynamics(*map(torch.from_numpy, (q, qd, qdd))).numpy()
+        tau = tau + 0.02 * tau.std(0) * rng.standard_normal(tau.shape)
+        columns = {"t": t}
+        columns |= {f"q_joint{k}": q[:, k] + 1e-5 * rng.standard_normal(len(t)) for k in range(JOINTS)}
+        columns |= {f"tau_joint{k}": tau[:, k] for k in range(JOINTS)}
+        table = pa.table(columns)
+        writer = writer or pq.ParquetWriter(path, table.schema)
+        writer.write_table(table)
+    assert writer is not None
+    writer.close()
+
+
+MEASURED = """
+import resource, sys, time
+import torchrbd
+def resident():
+    return int(open("/proc/self/status").read().split("VmRSS:")[1].split()[0]) / 1e6
+before, start = resident(), time.perf_counter()
+result = torchrbd.identify(sys.argv[1], sys.argv[2])
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+rows = len(result.series.t)
+print(f"{time.perf_counter() - start:.1f} s, peak {peak:.3f} GB, {before:.3f} GB after import: {peak - before:.3f} GB above it")
+"""
+
+
+def measure(rows: int) -> str:
+    """Identify in a process of its own and return what it printed."""
+    with tempfile.TemporaryDirectory() as folder:
+        urdf, recording = Path(folder) / "arm.urdf", Path(folder) / "recording.parquet"
+        urdf.write_text(arm())
+        write(recording, arm(), rows)
+        return subprocess.run(
+            [sys.executable, "-c", MEASURED, str(urdf), str(recording)], check=True, capture_output=True, text=True
+        ).stdout.strip()
+
+
+if __name__ == "__main__":
+    rows = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
+    start = time.perf_counter()
+    print(f"{rows} rows: {measure(rows)}")

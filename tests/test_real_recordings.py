@@ -1,0 +1,70 @@
+"""Real robots. The long proofs leave every recording out in turn; the short ones judge one split."""
+
+from pathlib import Path
+
+import pytest
+import real_recordings as real
+
+import torchrbd
+from torchrbd import Diagnosis
+
+FOLDER = real.data_folder()
+pytestmark = pytest.mark.skipif(FOLDER is None, reason="TORCHRBD_DATA names no folder of real recordings")
+FRICTION = {"viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction"}
+
+
+@pytest.fixture(scope="module")
+def folder() -> Path:
+    assert FOLDER is not None
+    return FOLDER
+
+
+def joints_with_friction(diagnosis: Diagnosis) -> set[str]:
+    return {joint for f in diagnosis.findings if f.effect in FRICTION for joint in f.joints}
+
+
+def test_kuka_one_split(folder: Path) -> None:
+    arm = folder / "kuka_kr300"
+    diagnosis = torchrbd.diagnose(arm / "robot.urdf", [arm / "A.csv", arm / "B.csv"], holdout=[arm / "C.csv"])
+    fits = diagnosis.identification.fits
+    assert fits["extended"].mean_nmse < 0.16
+    assert fits["extended"].mean_nmse < fits["rigid_body"].mean_nmse / 3
+    assert joints_with_friction(diagnosis) == {f"A{k}" for k in range(1, 7)}
+
+
+@pytest.mark.slow
+def test_kuka_all_splits(folder: Path) -> None:
+    result = real.kuka(folder)
+    for diagnosis in result.diagnoses.values():
+        fits = diagnosis.identification.fits
+        assert fits["extended"].mean_nmse < 0.16
+        assert fits["extended"].mean_nmse < fits["rigid_body"].mean_nmse / 3
+        assert joints_with_friction(diagnosis) == {f"A{k}" for k in range(1, 7)}
+
+
+@pytest.mark.slow
+def test_double_pendulum_from_wrong_inertials(folder: Path) -> None:
+    result = real.double_pendulum(folder, "A")
+    assert result.nmse("extended").mean() < 0.05
+    for diagnosis in result.diagnoses.values():
+        for name, value in real.first_moments(diagnosis, real.LINK_LENGTH["A"]).items():
+            assert value == pytest.approx(real.PUBLISHED_FIRST_MOMENTS[name], rel=0.1)
+
+
+@pytest.mark.slow
+def test_double_pendulum_with_wrong_lengths(folder: Path) -> None:
+    right, wrong = real.double_pendulum(folder, "A"), real.double_pendulum(folder, "C")
+    assert wrong.nmse("extended").mean() > 1.3 * right.nmse("extended").mean()
+    for diagnosis in wrong.diagnoses.values():
+        assert diagnosis.verdict != "consistent"
+        assert {joint for u in diagnosis.unexplained for joint in u.joints} == {"shoulder", "elbow"}
+        assert all(u.where.region for u in diagnosis.unexplained)
+
+
+def test_pendulum_first_moment(folder: Path) -> None:
+    """Gravity's moment of the simple pendulum: 0.676 kg at 0.45 m by its documentation."""
+    pendulum = folder / "dfki_pendulum"
+    result = torchrbd.identify(pendulum / "robot.urdf", pendulum / "fft_swing_100s.csv", effects=["coulomb_friction"])
+    moment = next(-p.value for p in result.parameters if p.name == "mcz_pendulum")
+    assert moment == pytest.approx(0.676 * 0.45, rel=0.1)
+    assert result.fits["extended"].mean_nmse < 0.1
