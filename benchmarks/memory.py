@@ -45,7 +45,11 @@ def write(path: Path, urdf: str, rows: int) -> None:
     for start in range(0, rows, 50_000):
         t = np.arange(start, min(start + 50_000, rows)) / RATE_HZ
         angle = omega * t[:, None, None] + phase
-        q, qd, qdd = (0.5 / omega * np.sin(angle)).sum(-1), 0.5 * np.cos(angle).sum(-1), -(0.5 * omega * np.sin(angle)).sum(-1)
+        q, qd, qdd = (
+            (0.5 / omega * np.sin(angle)).sum(-1),
+            0.5 * np.cos(angle).sum(-1),
+            -(0.5 * omega * np.sin(angle)).sum(-1),
+        )
         tau = robot.inverse_dynamics(*map(torch.from_numpy, (q, qd, qdd))).numpy()
         tau = tau + 0.02 * tau.std(0) * rng.standard_normal(tau.shape)
         columns = {"t": t}

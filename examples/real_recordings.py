@@ -96,7 +96,9 @@ def first_moments(diagnosis: Diagnosis, link_length: float) -> dict[str, float]:
 def show(title: str, result: LeftOut, out: Console) -> None:
     """Print errors, findings and what is left unexplained."""
     first = next(iter(result.diagnoses.values())).identification
-    table = Table("model", *first.series.joints, "mean", title=f"{title}: held-out nmse, up to {first.cutoff_hz:.3g} Hz")
+    table = Table(
+        "model", *first.series.joints, "mean", title=f"{title}: held-out nmse, up to {first.cutoff_hz:.3g} Hz"
+    )
     for model in ("urdf", "rigid_body", "extended"):
         nmse = result.nmse(model)
         table.add_row(model.replace("_", " "), *(f"{v:.3f}" for v in nmse), f"{nmse.mean():.4f}")

@@ -20,7 +20,7 @@ from torchrbd.diagnosis import Diagnosis, diagnose
 from torchrbd.diagnosis.words import interval, words_of
 from torchrbd.errors import OptionError, TorchRBDError
 from torchrbd.export import save_model, to_urdf, write_diagnosis, write_parameters
-from torchrbd.inference import Identification, identify
+from torchrbd.inference import Identification, Settings, identify
 from torchrbd.physics import effects
 from torchrbd.report import write_report
 
@@ -31,7 +31,6 @@ class _Help(RichHelpFormatter):
     help_markup = text_markup = False
 
 
-_PATHS = ("holdout", "mapping")
 _MODEL_WORDS = {"urdf": "URDF", "rigid_body": "re-fitted", "extended": "extended"}
 
 
@@ -116,35 +115,30 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str) -> None:
     model.add_argument("--exclude", metavar="EFFECT", help="effects not to use", **many)
     model.add_argument("--trust", metavar="LINK", help="links whose inertia is not re-fitted", **many)
     model.add_argument("--seed", type=int, metavar="N", help="of the choice of blocks kept back (default: 0)")
-    sub.add_argument("--config", type=Path, metavar="YAML", help="file with any of these options; those given here win")
+    sub.add_argument(
+        "--config",
+        type=Path,
+        metavar="YAML",
+        help="file with any of these options, e.g. 'cutoff: 5'; those given on the command line win",
+    )
 
 
 def _settings(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the options that were given, the configuration file's first; its paths count from its own folder."""
-    chosen: dict[str, Any] = {}
-    if options.config:
-        for key, value in _read_config(options.config).items():
-            name = str(key).replace("-", "_")
-            if name in _PATHS:
-                value = [options.config.parent / str(v) for v in (value if isinstance(value, list) else [value])]
-                value = value[0] if name == "mapping" else value
-            chosen["cutoff_hz" if name == "cutoff" else name] = value
-    given = {
-        name: getattr(options, name)
-        for name in (
-            "holdout",
-            "holdout_fraction",
-            "time",
-            "joints",
-            "payload",
-            "mapping",
-            "effects",
-            "exclude",
-            "trust",
-            "seed",
-        )
-    }
-    given["cutoff_hz"] = options.cutoff
+    """Return the options that were given: those of the configuration file, then those of the command line."""
+    chosen = _read_config(options.config) if options.config else {}
+    names = (
+        "holdout",
+        "holdout_fraction",
+        "time",
+        "joints",
+        "payload",
+        "mapping",
+        "effects",
+        "exclude",
+        "trust",
+        "seed",
+    )
+    given = {name: getattr(options, name) for name in names} | {"cutoff_hz": options.cutoff}
     return chosen | {name: value for name, value in given.items() if value is not None}
 
 
@@ -155,7 +149,11 @@ def _read_config(path: Path) -> dict[str, Any]:
         raise OptionError(f"{path}: is not YAML ({error})") from None
     if not isinstance(content, dict):
         raise OptionError(f"{path}: expected 'option: value' lines, e.g. 'cutoff: 5'")
-    return content
+    chosen = {str(key).replace("-", "_"): value for key, value in content.items()}
+    if "cutoff" in chosen:
+        chosen["cutoff_hz"] = chosen.pop("cutoff")
+    Settings.from_mapping(chosen, str(path))
+    return chosen
 
 
 def _identify(options: argparse.Namespace) -> None:
@@ -187,7 +185,8 @@ def _demo(options: argparse.Namespace) -> None:
 def _progress() -> Iterator[Callable[[str, float], None]]:
     """Show one bar on a terminal, and nothing where the output is not one."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("reading", total=None)
 
         def report(stage: str, part: float) -> None:

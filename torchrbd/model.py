@@ -9,6 +9,7 @@ It is what a fit returns, what findings extend, what is exported, and what a lea
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
@@ -51,7 +52,7 @@ class RigidBodyDynamics(nn.Module):
         self._terms = nn.ModuleList(terms)
 
     @classmethod
-    def from_urdf(cls, source: str) -> RigidBodyDynamics:
+    def from_urdf(cls, source: str | Path | bytes) -> RigidBodyDynamics:
         """Read a URDF with the friction of its <dynamics> tags: the model that a simulator of it runs."""
         robot = RobotModel.from_urdf(source)
         return cls(robot, terms=urdf_friction(robot))

@@ -17,8 +17,8 @@ def test_round_trips(size: float) -> None:
     pi = random_bodies(0, 200, size=size)
     back = from_log_cholesky(to_log_cholesky(pi))
     assert ((back - pi).abs() <= 1e-10 * pi.abs().amax(0)).all()
-    theta = torch.randn(200, 10, dtype=torch.float64)
-    torch.testing.assert_close(to_log_cholesky(from_log_cholesky(theta)), theta, rtol=0, atol=1e-10)
+    theta = torch.randn(200, 10, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    torch.testing.assert_close(to_log_cholesky(from_log_cholesky(theta)), theta, rtol=0, atol=1e-9)
 
 
 def test_coordinates_are_those_of_rucker_and_wensing() -> None:

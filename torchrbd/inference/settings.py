@@ -89,20 +89,22 @@ class Settings:
                     + (f"; did you mean '{close[0]}'?" if close else f"; known: {', '.join(sorted(known))}")
                 )
         values = dict(options)
-        for key in ("holdout",):
-            values[key] = tuple(Path(p) for p in _listed(values.get(key)))
+        values["holdout"] = tuple(Path(str(p)) for p in _listed(values.get("holdout")))
         for key in ("joints", "effects"):
             if values.get(key) is not None:
-                values[key] = tuple(_listed(values[key]))
+                values[key] = tuple(map(str, _listed(values[key])))
         for key in ("exclude", "trust"):
-            values[key] = tuple(_listed(values.get(key)))
+            values[key] = tuple(map(str, _listed(values.get(key))))
         values["payload"] = tuple(
             p if isinstance(p, Payload) else Payload.parse(str(p)) for p in _listed(values.get("payload"))
         )
         if values.get("time") is not None:
             values["time"] = _interval(values["time"], place)
         if values.get("mapping") is not None:
-            values["mapping"] = Path(values["mapping"])
+            values["mapping"] = Path(str(values["mapping"]))
+        for key, kind in (("cutoff_hz", float), ("holdout_fraction", float), ("kappa", float), ("seed", int)):
+            if values.get(key) is not None:
+                values[key] = _number(values[key], kind, key, place)
         return cls(**values)
 
     def chosen_effects(self) -> tuple[Effect, ...]:
@@ -132,6 +134,13 @@ def _check_names(names: Iterable[str], known: tuple[str, ...], kind: str, robot:
     for name in names:
         if name not in known:
             raise OptionError(f"robot '{robot}' has no moving {kind} '{name}'; it has: {', '.join(known)}")
+
+
+def _number(value: Any, kind: type[int] | type[float], key: str, place: str) -> int | float:
+    try:
+        return kind(value)
+    except (TypeError, ValueError):
+        raise OptionError(f"{place}: {key} is '{value}'; expected a number") from None
 
 
 def _listed(value: Any) -> list[Any]:

@@ -1,0 +1,124 @@
+"""What is written is the model that was fitted, and nothing else of the file changes."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from lxml import etree
+from robot.random_robots import random_urdf
+
+import torchrbd
+from torchrbd import RigidBodyDynamics, RobotModel
+from torchrbd.errors import InputError, RobotError
+from torchrbd.export import load_model, save_model, to_urdf
+from torchrbd.physics import Term, effect
+
+URDF = """<?xml version="1.0"?>
+<!-- kept -->
+<robot name="arm">
+  <link name="base"/>
+  <link name="upper"><inertial><origin xyz="0 0 0.2"/><mass value="3"/>
+    <inertia ixx="0.05" iyy="0.05" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial><visual name="shape"/></link>
+  <link name="tool"><inertial><origin xyz="0 0.1 0" rpy="0.3 0 0"/><mass value="1"/>
+    <inertia ixx="0.02" iyy="0.03" izz="0.02" ixy="0.001" ixz="0" iyz="0"/></inertial></link>
+  <link name="frame"/>
+  <joint name="swing" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="5" velocity="2"/><dynamics damping="0.1"/></joint>
+  <joint name="bolt" type="fixed"><parent link="upper"/><child link="tool"/><origin xyz="0 0 0.5" rpy="0 0.4 0"/></joint>
+  <joint name="mark" type="fixed"><parent link="tool"/><child link="frame"/></joint>
+  <gazebo reference="upper"/>
+</robot>
+"""
+
+
+def changed(model: RigidBodyDynamics, size: float = 0.05, seed: int = 0) -> RigidBodyDynamics:
+    generator = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        model.raw_inertia += size * torch.randn(model.raw_inertia.shape, generator=generator, dtype=torch.float64)
+    return model
+
+
+def test_round_trip_through_urdf() -> None:
+    model = changed(RigidBodyDynamics.from_urdf(URDF))
+    again = RigidBodyDynamics.from_urdf(to_urdf(model))
+    torch.testing.assert_close(again.pi, model.pi, rtol=1e-12, atol=1e-14)
+    q, qd, qdd = torch.randn(3, 5, 1, dtype=torch.float64)
+    torch.testing.assert_close(again(q, qd, qdd), model(q, qd, qdd), rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_round_trip_of_random_trees(seed: int) -> None:
+    model = changed(RigidBodyDynamics.from_urdf(random_urdf(seed, 6)), seed=seed)
+    torch.testing.assert_close(RigidBodyDynamics.from_urdf(to_urdf(model)).pi, model.pi, rtol=1e-9, atol=1e-12)
+
+
+def test_fixed_links_keep_their_own_inertia_and_the_rest_of_the_file_stays() -> None:
+    text = to_urdf(changed(RigidBodyDynamics.from_urdf(URDF), 0.002))
+    old, new = etree.fromstring(URDF.encode()), etree.fromstring(text)
+    for path in (
+        "link[@name='tool']/inertial/mass",
+        "link[@name='tool']/inertial/inertia",
+        "joint[@name='swing']/limit",
+    ):
+        assert dict(new.find(path).attrib) == dict(old.find(path).attrib)
+    assert new.find("link[@name='frame']/inertial") is None
+    assert new.find("gazebo") is not None
+    assert new.find("link[@name='upper']/visual").get("name") == "shape"
+    assert b"<!-- kept -->" in text
+
+
+def test_an_impossible_rest_moves_into_the_moving_link() -> None:
+    """A body lighter than the tool fixed to it: the tool's inertia cannot stay what it was."""
+    robot = RobotModel.from_urdf(URDF)
+    light = RigidBodyDynamics(robot, 0.1 * robot.pi)
+    text = to_urdf(light)
+    torch.testing.assert_close(RobotModel.from_urdf(text).pi, light.pi.detach(), rtol=1e-12, atol=1e-14)
+    assert etree.fromstring(text).find("link[@name='tool']/inertial") is None
+
+
+def test_friction_becomes_dynamics_and_other_terms_a_comment() -> None:
+    robot = RobotModel.from_urdf(URDF)
+    one = torch.ones(1, dtype=torch.float64)
+    terms = [
+        Term(effect("viscous_friction"), 0, 0.4 * one, {}, 1e-3),
+        Term(effect("coulomb_friction"), 0, 0.7 * one, {}, 1e-3),
+        Term(effect("rotor_inertia"), 0, 0.2 * one, {}, 1e-3),
+    ]
+    text = to_urdf(RigidBodyDynamics(robot, terms=terms))
+    again = RobotModel.from_urdf(text)
+    assert (float(again.damping[0]), float(again.friction[0])) == (pytest.approx(0.4), pytest.approx(0.7))
+    assert b"rotor_inertia=0.2" in text
+
+
+def test_safetensors_round_trip(tmp_path: Path) -> None:
+    robot = RobotModel.from_urdf(URDF, gravity=(0.0, 1.0, -9.7))
+    stribeck = effect("stribeck_friction")
+    w, shape = stribeck.coefficients({"coulomb": 0.5, "static": 0.8, "stribeck_speed": 0.1})
+    term = Term(stribeck, 0, torch.tensor(w, dtype=torch.float64), shape, 2e-3)
+    model = changed(RigidBodyDynamics(robot, terms=[term]))
+    save_model(model, tmp_path / "model.safetensors")
+    again = load_model(tmp_path / "model.safetensors")
+    q, qd, qdd = torch.randn(3, 7, 1, dtype=torch.float64)
+    assert torch.equal(again(q, qd, qdd), model(q, qd, qdd))
+    assert again.robot.gravity.tolist() == [0.0, 1.0, -9.7]
+
+
+def test_files_that_are_no_models(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"missing\.safetensors"):
+        load_model(tmp_path / "missing.safetensors")
+    (tmp_path / "text.safetensors").write_text("tau = Y pi")
+    with pytest.raises(InputError, match=r"text\.safetensors"):
+        load_model(tmp_path / "text.safetensors")
+
+
+def test_a_robot_without_urdf_cannot_be_written(tmp_path: Path) -> None:
+    robot = RobotModel.from_urdf(URDF)
+    inertials = {link.name: link.pi for links in robot.folded.values() for link in links}
+    bare = RobotModel.from_chain(robot.to_chain(), inertials)
+    for write in (lambda m: to_urdf(m), lambda m: save_model(m, tmp_path / "m.safetensors")):
+        with pytest.raises(RobotError, match="not made from a URDF"):
+            write(RigidBodyDynamics(bare))
+
+
+def test_public_names_exist() -> None:
+    assert all(hasattr(torchrbd, name) for name in torchrbd.__all__)

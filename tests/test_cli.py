@@ -1,0 +1,205 @@
+"""The command line as a user meets it: files in, files out, clear words, exit codes."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robot.random_robots import random_urdf
+from simulated import joint_names, record
+
+import torchrbd
+from torchrbd.cli import main
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with arm.urdf, and day.csv and night.csv of it with friction at joint2 that the URDF leaves out."""
+    folder = tmp_path_factory.mktemp("case")
+    urdf = random_urdf(21, 3, kinds=("revolute",), branching=0.0, massless=0.0)
+    (folder / "arm.urdf").write_text(urdf)
+    names = joint_names(urdf)
+
+    def friction(motion):
+        tau = np.zeros_like(motion.q)
+        tau[:, names.index("joint2")] = 0.7 * np.sign(motion.qd[:, names.index("joint2")])
+        return tau
+
+    for seed, name in enumerate(("day", "night")):
+        write(folder / f"{name}.csv", names, record(urdf, seed, extra=friction, duration_s=20.0))
+    return folder
+
+
+def write(path: Path, names: list[str], recording: torchrbd.Recording) -> None:
+    chunk = next(iter(recording.chunks(10**6)))
+    header = ",".join(["t", *(f"q_{n}" for n in names), *(f"tau_{n}" for n in names)])
+    np.savetxt(path, np.column_stack((chunk.t, chunk.q, chunk.tau)), delimiter=",", header=header, comments="")
+
+
+def run(case: Path, *arguments: str) -> int:
+    files = [
+        str(case / a) if a.endswith((".urdf", ".csv", ".yaml", ".parquet")) and "=" not in a else a for a in arguments
+    ]
+    return main(files)
+
+
+def test_diagnose_writes_everything(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(case, "diagnose", "arm.urdf", "day.csv", "--holdout", "night.csv", "-o", str(tmp_path)) == 0
+    told = capsys.readouterr().out
+    assert "missing physics" in told
+    assert "Coulomb friction" in told
+    assert str(tmp_path / "report.html") in told.replace("\n", "")
+    diagnosis = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert diagnosis["schema"] == 1
+    assert diagnosis["verdict"] == "missing_physics"
+    assert diagnosis["joints"] == ["joint1", "joint2", "joint3"]
+    (finding,) = diagnosis["findings"]
+    assert (finding["effect"], finding["joints"]) == ("coulomb_friction", ["joint2"])
+    assert finding["parameters"]["coulomb"]["value"] == pytest.approx(0.7, rel=0.1)
+    assert finding["parameters"]["coulomb"]["unit"] == "N m"
+    wanted = {"effect", "joints", "links", "probability", "log_evidence_gain", "parameters", "where", "statement"}
+    assert finding.keys() >= wanted | {"indistinguishable_from", "nmse_before", "nmse_after"}
+    assert finding["where"] == {"recordings": None, "time_s": None, "region": None}
+    assert diagnosis["fit"].keys() == {"urdf", "rigid_body", "extended"}
+    assert diagnosis["fit"]["extended"]["nmse"].keys() == set(diagnosis["joints"])
+    assert (tmp_path / "report.html").read_text().startswith("<!")
+
+
+def test_written_urdf_and_model_are_the_fitted_robot(case: Path, tmp_path: Path) -> None:
+    assert run(case, "diagnose", "arm.urdf", "day.csv", "--holdout", "night.csv", "-o", str(tmp_path)) == 0
+    model = torchrbd.load_model(tmp_path / "model.safetensors")
+    from_urdf = torchrbd.RigidBodyDynamics.from_urdf(str(tmp_path / "identified.urdf"))
+    assert from_urdf.pi.detach().numpy() == pytest.approx(model.pi.detach().numpy(), rel=1e-9, abs=1e-12)
+    assert from_urdf.robot.friction[1] == pytest.approx(0.7, rel=0.1)
+
+
+def test_second_opinion_on_the_identified_urdf(case: Path, tmp_path: Path) -> None:
+    """The robot that was written explains the recordings it came from."""
+    assert run(case, "diagnose", "arm.urdf", "day.csv", "night.csv", "-o", str(tmp_path / "first")) == 0
+    again = torchrbd.diagnose(tmp_path / "first" / "identified.urdf", [case / "day.csv", case / "night.csv"])
+    assert again.findings == ()
+    assert again.verdict == "consistent"
+
+
+def test_identify_writes_parameters(case: Path, tmp_path: Path) -> None:
+    arguments = (
+        "identify",
+        "arm.urdf",
+        "day.csv",
+        "-o",
+        str(tmp_path),
+        "--effects",
+        "coulomb_friction",
+        "--cutoff",
+        "6",
+    )
+    assert run(case, *arguments) == 0
+    content = json.loads((tmp_path / "parameters.json").read_text())
+    assert content["cutoff_hz"] == 6.0
+    assert len([p for p in content["parameters"] if p["status"] == "term"]) == 3
+    assert len([p for p in content["parameters"] if p["owner"] == "link1"]) == 10
+    assert any(sentence.startswith("only ") for sentence in content["combinations"])
+    assert not (tmp_path / "diagnosis.json").exists()
+
+
+def test_configuration_file_gives_options_and_the_command_line_wins(case: Path, tmp_path: Path) -> None:
+    (case / "run.yaml").write_text(f"cutoff: 6\nholdout: [{case / 'night.csv'}]\nexclude: joint_spring\n")
+    assert (
+        run(case, "identify", "arm.urdf", "day.csv", "-o", str(tmp_path), "--config", "run.yaml", "--cutoff", "5") == 0
+    )
+    content = json.loads((tmp_path / "parameters.json").read_text())
+    assert content["cutoff_hz"] == 5.0
+    assert content["recordings"] == ["day.csv"]
+    assert content["held_out"] == "night.csv"
+
+
+BAD = {
+    "no file": (("identify", "arm.urdf", "dawn.csv"), "dawn.csv"),
+    "no robot": (("identify", "leg.urdf", "day.csv"), "leg.urdf"),
+    "holdout twice": (("identify", "arm.urdf", "day.csv", "--holdout", "day.csv"), "both fitted and held out"),
+    "unknown joint": (("identify", "arm.urdf", "day.csv", "--joints", "jointX"), "no moving joint 'jointX'"),
+    "unknown link": (("identify", "arm.urdf", "day.csv", "--trust", "linkX"), "no moving link 'linkX'"),
+    "unknown effect": (("diagnose", "arm.urdf", "day.csv", "--effects", "friction"), "unknown effect 'friction'"),
+    "bad time": (("identify", "arm.urdf", "day.csv", "--time", "5"), "expected FROM:TO"),
+    "empty time": (("identify", "arm.urdf", "day.csv", "--time", "9:3"), "end must come after"),
+    "bad payload": (("identify", "arm.urdf", "day.csv", "--payload", "day.csv=heavy"), "expected FILE=kg,x,y,z"),
+    "payload of another file": (("identify", "arm.urdf", "day.csv", "--payload", "dawn.csv=1,0,0,0"), "dawn.csv"),
+    "payload on nothing": (("identify", "arm.urdf", "day.csv", "--payload", "day.csv=1,0,0,0@linkX"), "linkX"),
+    "bad fraction": (("identify", "arm.urdf", "day.csv", "--holdout-fraction", "0.9"), "holdout_fraction is 0.9"),
+    "too short": (("identify", "arm.urdf", "day.csv", "--time", "0:3"), "give longer or more recordings"),
+    "cut-off too high": (("identify", "arm.urdf", "day.csv", "--cutoff", "90"), "too high"),
+    "no mapping": (("identify", "arm.urdf", "day.csv", "--mapping", "map.yaml"), "map.yaml"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_told_without_a_traceback(
+    name: str, case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments, words = BAD[name]
+    assert run(case, *arguments, "-o", str(tmp_path / "out")) == 2
+    told = re.sub(r"\s+", " ", capsys.readouterr().err)
+    assert told.startswith("torchrbd: error: ")
+    assert words in told
+    assert "Traceback" not in told
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("content", ["cutof: 6", "- 6", "cutoff: [", "cutoff: fast"])
+def test_bad_configuration_is_told(
+    content: str, case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.yaml").write_text(content)
+    assert (
+        main(
+            [
+                "identify",
+                str(case / "arm.urdf"),
+                str(case / "day.csv"),
+                "-o",
+                str(tmp_path / "o"),
+                "--config",
+                str(tmp_path / "bad.yaml"),
+            ]
+        )
+        == 2
+    )
+    told = capsys.readouterr().err
+    assert "bad.yaml" in told
+    assert "Traceback" not in told
+
+
+def test_wrong_words_end_with_exit_code_two() -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["diagnos"])
+    assert stop.value.code == 2
+
+
+def test_help_keeps_units(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["diagnose", "--help"])
+    assert stop.value.code == 0
+    assert "[N m, N]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "path", sorted((Path(__file__).parent.parent / "configs").glob("run_*.yaml")), ids=lambda p: p.name
+)
+def test_bundled_run_settings_are_read(
+    path: Path, case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = main(
+        ["identify", str(case / "arm.urdf"), str(case / "day.csv"), "-o", str(tmp_path / "o"), "--config", str(path)]
+    )
+    assert code == 0 or "no such file" in capsys.readouterr().err
+
+
+def test_demo_names_the_concealed_friction(tmp_path: Path) -> None:
+    assert main(["demo", "-o", str(tmp_path)]) == 0
+    truth = json.loads((Path(torchrbd.__file__).parent / "demo" / "truth.json").read_text())
+    (finding,) = json.loads((tmp_path / "diagnosis.json").read_text())["findings"]
+    assert (finding["effect"], finding["joints"]) == (truth["effect"], [truth["joint"]])
+    (quantity,) = finding["parameters"].values()
+    assert quantity["value"] == pytest.approx(truth["value"], rel=0.1)
+    assert (tmp_path / "report.html").exists()

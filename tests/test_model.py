@@ -1,0 +1,173 @@
+"""The one model: rigid body and terms, differentiable, physical whatever training does to it."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from robot.random_robots import random_states, random_urdf
+from torch import Tensor
+from torch.autograd import gradcheck
+
+from torchrbd.errors import PhysicalError
+from torchrbd.model import REST_WIDTH, RigidBodyDynamics, urdf_friction
+from torchrbd.parameters import is_physical
+from torchrbd.physics import Term, effect
+from torchrbd.robot import RobotModel
+
+URDF = random_urdf(9, 4, mimic=0.3)
+MASSLESS = random_urdf(5, 6, massless=1.0, branching=0.0, fixed=0.0)
+
+
+def states(robot: RobotModel, *batch: int, seed: int = 1, grad: bool = False) -> tuple[Tensor, ...]:
+    return tuple(torch.from_numpy(x).requires_grad_(grad) for x in random_states(seed, *batch, robot.n_dof))
+
+
+def term(name: str, joint: int, *coefficients: float) -> Term:
+    shape = {"stribeck_speed": 0.3} if name == "stribeck_friction" else {}
+    return Term(effect(name), joint, torch.tensor(coefficients, dtype=torch.float64), shape, 0.05)
+
+
+def terms() -> list[Term]:
+    return [
+        term("viscous_friction", 0, 0.7),
+        term("stribeck_friction", 1, 0.5, 0.4),
+        term("rotor_inertia", 1, 0.3),
+        term("rotor_inertia", 2, 0.2),
+        term("joint_spring", 2, 3.0, -1.0),
+    ]
+
+
+@pytest.fixture
+def model() -> RigidBodyDynamics:
+    return RigidBodyDynamics(RobotModel.from_urdf(URDF), terms=terms())
+
+
+def test_torque_is_the_rigid_bodys_plus_the_terms(model: RigidBodyDynamics) -> None:
+    robot = model.robot
+    q, qd, qdd = states(robot, 20)
+    expected = robot.inverse_dynamics(q, qd, qdd)
+    for t in terms():
+        expected[:, t.joint] += t(q[:, t.joint], qd[:, t.joint], qdd[:, t.joint]).detach()
+    torch.testing.assert_close(model(q, qd, qdd), expected, rtol=1e-11, atol=1e-11)
+    torch.testing.assert_close(model.pi, robot.pi, rtol=1e-12, atol=1e-12)
+
+
+def test_other_parameters_can_be_given() -> None:
+    robot, other = RobotModel.from_urdf(URDF), RobotModel.from_urdf(URDF)
+    pi = 1.3 * robot.pi
+    x = states(robot, 5)
+    torch.testing.assert_close(RigidBodyDynamics(robot, pi)(*x), other.inverse_dynamics(*x, pi=pi))
+
+
+def test_batched_is_looped(model: RigidBodyDynamics) -> None:
+    x = states(model.robot, 2, 3)
+    tau = model(*x)
+    for k in range(2):
+        for j in range(3):
+            torch.testing.assert_close(tau[k, j], model(*(v[k, j] for v in x)), rtol=1e-12, atol=1e-12)
+    assert model(*states(model.robot, 0)).shape == (0, model.robot.n_dof)
+
+
+@pytest.mark.xfail(strict=True, reason="term_torque stacks joints with terms, of the common shape, and without, of q's")
+def test_states_broadcast_as_in_the_robot(model: RigidBodyDynamics) -> None:
+    q, qd, qdd = states(model.robot, 4)
+    full = q[0].expand_as(q)
+    torch.testing.assert_close(model(q[0], qd, qdd), model(full, qd, qdd))
+    some = RigidBodyDynamics(model.robot, terms=[term("viscous_friction", 0, 0.7)])
+    torch.testing.assert_close(some(q[0], qd, qdd), some(full, qd, qdd))
+
+
+def test_gradients_through_states_and_parameters(model: RigidBodyDynamics) -> None:
+    q, qd, qdd = states(model.robot, 2, grad=True)
+    names = [name for name, _ in model.named_parameters()]
+    values = tuple(p.detach().clone().requires_grad_() for p in model.parameters())
+    assert "raw_inertia" in names
+    assert len(names) == 1 + len(terms())
+
+    def torque(q: Tensor, qd: Tensor, qdd: Tensor, *values: Tensor) -> Tensor:
+        return torch.func.functional_call(model, dict(zip(names, values, strict=True)), (q, qd, qdd))
+
+    assert gradcheck(torque, (q, qd, qdd, *values))
+    assert gradcheck(model.forward_dynamics, (q, qd, qdd))
+
+
+def test_forward_dynamics_inverts_inverse_dynamics(model: RigidBodyDynamics) -> None:
+    q, qd, qdd = states(model.robot, 2, 5)
+    torch.testing.assert_close(model.forward_dynamics(q, qd, model(q, qd, qdd)), qdd, rtol=1e-9, atol=1e-9)
+    bare = RigidBodyDynamics(model.robot)
+    tau = model.robot.inverse_dynamics(q, qd, qdd)
+    torch.testing.assert_close(bare.forward_dynamics(q, qd, tau), qdd, rtol=1e-9, atol=1e-9)
+
+
+def test_massless_bodies_are_held_constant() -> None:
+    robot = RobotModel.from_urdf(MASSLESS)
+    model = RigidBodyDynamics(robot)
+    massless = robot.pi.reshape(-1, 10)[:, 0] == 0
+    assert massless.sum() == 5
+    assert model.raw_inertia.shape == (1, 10)
+    with torch.no_grad():
+        model.raw_inertia.add_(0.3)
+    pi = model.pi.detach().reshape(-1, 10)
+    assert torch.equal(pi[massless], torch.zeros(5, 10, dtype=torch.float64))
+    assert not torch.allclose(pi[~massless], robot.pi.reshape(-1, 10)[~massless])
+
+
+def test_a_moving_body_without_mass_is_told_and_rotor_inertia_helps() -> None:
+    robot = RobotModel.from_urdf(MASSLESS)
+    q, qd, qdd = states(robot, 3)
+    zero = RigidBodyDynamics(robot, torch.zeros_like(robot.pi))
+    with pytest.raises(PhysicalError, match=r"mass matrix of robot 'random5' is not positive definite.*rotor inertia"):
+        zero.forward_dynamics(q, qd, qdd)
+    geared = RigidBodyDynamics(robot, terms=[term("rotor_inertia", j, 0.1) for j in range(robot.n_dof)])
+    torch.testing.assert_close(geared.forward_dynamics(q, qd, geared(q, qd, qdd)), qdd, rtol=1e-8, atol=1e-8)
+
+
+def test_training_keeps_every_body_physical_and_learns(model: RigidBodyDynamics) -> None:
+    q, qd, qdd = states(model.robot, 64)
+    target = -model.robot.inverse_dynamics(q, qd, qdd)  # no robot has these torques
+    optimiser = torch.optim.Adam(model.parameters(), lr=0.3)
+    losses = []
+    for _ in range(25):
+        optimiser.zero_grad()
+        loss = (model(q, qd, qdd) - target).square().mean()
+        loss.backward()
+        optimiser.step()
+        losses.append(float(loss.detach()))
+        assert is_physical(model.pi.detach().reshape(-1, 10), tolerance=0.0).all()
+    assert losses[-1] < 0.8 * losses[0]
+
+
+def test_state_dict_round_trip(model: RigidBodyDynamics) -> None:
+    with torch.no_grad():
+        for p in model.parameters():
+            p.mul_(1.1)
+    fresh = RigidBodyDynamics(RobotModel.from_urdf(URDF), terms=terms())
+    fresh.load_state_dict(model.state_dict())
+    x = states(model.robot, 5)
+    assert torch.equal(fresh(*x), model(*x))
+
+
+def test_single_precision(model: RigidBodyDynamics) -> None:
+    x = states(model.robot, 6)
+    exact = model(*x)
+    rough = model(*(v.float() for v in x))
+    assert rough.dtype == torch.float32
+    converted = model.float()(*(v.float() for v in x))
+    for tau in (rough, converted):
+        assert (tau - exact).abs().max() < 1e-5 * exact.abs().max()
+
+
+def test_urdf_friction_becomes_terms() -> None:
+    parts = random_urdf(2, 2, kinds=("revolute",)).split("</joint>")
+    where = next(k for k, part in enumerate(parts) if 'name="joint2"' in part)
+    parts[where] += '<dynamics damping="0.5" friction="1.5"/>'
+    robot = RobotModel.from_urdf("</joint>".join(parts))
+    j = robot.joint_names.index("joint2")
+    model = RigidBodyDynamics.from_urdf("</joint>".join(parts))
+    assert [(t.effect.id, t.joint) for t in model.terms] == [("viscous_friction", j), ("coulomb_friction", j)]
+    q, qd, qdd = states(robot, 8)
+    added = model(q, qd, qdd) - robot.inverse_dynamics(q, qd, qdd)
+    torch.testing.assert_close(added[:, j], 0.5 * qd[:, j] + 1.5 * torch.tanh(qd[:, j] / REST_WIDTH))
+    assert added[:, 1 - j].abs().max() < 1e-12
+    wide = urdf_friction(robot, torch.full((2,), 0.2))
+    assert [t.rest_width for t in wide] == pytest.approx([0.2, 0.2])
