@@ -34,7 +34,7 @@ def to_urdf(model: RigidBodyDynamics) -> bytes:
         if joint.get("name") in robot.joint_names:
             _write_dynamics(joint, model, robot.joint_names.index(joint.get("name")))
     etree.indent(root)
-    return etree.tostring(root, xml_declaration=True, encoding="utf-8", pretty_print=True)
+    return etree.tostring(root.getroottree(), xml_declaration=True, encoding="utf-8", pretty_print=True)
 
 
 def _shared_out(pi: Tensor, folded: tuple[FoldedLink, ...]) -> list[tuple[str, Tensor]]:
