@@ -73,5 +73,7 @@ def test_dtype_follows_the_input() -> None:
 def test_unphysical_bodies_are_told_by_number() -> None:
     pi = random_bodies(6, 4)
     pi[1, 0], pi[3, 4:] = -1.0, 0.0
-    with pytest.raises(PhysicalError, match=r"bodies number \[1, 3\] have no positive definite pseudo-inertia.*nearest_p"):
+    with pytest.raises(
+        PhysicalError, match=r"bodies number \[1, 3\] have no positive definite pseudo-inertia.*nearest_p"
+    ):
         to_log_cholesky(pi)

@@ -95,12 +95,11 @@ def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress:
         key: [] for key in ("recording", "t", "held_out", "q", "qd", "qdd", "measured")
     }
     predicted: dict[str, list[np.ndarray]] = {name: [] for name in coefficients}
-    unmeasured = ~prepared.used
     for k, recording in enumerate(prepared.recordings):
         progress("predicting torques", k / len(prepared.recordings))
         for states in prepared.tiles(k):
             measured = states.decimate(torch.nan_to_num(states.tau)).T
-            measured[:, unmeasured | ~torch.as_tensor(recording.measured)] = torch.nan
+            measured[:, ~prepared.measured(k)] = torch.nan
             parts["recording"].append(np.full(len(states.t_out), k))
             parts["t"].append(states.t_out.numpy())
             parts["held_out"].append(_kept_back(prepared, recording.name, states.t_out).numpy())

@@ -28,6 +28,7 @@ from torchrbd.recordings import (
     choose_cutoff,
     open_recording,
     read_mapping,
+    skipped_segments,
     survey,
     tiles,
 )
@@ -90,6 +91,10 @@ class Prepared:
         """Blocks kept back."""
         return self.statistics.select(self.held_out)
 
+    def measured(self, k: int) -> Tensor:
+        """Return (n_dof,) bool, the joints whose torque in recording k counts."""
+        return _measured(self.recordings[k], self.surveys[k]) & self.used
+
     def tiles(self, k: int) -> Iterator[States]:
         """Stream the states of recording k; known payloads are taken off its torque."""
         return _tiles(self.robot, self.recordings[k], self.surveys[k], self.filtering, self.payload)
@@ -119,30 +124,17 @@ def prepare(
     for k, recording in enumerate(opened):
         progress("looking through the recordings", k / len(opened))
         surveys.append(survey(recording))
-    filtering = Filtering(settings.cutoff_hz or choose_cutoff(surveys))
+    filtering = Filtering(choose_cutoff(surveys) if settings.cutoff_hz is None else settings.cutoff_hz)
     columns = Columns(robot, effects, _scales(robot, surveys, filtering))
     used, held = settings.used_joints(robot), settings.held_bodies(robot)
     payload = _payloads(robot, opened, settings.payload)
     statistics = _stream(columns, opened, surveys, filtering, used, payload, progress)
     held_out, words = _held_out(statistics, opened, n_fitted, settings)
-    total = statistics.torque.sum(0)
-    torque_rms = (total[:, 2] / total[:, 0].clamp_min(1e-300)).sqrt()
+    weight, _, square = statistics.torque.sum(0).unbind(-1)
+    if not weight.any():
+        raise RecordingError("no torque that changes is recorded for any of the joints in use; nothing can be fitted")
+    torque_rms = (square / weight.clamp_min(1e-300)).sqrt()
     prior = urdf_prior(columns, torque_rms, _feature_rms(statistics), held=held, kappa=settings.kappa)
-    unmeasured = [
-        n for n, ok, w in zip(robot.joint_names, used.tolist(), total[:, 0].tolist(), strict=True) if ok and not w
-    ]
-    notes = [
-        note if note.startswith(s.name) else f"{s.name}: {note}"
-        for r, s in zip(opened, surveys, strict=True)
-        for note in (*r.notes, *s.notes)
-    ]
-    notes += [f"no recording has a torque for {name}" for name in unmeasured]
-    notes += [
-        f"the URDF's inertia of {body} is not physical; the fit starts from the nearest that is"
-        for body in unphysical_bodies(columns)
-    ]
-    massless = [n for b, n in enumerate(robot.body_names) if b not in prior.bodies and n not in held]
-    notes += [f"{name} has no mass in the URDF and keeps none" for name in massless]
     return Prepared(
         robot=robot,
         recordings=opened,
@@ -155,7 +147,7 @@ def prepare(
         prior=prior,
         used=used,
         payload=payload,
-        notes=tuple(notes),
+        notes=_notes(columns, opened, surveys, filtering, prior, held, used & (weight == 0)),
     )
 
 
@@ -243,7 +235,7 @@ def _stream(
                 progress("building the statistics", min(1.0, (before + float(states.t[0])) / duration))
                 yield states
 
-        measured = torch.as_tensor(recording.measured) & used
+        measured = _measured(recording, s) & used
         stream = watched(_tiles(columns.robot, recording, s, filtering, payload))
         part = block_statistics(
             columns, recording.name, stream, measured, block_s=block_s, independent_rate_hz=filtering.effective_rate
@@ -257,6 +249,39 @@ def _stream(
             f"{filtering.cutoff_hz:g} Hz; at least {_LEAST_BLOCKS} are needed: give longer or more recordings"
         )
     return statistics.coarsened(_MOST_BLOCKS)
+
+
+def _measured(recording: Recording, s: Survey) -> Tensor:
+    """Return (n_dof,) bool: joints with a torque that changes; a constant one comes from no sensor."""
+    return torch.tensor(
+        [m and n not in s.constant_tau for m, n in zip(recording.measured, recording.joints, strict=True)]
+    )
+
+
+def _notes(
+    columns: Columns,
+    recordings: Sequence[Recording],
+    surveys: Sequence[Survey],
+    filtering: Filtering,
+    prior: Prior,
+    held: Sequence[str],
+    without_torque: Tensor,
+) -> tuple[str, ...]:
+    robot, notes = columns.robot, []
+    for recording, s in zip(recordings, surveys, strict=True):
+        found = [*recording.notes, *s.notes]
+        found += [
+            f"{a:.3g} to {b:.3g} s left out: too short for the filters" for a, b in skipped_segments(s, filtering)
+        ]
+        notes += [note if note.startswith(s.name) else f"{s.name}: {note}" for note in found]
+    silent = (name for name, none in zip(robot.joint_names, without_torque.tolist(), strict=True) if none)
+    notes += [f"no recording has a torque that changes for {name}" for name in silent]
+    notes += [
+        f"the URDF's inertia of {body} is that of no mass distribution; the fit starts from the nearest that is"
+        for body in unphysical_bodies(columns)
+    ]
+    massless = (n for b, n in enumerate(robot.body_names) if b not in prior.bodies and n not in held)
+    return (*notes, *(f"{name} has no mass in the URDF and keeps none" for name in massless))
 
 
 def _held_out(

@@ -18,6 +18,7 @@ _NOISE_BAND = (0.3, 0.45)
 _BANDS = 80
 _VALLEY_RISE = 1.4
 _HARMONICS = 10.0
+_NOISE_PART = 1e-4
 _REACHES = 12.8
 _LAG_TOLERANCE = 0.005
 _QUIETER = 0.25
@@ -110,11 +111,14 @@ class Spectrum:
         """Return `(2 sin(w dt / 2) / dt)^2` (F,), the power gain of a first difference."""
         return (2 * np.sin(np.pi * self.frequency * self.dt) / self.dt) ** 2
 
-    def q_noise_std(self) -> np.ndarray:
-        """Return the standard deviation (n,) of white position noise, from the density near the Nyquist frequency."""
+    def q_noise_density(self) -> np.ndarray:
+        """Return the one-sided power density (n,) of white position noise, from that near the Nyquist frequency."""
         band = (self.frequency * self.dt > _NOISE_BAND[0]) & (self.frequency * self.dt < _NOISE_BAND[1])
-        density = np.median(self.acceleration[:, band] / self.difference_gain[band] ** 2, axis=1)
-        return np.sqrt(density / (2 * self.dt))
+        return np.median(self.acceleration[:, band] / self.difference_gain[band] ** 2, axis=1)
+
+    def q_noise_std(self) -> np.ndarray:
+        """Return the standard deviation (n,) of white position noise."""
+        return np.sqrt(self.q_noise_density() / (2 * self.dt))
 
     def cutoff(self, moves: np.ndarray, longest_s: float) -> float:
         """Find the valley between the motion, whose acceleration density falls, and the noise, whose rises [Hz].
@@ -123,7 +127,8 @@ class Spectrum:
         valley's upper edge, 1.5 dB above its floor. Densities are averaged over an octave, so that the dip between
         two harmonics is no valley, and their decibels over the moving joints, so that no joint's scale matters and one
         that vibrates does not decide. Where no noise limits the band, ten times the frequency below which 99 % of the
-        acceleration lies is enough.
+        acceleration lies is enough. In no case may the noise of the acceleration, which grows with the fifth power of
+        the cut-off, `S_q (2 pi)^4 f^5 / 5`, exceed 1e-4 of its power (1 % of its amplitude).
 
         Args:
             moves: (n,) bool, joints to look at. longest_s: longest segment; the filters must leave something of it.
@@ -142,7 +147,10 @@ class Spectrum:
         valley = centres[floor + rises[0] - 1] if len(rises) else centres[-1]
         share = np.cumsum(acceleration[:, f <= valley], axis=1)
         highest = np.median(f[np.argmax(share >= 0.99 * share[:, -1:], axis=1)])
-        proposal = max(float(min(valley, _HARMONICS * max(highest, f[1]))), LOWEST_HZ, _REACHES / longest_s)
+        power = acceleration[:, f <= valley].sum(axis=1) * f[1]
+        density = np.maximum(self.q_noise_density()[moves], 1e-300)
+        clean = np.median((_NOISE_PART * power * 5 / (density * (2 * np.pi) ** 4)) ** 0.2)
+        proposal = max(float(min(valley, clean, _HARMONICS * max(highest, f[1]))), LOWEST_HZ, _REACHES / longest_s)
         return two_digits(min(proposal, HIGHEST_SHARE * rate))
 
     def qd_noise_std(self, cutoff_hz: float) -> np.ndarray:

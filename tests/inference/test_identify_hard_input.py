@@ -1,0 +1,114 @@
+"""Recordings that are wrong or odd: told, or survived, but never a traceback or a silent wrong answer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from inference.problems import urdf_of
+from simulated import record
+
+from torchrbd.errors import InputError
+from torchrbd.inference.identify import identify
+from torchrbd.inference.results import Identification
+from torchrbd.parameters import is_physical
+from torchrbd.recordings import Recording
+from torchrbd.robot import RobotModel
+
+URDF = urdf_of(0, 4)
+ROBOT = RobotModel.from_urdf(URDF)
+
+
+def recording(*, torque: np.ndarray | float = 1.0, position: float = 1.0, noise: float = 0.02) -> Recording:
+    """Record with torques and positions multiplied: wrong signs and units."""
+    right = record(URDF, 0, duration_s=20.0, torque_noise=noise)
+    (chunk,) = right.chunks(10**7)
+    return Recording.from_arrays("wrong", right.joints, chunk.t, position * chunk.q, torque * chunk.tau)
+
+
+def physical(found: Identification) -> bool:
+    pi = torch.tensor([p.value for p in found.parameters if p.status != "term"], dtype=torch.float64)
+    return bool(is_physical(pi.reshape(-1, 10), tolerance=0.0).all())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"torque": 1000.0},
+        {"torque": 1e-3},
+        {"torque": np.array([1.0, -1.0, 1.0, 1.0])},
+        {"position": 180 / np.pi},
+        {"torque": -1.0, "noise": 0.1},
+    ],
+    ids=["mN m", "kN m", "one sign", "degrees", "all signs"],
+)
+def test_wrong_units_and_signs_give_a_physical_robot(wrong: dict) -> None:
+    assert physical(identify(URDF, recording(**wrong)))
+
+
+@pytest.mark.xfail(strict=True, raises=torch.linalg.LinAlgError, reason="noise from a fit without constraints")
+@pytest.mark.parametrize("noise", [0.0, 0.002])
+def test_opposite_torques_with_little_noise(noise: float) -> None:
+    """A robot of negative mass explains them perfectly, so that the weights explode and the physical fit fails."""
+    assert physical(identify(URDF, recording(torque=-1.0, noise=noise)))
+
+
+def test_noise_free_simulation() -> None:
+    found = identify(URDF, record(URDF, 0, duration_s=20.0, torque_noise=0.0, encoder_noise=0.0))
+    assert found.fits["rigid_body"].mean_nmse < 1e-6
+    np.testing.assert_allclose([p.value for p in found.parameters], ROBOT.pi.numpy(), atol=0.02)
+
+
+def test_joints_without_torque_are_left_out() -> None:
+    right = recording()
+    (chunk,) = right.chunks(10**7)
+    chunk.tau[:, 2] = np.nan
+    found = identify(URDF, Recording.from_arrays("part", right.joints, chunk.t, chunk.q, chunk.tau))
+    assert set(found.fits["urdf"].nmse) == set(right.joints) - {right.joints[2]}
+    assert any(right.joints[2] in note for note in found.notes)
+
+
+@pytest.mark.parametrize("value", [0.0, 5.0])
+def test_a_torque_that_never_changes_is_no_measurement(value: float) -> None:
+    """Drivers write zeros where a torque is not measured."""
+    right = recording()
+    (chunk,) = right.chunks(10**7)
+    chunk.tau[:, 2] = value
+    found = identify(URDF, Recording.from_arrays("part", right.joints, chunk.t, chunk.q, chunk.tau))
+    assert set(found.fits["urdf"].nmse) == set(right.joints) - {right.joints[2]}
+    assert any(right.joints[2] in note for note in found.notes)
+
+
+@pytest.mark.xfail(strict=True, reason="columns are taken for the robot's joints, whatever their names")
+@pytest.mark.parametrize("names", [[3, 1, 2, 0], None], ids=["order", "others"])
+def test_recording_of_other_joints(names: list[int] | None) -> None:
+    """`Recording.from_arrays` takes joints in any order; they must be brought in the robot's, or refused."""
+    right = recording()
+    (chunk,) = right.chunks(10**7)
+    order = names or [0, 1, 2, 3]
+    joints = [right.joints[k] for k in names] if names else ["a", "b", "c", "d"]
+    other = Recording.from_arrays("other", joints, chunk.t, chunk.q[:, order], chunk.tau[:, order])
+    try:
+        assert identify(URDF, other).fits["urdf"].mean_nmse < 1e-3
+        assert names
+    except InputError:
+        pass
+
+
+@pytest.mark.xfail(strict=True, raises=RuntimeError, reason="max() of an empty diagonal in physical_fit")
+def test_all_links_trusted() -> None:
+    found = identify(URDF, recording(), trust=list(ROBOT.body_names))
+    assert found.fits["rigid_body"] == found.fits["urdf"]
+
+
+@pytest.mark.xfail(strict=True, reason="no block falls into the part that is held out, and nothing is judged")
+def test_a_small_part_to_hold_out_is_at_least_one_block() -> None:
+    try:
+        assert identify(URDF, recording(), holdout_fraction=0.05).fits["urdf"].nmse
+    except InputError:
+        pass
+
+
+def test_no_joint_in_use_is_told() -> None:
+    with pytest.raises(InputError, match="no torque"):
+        identify(URDF, recording(), joints=[])

@@ -1,0 +1,119 @@
+"""The linear fit in prior coordinates, its noise levels, and the prior behind it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from inference.problems import FILTERING, columns_of, dense, prior_of, random_moments, recorded, statistics_of, urdf_of
+from robot.random_robots import random_urdf
+from simulated import inverse_dynamics, multisine, record
+
+from torchrbd.inference.map_fit import effective_parameters, noise_variance, scaled_equations, solve
+from torchrbd.inference.prior import divergence_hessian, unphysical_bodies
+from torchrbd.parameters import is_physical
+from torchrbd.recordings import survey
+from torchrbd.robot import RobotModel, pseudo_inertia, transform_inertia
+
+
+def everything(columns, prior) -> torch.Tensor:  # noqa: ANN001
+    return torch.cat((prior.inertial, torch.arange(columns.robot.n_params, columns.n)))
+
+
+def test_divergence_hessian_is_that_of_minus_logdet() -> None:
+    pi = RobotModel.from_urdf(urdf_of(0, 2)).pi[:10]
+    expected = torch.autograd.functional.hessian(lambda pi: -pseudo_inertia(pi).logdet(), pi)
+    found = divergence_hessian(torch.linalg.inv(pseudo_inertia(pi)))
+    torch.testing.assert_close(found, expected, rtol=1e-8, atol=1e-8)
+
+
+def test_prior_covariance_is_the_inverse_hessian_whatever_the_frame() -> None:
+    robot = RobotModel.from_urdf(urdf_of(1, 2))
+    columns = columns_of(robot)
+    prior = prior_of(columns, kappa=5.0)
+    for b, W in enumerate(prior.inverse_inertia):
+        S = prior.scale[10 * b : 10 * b + 10, 10 * b : 10 * b + 10]
+        precision = 5.0 * divergence_hessian(W)
+        torch.testing.assert_close(S.T @ precision @ S, torch.eye(10, dtype=torch.float64), rtol=0, atol=1e-7)
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3], pose[:3, 3] = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64))[0], torch.tensor([0.3, 1, -2])
+    change = torch.func.jacrev(lambda pi: transform_inertia(pi, pose))(robot.pi[:10])
+    there = divergence_hessian(torch.linalg.inv(pseudo_inertia(transform_inertia(robot.pi[:10], pose))))
+    here = divergence_hessian(prior.inverse_inertia[0])
+    torch.testing.assert_close(change.T @ there @ change, here, rtol=1e-6, atol=1e-6 * float(here.abs().max()))
+
+
+def test_prior_holds_trusted_and_massless_bodies_and_repairs_impossible_ones() -> None:
+    robot = RobotModel.from_urdf(random_urdf(5, 4, massless=1.0, branching=0.0, fixed=0.0))
+    assert prior_of(columns_of(robot)).bodies == (3,)
+    robot = RobotModel.from_urdf(urdf_of(3, 3))
+    robot.pi[14:20] = 0.0  # the second body becomes a point mass
+    columns = columns_of(robot)
+    prior = prior_of(columns, held=(robot.body_names[2],))
+    assert unphysical_bodies(columns) == (robot.body_names[1],)
+    assert prior.bodies == (0, 1)
+    assert prior.inertial.tolist() == list(range(20))
+    assert is_physical(prior.mean[:20].reshape(-1, 10)).all()
+    assert torch.equal(prior.reference[: robot.n_params], robot.pi)
+    assert torch.equal(prior.mean[20:30], robot.pi[20:])
+    assert not prior.scale[20:30].any()
+
+
+def test_solution_is_the_dense_ridge_regression() -> None:
+    """min |W (tau - A x)|^2 + |P (x - x0)|^2 as one stacked least-squares problem in numpy."""
+    robot, recording = recorded(2, 3, torque_noise=0.05)
+    columns = columns_of(robot)
+    prior, full = prior_of(columns), dense(columns, recording)
+    weights = np.array([0.5, 2.0, 1.0])
+    equations = scaled_equations(prior, statistics_of(columns, recording).total(), columns, torch.from_numpy(weights))
+    free = everything(columns, prior)
+    free = free[~torch.isin(free, torch.tensor([columns.index(0, "q"), columns.index(2, "qd")]))]
+    x = solve(prior, equations, free).numpy()
+    root = np.sqrt(full.weight * weights)
+    x0, S = prior.mean.numpy(), prior.scale.numpy()[:, free]
+    rows = np.concatenate([(root[j] * full.A[j]) @ S for j in range(3)] + [np.eye(len(free))])
+    rest = np.concatenate([root[j] * (full.tau[j] - full.A[j] @ x0) for j in range(3)] + [np.zeros(len(free))])
+    z, *_ = np.linalg.lstsq(rows, rest, rcond=None)
+    np.testing.assert_allclose(x, x0 + S @ z, rtol=0, atol=1e-7 * np.abs(x0).max())
+    assert x[columns.index(0, "q")] == x[columns.index(2, "qd")] == 0.0
+
+
+def test_effective_parameters_lie_between_none_and_all() -> None:
+    robot, recording = recorded(2, 3, torque_noise=0.05)
+    columns = columns_of(robot)
+    prior, statistics = prior_of(columns), statistics_of(columns, recording)
+    free = everything(columns, prior)
+    for noise, low, high in ((1e-10, 0.4, 1.0), (1e12, 0.0, 1e-6)):
+        variance = torch.full((3,), noise, dtype=torch.float64)
+        equations = scaled_equations(prior, statistics.total(), columns, 1 / variance)
+        used = effective_parameters(statistics, prior, free, equations, variance)
+        assert (used >= 0).all()
+        assert low * len(free) <= float(used.sum()) <= high * len(free)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.2])
+def test_noise_level_is_recovered(noise: float) -> None:
+    """White torque noise of variance s^2 leaves s^2 sum k^2 behind the filter k."""
+    urdf = urdf_of(4, 4)
+    recording = record(urdf, 4, torque_noise=noise, encoder_noise=0.0, duration_s=150.0)
+    robot = RobotModel.from_urdf(urdf)
+    columns = columns_of(robot, ())
+    prior, statistics = prior_of(columns), statistics_of(columns, recording)
+    found = noise_variance(statistics, prior, prior.inertial)
+    clean = inverse_dynamics(urdf, multisine(4, 4, duration_s=150.0))
+    kernel = FILTERING.feature_kernel(survey(recording).clock.dt).numpy()
+    expected = noise**2 * np.mean(clean**2, 0) * np.sum(kernel**2)
+    ratio = found.numpy() / expected
+    assert np.abs(ratio - 1).max() < 0.2  # 1500 independent samples a joint: 4 % standard deviation
+    assert ratio.mean() == pytest.approx(1.0, abs=0.1)
+
+
+def test_noise_of_a_joint_without_torque_is_infinite() -> None:
+    robot = RobotModel.from_urdf(urdf_of(0, 3))
+    columns = columns_of(robot, ())
+    statistics = random_moments(columns, 0, 100, columns.reference())
+    statistics.torque[:, 1] = 0.0
+    statistics.moments[1].zero_()
+    found = noise_variance(statistics, prior_of(columns), prior_of(columns).inertial)
+    assert torch.isinf(found).tolist() == [False, True, False]
+    assert (found > 0).all()
