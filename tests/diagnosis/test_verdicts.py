@@ -138,3 +138,17 @@ def test_a_joint_without_torque_takes_no_part() -> None:
     diagnosis = torchrbd.diagnose(urdf, partial)
     assert diagnosis.verdict == "consistent"
     assert set(diagnosis.identification.fits["urdf"].nmse) == {"joint1", "joint3"}
+
+
+def test_friction_that_only_the_urdf_has_is_found_to_be_wrong() -> None:
+    urdf = serial_arm(14, 4)
+    frictional = urdf.replace("</joint>", '<dynamics damping="1" friction="1"/></joint>')
+    diagnosis = torchrbd.diagnose(frictional, record(urdf, 14))
+    assert {f.effect for f in diagnosis.findings} == {"viscous_friction", "coulomb_friction"}
+    assert len(diagnosis.findings) == 8
+    for finding in diagnosis.findings:
+        (quantity,) = finding.parameters.values()
+        assert quantity.urdf == 1.0
+        assert quantity.value == pytest.approx(0.0, abs=0.05)
+    assert diagnosis.unexplained == ()
+    assert "has the wrong" in diagnosis.statement

@@ -73,7 +73,7 @@ def dense(columns: Columns, recording: Recording) -> Dense:
     return Dense(states.t_out.numpy(), A, tau, FILTERING.effective_rate * states.dt_out)
 
 
-def recorded(seed: int, n_joints: int = 3, **options) -> tuple[RobotModel, Recording]:  # noqa: ANN003
+def recorded(seed: int, n_joints: int = 3, **options) -> tuple[RobotModel, Recording]:
     urdf = urdf_of(seed, n_joints)
     return RobotModel.from_urdf(urdf), record(urdf, seed, **{"duration_s": 15.0, **options})
 

@@ -9,14 +9,15 @@ from inference.problems import FILTERING, columns_of, dense, prior_of, random_mo
 from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, multisine, record
 
+from torchrbd.inference.columns import Columns
 from torchrbd.inference.map_fit import effective_parameters, noise_variance, scaled_equations, solve
-from torchrbd.inference.prior import divergence_hessian, unphysical_bodies
+from torchrbd.inference.prior import Prior, divergence_hessian, unphysical_bodies
 from torchrbd.parameters import is_physical
 from torchrbd.recordings import survey
 from torchrbd.robot import RobotModel, pseudo_inertia, transform_inertia
 
 
-def everything(columns, prior) -> torch.Tensor:  # noqa: ANN001
+def everything(columns: Columns, prior: Prior) -> torch.Tensor:
     return torch.cat((prior.inertial, torch.arange(columns.robot.n_params, columns.n)))
 
 

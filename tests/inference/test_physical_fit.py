@@ -39,9 +39,7 @@ def least_eigenvalue(prior: Prior, found: PhysicalFit) -> float:
     return float(torch.linalg.eigvalsh(pseudo_inertia(found.x[prior.inertial].reshape(-1, 10)))[:, 0].min())
 
 
-def gradient_in_stds(
-    columns: Columns, prior: Prior, statistics: BlockStatistics, w: float, found: PhysicalFit
-) -> float:
+def step_left(columns: Columns, prior: Prior, statistics: BlockStatistics, w: float, found: PhysicalFit) -> float:
     """Return the norm of the Newton step that is left, in posterior standard deviations."""
     x = found.x.clone().requires_grad_()
     (slope,) = torch.autograd.grad(objective(columns, prior, statistics, w, x), x)
@@ -99,7 +97,7 @@ def test_random_moments_give_a_physical_minimiser(seed: int, torque: float, weig
     prior, statistics = prior_of(columns), random_moments(columns, seed, 50, torque)
     found = fit(columns, prior, statistics, weight)
     assert least_eigenvalue(prior, found) > 0
-    assert gradient_in_stds(columns, prior, statistics, weight, found) < 1e-3
+    assert step_left(columns, prior, statistics, weight, found) < 1e-3
 
 
 @pytest.mark.parametrize("beyond", [0.0, 0.3, 1.0], ids=["on", "over", "far"])
@@ -114,21 +112,21 @@ def test_truth_on_or_over_the_boundary(beyond: float) -> None:
     for weight in (1.0, 1e3):
         found = fit(columns, prior, statistics, weight)
         assert least_eigenvalue(prior, found) > 0
-        assert gradient_in_stds(columns, prior, statistics, weight, found) < 1e-3
+        assert step_left(columns, prior, statistics, weight, found) < 1e-3
 
 
 @pytest.mark.xfail(
-    strict=True, raises=(torch.linalg.LinAlgError, AssertionError), reason="Newton's matrix is ill-conditioned"
+    strict=True, raises=(torch.linalg.LinAlgError, AssertionError), reason="ill-conditioned Newton steps"
 )
 @pytest.mark.parametrize(("torque", "weight"), [(1.0, 1e8), (1e3, 1e4), (1e6, 1.0)])
 def test_heavy_weights_on_impossible_torques(torque: float, weight: float) -> None:
-    """Torques of no robot, trusted to 1e-4 and better: either Cholesky fails, or sixty steps do not reach the minimiser."""
+    """Torques of no robot, trusted to 1e-4 and better: Cholesky fails, or sixty steps fall short."""
     robot = RobotModel.from_urdf(urdf_of(0, 3, fixed=0.0))
     columns = columns_of(robot)
     prior, statistics = prior_of(columns), random_moments(columns, 0, 50, torque)
     found = fit(columns, prior, statistics, weight)
     assert least_eigenvalue(prior, found) > 0
-    assert gradient_in_stds(columns, prior, statistics, weight, found) < 1e-2
+    assert step_left(columns, prior, statistics, weight, found) < 1e-2
 
 
 def test_massless_bodies_stay_as_they_are() -> None:
@@ -167,7 +165,7 @@ def test_thirty_joints() -> None:
     prior, statistics = prior_of(columns), random_moments(columns, 1, 60, 10.0)
     found = fit(columns, prior, statistics, 1.0)
     assert least_eigenvalue(prior, found) > 0
-    assert gradient_in_stds(columns, prior, statistics, 1.0, found) < 1e-3
+    assert step_left(columns, prior, statistics, 1.0, found) < 1e-3
     assert found.steps < 400
 
 

@@ -32,7 +32,7 @@ def correlated(seed: int, seconds: float) -> Callable[[Motion], np.ndarray]:
     return noise
 
 
-def base_errors(seed: int, **options) -> tuple[Tensor, Tensor]:  # noqa: ANN003
+def base_errors(seed: int, **options) -> tuple[Tensor, Tensor]:
     """Return K (pi - pi_true) and its claimed variance."""
     urdf = urdf_of(seed, 4)
     robot = RobotModel.from_urdf(with_wrong_inertials(urdf, seed))
@@ -46,7 +46,7 @@ def base_errors(seed: int, **options) -> tuple[Tensor, Tensor]:  # noqa: ANN003
     return K @ (model.pi - RobotModel.from_urdf(urdf).pi), variance
 
 
-def standardised(**options) -> Tensor:  # noqa: ANN003
+def standardised(**options) -> Tensor:
     """Return the errors of all base parameters of all robots in standard deviations."""
     pairs = [base_errors(seed, **{k: v(seed) if callable(v) else v for k, v in options.items()}) for seed in SEEDS]
     return torch.cat([error / variance.sqrt() for error, variance in pairs])

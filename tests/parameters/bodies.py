@@ -30,7 +30,7 @@ def central_moments(pi: np.ndarray) -> np.ndarray:
 
 
 def by_hand(pi: Tensor) -> np.ndarray:
-    """Say which bodies (n, 10) have mass, positive principal moments, and moments that fulfil the triangle inequality."""
+    """Say which bodies (n, 10) have mass, positive principal moments, and fulfil the triangle inequality."""
     found = []
     for body in pi.numpy():
         if body[0] <= 0:

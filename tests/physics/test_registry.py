@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import pytest
 import torch
@@ -95,9 +95,9 @@ class CubicDrag(Effect):
 
 
 @pytest.fixture
-def cubic_drag(monkeypatch: pytest.MonkeyPatch) -> Iterator[Effect]:
+def cubic_drag(monkeypatch: pytest.MonkeyPatch) -> Effect:
     monkeypatch.setattr(registry, "_EFFECTS", effects())
-    yield register(CubicDrag())
+    return register(CubicDrag())
 
 
 def test_a_third_party_registers_an_effect(cubic_drag: Effect) -> None:

@@ -88,12 +88,12 @@ class Comparison:
         """Return x fitted on all blocks."""
         return solve(self.prior, self._all, self.free(terms))
 
-    def covariance(self, terms: Collection[Candidate]) -> tuple[Tensor, Tensor]:
-        """Return the free indices and the Laplace covariance of x there."""
+    def std(self, terms: Collection[Candidate]) -> Tensor:
+        """Return the Laplace standard deviation of x (n,), fitted on all blocks; zero where x is not free."""
         free = self.free(terms)
         H = self._all.H[free.unsqueeze(1), free] + torch.eye(len(free), dtype=torch.float64)
-        S = self.prior.scale[free.unsqueeze(1), free]
-        return free, S @ torch.linalg.inv(H) @ S.T
+        S = self.prior.scale[:, free]
+        return ((S @ torch.linalg.inv(H)) * S).sum(1).clamp_min(0.0).sqrt()
 
     def errors(self, terms: Collection[Candidate], *, rigid: bool = True) -> Tensor:
         """Return the left-out squared errors of a model, (B, n_dof) in the order of folds, [(N m)^2] or [N^2].

@@ -124,7 +124,7 @@ def _finding(
     joint = robot.joint_names[term.joint]
     prismatic = bool(robot.prismatic[term.joint])
     quantities = {
-        name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic))
+        name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic), comparison.columns.urdf_value(term))
         for name, (value, std) in term_parameters(model, term).items()
     }
     alike = tuple(Alternative(r.candidate.effect.id, (joint,)) for r in rivals if indistinguishable(r.lead))

@@ -9,11 +9,12 @@ from torchrbd.inference.results import Identification
 
 @dataclass(frozen=True)
 class Quantity:
-    """A parameter of a finding with its posterior standard deviation."""
+    """A parameter of a finding with its posterior standard deviation; ``urdf`` is what the URDF says of it."""
 
     value: float
     std: float
     unit: str
+    urdf: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
+import torch
 from torch import Tensor
 
 from torchrbd.diagnosis.compare import Comparison, Gain
 from torchrbd.inference.columns import Candidate
+from torchrbd.inference.prior import TERM_WIDTH
 
 # 2 x 12.5 = 25 in units of 2 log L: over 800 candidates on recordings without any effect the largest seen was 18 (t
 # 2.4).
@@ -23,6 +25,8 @@ LEAST_GAIN, LEAST_T, LEAST_PART = 12.5, 2.5, 0.01
 CLOSE_STD, CLOSE_GAIN, CLOSE_PART = 2.0, 3.0, 0.003
 # A candidate of whose torque less than this is left beside the rigid body's is the rigid body's.
 LEAST_SHARE = 1e-4
+# Standard deviations within which a coefficient is what it is compared with.
+INSIGNIFICANT = 3.0
 # Additions a joint that are compared on left-out blocks in each round, best first by their gain on the blocks they
 # were fitted to.
 SHORTLIST = 8
@@ -91,9 +95,18 @@ def clearly_worse(lead: Gain, best: float) -> bool:
 
 
 def plausible(comparison: Comparison, terms: Terms) -> bool:
-    """Say whether the physics allows the fitted parameters of all terms; the URDF's own friction counts in."""
-    x = comparison.fit(terms)
+    """Say whether the physics allows the fitted parameters of all terms, and each differs from what the URDF says.
+
+    Coefficients within chance of zero, or with a torque too small to matter, count as zero: that of a friction which the
+    URDF has and the robot has not is as often negative as positive.
+    """
+    x, chance = comparison.fit(terms), INSIGNIFICANT * comparison.std(terms)
+    moved = (x - comparison.prior.reference).abs() > chance
+    trivial = LEAST_PART / TERM_WIDTH * comparison.prior.scale.diagonal()
+    x = torch.where(x.abs() < torch.maximum(chance, trivial), torch.zeros_like(x), x)
     for c in terms:
+        if not moved[comparison.columns.of(c)].any():
+            return False
         values = c.effect.parameters(x[comparison.columns.of(c)], c.shape)
         if not c.effect.plausible({k: float(v) for k, v in values.items()}, comparison.columns.scales[c.joint]):
             return False

@@ -59,7 +59,11 @@ def finding_sentence(
     alike: Sequence[Alternative],
 ) -> str:
     """Say what was found, how large it is, what it is worth on held-out time, and what else it could be."""
-    values = (f"{name.replace('_', ' ')} {number(q.value)} (95 %: {interval(q)})" for name, q in quantities.items())
+    values = (
+        f"{name.replace('_', ' ')} {number(q.value)} (95 %: {interval(q)}"
+        + (f"; the URDF says {number(q.urdf)})" if q.urdf else ")")
+        for name, q in quantities.items()
+    )
     sentence = f"{joint}: {words_of(identifier)}, {', '.join(values)}."
     if joint in before and joint in after:
         sentence += (
@@ -86,11 +90,19 @@ def verdict_statement(
         )
     if verdict == "unexplained":
         return f"No known effect explains what the rigid body leaves.{open_end}"
+    missing = _places(f for f in findings if not any(q.urdf for q in f.parameters.values()))
+    wrong = _places(f for f in findings if any(q.urdf for q in f.parameters.values()))
+    named = " and ".join(filter(None, (missing and f"leaves out {missing}", wrong and f"has the wrong {wrong}")))
+    return (
+        f"The URDF {named}. The unpredicted part of the torque variance on held-out time falls from {urdf} "
+        f"(URDF) and {rigid} (re-fitted rigid body) to {extended}.{open_end}"
+    )
+
+
+def _places(findings: Iterable[Finding]) -> str:
+    """Return e.g. "Coulomb friction at joint1 and joint2 and joint spring at joint3", or nothing."""
     by_effect: dict[str, list[str]] = {}
     for finding in findings:
         by_effect.setdefault(words_of(finding.effect), []).extend(finding.joints)
-    named = joined(f"{words} at {joined(joints)}" for words, joints in by_effect.items())
-    return (
-        f"The URDF leaves out {named}. The unpredicted part of the torque variance on held-out time falls from {urdf} "
-        f"(URDF) and {rigid} (re-fitted rigid body) to {extended}.{open_end}"
-    )
+    places = [f"{words} at {joined(joints)}" for words, joints in by_effect.items()]
+    return joined(places) if places else ""

@@ -97,8 +97,13 @@ class Columns:
         x[: self.robot.n_params] = self.robot.pi
         for friction in self.urdf_friction:
             (k,) = self.of(friction)
-            x[k] = getattr(self.robot, URDF_FRICTION[friction.effect.id])[friction.joint]
+            x[k] = self.urdf_value(friction)
         return x
+
+    def urdf_value(self, candidate: Candidate) -> float:
+        """Return what the URDF's <dynamics> say of a term, zero where they have no word for it."""
+        attribute = URDF_FRICTION.get(candidate.effect.id)
+        return float(getattr(self.robot, attribute)[candidate.joint]) if attribute else 0.0
 
     def features(self, states: States, joint: int) -> Tensor:
         """Evaluate a joint's features.

@@ -164,13 +164,11 @@ def term_estimates(model: FittedModel) -> list[ParameterEstimate]:
     robot, found = model.columns.robot, []
     for candidate in model.terms:
         joint = robot.joint_names[candidate.joint]
-        urdf = {"viscous": float(robot.damping[candidate.joint]), "coulomb": float(robot.friction[candidate.joint])}
+        urdf = model.columns.urdf_value(candidate)
         for name, (value, std) in term_parameters(model, candidate).items():
             unit = candidate.effect.unit(name, prismatic=bool(robot.prismatic[candidate.joint]))
             found.append(
-                ParameterEstimate(
-                    f"{name} ({candidate.effect.id})", joint, unit, urdf.get(name, 0.0), value, std, 0.0, "term"
-                )
+                ParameterEstimate(f"{name} ({candidate.effect.id})", joint, unit, urdf, value, std, 0.0, "term")
             )
     return found
 
