@@ -68,7 +68,6 @@ def test_batched_is_looped(model: RigidBodyDynamics) -> None:
     assert model(*states(model.robot, 0)).shape == (0, model.robot.n_dof)
 
 
-@pytest.mark.xfail(strict=True, reason="term_torque stacks joints with terms, of the common shape, and without, of q's")
 def test_states_broadcast_as_in_the_robot(model: RigidBodyDynamics) -> None:
     q, qd, qdd = states(model.robot, 4)
     full = q[0].expand_as(q)

@@ -81,6 +81,7 @@ class RigidBodyDynamics(nn.Module):
 
     def term_torque(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         """Return what the terms add, (*batch, n_dof)."""
+        q, qd, qdd = torch.broadcast_tensors(q, qd, qdd)
         torques = list(torch.zeros_like(q).unbind(-1))
         for term in self.terms:
             j = term.joint

@@ -24,7 +24,8 @@ URDF = """<?xml version="1.0"?>
   <link name="frame"/>
   <joint name="swing" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
     <limit lower="-1" upper="1" effort="5" velocity="2"/><dynamics damping="0.1"/></joint>
-  <joint name="bolt" type="fixed"><parent link="upper"/><child link="tool"/><origin xyz="0 0 0.5" rpy="0 0.4 0"/></joint>
+  <joint name="bolt" type="fixed"><parent link="upper"/><child link="tool"/>
+    <origin xyz="0 0 0.5" rpy="0 0.4 0"/></joint>
   <joint name="mark" type="fixed"><parent link="tool"/><child link="frame"/></joint>
   <gazebo reference="upper"/>
 </robot>

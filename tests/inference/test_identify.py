@@ -87,7 +87,6 @@ def test_status_follows_from_the_robot(found: Identification) -> None:
     assert found.combinations == base.sentences()
 
 
-@pytest.mark.xfail(strict=True, reason="what the prior carries over from other parameters counts as told by the data")
 def test_what_no_motion_tells_is_told_by_the_urdf_alone(found: Identification) -> None:
     assert all(p.prior_share > 0.99 for p in found.parameters if p.status == "not identifiable")
 
@@ -170,7 +169,6 @@ def test_time_window(recording: Recording, tmp_path: Path) -> None:
         identify(WRONG, path, time="500:600")
 
 
-@pytest.mark.xfail(strict=True, reason="settings.time is ignored for opened recordings")
 def test_time_window_of_an_opened_recording(recording: Recording) -> None:
     with contextlib.suppress(InputError):
         assert identify(WRONG, recording, time=(5.0, 25.0)).series.t.max() <= 25.0

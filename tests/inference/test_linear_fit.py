@@ -10,7 +10,7 @@ from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, multisine, record
 
 from torchrbd.inference.columns import Columns
-from torchrbd.inference.map_fit import effective_parameters, noise_variance, scaled_equations, solve
+from torchrbd.inference.map_fit import noise_variance, residual_variance, scaled_equations, solve
 from torchrbd.inference.prior import Prior, divergence_hessian, unphysical_bodies
 from torchrbd.parameters import is_physical
 from torchrbd.recordings import survey
@@ -79,17 +79,21 @@ def test_solution_is_the_dense_ridge_regression() -> None:
     assert x[columns.index(0, "q")] == x[columns.index(2, "qd")] == 0.0
 
 
-def test_effective_parameters_lie_between_none_and_all() -> None:
+def test_parameters_that_are_used_up_do_not_count_as_samples() -> None:
     robot, recording = recorded(2, 3, torque_noise=0.05)
     columns = columns_of(robot)
-    prior, statistics = prior_of(columns), statistics_of(columns, recording)
-    free = everything(columns, prior)
-    for noise, low, high in ((1e-10, 0.4, 1.0), (1e12, 0.0, 1e-6)):
-        variance = torch.full((3,), noise, dtype=torch.float64)
-        equations = scaled_equations(prior, statistics.total(), columns, 1 / variance)
-        used = effective_parameters(statistics, prior, free, equations, variance)
-        assert (used >= 0).all()
-        assert low * len(free) <= float(used.sum()) <= high * len(free)
+    statistics = statistics_of(columns, recording)
+    x, none = columns.reference(), torch.zeros(columns.n, columns.n, dtype=torch.float64)
+    variance, count = torch.ones(3, dtype=torch.float64), statistics.torque[..., 0].sum(0)
+    plain = residual_variance(statistics, x, none, variance)
+    torch.testing.assert_close(plain, statistics.squared_error(x).sum(0) / count)
+    one = none.clone()
+    k = columns.index(1, "qd")
+    own = (columns.of_joint[1] == k).nonzero().item()
+    one[k, k] = 1.0 / statistics.total()[1][own, own]
+    corrected = residual_variance(statistics, x, one, variance)
+    torch.testing.assert_close(corrected[1], plain[1] * count[1] / (count[1] - 1))
+    assert corrected[0] == plain[0]
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.2])

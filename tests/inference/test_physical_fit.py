@@ -97,6 +97,7 @@ def test_random_moments_give_a_physical_minimiser(seed: int, torque: float, weig
     prior, statistics = prior_of(columns), random_moments(columns, seed, 50, torque)
     found = fit(columns, prior, statistics, weight)
     assert least_eigenvalue(prior, found) > 0
+    assert found.converged
     assert step_left(columns, prior, statistics, weight, found) < 1e-3
 
 
@@ -115,18 +116,15 @@ def test_truth_on_or_over_the_boundary(beyond: float) -> None:
         assert step_left(columns, prior, statistics, weight, found) < 1e-3
 
 
-@pytest.mark.xfail(
-    strict=True, raises=(torch.linalg.LinAlgError, AssertionError), reason="ill-conditioned Newton steps"
-)
 @pytest.mark.parametrize(("torque", "weight"), [(1.0, 1e8), (1e3, 1e4), (1e6, 1.0)])
 def test_heavy_weights_on_impossible_torques(torque: float, weight: float) -> None:
-    """Torques of no robot, trusted to 1e-4 and better: Cholesky fails, or sixty steps fall short."""
+    """Torques of no robot, trusted to 1e-4 and better: the result is physical, and says so if it is not the minimum."""
     robot = RobotModel.from_urdf(urdf_of(0, 3, fixed=0.0))
     columns = columns_of(robot)
     prior, statistics = prior_of(columns), random_moments(columns, 0, 50, torque)
     found = fit(columns, prior, statistics, weight)
     assert least_eigenvalue(prior, found) > 0
-    assert step_left(columns, prior, statistics, weight, found) < 1e-2
+    assert not found.converged or step_left(columns, prior, statistics, weight, found) < 1e-2
 
 
 def test_massless_bodies_stay_as_they_are() -> None:
@@ -149,7 +147,6 @@ def test_trusted_bodies_stay_and_no_data_changes_nothing() -> None:
     torch.testing.assert_close(silent.x, prior.mean, rtol=0, atol=1e-12)
 
 
-@pytest.mark.xfail(strict=True, raises=RuntimeError, reason="max() of an empty diagonal")
 def test_all_bodies_may_be_trusted() -> None:
     robot = RobotModel.from_urdf(urdf_of(2, 3))
     columns = columns_of(robot, ())

@@ -63,14 +63,12 @@ def test_errors_are_as_large_as_claimed(options: dict[str, float]) -> None:
     assert float((z.abs() < 1.96).double().mean()) > 0.85
 
 
-@pytest.mark.xfail(strict=True, reason="widened coordinate by coordinate: what hides behind prior directions is not")
 def test_errors_are_as_large_as_claimed_under_correlated_noise() -> None:
     z = standardised(torque_noise=0.01, extra=lambda seed: correlated(seed, 1.0))
     assert 0.7 < float(z.square().mean().sqrt()) < 1.3
     assert float((z.abs() < 1.96).double().mean()) > 0.9
 
 
-@pytest.mark.xfail(strict=True, reason="unequal widening of coordinates spoils combinations that are known well")
 def test_variances_are_positive_without_noise() -> None:
     _, variance = base_errors(6, torque_noise=0.0, encoder_noise=0.0, duration_s=30.0)
     assert (variance > 0).all()

@@ -65,7 +65,7 @@ def explain(
         worth = comparison.gain(without, full)
         rivals = _rivals(comparison, term, rest, candidates, full)
         joint = comparison.columns.robot.joint_names[term.joint]
-        before = judge(judging, fit_model(training, prior, rest).x).nmse
+        before = judge(judging, fit_model(training, prior, rest, model.noise_variance).x).nmse
         found.append(_finding(comparison, term, model, worth, rivals, _of(before, joint), _of(after.nmse, joint)))
     return tuple(sorted(found, key=lambda f: -f.log_evidence_gain))
 

@@ -97,8 +97,8 @@ def clearly_worse(lead: Gain, best: float) -> bool:
 def plausible(comparison: Comparison, terms: Terms) -> bool:
     """Say whether the physics allows the fitted parameters of all terms, and each differs from what the URDF says.
 
-    Coefficients within chance of zero, or with a torque too small to matter, count as zero: that of a friction which the
-    URDF has and the robot has not is as often negative as positive.
+    Coefficients within chance of zero, or with a torque too small to matter, count as zero: that of a friction which
+    the URDF has and the robot has not is as often negative as positive.
     """
     x, chance = comparison.fit(terms), INSIGNIFICANT * comparison.std(terms)
     moved = (x - comparison.prior.reference).abs() > chance

@@ -10,13 +10,15 @@ from torch import Tensor
 
 from torchrbd.inference.block_statistics import BlockStatistics
 from torchrbd.inference.columns import Candidate, Columns
-from torchrbd.inference.map_fit import noise_variance, scaled_equations
+from torchrbd.inference.map_fit import first_noise_variance, residual_variance, scaled_equations
 from torchrbd.inference.physical_fit import PhysicalFit, physical_fit
 from torchrbd.inference.prior import Prior
 from torchrbd.inference.results import Fit
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Term, effect
 from torchrbd.recordings import States
+
+_MOST_ROUNDS, _SETTLED = 6, 0.1
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,7 @@ class FittedModel:
         laplace: (n_free, n_free) covariance from the curvature, counting independent samples.
         covariance: (n_free, n_free) the same, widened where the scatter over blocks says so.
         noise_variance: (n_dof,) of the band-limited torque.
+        converged: False if the torques are so far from any rigid body's that the fit stopped early.
     """
 
     columns: Columns
@@ -40,6 +43,7 @@ class FittedModel:
     laplace: Tensor
     covariance: Tensor
     noise_variance: Tensor
+    converged: bool
 
     @property
     def pi(self) -> Tensor:
@@ -76,25 +80,40 @@ class FittedModel:
         return Term(candidate.effect, candidate.joint, w, candidate.shape, width)
 
 
-def fit_model(statistics: BlockStatistics, prior: Prior, terms: Sequence[Candidate] = ()) -> FittedModel:
+def fit_model(
+    statistics: BlockStatistics, prior: Prior, terms: Sequence[Candidate] = (), noise: Tensor | None = None
+) -> FittedModel:
     """Fit the rigid body and terms on blocks.
 
     Args:
         statistics: blocks to fit.
         prior: prior of the inertial parameters.
         terms: terms that are fitted beside them; other columns keep the URDF's value.
+        noise: (n_dof,) variances of the torque noise; estimated if not given.
     """
     columns = statistics.columns
     term_columns = torch.tensor(sorted({k for c in terms for k in columns.of(c)}), dtype=torch.long)
-    variance = noise_variance(statistics, prior, torch.cat((prior.inertial, term_columns)))
-    equations = scaled_equations(prior, statistics.total(), columns, 1.0 / variance)
-    fit = physical_fit(prior, equations, term_columns)
-    laplace = torch.linalg.inv(fit.precision)
-    S = prior.scale[fit.free.unsqueeze(1), fit.free]
-    sandwich = laplace @ _sandwich_filling(statistics, prior, fit, equations.H, variance) @ laplace
-    wider = (sandwich.diagonal() / laplace.diagonal()).clamp_min(1.0).sqrt()
-    covariance = S @ (wider.unsqueeze(1) * laplace * wider) @ S.T
-    return FittedModel(columns, tuple(terms), fit.x, fit.free, S @ laplace @ S.T, covariance, variance)
+    totals = statistics.total()
+    variance = first_noise_variance(statistics) if noise is None else noise
+    for _ in range(_MOST_ROUNDS):
+        equations = scaled_equations(prior, totals, columns, 1.0 / variance)
+        fit = physical_fit(prior, equations, term_columns)
+        S = prior.scale[:, fit.free]
+        if noise is not None:
+            break
+        # The noise of the physical fit: an impossible robot may explain impossible data without any.
+        found = residual_variance(statistics, fit.x, S @ torch.linalg.inv(fit.precision) @ S.T, variance)
+        seen = torch.isfinite(found)
+        if bool(((found / variance).log()[seen].abs() < _SETTLED).all()):
+            break
+        variance = found
+    stiffness, axes = torch.linalg.eigh(fit.precision)
+    filling = _sandwich_filling(statistics, prior, fit, equations.H, variance)
+    # Widened along the axes of the precision: combinations that are known well are widened for themselves.
+    wider = ((axes.T @ filling @ axes).diagonal() / stiffness).clamp_min(1.0)
+    axes = S[fit.free] @ axes
+    laplace, covariance = (axes / stiffness) @ axes.T, (axes * (wider / stiffness)) @ axes.T
+    return FittedModel(columns, tuple(terms), fit.x, fit.free, laplace, covariance, variance, fit.converged)
 
 
 def _sandwich_filling(

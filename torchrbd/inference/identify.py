@@ -19,6 +19,8 @@ from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, base_parameters
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
+_POOR = 0.8
+
 
 def identify(
     robot: RobotModel | str | Path | bytes,
@@ -85,8 +87,22 @@ def summarise(prepared: Prepared, models: dict[str, FittedModel], progress: Prog
         },
         series=torque_series(prepared, coefficients, progress),
         model=final.module(),
-        notes=prepared.notes,
+        notes=(*prepared.notes, *_doubts(prepared, final)),
     )
+
+
+def _doubts(prepared: Prepared, model: FittedModel) -> list[str]:
+    """Return what looks like wrong input: torques that no model comes near, even where it was fitted."""
+    seen = judge(prepared.training, model.x)
+    doubts = [
+        f"the fitted model explains little of the torque of {joint} (nmse {nmse:.2f} where it was fitted): "
+        "check the unit, sign, gear ratio and name of its columns"
+        for joint, nmse in seen.nmse.items()
+        if nmse > _POOR
+    ]
+    if not model.converged:
+        doubts.append("the fit stopped early: the torques are far from those of any rigid body; check units and signs")
+    return doubts
 
 
 def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress: Progress) -> TorqueSeries:
@@ -152,7 +168,7 @@ def _inertial_estimates(
                 urdf=float(prior.reference[k]),
                 value=float(model.x[k]),
                 std=float(std[k]),
-                prior_share=float(share[k]),
+                prior_share=1.0 if status == "not identifiable" else float(share[k]),
                 status=status,
             )
         )

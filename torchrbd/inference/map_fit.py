@@ -51,8 +51,6 @@ def solve(prior: Prior, equations: Scaled, free: Tensor) -> Tensor:
 def noise_variance(statistics: BlockStatistics, prior: Prior, free: Tensor, *, rounds: int = 4) -> Tensor:
     """Estimate each joint's torque noise by iterated weighted least squares.
 
-        sigma_j^2 = RSS_j / (n_j - gamma_j),   gamma_j = tr(H_z^-1 S'A_jS) / sigma_j^2
-
     Args:
         statistics: blocks to fit.
         prior: the prior.
@@ -63,29 +61,50 @@ def noise_variance(statistics: BlockStatistics, prior: Prior, free: Tensor, *, r
         (n_dof,) [(N m)^2] or [N^2]; inf for a joint without torque.
     """
     totals = statistics.total()
-    count = statistics.torque[..., 0].sum(0)
-    power = statistics.torque[..., 2].sum(0) / count.clamp_min(1e-300)
-    variance = (0.1**2) * power
-    for _ in range(rounds):
-        variance = torch.where(count > 0, variance.clamp_min(LEAST_NOISE**2 * power.clamp_min(1e-300)), torch.inf)
-        equations = scaled_equations(prior, totals, statistics.columns, 1.0 / variance)
-        x = solve(prior, equations, free)
-        used = effective_parameters(statistics, prior, free, equations, variance)
-        rss = statistics.squared_error(x).sum(0)
-        variance = rss / (count - used).clamp_min(0.1 * count).clamp_min(1e-300)
-    return torch.where(count > 0, variance.clamp_min(LEAST_NOISE**2 * power.clamp_min(1e-300)), torch.inf)
-
-
-def effective_parameters(
-    statistics: BlockStatistics, prior: Prior, free: Tensor, equations: Scaled, variance: Tensor
-) -> Tensor:
-    """Return gamma_j (n_dof,): how many parameters each joint's data has used up."""
-    H = equations.H[free.unsqueeze(1), free] + torch.eye(len(free), dtype=torch.float64)
-    covariance = torch.linalg.inv(H)
     S = prior.scale[:, free]
-    x_covariance = S @ covariance @ S.T
-    gamma = [
-        (x_covariance[own.unsqueeze(1), own] * total[:-1, :-1]).sum() / v
-        for own, total, v in zip(statistics.columns.of_joint, statistics.total(), variance, strict=True)
-    ]
-    return torch.stack(gamma)
+    variance = first_noise_variance(statistics)
+    for _ in range(rounds):
+        equations = scaled_equations(prior, totals, statistics.columns, 1.0 / variance)
+        H = equations.H[free.unsqueeze(1), free] + torch.eye(len(free), dtype=torch.float64)
+        covariance = S @ torch.linalg.inv(H) @ S.T
+        variance = residual_variance(statistics, solve(prior, equations, free), covariance, variance)
+    return variance
+
+
+def first_noise_variance(statistics: BlockStatistics) -> Tensor:
+    """Return the noise to start from, a tenth of the torque: (n_dof,), inf for a joint without torque."""
+    return _bounded(statistics, 0.1**2 * statistics.torque[..., 2].sum(0) / _count(statistics))
+
+
+def residual_variance(statistics: BlockStatistics, x: Tensor, covariance: Tensor, variance: Tensor) -> Tensor:
+    """Return the noise that a fit leaves.
+
+        sigma_j^2 = RSS_j / (n_j - gamma_j),   gamma_j = tr(cov(x) A_j) / sigma_j^2
+
+    with gamma_j the number of parameters that the joint's data has used up.
+
+    Args:
+        statistics: the blocks fitted.
+        x: (n,) fitted coefficients.
+        covariance: (n, n) of x.
+        variance: (n_dof,) noise that the fit assumed.
+    """
+    used = torch.stack(
+        [
+            (covariance[own.unsqueeze(1), own] * total[:-1, :-1]).sum() / v
+            for own, total, v in zip(statistics.columns.of_joint, statistics.total(), variance, strict=True)
+        ]
+    )
+    count = _count(statistics)
+    return _bounded(statistics, statistics.squared_error(x).sum(0) / (count - used).clamp_min(0.1 * count))
+
+
+def _count(statistics: BlockStatistics) -> Tensor:
+    return statistics.torque[..., 0].sum(0).clamp_min(1e-300)
+
+
+def _bounded(statistics: BlockStatistics, variance: Tensor) -> Tensor:
+    """Keep noise above rounding; a joint without torque has infinite noise."""
+    count = _count(statistics)
+    least = (LEAST_NOISE**2 * statistics.torque[..., 2].sum(0) / count).clamp_min(1e-300)
+    return torch.where(count > 1e-300, torch.maximum(variance, least), torch.inf)

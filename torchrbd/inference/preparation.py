@@ -158,7 +158,7 @@ def _open(
 
     def opened(source: str | Path | Recording) -> Recording:
         if isinstance(source, Recording):
-            return source
+            return source.of_joints(robot.joint_names, settings.time)
         return open_recording(source, robot.joint_names, mapping=mapping, time=settings.time)
 
     if not recordings:
@@ -197,7 +197,7 @@ def _payloads(robot: RobotModel, recordings: Sequence[Recording], payloads: Sequ
             raise OptionError(
                 f"payload for '{load.recording}', which is no recording here; there are: {', '.join(sorted(known))}"
             )
-        link = load.link or robot.body_names[-1]
+        link = load.link or _only_leaf(robot, load)
         if link not in where:
             raise OptionError(
                 f"payload on '{link}', which is no moving link of robot '{robot.name}'; it has: {', '.join(where)}"
@@ -209,6 +209,17 @@ def _payloads(robot: RobotModel, recordings: Sequence[Recording], payloads: Sequ
         pi = found.setdefault(load.recording, torch.zeros(robot.n_params, dtype=torch.float64))
         pi[first : first + PARAMETERS_PER_BODY] += own
     return found
+
+
+def _only_leaf(robot: RobotModel, load: Payload) -> str:
+    """Return the last link of a chain; on a branched robot the link has to be named."""
+    first, *others = robot.leaves
+    if others:
+        raise OptionError(
+            f"payload of '{load.recording}': robot '{robot.name}' has several ends; "
+            f"add @LINK to say on which of them: {', '.join(robot.leaves)}"
+        )
+    return first
 
 
 def _tiles(
@@ -293,9 +304,11 @@ def _held_out(
         return torch.tensor([name in kept for name in names]), ", ".join(sorted(kept))
     period = max(2, round(_HOLDOUT_RUN / settings.holdout_fraction))
     run = min(_HOLDOUT_RUN, period // 2)
-    # Counted through all recordings; the run never starts the first one.
+    # Counted through all recordings; of very few blocks at least the last is kept back.
     position = (torch.arange(len(names)) + settings.seed * run) % period
     held_out = position >= period - run
+    if not held_out.any():
+        held_out[-run:] = True
     return held_out, f"{100 * float(held_out.double().mean()):.0f} % of the time, in short runs throughout"
 
 

@@ -74,7 +74,7 @@ class Settings:
     def __post_init__(self) -> None:
         if not 0.0 < self.holdout_fraction <= 0.5:
             raise OptionError(f"holdout_fraction is {self.holdout_fraction:g}; expected a number in (0, 0.5]")
-        if not self.kappa > 0:
+        if not 0.0 < self.kappa < math.inf:
             raise OptionError(f"kappa is {self.kappa:g}; expected a number above 0")
 
     @classmethod
@@ -111,11 +111,14 @@ class Settings:
         """Return the effects to search for.
 
         Raises:
-            OptionError: an id is unknown, or nothing is left.
+            OptionError: an id is unknown, or no effect is left.
         """
         excluded = {effect(name).id for name in self.exclude}
         wanted = effects() if self.effects is None else {name: effect(name) for name in self.effects}
-        return tuple(e for name, e in wanted.items() if name not in excluded)
+        chosen = tuple(e for name, e in wanted.items() if name not in excluded)
+        if not chosen:
+            raise OptionError("no effect is left to look for; name others with 'effects' or exclude fewer")
+        return chosen
 
     def used_joints(self, robot: RobotModel) -> Tensor:
         """Return (n_dof,) bool, the joints whose torque counts."""
@@ -138,9 +141,12 @@ def _check_names(names: Iterable[str], known: tuple[str, ...], kind: str, robot:
 
 def _number(value: Any, kind: type[int] | type[float], key: str, place: str) -> int | float:
     try:
-        return kind(value)
-    except (TypeError, ValueError):
+        number = kind(value)
+    except (TypeError, ValueError, OverflowError):
         raise OptionError(f"{place}: {key} is '{value}'; expected a number") from None
+    if number != float(value):
+        raise OptionError(f"{place}: {key} is {value}; expected a whole number")
+    return number
 
 
 def _listed(value: Any) -> list[Any]:
@@ -154,7 +160,7 @@ def _interval(value: Any, place: str) -> tuple[float, float]:
         start, end = value.split(":") if isinstance(value, str) else value
         low, high = float(start or 0.0), float(end) if end not in ("", None) else math.inf
     except (ValueError, TypeError):
-        raise OptionError(f"{place}: time '{value}': expected FROM:TO in seconds, e.g. 2:30") from None
+        raise OptionError(f"{place}: time '{value}': expected FROM:TO in seconds, e.g. '2:30' (quoted)") from None
     if not low < high:
         raise OptionError(f"{place}: time '{value}': the end must come after the start")
     return low, high

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 
@@ -90,6 +90,24 @@ class Recording:
                 if signal != "tau" or not np.isnan(array[:, index]).all():
                     columns[f"{signal}_{joint}"] = array[:, index]
         return _connect(name, None, ArrayTable(columns), joints, Mapping(), None)
+
+    def of_joints(self, joints: Sequence[str], time: tuple[float, float] | None = None) -> Recording:
+        """Return the recording with its joints in another order, and only a part of it if `time` is given.
+
+        Raises: RecordingError if it is of other joints.
+        """
+        if set(joints) != set(self.joints):
+            raise RecordingError(
+                f"{self.path or self.name}: is of joints {', '.join(self.joints)}; expected {', '.join(joints)}"
+            )
+        order = [self.joints.index(joint) for joint in joints]
+        torques = dict(zip(compress(self.joints, self.measured), self._sources["tau"], strict=True))
+        sources = dict(self._sources)
+        for key in sources.keys() & {"q", "qd", "qdd"}:
+            sources[key] = tuple(sources[key][k] for k in order)
+        sources["tau"] = tuple(torques[joint] for joint in joints if joint in torques)
+        measured = self.measured[order]
+        return replace(self, joints=tuple(joints), measured=measured, time=time or self.time, _sources=sources)
 
     def chunks(self, rows: int = 16384) -> Iterator[Chunk]:
         """Yield the rows in pieces of at most about `rows`.

@@ -134,6 +134,12 @@ class RobotModel:
         """Number of inertial parameters, `10 n_bodies`."""
         return len(self.parameter_names)
 
+    @property
+    def leaves(self) -> tuple[str, ...]:
+        """Names of the bodies that carry no other body."""
+        ends = self._geometries[EXACT].ends
+        return tuple(name for k, name in enumerate(self.body_names) if ends[k] == k + 1)
+
     def columns(self, joint_index: int) -> Tensor:
         """Return the indices of the parameters that can appear in a joint's torque: those of the bodies it moves."""
         geometry = self._geometries[EXACT]
