@@ -59,12 +59,3 @@ def test_double_pendulum_with_wrong_lengths(folder: Path) -> None:
         assert diagnosis.verdict != "consistent"
         assert {joint for u in diagnosis.unexplained for joint in u.joints} == {"shoulder", "elbow"}
         assert all(u.where.region for u in diagnosis.unexplained)
-
-
-def test_pendulum_first_moment(folder: Path) -> None:
-    """Gravity's moment of the simple pendulum: 0.676 kg at 0.45 m by its documentation."""
-    pendulum = folder / "dfki_pendulum"
-    result = torchrbd.identify(pendulum / "robot.urdf", pendulum / "fft_swing_100s.csv", effects=["coulomb_friction"])
-    moment = next(-p.value for p in result.parameters if p.name == "mcz_pendulum")
-    assert moment == pytest.approx(0.676 * 0.45, rel=0.1)
-    assert result.fits["extended"].mean_nmse < 0.1

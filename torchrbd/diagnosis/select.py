@@ -64,6 +64,8 @@ def select_terms(
     while True:
         comparison.set_noise(terms)
         for grown in _additions(comparison, terms, candidates):
+            # The weights of the joints matter for fine choices, and what was missing has spoiled them until now.
+            comparison.set_noise(grown)
             settled = _reconsidered(comparison, _without_idle(comparison, grown), candidates)
             if frozenset(settled) not in visited:
                 break
@@ -161,7 +163,7 @@ def _shortlist(comparison: Comparison, terms: Terms, candidates: Sequence[Candid
         gained = base - comparison.training_loss(grown)
         if gained > LEAST_GAIN:
             ranked.append((gained, grown))
-    ranked.sort(key=lambda pair: -pair[0])
+    ranked.sort(key=lambda pair: CLOSE_GAIN * complexity(pair[1]) - pair[0])
     return [grown for _, grown in ranked[:SHORTLIST]]
 
 
