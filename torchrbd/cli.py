@@ -17,7 +17,7 @@ from rich_argparse import RichHelpFormatter
 
 from torchrbd import __version__
 from torchrbd.diagnosis import Diagnosis, diagnose
-from torchrbd.diagnosis.words import interval, words_of
+from torchrbd.diagnosis.words import interval, number, words_of
 from torchrbd.errors import OptionError, TorchRBDError
 from torchrbd.export import save_model, to_urdf, write_diagnosis, write_parameters
 from torchrbd.inference import Identification, Settings, identify
@@ -218,8 +218,8 @@ def _print_fits(result: Identification) -> None:
     for name in result.fits:
         table.add_column(_MODEL_WORDS[name], justify="right")
     for joint in result.fits["urdf"].nmse:
-        table.add_row(joint, *(f"{fit.nmse[joint]:.4f}" for fit in result.fits.values()))
-    table.add_row("mean", *(f"{fit.mean_nmse:.4f}" for fit in result.fits.values()), style="bold")
+        table.add_row(joint, *(number(fit.nmse[joint]) for fit in result.fits.values()))
+    table.add_row("mean", *(number(fit.mean_nmse) for fit in result.fits.values()), style="bold")
     out.print(table)
     for note in result.notes:
         out.print(f"note: {note}", markup=False)
