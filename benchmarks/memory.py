@@ -10,7 +10,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +70,8 @@ before, start = resident(), time.perf_counter()
 result = torchrbd.identify(sys.argv[1], sys.argv[2])
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 rows = len(result.series.t)
-print(f"{time.perf_counter() - start:.1f} s, peak {peak:.3f} GB, {before:.3f} GB after import: {peak - before:.3f} GB above it")
+seconds = time.perf_counter() - start
+print(f"{seconds:.1f} s, peak {peak:.3f} GB, {before:.3f} GB after import: {peak - before:.3f} GB above it")
 """
 
 
@@ -88,5 +88,4 @@ def measure(rows: int) -> str:
 
 if __name__ == "__main__":
     rows = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
-    start = time.perf_counter()
     print(f"{rows} rows: {measure(rows)}")

@@ -2,8 +2,8 @@
 
     TORCHRBD_DATA=/path/to/recordings python examples/real_recordings.py
 
-TORCHRBD_DATA names a folder with ``kuka_kr300`` and ``dfki_double_pendulum``: robot URDFs and recordings as CSV with the columns
-``t, q_<joint>, tau_<joint>``, from github.com/JonasWeigand/Robot_Identification (MIT) and
+TORCHRBD_DATA names a folder with ``kuka_kr300`` and ``dfki_double_pendulum``: robot URDFs and recordings as CSV with
+the columns ``t, q_<joint>, tau_<joint>``, from github.com/JonasWeigand/Robot_Identification (MIT) and
 github.com/dfki-ric-underactuated-lab/double_pendulum (BSD-3-Clause).
 """
 
@@ -40,7 +40,7 @@ class LeftOut:
     diagnoses: dict[str, Diagnosis]
 
     def nmse(self, model: str) -> np.ndarray:
-        """Return per joint the squared errors over the variance of the torque, both pooled over all recordings left out."""
+        """Return per joint squared error over variance of the torque, both pooled over all recordings left out."""
         errors, torques = [], []
         for diagnosis in self.diagnoses.values():
             series = diagnosis.identification.series
@@ -70,8 +70,8 @@ def double_pendulum(folder: Path, design: str) -> LeftOut:
 
     Args:
         folder: of the recordings.
-        design: "A" starts from the right link lengths and wrong inertials (masses times 0.6, centres of mass times 1.5); "C"
-            from the URDF of another pendulum, whose links have other lengths.
+        design: "A" starts from the right link lengths and wrong inertials (masses times 0.6, centres of mass times
+            1.5); "C" from the URDF of another pendulum, whose links have other lengths.
     """
     pendulum = folder / "dfki_double_pendulum"
     recordings = sorted(p for p in pendulum.glob("A_20220812_*.csv") if "compensated" not in p.name)

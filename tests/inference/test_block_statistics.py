@@ -45,8 +45,6 @@ def test_layout_of_the_coefficients(case: tuple[RobotModel, Recording], columns:
     for j in range(robot.n_dof):
         own = columns.of_joint[j].tolist()
         assert own == [*robot.columns(j).tolist(), *(columns.index(j, label) for label in LABELS)]
-        assert columns.name(columns.index(j, "qdd")) == f"qdd at {robot.joint_names[j]}"
-    assert columns.name(12) == robot.parameter_names[12]
     assert sum(c.effect.id == "joint_spring" for c in columns.candidates) == robot.n_dof
 
 

@@ -84,13 +84,6 @@ class Columns:
         """Return where in x the columns of a candidate stand."""
         return [self.index(candidate.joint, label) for label in candidate.labels]
 
-    def name(self, k: int) -> str:
-        """Return a readable name of x[k]."""
-        if k < self.robot.n_params:
-            return self.robot.parameter_names[k]
-        joint = max(j for j in range(self.robot.n_dof) if self._first[j] <= k)
-        return f"{self.labels[joint][k - self._first[joint]]} at {self.robot.joint_names[joint]}"
-
     def reference(self) -> Tensor:
         """Return x0 (n,): the inertial parameters and the <dynamics> friction of the URDF."""
         x = torch.zeros(self.n, dtype=torch.float64)
