@@ -16,9 +16,9 @@ from torch import Tensor
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference.block_statistics import BlockStatistics, block_statistics
 from torchrbd.inference.columns import Columns
+from torchrbd.inference.payload import payload_parameters
 from torchrbd.inference.prior import Prior, unphysical_bodies, urdf_prior
-from torchrbd.inference.settings import Payload, Settings
-from torchrbd.parameters import PARAMETERS_PER_BODY
+from torchrbd.inference.settings import Settings
 from torchrbd.physics import Effect, JointScale
 from torchrbd.recordings import (
     Filtering,
@@ -32,7 +32,7 @@ from torchrbd.recordings import (
     survey,
     tiles,
 )
-from torchrbd.robot import RobotModel, from_pseudo_inertia
+from torchrbd.robot import RobotModel
 
 Progress = Callable[[str, float], None]
 """Told what is being done and which part (0 to 1) of it is done."""
@@ -127,7 +127,7 @@ def prepare(
     filtering = Filtering(choose_cutoff(surveys) if settings.cutoff_hz is None else settings.cutoff_hz)
     columns = Columns(robot, effects, _scales(robot, surveys, filtering))
     used, held = settings.used_joints(robot), settings.held_bodies(robot)
-    payload = _payloads(robot, opened, settings.payload)
+    payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
     statistics = _stream(columns, opened, surveys, filtering, used, payload, progress)
     held_out, words = _held_out(statistics, opened, n_fitted, settings)
     weight, _, square = statistics.torque.sum(0).unbind(-1)
@@ -186,40 +186,6 @@ def _scales(robot: RobotModel, surveys: Sequence[Survey], filtering: Filtering) 
     rest = np.maximum.reduce([_REST_NOISE * noise, _REST_PART * speed, np.full(robot.n_dof, 1e-6)])
     low, high = np.min([s.q_min for s in surveys], axis=0), np.max([s.q_max for s in surveys], axis=0)
     return tuple(JointScale(*map(float, values)) for values in zip(low, high, speed, rest, strict=True))
-
-
-def _payloads(robot: RobotModel, recordings: Sequence[Recording], payloads: Sequence[Payload]) -> dict[str, Tensor]:
-    known = {r.name for r in recordings}
-    where = {link.name: (body, link.pose) for body, links in robot.folded.items() for link in links}
-    found: dict[str, Tensor] = {}
-    for load in payloads:
-        if load.recording not in known:
-            raise OptionError(
-                f"payload for '{load.recording}', which is no recording here; there are: {', '.join(sorted(known))}"
-            )
-        link = load.link or _only_leaf(robot, load)
-        if link not in where:
-            raise OptionError(
-                f"payload on '{link}', which is no moving link of robot '{robot.name}'; it has: {', '.join(where)}"
-            )
-        body, pose = where[link]
-        point = pose @ torch.tensor((*load.centre, 1.0), dtype=torch.float64)
-        own = from_pseudo_inertia(load.mass * torch.outer(point, point))
-        first = PARAMETERS_PER_BODY * robot.body_names.index(body)
-        pi = found.setdefault(load.recording, torch.zeros(robot.n_params, dtype=torch.float64))
-        pi[first : first + PARAMETERS_PER_BODY] += own
-    return found
-
-
-def _only_leaf(robot: RobotModel, load: Payload) -> str:
-    """Return the last link of a chain; on a branched robot the link has to be named."""
-    first, *others = robot.leaves
-    if others:
-        raise OptionError(
-            f"payload of '{load.recording}': robot '{robot.name}' has several ends; "
-            f"add @LINK to say on which of them: {', '.join(robot.leaves)}"
-        )
-    return first
 
 
 def _tiles(

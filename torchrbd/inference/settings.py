@@ -13,31 +13,9 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError
+from torchrbd.inference.payload import Payload
 from torchrbd.physics import Effect, effect, effects
 from torchrbd.robot import RobotModel
-
-
-@dataclass(frozen=True)
-class Payload:
-    """A known load on the robot in one recording: mass [kg] and centre of mass [m] in the frame of ``link``."""
-
-    recording: str
-    mass: float
-    centre: tuple[float, float, float]
-    link: str | None = None
-
-    @classmethod
-    def parse(cls, text: str) -> Payload:
-        """Read ``FILE=kg,x,y,z`` or ``FILE=kg,x,y,z@LINK``."""
-        name, _, numbers = text.rpartition("=")
-        numbers, _, link = numbers.partition("@")
-        try:
-            mass, x, y, z = (float(part) for part in numbers.split(","))
-        except ValueError:
-            raise OptionError(f"payload '{text}': expected FILE=kg,x,y,z or FILE=kg,x,y,z@LINK") from None
-        if not name or not all(map(math.isfinite, (mass, x, y, z))) or mass <= 0:
-            raise OptionError(f"payload '{text}': expected FILE=kg,x,y,z with a mass above zero")
-        return cls(Path(name).name, mass, (x, y, z), link or None)
 
 
 @dataclass(frozen=True)
