@@ -41,7 +41,7 @@ def diagnose(
     robot = robot if isinstance(robot, RobotModel) else RobotModel.from_urdf(robot)
     settings = Settings.from_mapping(options, "diagnose")
     prepared = prepare(robot, listed(recordings), settings, settings.chosen_effects(), progress)
-    training, judging, prior = prepared.training, prepared.judging, prepared.prior
+    training, prior = prepared.training, prepared.prior
     comparison = Comparison(training, prior)
     measured = prepared.statistics.torque[..., 0].sum(0) > 0
     progress("searching for missing physics", 0.0)
@@ -55,9 +55,9 @@ def diagnose(
     progress("fitting", 0.0)
     models = {"rigid_body": fit_model(training, prior), "extended": fit_model(training, prior, terms)}
     identification = summarise(prepared, models, progress)
-    findings = explain(
-        comparison, terms, candidates, models["extended"], training, judging, prior, identification.fits["extended"]
-    )
+    progress("weighing the findings", 0.0)
+    findings = explain(prepared, comparison, terms, candidates, models["extended"])
+    progress("looking at what is left", 0.0)
     units = ["N" if prismatic else "N m" for prismatic in robot.prismatic.tolist()]
     rest = unexplained(identification.series, "extended", prepared.filtering.effective_rate, units)
     verdict = _verdict(findings, rest, _refit_matters(prepared, comparison))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -12,12 +12,10 @@ from torchrbd.diagnosis.compare import Comparison, Gain
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
 from torchrbd.diagnosis.select import CLOSE_GAIN, CLOSE_STD, Terms, plausible, with_terms
 from torchrbd.diagnosis.words import finding_sentence
-from torchrbd.inference.block_statistics import BlockStatistics
 from torchrbd.inference.columns import Candidate
 from torchrbd.inference.fitting import FittedModel, fit_model, judge
 from torchrbd.inference.identify import term_parameters
-from torchrbd.inference.prior import Prior
-from torchrbd.inference.results import Fit
+from torchrbd.inference.preparation import Prepared
 
 # Below this share of its torque a term is nested in another one: nothing of it is left beside the other.
 NESTED_SHARE = 1e-6
@@ -33,45 +31,36 @@ class Rival:
 
 
 def explain(
+    prepared: Prepared,
     comparison: Comparison,
     terms: Terms,
     candidates: Sequence[Candidate],
     model: FittedModel,
-    training: BlockStatistics,
-    judging: BlockStatistics,
-    prior: Prior,
-    after: Fit,
 ) -> tuple[Finding, ...]:
     """Describe each chosen term.
 
     Args:
+        prepared: the data.
         comparison: judged the terms.
         terms: those chosen.
         candidates: those that could have been.
         model: the fit with all terms.
-        training, judging: blocks fitted and kept back.
-        prior: of the fit.
-        after: the model's fit on the blocks kept back.
 
     Returns:
         Findings, the largest gain first.
     """
     comparison.set_noise(terms)
     full = comparison.errors(terms)
+    training, judging = prepared.training, prepared.judging
+    after = judge(judging, model.x).nmse
     found = []
     for term in terms:
         rest = tuple(c for c in terms if c is not term)
-        without = comparison.errors(rest)
-        worth = comparison.gain(without, full)
+        worth = comparison.gain(comparison.errors(rest), full)
         rivals = _rivals(comparison, term, rest, candidates, full)
-        joint = comparison.columns.robot.joint_names[term.joint]
-        before = judge(judging, fit_model(training, prior, rest, model.noise_variance).x).nmse
-        found.append(_finding(comparison, term, model, worth, rivals, _of(before, joint), _of(after.nmse, joint)))
+        before = judge(judging, fit_model(training, prepared.prior, rest, model.noise_variance).x).nmse
+        found.append(_finding(term, model, worth, rivals, before, after))
     return tuple(sorted(found, key=lambda f: -f.log_evidence_gain))
-
-
-def _of(values: dict[str, float], joint: str) -> dict[str, float]:
-    return {joint: values[joint]} if joint in values else {}
 
 
 def _rivals(
@@ -117,14 +106,17 @@ def probability(worth: Gain, rivals: Sequence[Rival]) -> float:
 
 
 def _finding(
-    comparison: Comparison, term: Candidate, model: FittedModel, worth: Gain, rivals: Sequence[Rival],
-    before: dict[str, float], after: dict[str, float],
-) -> Finding:  # fmt: skip
-    robot = comparison.columns.robot
-    joint = robot.joint_names[term.joint]
-    prismatic = bool(robot.prismatic[term.joint])
+    term: Candidate,
+    model: FittedModel,
+    worth: Gain,
+    rivals: Sequence[Rival],
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+) -> Finding:
+    columns, robot = model.columns, model.columns.robot
+    joint, prismatic = robot.joint_names[term.joint], bool(robot.prismatic[term.joint])
     quantities = {
-        name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic), comparison.columns.urdf_value(term))
+        name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic), columns.urdf_value(term))
         for name, (value, std) in term_parameters(model, term).items()
     }
     alike = tuple(Alternative(r.candidate.effect.id, (joint,)) for r in rivals if indistinguishable(r.lead))
@@ -137,7 +129,7 @@ def _finding(
         parameters=quantities,
         where=Where(),
         indistinguishable_from=alike,
-        nmse_before=before,
-        nmse_after=after,
+        nmse_before={name: value for name, value in before.items() if name == joint},
+        nmse_after={name: value for name, value in after.items() if name == joint},
         statement=finding_sentence(term.effect.id, joint, quantities, before, after, alike),
     )
