@@ -23,6 +23,7 @@ from torchrbd.export import save_model, to_urdf, write_diagnosis, write_paramete
 from torchrbd.inference import Identification, Settings, identify
 from torchrbd.physics import effects
 from torchrbd.report import write_report
+from torchrbd.report.words import percent
 
 
 class _Help(RichHelpFormatter):
@@ -39,13 +40,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     errors = Console(stderr=True, highlight=False, soft_wrap=True)
     try:
+        if options.output.exists() and not options.output.is_dir():
+            raise OptionError(f"output '{options.output}' is a file; name a folder")
         options.run(options)
     except (TorchRBDError, OSError) as error:
         errors.print("torchrbd: error:", style="bold red", end=" ")
         errors.print(str(error), markup=False)
         return 2
     except KeyboardInterrupt:
-        errors.print("torchrbd: interrupted; nothing was written")
+        errors.print("torchrbd: interrupted")
         return 130
     return 0
 
@@ -100,14 +103,18 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str) -> None:
     data.add_argument(
         "--payload",
         metavar="FILE=kg,x,y,z[@LINK]",
-        help="known load in a recording: mass and centre [kg, m] on a link (default: the last)",
+        help="known load in a recording: mass and centre [kg, m] on a link (default: a chain's last)",
         **many,
     )
     data.add_argument(
         "--mapping", type=Path, metavar="YAML", help="other column names, units, signs, gear ratios, torque constants"
     )
     data.add_argument(
-        "--cutoff", type=float, metavar="HZ", help="band limit of torque and features (default: chosen from the data)"
+        "--cutoff",
+        dest="cutoff_hz",
+        type=float,
+        metavar="HZ",
+        help="band limit of torque and features (default: chosen from the data)",
     )
     model = sub.add_argument_group("model")
     known = ", ".join(effects())
@@ -126,20 +133,8 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str) -> None:
 def _settings(options: argparse.Namespace) -> dict[str, Any]:
     """Return the options that were given: those of the configuration file, then those of the command line."""
     chosen = _read_config(options.config) if options.config else {}
-    names = (
-        "holdout",
-        "holdout_fraction",
-        "time",
-        "joints",
-        "payload",
-        "mapping",
-        "effects",
-        "exclude",
-        "trust",
-        "seed",
-    )
-    given = {name: getattr(options, name) for name in names} | {"cutoff_hz": options.cutoff}
-    return chosen | {name: value for name, value in given.items() if value is not None}
+    given = {name: value for name, value in vars(options).items() if name in Settings.names() and value is not None}
+    return chosen | given
 
 
 def _read_config(path: Path) -> dict[str, Any]:
@@ -203,7 +198,7 @@ def _print_diagnosis(result: Diagnosis) -> None:
         table = Table("joint", "missing", "95 % interval", "probability")
         for f in result.findings:
             values = "\n".join(f"{name.replace('_', ' ')} {interval(q)}" for name, q in f.parameters.items())
-            table.add_row(", ".join(f.joints), words_of(f.effect), values, f"{f.probability:.0%}")
+            table.add_row(", ".join(f.joints), words_of(f.effect), values, percent(f.probability))
         out.print(table)
     for rest in result.unexplained:
         out.print(rest.statement, markup=False)

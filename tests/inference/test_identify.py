@@ -229,5 +229,5 @@ def test_options_that_do_not_fit_are_told(recording: Recording) -> None:
         identify(WRONG, [])
     with pytest.raises(InputError, match="two recordings are called 'simulated'"):
         identify(WRONG, [recording, recording])
-    with pytest.raises(InputError, match=r"hold \d blocks of .* at least 8 are needed"):
+    with pytest.raises(InputError, match=r"\d blocks of .* are left to fit; at least 6 are needed"):
         identify(WRONG, record(URDF, 4, duration_s=5.0))

@@ -37,7 +37,7 @@ from torchrbd.robot import RobotModel
 Progress = Callable[[str, float], None]
 """Told what is being done and which part (0 to 1) of it is done."""
 
-_BLOCK_S, _BLOCK_CYCLES, _MOST_BLOCKS, _LEAST_BLOCKS = 1.0, 5.0, 256, 8
+_BLOCK_S, _BLOCK_CYCLES, _MOST_BLOCKS, _LEAST_BLOCKS = 1.0, 5.0, 256, 6
 # Neighbouring blocks that are kept back together: fewer seams between what is fitted and what is judged.
 _HOLDOUT_RUN = 2
 # Below this many standard deviations of its noise a velocity has no direction.
@@ -130,6 +130,12 @@ def prepare(
     payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
     statistics = _stream(columns, opened, surveys, filtering, used, payload, progress)
     held_out, words = _held_out(statistics, opened, n_fitted, settings)
+    n_training = int((~held_out).sum())
+    if n_training < _LEAST_BLOCKS:
+        raise RecordingError(
+            f"after filtering at {filtering.cutoff_hz:g} Hz and holding out {words}, {n_training} blocks of "
+            f"{_block_s(surveys, filtering):.2g} s are left to fit; at least {_LEAST_BLOCKS} are needed: give longer or more recordings"
+        )
     weight, _, square = statistics.torque.sum(0).unbind(-1)
     if not weight.any():
         raise RecordingError("no torque that changes is recorded for any of the joints in use; nothing can be fitted")
@@ -203,7 +209,7 @@ def _stream(
     payload: dict[str, Tensor], progress: Progress,
 ) -> BlockStatistics:  # fmt: skip
     duration = sum(s.duration_s for s in surveys)
-    block_s = max(_BLOCK_S, _BLOCK_CYCLES / filtering.cutoff_hz, duration / _MOST_BLOCKS)
+    block_s = _block_s(surveys, filtering)
     done, statistics = 0.0, None
     for recording, s in zip(recordings, surveys, strict=True):
 
@@ -220,12 +226,12 @@ def _stream(
         statistics = part if statistics is None else statistics + part
         done += s.duration_s
     assert statistics is not None
-    if len(statistics) < _LEAST_BLOCKS:
-        raise RecordingError(
-            f"the recordings hold {len(statistics)} blocks of {block_s:.3g} s after filtering at "
-            f"{filtering.cutoff_hz:g} Hz; at least {_LEAST_BLOCKS} are needed: give longer or more recordings"
-        )
     return statistics.coarsened(_MOST_BLOCKS)
+
+
+def _block_s(surveys: Sequence[Survey], filtering: Filtering) -> float:
+    """Return the length of a block [s]: some cycles of the cut-off, and so long that not too many are kept."""
+    return max(_BLOCK_S, _BLOCK_CYCLES / filtering.cutoff_hz, sum(s.duration_s for s in surveys) / _MOST_BLOCKS)
 
 
 def _measured(recording: Recording, s: Survey) -> Tensor:

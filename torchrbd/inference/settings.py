@@ -56,9 +56,14 @@ class Settings:
             raise OptionError(f"kappa is {self.kappa:g}; expected a number above 0")
 
     @classmethod
+    def names(cls) -> frozenset[str]:
+        """Return the names of all settings."""
+        return frozenset(f.name for f in fields(cls))
+
+    @classmethod
     def from_mapping(cls, options: Mapping[str, Any], place: str) -> Settings:
         """Read settings as a YAML file or keyword arguments give them; ``place`` is named in errors."""
-        known = {f.name for f in fields(cls)}
+        known = cls.names()
         for key in options:
             if key not in known:
                 close = difflib.get_close_matches(key, known, 1)
