@@ -134,7 +134,8 @@ def prepare(
     if n_training < _LEAST_BLOCKS:
         raise RecordingError(
             f"after filtering at {filtering.cutoff_hz:g} Hz and holding out {words}, {n_training} blocks of "
-            f"{_block_s(surveys, filtering):.2g} s are left to fit; at least {_LEAST_BLOCKS} are needed: give longer or more recordings"
+            f"{_block_s(surveys, filtering):.2g} s are left to fit; at least {_LEAST_BLOCKS} are needed: "
+            "give longer or more recordings"
         )
     weight, _, square = statistics.torque.sum(0).unbind(-1)
     if not weight.any():
