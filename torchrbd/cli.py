@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.resources import as_file, files
@@ -40,8 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     errors = Console(stderr=True, highlight=False, soft_wrap=True)
     try:
-        if options.output.exists() and not options.output.is_dir():
-            raise OptionError(f"output '{options.output}' is a file; name a folder")
+        _check_output(options.output)
         options.run(options)
     except (TorchRBDError, OSError) as error:
         errors.print("torchrbd: error:", style="bold red", end=" ")
@@ -51,6 +51,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         errors.print("torchrbd: interrupted")
         return 130
     return 0
+
+
+def _check_output(folder: Path) -> None:
+    """Refuse, before any work is done, a folder that cannot be written."""
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not existing.is_dir() or not os.access(existing, os.W_OK):
+        raise OptionError(f"output '{folder}': '{existing}' is not a folder that can be written; name another")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -140,8 +147,10 @@ def _settings(options: argparse.Namespace) -> dict[str, Any]:
 def _read_config(path: Path) -> dict[str, Any]:
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise OptionError(f"{path}: is not YAML ({error})") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise OptionError(f"{path}: is not YAML in UTF-8 ({error})") from None
+    except OSError as error:
+        raise OptionError(f"{path}: cannot be read ({error.strerror}); check --config") from None
     if not isinstance(content, dict):
         raise OptionError(f"{path}: expected 'option: value' lines, e.g. 'cutoff: 5'")
     chosen = {str(key).replace("-", "_"): value for key, value in content.items()}
@@ -234,4 +243,4 @@ def _write(result: Identification | Diagnosis, folder: Path) -> None:
     write_report(result, folder / "report.html")
     out = Console(highlight=False, soft_wrap=True)
     out.print(f"wrote {', '.join(names)} to {folder}", markup=False)
-    out.print(f"report: {(folder / 'report.html').resolve()}", style="bold")
+    out.print(f"report: {(folder / 'report.html').resolve()}", style="bold", markup=False)

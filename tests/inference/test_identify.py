@@ -120,7 +120,7 @@ def test_friction_is_fitted_beside_the_inertia() -> None:
     terms = {(p.name, p.owner): p for p in found.parameters if p.status == "term"}
     for k, joint in enumerate(joint_names(URDF)):
         for name, truth in (("viscous", viscous[k]), ("coulomb", coulomb[k])):
-            p = terms[f"{name} ({name}_friction)", joint]
+            p = terms[f"{name}_friction_{joint}.{name}", joint]
             assert abs(p.value - truth) < 4 * p.std + 0.02 * truth
             assert p.std < 0.2 * truth
     assert len(found.model.terms) == 8

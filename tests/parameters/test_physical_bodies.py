@@ -7,7 +7,15 @@ import pytest
 import torch
 from parameters.bodies import by_hand, central_moments, from_points, random_bodies
 
-from torchrbd.parameters import BASIS, PARAMETERS_PER_BODY, UNITS, is_physical, nearest_physical, to_log_cholesky
+from torchrbd.parameters import (
+    BASIS,
+    PARAMETERS_PER_BODY,
+    UNITS,
+    is_extended,
+    is_physical,
+    nearest_physical,
+    to_log_cholesky,
+)
 from torchrbd.robot import pseudo_inertia
 
 
@@ -99,3 +107,16 @@ def test_repair_is_batched() -> None:
     for index in np.ndindex(2, 3):
         torch.testing.assert_close(repaired[index], nearest_physical(pi[index]), rtol=1e-12, atol=1e-14)
     assert nearest_physical(pi[0, :0]).shape == (0, 10)
+
+
+def test_a_point_becomes_a_body_of_plausible_width() -> None:
+    """0.6 kg at 0.2 m with a placeholder inertia: widened to 0.3 r in all directions, mass and centre kept."""
+    point = torch.from_numpy(from_points(np.array([0.6]), np.array([[0.0, 0, 0.2]])))
+    point[[4, 6, 9]] += 1e-7
+    assert is_physical(point)
+    assert not is_extended(point)
+    repaired = nearest_physical(point)
+    assert is_extended(repaired)
+    torch.testing.assert_close(repaired[:4], point[:4])
+    moments = central_moments(repaired.numpy())
+    np.testing.assert_allclose(moments, 2 * 0.6 * (0.3 * 0.2) ** 2, rtol=1e-4)

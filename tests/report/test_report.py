@@ -124,7 +124,7 @@ def test_verdict_comes_before_anything_else(tmp_path):
 def test_finding_says_what_where_and_how_sure(tmp_path):
     text = " ".join(Text(render(diagnosis(("joint1", "joint2", "joint3")), tmp_path)).words)
     parts = """
-        Coulomb friction at joint2 | 1.000 ± 0.012 N m | 98 % | c sign(qd) | 0.0200 → 5.00·10⁻⁵ | in hold.csv |
+        Coulomb friction at joint2 | 1.000 ± 0.024 N m | 98 % | c sign(qd) | 0.0200 → 5.00·10⁻⁵ | in hold.csv |
         4 to 7 s | Stribeck friction at joint2 | joint2 resists motion with 1.0 N m. | Unexplained at joint2 | 42 % |
         q_joint1 from −0.1 to 0.3 | where a finding holds | position of joint1 [rad]
     """

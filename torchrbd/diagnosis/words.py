@@ -10,6 +10,8 @@ from torchrbd.inference.results import Fit
 from torchrbd.physics import effect, effects
 
 MINUS = "\N{MINUS SIGN}"
+# Findings less probable than this stay out of the verdict's sentence.
+LIKELY = 0.5
 
 
 def number(value: float) -> str:
@@ -90,12 +92,13 @@ def verdict_statement(
         )
     if verdict == "unexplained":
         return f"No known effect explains what the rigid body leaves.{open_end}"
-    missing = _places(f for f in findings if not any(q.urdf for q in f.parameters.values()))
-    wrong = _places(f for f in findings if any(q.urdf for q in f.parameters.values()))
+    likely = [f for f in findings if f.probability > LIKELY] or findings
+    missing = _places(f for f in likely if not any(q.urdf for q in f.parameters.values()))
+    wrong = _places(f for f in likely if any(q.urdf for q in f.parameters.values()))
     named = " and ".join(filter(None, (missing and f"leaves out {missing}", wrong and f"has the wrong {wrong}")))
     return (
-        f"The URDF {named}. The unpredicted part of the torque variance on held-out time falls from {urdf} "
-        f"(URDF) and {rigid} (re-fitted rigid body) to {extended}.{open_end}"
+        f"The URDF {named}. The unpredicted part of the torque variance on held-out time is {urdf} with the URDF, "
+        f"{rigid} with a re-fitted rigid body and {extended} with what was found.{open_end}"
     )
 
 

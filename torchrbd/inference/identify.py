@@ -13,13 +13,13 @@ from torch import Tensor
 from torchrbd.inference.columns import Candidate, Columns
 from torchrbd.inference.fitting import FittedModel, fit_model, judge, predict, term_candidates
 from torchrbd.inference.preparation import Prepared, Progress, prepare
-from torchrbd.inference.results import Identification, ParameterEstimate, TorqueSeries
+from torchrbd.inference.results import Fit, Identification, ParameterEstimate, TorqueSeries
 from torchrbd.inference.settings import Settings
 from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, base_parameters
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
-_POOR = 0.8
+_POOR, _ABSURD, _WORSE = 0.8, 100.0, 1.2
 
 
 def identify(
@@ -69,12 +69,13 @@ def summarise(prepared: Prepared, models: dict[str, FittedModel], progress: Prog
     coefficients = {"urdf": prepared.prior.reference, **{name: model.x for name, model in models.items()}}
     final = list(models.values())[-1]
     base = base_parameters(prepared.robot)
+    fits = {name: judge(prepared.judging, x) for name, x in coefficients.items()}
     return Identification(
         robot=prepared.robot,
         recordings=prepared.fitted,
         held_out=prepared.holdout_words,
         cutoff_hz=prepared.filtering.cutoff_hz,
-        fits={name: judge(prepared.judging, x) for name, x in coefficients.items()},
+        fits=fits,
         parameters=(
             *_inertial_estimates(prepared, final, set(base.alone), set(base.invisible)),
             *term_estimates(final),
@@ -87,19 +88,31 @@ def summarise(prepared: Prepared, models: dict[str, FittedModel], progress: Prog
         },
         series=torque_series(prepared, coefficients, progress),
         model=final.module(),
-        notes=(*prepared.notes, *_doubts(prepared, final)),
+        notes=(*prepared.notes, *_doubts(prepared, final, fits)),
     )
 
 
-def _doubts(prepared: Prepared, model: FittedModel) -> list[str]:
-    """Return what looks like wrong input: torques that no model comes near, even where it was fitted."""
-    seen = judge(prepared.training, model.x)
-    doubts = [
-        f"the fitted model explains little of the torque of {joint} (nmse {nmse:.2f} where it was fitted): "
-        "check the unit, sign, gear ratio and name of its columns"
-        for joint, nmse in seen.nmse.items()
-        if nmse > _POOR
-    ]
+def _doubts(prepared: Prepared, model: FittedModel, fits: dict[str, Fit]) -> list[str]:
+    """Return what looks like wrong input, and where the fitted model does worse than what it was to better."""
+    fitted, told = judge(prepared.training, model.x).nmse, judge(prepared.training, prepared.prior.reference).nmse
+    last = fits[list(fits)[-1]].nmse
+    doubts = []
+    for joint, nmse in fitted.items():
+        if nmse > _POOR:
+            doubts.append(
+                f"the fitted model explains little of the torque of {joint} (nmse {nmse:.2f} where it was fitted): "
+                "check the unit, sign, gear ratio and name of its columns"
+            )
+        if told[joint] > _ABSURD:
+            doubts.append(
+                f"the URDF's torque for {joint} is more than ten times off: check the units (rad, s, N m) of the "
+                "recording and of the URDF before trusting any finding"
+            )
+        if joint in last and last[joint] > _WORSE * fits["urdf"].nmse[joint]:
+            doubts.append(
+                f"on held-out data {joint} is predicted worse than by the URDF as given "
+                f"(nmse {last[joint]:.3g} against {fits['urdf'].nmse[joint]:.3g})"
+            )
     if not model.converged:
         doubts.append("the fit stopped early: the torques are far from those of any rigid body; check units and signs")
     return doubts
@@ -184,7 +197,7 @@ def term_estimates(model: FittedModel) -> list[ParameterEstimate]:
         for name, (value, std) in term_parameters(model, candidate).items():
             unit = candidate.effect.unit(name, prismatic=bool(robot.prismatic[candidate.joint]))
             found.append(
-                ParameterEstimate(f"{name} ({candidate.effect.id})", joint, unit, urdf, value, std, 0.0, "term")
+                ParameterEstimate(f"{candidate.effect.id}_{joint}.{name}", joint, unit, urdf, value, std, 0.0, "term")
             )
     return found
 

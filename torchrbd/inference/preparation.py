@@ -42,6 +42,7 @@ _BLOCK_S, _BLOCK_CYCLES, _MOST_BLOCKS, _LEAST_BLOCKS = 1.0, 5.0, 256, 6
 _HOLDOUT_RUN = 2
 # Below this many standard deviations of its noise a velocity has no direction.
 _REST_NOISE, _REST_PART = 2.0, 1e-3
+_BEYOND_LIMIT = 3.0
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ def prepare(
         prior=prior,
         used=used,
         payload=payload,
-        notes=_notes(columns, opened, surveys, filtering, prior, held, used & (weight == 0)),
+        notes=_notes(columns, surveys, filtering, prior, held, used & (weight == 0)),
     )
 
 
@@ -244,7 +245,6 @@ def _measured(recording: Recording, s: Survey) -> Tensor:
 
 def _notes(
     columns: Columns,
-    recordings: Sequence[Recording],
     surveys: Sequence[Survey],
     filtering: Filtering,
     prior: Prior,
@@ -252,8 +252,13 @@ def _notes(
     without_torque: Tensor,
 ) -> tuple[str, ...]:
     robot, notes = columns.robot, []
-    for recording, s in zip(recordings, surveys, strict=True):
-        found = [*recording.notes, *s.notes]
+    for s in surveys:
+        found = [*s.notes, *(f"the torque of {name} never changes and is not used" for name in s.constant_tau)]
+        found += [
+            f"{name} moves at up to {fastest:.3g} per second, its limit is {limit:.3g}: check the units of q and t"
+            for name, fastest, limit in zip(robot.joint_names, s.velocity_max, robot.velocity.tolist(), strict=True)
+            if fastest > _BEYOND_LIMIT * limit > 0
+        ]
         found += [
             f"{a:.3g} to {b:.3g} s left out: too short for the filters" for a, b in skipped_segments(s, filtering)
         ]
@@ -261,11 +266,14 @@ def _notes(
     silent = (name for name, none in zip(robot.joint_names, without_torque.tolist(), strict=True) if none)
     notes += [f"no recording has a torque that changes for {name}" for name in silent]
     notes += [
-        f"the URDF's inertia of {body} is that of no mass distribution; the fit starts from the nearest that is"
+        f"the URDF's inertia of {body} is that of no extended body of its mass; the fit starts from the nearest that is"
         for body in unphysical_bodies(columns)
     ]
     massless = (n for b, n in enumerate(robot.body_names) if b not in prior.bodies and n not in held)
-    return (*notes, *(f"{name} has no mass in the URDF and keeps none" for name in massless))
+    return (
+        *notes,
+        *(f"{name} has no mass in the URDF and keeps none; give it a rough one if it has any" for name in massless),
+    )
 
 
 def _held_out(

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.columns import Columns
-from torchrbd.parameters import BASIS, PARAMETERS_PER_BODY, is_physical, nearest_physical
+from torchrbd.parameters import BASIS, PARAMETERS_PER_BODY, is_extended, nearest_physical
 from torchrbd.robot import pseudo_inertia
 
 KAPPA = 3.0
@@ -100,8 +100,8 @@ def _inverse_root(A: Tensor) -> Tensor:
 
 
 def unphysical_bodies(columns: Columns) -> tuple[str, ...]:
-    """Return the names of bodies whose URDF inertia no mass distribution has (massless ones are not counted)."""
+    """Return the names of bodies whose URDF inertia no extended body has; massless ones are not counted."""
     pi = columns.robot.pi.reshape(-1, PARAMETERS_PER_BODY)
     return tuple(
-        n for n, m, ok in zip(columns.robot.body_names, pi[:, 0], is_physical(pi), strict=True) if m > 0 and not ok
+        n for n, m, ok in zip(columns.robot.body_names, pi[:, 0], is_extended(pi), strict=True) if m > 0 and not ok
     )

@@ -127,7 +127,7 @@ def _number(value: Any, kind: type[int] | type[float], key: str, place: str) -> 
         number = kind(value)
     except (TypeError, ValueError, OverflowError):
         raise OptionError(f"{place}: {key} is '{value}'; expected a number") from None
-    if number != float(value):
+    if kind is int and number != float(value):
         raise OptionError(f"{place}: {key} is {value}; expected a whole number")
     return number
 

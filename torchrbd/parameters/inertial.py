@@ -36,21 +36,39 @@ def is_physical(pi: Tensor, tolerance: float = 1e-10) -> Tensor:
     return heavy & (eigenvalues[..., 0] > tolerance * eigenvalues.sum(-1).clamp_min(0.0))
 
 
-def nearest_physical(pi: Tensor, thinness: float = 0.05) -> Tensor:
-    """Replace unphysical bodies by near physical ones of the same mass and centre; leave the physical ones untouched.
+def is_extended(pi: Tensor, thinness: float = 0.05) -> Tensor:
+    """Say which bodies (*batch,) are physical and in some direction wider than ``thinness`` times r.
+
+    r is the radius of gyration about the body's origin. Placeholder inertias are often a thousand times too small.
+    """
+    eigenvalues = torch.linalg.eigvalsh(central_covariance(pi))
+    return is_physical(pi) & (eigenvalues[..., -1] > thinness**2 * _second_moment(pi, eigenvalues))
+
+
+def _second_moment(pi: Tensor, eigenvalues: Tensor) -> Tensor:
+    """Return m r^2 about the origin (*batch,), with r = 1 cm for a point mass there."""
+    m, h = pi[..., 0], pi[..., 1:4]
+    moment = eigenvalues.clamp_min(0.0).sum(-1) + h.square().sum(-1) / m
+    return torch.where(moment > 0, moment, 1e-4 * m)
+
+
+def nearest_physical(pi: Tensor, thinness: float = 0.05, width: float = 0.3) -> Tensor:
+    """Replace bodies that are not extended by near ones of the same mass and centre; leave the others untouched.
 
     The central covariance is brought to principal axes and its eigenvalues are raised to at least m (thinness r)^2,
-    with r the body's radius of gyration about its origin (1 cm for a point mass there).
+    with r the body's radius of gyration about its origin; those of a mere point to m (width r)^2.
 
     Args:
         pi: (*batch, 10), every mass positive.
         thinness: least radius of gyration in any direction, as a fraction of r.
+        width: radius of gyration of a point in all directions, as a fraction of r.
     """
     m, c = pi[..., 0], pi[..., 1:4] / pi[..., 0, None]
     eigenvalues, axes = torch.linalg.eigh(central_covariance(pi))
-    radius_sq = eigenvalues.clamp_min(0.0).sum(-1) / m + c.square().sum(-1)
-    radius_sq = torch.where(radius_sq > 0, radius_sq, torch.full_like(radius_sq, 1e-4))
-    raised = torch.maximum(eigenvalues, (m * thinness**2 * radius_sq).unsqueeze(-1))
+    least = _second_moment(pi, eigenvalues)
+    pointlike = eigenvalues[..., -1] <= thinness**2 * least
+    least = torch.where(pointlike, width**2 * least, thinness**2 * least)
+    raised = torch.maximum(eigenvalues, least.unsqueeze(-1))
     J = pseudo_inertia(pi)
     J[..., :3, :3] = axes @ torch.diag_embed(raised) @ axes.mT + m[..., None, None] * c.unsqueeze(-1) * c.unsqueeze(-2)
-    return torch.where(is_physical(pi).unsqueeze(-1), pi, from_pseudo_inertia(J))
+    return torch.where(is_extended(pi, thinness).unsqueeze(-1), pi, from_pseudo_inertia(J))

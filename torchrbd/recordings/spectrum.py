@@ -107,6 +107,13 @@ class Spectrum:
         return np.sqrt(self._velocity_square / max(1, self._count))
 
     @property
+    def velocity_ratio(self) -> np.ndarray:
+        """Return the measured velocity in units of the differentiated position (n,), 1 where none is measured."""
+        power = self.derived.sum(axis=1)
+        ratio = np.real(self.cross).sum(axis=1) / np.where(power > 0, power, 1.0)
+        return np.where((power > 0) & self._has_velocity, ratio, 1.0)
+
+    @property
     def difference_gain(self) -> np.ndarray:
         """Return `(2 sin(w dt / 2) / dt)^2` (F,), the power gain of a first difference."""
         return (2 * np.sin(np.pi * self.frequency * self.dt) / self.dt) ** 2
@@ -140,7 +147,8 @@ class Spectrum:
         octaves[np.arange(_BANDS), np.searchsorted(f[:-1], centres).clip(max=len(f) - 1)] = 1.0
         level = np.log(acceleration @ octaves.T / octaves.sum(axis=1) + 1e-300).mean(axis=0)
         velocity = acceleration[:, 1:] / self.difference_gain[1:]
-        motion = f[1 + np.argmax((velocity / velocity.sum(axis=1, keepdims=True)).mean(axis=0))]
+        total = np.maximum(velocity.sum(axis=1, keepdims=True), 1e-300)
+        motion = f[1 + np.argmax((velocity / total).mean(axis=0))]
         start = int(np.searchsorted(centres[:-1], motion))
         floor = start + int(np.argmin(level[start:]))
         rises = np.flatnonzero(level[floor:] > level[floor] + math.log(_VALLEY_RISE))

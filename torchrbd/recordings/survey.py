@@ -13,6 +13,9 @@ from torchrbd.recordings.clock import Census, Clock, uniform_blocks
 from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.spectrum import HIGHEST_SHARE, Spectrum, two_digits
 
+# A peak beyond so many RMS is no motion; a measured velocity off by so much is not dq/dt.
+_PEAK, _VELOCITY_ERROR = 30.0, 0.2
+
 
 @dataclass(frozen=True)
 class Survey:
@@ -109,8 +112,28 @@ def survey(recording: Recording) -> Survey:
         cutoff_hz=cutoff_hz,
         constant_q=tuple(compress(recording.joints, ~q_moves)),
         constant_tau=tuple(compress(recording.joints, ~tau_varies & recording.measured)),
-        notes=recording.notes + _notes(recording, census, len(segments)),
+        notes=(*recording.notes, *_notes(recording, census, len(segments)), *_suspicions(recording, extent, spectrum)),
     )
+
+
+def _suspicions(recording: Recording, extent: _Extent, spectrum: Spectrum) -> list[str]:
+    """Return what hints at wrong units or bad samples."""
+    joints, n, notes = recording.joints, len(recording.joints), []
+    for k, joint in enumerate(joints):
+        if spectrum.velocity_max[k] > _PEAK * spectrum.velocity_rms[k] > 0:
+            notes.append(
+                f"q_{joint} jumps: {spectrum.velocity_max[k]:.3g} per second is "
+                f"{spectrum.velocity_max[k] / spectrum.velocity_rms[k]:.0f} times its RMS speed; look for bad samples"
+            )
+        peak, rms = max(-float(extent.low[n + k]), float(extent.high[n + k])), float(extent.rms[n + k])
+        if peak > _PEAK * rms > 0:
+            notes.append(f"tau_{joint} peaks at {peak:.3g}, {peak / rms:.0f} times its RMS; look for bad samples")
+    for joint, ratio in zip(joints, spectrum.velocity_ratio, strict=True):
+        if abs(ratio - 1) > _VELOCITY_ERROR:
+            notes.append(
+                f"qd_{joint} is {ratio:.3g} times dq/dt and not used; check its unit and sign, and those of q and t"
+            )
+    return notes
 
 
 class _Extent:
