@@ -170,6 +170,22 @@ def test_bad_configuration_is_told(
     assert "Traceback" not in told
 
 
+def test_configuration_in_another_encoding_is_told(
+    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (case / "latin.yaml").write_bytes("cutoff: 5 # Größe\n".encode("latin-1"))
+    assert run(case, "identify", "arm.urdf", "day.csv", "-o", str(tmp_path / "o"), "--config", "latin.yaml") == 2
+    assert "not YAML in UTF-8" in capsys.readouterr().err
+
+
+def test_output_that_cannot_be_written_is_told_first(
+    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "taken").write_text("")
+    assert run(case, "identify", "arm.urdf", "no.csv", "-o", str(tmp_path / "taken" / "sub")) == 2
+    assert "not a folder that can be written" in capsys.readouterr().err
+
+
 def test_wrong_words_end_with_exit_code_two() -> None:
     with pytest.raises(SystemExit) as stop:
         main(["diagnos"])
