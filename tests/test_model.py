@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from torchrbd.errors import PhysicalError
-from torchrbd.model import REST_WIDTH, RigidBodyDynamics, urdf_friction
+from torchrbd.model import REST_WIDTH, RigidBodyDynamics
 from torchrbd.parameters import is_physical
 from torchrbd.physics import Term, effect
 from torchrbd.robot import RobotModel
@@ -168,5 +168,3 @@ def test_urdf_friction_becomes_terms() -> None:
     added = model(q, qd, qdd) - robot.inverse_dynamics(q, qd, qdd)
     torch.testing.assert_close(added[:, j], 0.5 * qd[:, j] + 1.5 * torch.tanh(qd[:, j] / REST_WIDTH))
     assert added[:, 1 - j].abs().max() < 1e-12
-    wide = urdf_friction(robot, torch.full((2,), 0.2))
-    assert [t.rest_width for t in wide] == pytest.approx([0.2, 0.2])

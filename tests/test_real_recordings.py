@@ -23,23 +23,22 @@ def joints_with_friction(diagnosis: Diagnosis) -> set[str]:
     return {joint for f in diagnosis.findings if f.effect in FRICTION for joint in f.joints}
 
 
-def test_kuka_one_split(folder: Path) -> None:
-    arm = folder / "kuka_kr300"
-    diagnosis = torchrbd.diagnose(arm / "robot.urdf", [arm / "A.csv", arm / "B.csv"], holdout=[arm / "C.csv"])
+def check_kuka(diagnosis: Diagnosis) -> None:
     fits = diagnosis.identification.fits
     assert fits["extended"].mean_nmse < 0.16
     assert fits["extended"].mean_nmse < fits["rigid_body"].mean_nmse / 3
     assert joints_with_friction(diagnosis) == {f"A{k}" for k in range(1, 7)}
 
 
+def test_kuka_one_split(folder: Path) -> None:
+    arm = folder / "kuka_kr300"
+    check_kuka(torchrbd.diagnose(arm / "robot.urdf", [arm / "A.csv", arm / "B.csv"], holdout=[arm / "C.csv"]))
+
+
 @pytest.mark.slow
 def test_kuka_all_splits(folder: Path) -> None:
-    result = real.kuka(folder)
-    for diagnosis in result.diagnoses.values():
-        fits = diagnosis.identification.fits
-        assert fits["extended"].mean_nmse < 0.16
-        assert fits["extended"].mean_nmse < fits["rigid_body"].mean_nmse / 3
-        assert joints_with_friction(diagnosis) == {f"A{k}" for k in range(1, 7)}
+    for diagnosis in real.kuka(folder).diagnoses.values():
+        check_kuka(diagnosis)
 
 
 @pytest.mark.slow

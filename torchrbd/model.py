@@ -108,12 +108,11 @@ class RigidBodyDynamics(nn.Module):
         return torch.cholesky_solve((tau - self(q, qd, still)).unsqueeze(-1), factor).squeeze(-1)
 
 
-def urdf_friction(robot: RobotModel, rest_width: Tensor | None = None) -> list[Term]:
+def urdf_friction(robot: RobotModel) -> list[Term]:
     """Return the terms that a URDF's <dynamics> tags stand for: damping is viscous, friction Coulomb friction."""
-    widths = torch.full((robot.n_dof,), REST_WIDTH) if rest_width is None else rest_width
     terms = []
     for joint in range(robot.n_dof):
         for name, value in (("viscous_friction", robot.damping[joint]), ("coulomb_friction", robot.friction[joint])):
             if value:
-                terms.append(Term(effect(name), joint, value.reshape(1), {}, float(widths[joint])))
+                terms.append(Term(effect(name), joint, value.reshape(1), {}, REST_WIDTH))
     return terms

@@ -74,13 +74,19 @@ def test_concealed_effect_is_named(effect: str) -> None:
         assert finding.parameters[name].value == pytest.approx(value, rel=tolerance)
 
 
-def test_direction_dependent_friction_is_found_as_itself_or_its_equivalent() -> None:
-    """Different friction in the two directions spans the same torque as one coefficient and an offset."""
+@pytest.mark.parametrize(("plus", "names"), [(1.5, 3), (4.0, 2)], ids=["small", "large"])
+def test_direction_dependent_friction_is_found_as_itself_or_its_equivalent(plus: float, names: int) -> None:
+    """Different friction in the two directions spans the same torque as one coefficient and an offset.
+
+    A small offset hides in the re-fitted first moments (1 % of it is left beside them): then the symmetric part alone
+    may be named.
+    """
     urdf, joint = serial_arm(8, 4), "joint2"
-    extra = added(urdf, joint, lambda q, qd, qdd: np.where(qd > 0, 4.0, -0.5))
+    extra = added(urdf, joint, lambda q, qd, qdd: np.where(qd > 0, plus, -0.5))
     diagnosis = torchrbd.diagnose(urdf, record(urdf, 8, extra=extra))
     effects = {f.effect for f in diagnosis.findings}
-    assert effects in ({"asymmetric_coulomb_friction"}, {"coulomb_friction", "torque_offset"})
+    allowed = ({"asymmetric_coulomb_friction"}, {"coulomb_friction", "torque_offset"}, {"coulomb_friction"})
+    assert effects in allowed[:names]
     assert {j for f in diagnosis.findings for j in f.joints} == {joint}
 
 
@@ -152,3 +158,14 @@ def test_friction_that_only_the_urdf_has_is_found_to_be_wrong() -> None:
         assert abs(quantity.value) < 4 * quantity.std < 1.0
     assert diagnosis.unexplained == ()
     assert "has the wrong" in diagnosis.statement
+
+
+def test_what_is_left_is_seen_though_one_recording_lacks_the_torque() -> None:
+    urdf, joint = serial_arm(9, 4), "joint2"
+    extra = added(urdf, joint, lambda q, qd, qdd: 4.0 * np.exp(-(((q - 0.2) / 0.3) ** 2)))
+    full = record(urdf, 9, extra=extra, duration_s=60.0)
+    chunk = next(iter(record(urdf, 15, name="without", extra=extra).chunks(10**6)))
+    tau = chunk.tau.copy()
+    tau[:, joint_names(urdf).index(joint)] = np.nan
+    without = Recording.from_arrays("without", joint_names(urdf), chunk.t, chunk.q, tau)
+    assert joint in {j for u in torchrbd.diagnose(urdf, [full, without]).unexplained for j in u.joints}

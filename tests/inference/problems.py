@@ -31,7 +31,7 @@ def urdf_of(seed: int, n_joints: int, **options: float) -> str:
 
 
 def columns_of(robot: RobotModel, effects: Sequence[str] = EFFECTS) -> Columns:
-    scale = JointScale(-2.0, 2.0, 3.0, REST_WIDTH)
+    scale = JointScale(3.0, REST_WIDTH)
     return Columns(robot, [effect(name) for name in effects], [scale] * robot.n_dof)
 
 

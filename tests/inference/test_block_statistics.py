@@ -7,7 +7,7 @@ import pytest
 import torch
 from inference.problems import LABELS, columns_of, dense, recorded, statistics_of
 
-from torchrbd.inference.block_statistics import BlockStatistics
+from torchrbd.inference.block_statistics import BlockStatistics, assemble
 from torchrbd.inference.columns import Columns
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
@@ -129,7 +129,7 @@ def test_normal_equations_are_weighted_least_squares(
 ) -> None:
     full = dense(columns, case[1])
     weights = np.array([0.5, 2.0, 1.0])
-    H, h = statistics.normal_equations(torch.from_numpy(weights))
+    H, h = assemble(columns, statistics.total(), torch.from_numpy(weights))
     rows = (np.sqrt(full.weight * weights)[:, None, None] * full.A).reshape(-1, columns.n)
     tau = (np.sqrt(full.weight * weights)[:, None] * full.tau).reshape(-1)
     close(H, torch.from_numpy(rows.T @ rows))

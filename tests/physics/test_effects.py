@@ -10,7 +10,7 @@ from torch.autograd import gradcheck
 
 from torchrbd.physics import Effect, JointScale, JointState, Shape, Term, effects
 
-SCALE = JointScale(q_low=-2.0, q_high=1.5, speed_max=3.0, rest_width=0.02)
+SCALE = JointScale(speed_max=3.0, rest_width=0.02)
 URDF_TAGS = {"damping", "friction"}
 EXPECTED_IDS = {
     "viscous_friction",

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrbd.errors import InputError, OptionError
 from torchrbd.physics import Effect, JointScale, JointState, Shape, Term, effect, effects, register, registry
 
-SCALE = JointScale(-2.0, 1.5, 3.0, 0.02)
+SCALE = JointScale(3.0, 0.02)
 
 
 def torque(name: str, q: float, qd: float, qdd: float, **parameters: float) -> float:
@@ -56,7 +56,7 @@ def test_stribeck_needs_a_bump_that_speeds_can_show() -> None:
     speeds = [shape["stribeck_speed"] for shape in stribeck.shapes(SCALE)]
     assert speeds == sorted(speeds)
     assert SCALE.rest_width < speeds[0] < speeds[-1] < SCALE.speed_max
-    assert stribeck.shapes(JointScale(-1, 1, 0.05, 0.02)) == ()
+    assert stribeck.shapes(JointScale(0.05, 0.02)) == ()
 
 
 def test_stiffness_without_spring_has_no_rest_position() -> None:

@@ -53,22 +53,26 @@ def unexplained(
         units: per joint, of its torque.
         seed: of the shuffling.
     """
-    seen = ~series.held_out
-    recording = series.recording[seen]
     signals = [f"{prefix}_{joint}" for prefix in ("q", "qd", "qdd") for joint in series.joints]
-    X = np.concatenate((series.q, series.qd, series.qdd), axis=1)[seen]
-    block = _blocks(series.t[seen], recording)
+    X = np.concatenate((series.q, series.qd, series.qdd), axis=1)
     found = []
     for j, joint in enumerate(series.joints):
-        r, tau = series.residual(model)[seen, j], series.measured[seen, j]
-        if np.isnan(r).any():
+        seen = ~series.held_out & np.isfinite(series.measured[:, j])
+        if not seen.any():
             continue
-        prediction = predict_left_out(X, r, block, _independent_samples(series.t[seen], independent_rate_hz), seed)
+        t, recording, r, tau = (
+            series.t[seen],
+            series.recording[seen],
+            series.residual(model)[seen, j],
+            series.measured[seen, j],
+        )
+        n_independent = _independent_samples(t, independent_rate_hz)
+        prediction = predict_left_out(X[seen], r, _blocks(t, recording), n_independent, seed)
         power = float(np.mean(r**2))
         told = prediction.gain > LEAST_GAIN and prediction.t > LEAST_T and prediction.share > LEAST_SHARE
         if told and prediction.share * power > LEAST_TORQUE_PART * np.var(tau):
             where = _loud_recordings(series, recording, r)
-            found.append(_described(joint, signals, X, prediction, power**0.5, units[j], where))
+            found.append(_described(joint, signals, X[seen], prediction, power**0.5, units[j], where))
     return tuple(found)
 
 

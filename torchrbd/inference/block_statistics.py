@@ -105,17 +105,15 @@ class BlockStatistics:
         weight = weight.clamp_min(1e-300)
         return second / weight - (first / weight) ** 2
 
-    def normal_equations(self, weights: Tensor) -> tuple[Tensor, Tensor]:
-        """Return H = sum_j w_j A_j and h = sum_j w_j a_j' tau_j over all blocks, on the whole vector x.
-
-        Args:
-            weights: (n_dof,) inverse noise variances.
-        """
-        return assemble(self.columns, self.total(), weights)
-
 
 def assemble(columns: Columns, totals: Sequence[Tensor], weights: Tensor) -> tuple[Tensor, Tensor]:
-    """Return H (n, n) and h (n,) from per-joint moments (p_j + 1, p_j + 1)."""
+    """Return the normal equations H = sum_j w_j A_j (n, n) and h = sum_j w_j a_j' tau_j (n,).
+
+    Args:
+        columns: the layout of x.
+        totals: per joint, summed moments (p_j + 1, p_j + 1).
+        weights: (n_dof,) inverse noise variances.
+    """
     H = torch.zeros(columns.n, columns.n, dtype=torch.float64)
     h = torch.zeros(columns.n, dtype=torch.float64)
     for own, moments, weight in zip(columns.of_joint, totals, weights.tolist(), strict=True):

@@ -192,8 +192,7 @@ def _scales(robot: RobotModel, surveys: Sequence[Survey], filtering: Filtering) 
         axis=0,
     )
     rest = np.maximum.reduce([_REST_NOISE * noise, _REST_PART * speed, np.full(robot.n_dof, 1e-6)])
-    low, high = np.min([s.q_min for s in surveys], axis=0), np.max([s.q_max for s in surveys], axis=0)
-    return tuple(JointScale(*map(float, values)) for values in zip(low, high, speed, rest, strict=True))
+    return tuple(JointScale(*map(float, values)) for values in zip(speed, rest, strict=True))
 
 
 def _tiles(

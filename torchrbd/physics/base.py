@@ -44,8 +44,6 @@ class JointState:
 class JointScale:
     """What a recording covers at one joint: the range in which shapes are sought and parameters are plausible."""
 
-    q_low: float
-    q_high: float
     speed_max: float
     rest_width: float
 

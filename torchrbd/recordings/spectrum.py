@@ -47,13 +47,13 @@ class Spectrum:
         self.cross = np.zeros(shape, dtype=complex)
         self.velocity_max = np.zeros(n)
         self._velocity_square, self._weight, self._count = np.zeros(n), 0.0, 0
-        self._segment, self._x, self._seen = -1, np.empty((0, 0)), 0
+        self._segment, self._x = -1, np.empty((0, 0))
 
     def add(self, block: Block) -> None:
         """Take the next samples."""
         if block.segment != self._segment:
             self._finish_segment()
-            self._segment, self._x, self._seen = block.segment, block.x, 0
+            self._segment, self._x = block.segment, block.x
         else:
             self._x = np.concatenate([self._x, block.x], axis=1)
         need = self._size + 2
