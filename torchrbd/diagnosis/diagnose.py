@@ -14,7 +14,8 @@ from torchrbd.diagnosis.select import LEAST_GAIN, LEAST_T, Terms, distinguishabl
 from torchrbd.diagnosis.words import verdict_statement
 from torchrbd.inference.fitting import fit_model
 from torchrbd.inference.identify import listed, summarise
-from torchrbd.inference.preparation import Prepared, Progress, prepare
+from torchrbd.inference.preparation import Prepared, prepare
+from torchrbd.inference.reading import Progress
 from torchrbd.inference.settings import Settings
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel

@@ -14,6 +14,7 @@ from torchrbd.inference.map_fit import first_noise_variance, residual_variance, 
 from torchrbd.inference.physical_fit import PhysicalFit, physical_fit
 from torchrbd.inference.prior import Prior
 from torchrbd.inference.results import Fit
+from torchrbd.inference.uncertain_states import UncertainStates
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Term, effect
 from torchrbd.recordings import States
@@ -81,7 +82,11 @@ class FittedModel:
 
 
 def fit_model(
-    statistics: BlockStatistics, prior: Prior, terms: Sequence[Candidate] = (), noise: Tensor | None = None
+    statistics: BlockStatistics,
+    prior: Prior,
+    terms: Sequence[Candidate] = (),
+    noise: Tensor | None = None,
+    states: UncertainStates | None = None,
 ) -> FittedModel:
     """Fit the rigid body and terms on blocks.
 
@@ -90,19 +95,25 @@ def fit_model(
         prior: prior of the inertial parameters.
         terms: terms that are fitted beside them; other columns keep the URDF's value.
         noise: (n_dof,) variances of the torque noise; estimated if not given.
+        states: what uncertain states take from the information, if they were smoothed.
     """
     columns = statistics.columns
     term_columns = torch.tensor(sorted({k for c in terms for k in columns.of(c)}), dtype=torch.long)
     totals = statistics.total()
     variance = first_noise_variance(statistics) if noise is None else noise
+    if states is not None and noise is None:
+        variance = torch.where(torch.isfinite(variance), states.torque_variance, variance)
     for _ in range(_MOST_ROUNDS):
         equations = scaled_equations(prior, totals, columns, 1.0 / variance)
+        if states is not None:
+            equations = states.discount(prior, equations)
         fit = physical_fit(prior, equations, term_columns)
         S = prior.scale[:, fit.free]
         if noise is not None:
             break
         # The noise of the physical fit: an impossible robot may explain impossible data without any.
-        found = residual_variance(statistics, fit.x, S @ torch.linalg.inv(fit.precision) @ S.T, variance)
+        covariance = S @ torch.linalg.inv(fit.precision) @ S.T
+        found = residual_variance(statistics, fit.x, covariance, variance, None if states is None else states.used)
         seen = torch.isfinite(found)
         if bool(((found / variance).log()[seen].abs() < _SETTLED).all()):
             break

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from torchrbd.inference.columns import Candidate, Columns
 from torchrbd.inference.fitting import FittedModel, fit_model, judge, predict, term_candidates
-from torchrbd.inference.preparation import Prepared, Progress, prepare
+from torchrbd.inference.preparation import Prepared, prepare
+from torchrbd.inference.reading import Progress
 from torchrbd.inference.results import Fit, Identification, ParameterEstimate, TorqueSeries
 from torchrbd.inference.settings import Settings
 from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, base_parameters
@@ -45,10 +46,10 @@ def identify(
     effects = settings.chosen_effects() if settings.effects else ()
     prepared = prepare(robot, listed(recordings), settings, effects, progress)
     progress("fitting", 0.0)
-    models = {"rigid_body": fit_model(prepared.training, prepared.prior)}
+    models = {"rigid_body": fit_model(prepared.training, prepared.prior, states=prepared.states)}
     if effects:
         terms = term_candidates(prepared.columns, [e.id for e in effects])
-        models["extended"] = fit_model(prepared.training, prepared.prior, terms)
+        models["extended"] = fit_model(prepared.training, prepared.prior, terms, states=prepared.states)
     return summarise(prepared, models, progress)
 
 
@@ -131,7 +132,7 @@ def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress:
             measured[:, ~prepared.measured(k)] = torch.nan
             parts["recording"].append(np.full(len(states.t_out), k))
             parts["t"].append(states.t_out.numpy())
-            parts["held_out"].append(_kept_back(prepared, recording.name, states.t_out).numpy())
+            parts["held_out"].append(prepared.kept_back(recording.name, states.t_out).numpy())
             parts["measured"].append(measured.numpy())
             for key, signal in (("q", states.q), ("qd", states.qd), ("qdd", states.qdd)):
                 parts[key].append(states.decimate(signal).T.numpy())
@@ -144,14 +145,6 @@ def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress:
         predicted={name: np.concatenate(values) for name, values in predicted.items()},
         **joined,
     )
-
-
-def _kept_back(prepared: Prepared, recording: str, t: Tensor) -> Tensor:
-    inside = torch.zeros(len(t), dtype=torch.bool)
-    for block, held in zip(prepared.statistics.blocks, prepared.held_out.tolist(), strict=True):
-        if held and block.recording == recording:
-            inside |= (t >= block.start_s) & (t <= block.end_s)
-    return inside
 
 
 def _inertial_estimates(

@@ -21,6 +21,7 @@ from torchrbd.inference.prior import Prior
 
 # Torque is believed to this part of its RMS at best: noise-free simulations would have infinite weights.
 LEAST_NOISE = 1e-5
+_LEAST_FREEDOM = 0.02
 
 
 @dataclass(frozen=True)
@@ -76,18 +77,21 @@ def first_noise_variance(statistics: BlockStatistics) -> Tensor:
     return _bounded(statistics, 0.1**2 * statistics.torque[..., 2].sum(0) / _count(statistics))
 
 
-def residual_variance(statistics: BlockStatistics, x: Tensor, covariance: Tensor, variance: Tensor) -> Tensor:
+def residual_variance(
+    statistics: BlockStatistics, x: Tensor, covariance: Tensor, variance: Tensor, states: Tensor | None = None
+) -> Tensor:
     """Return the noise that a fit leaves.
 
-        sigma_j^2 = RSS_j / (n_j - gamma_j),   gamma_j = tr(cov(x) A_j) / sigma_j^2
+        sigma_j^2 = RSS_j / (n_j - gamma_j - s_j),   gamma_j = tr(cov(x) A_j) / sigma_j^2
 
-    with gamma_j the number of parameters that the joint's data has used up.
+    with gamma_j the number of parameters that the joint's data has used up, and s_j what estimated states have.
 
     Args:
         statistics: the blocks fitted.
         x: (n,) fitted coefficients.
         covariance: (n, n) of x.
         variance: (n_dof,) noise that the fit assumed.
+        states: s (n_dof,); none by default.
     """
     used = torch.stack(
         [
@@ -96,7 +100,8 @@ def residual_variance(statistics: BlockStatistics, x: Tensor, covariance: Tensor
         ]
     )
     count = _count(statistics)
-    return _bounded(statistics, statistics.squared_error(x).sum(0) / (count - used).clamp_min(0.1 * count))
+    left = count if states is None else (count - states).clamp_min(_LEAST_FREEDOM * count)
+    return _bounded(statistics, statistics.squared_error(x).sum(0) / (left - used).clamp_min(0.1 * left))
 
 
 def _count(statistics: BlockStatistics) -> Tensor:

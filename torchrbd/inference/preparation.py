@@ -1,11 +1,14 @@
-"""From files to block statistics: the two streaming passes that every fit and diagnosis starts with.
+"""From files to block statistics: the streaming passes that every fit and diagnosis starts with.
 
 survey (clock, noise, band) -> one cut-off for all -> states, regressor and features, tile by tile -> block statistics
+
+Here it is decided whose states are used. Position noise is sent through the chain (``input_noise.py``); where it would
+bias a fit on filtered states, the states are smoothed together with the parameters and the statistics are built anew.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,11 +17,16 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError, RecordingError
-from torchrbd.inference.block_statistics import BlockStatistics, block_statistics
+from torchrbd.inference.block_statistics import BlockStatistics
 from torchrbd.inference.columns import Columns
+from torchrbd.inference.fitting import FittedModel, fit_model
+from torchrbd.inference.input_noise import InputNoise, input_noise
 from torchrbd.inference.payload import payload_parameters
 from torchrbd.inference.prior import Prior, unphysical_bodies, urdf_prior
+from torchrbd.inference.reading import Progress, Reading
 from torchrbd.inference.settings import Settings
+from torchrbd.inference.smoothing import smooth, smoothable
+from torchrbd.inference.uncertain_states import UncertainStates
 from torchrbd.physics import Effect, JointScale
 from torchrbd.recordings import (
     Filtering,
@@ -30,14 +38,10 @@ from torchrbd.recordings import (
     read_mapping,
     skipped_segments,
     survey,
-    tiles,
 )
 from torchrbd.robot import RobotModel
 
-Progress = Callable[[str, float], None]
-"""Told what is being done and which part (0 to 1) of it is done."""
-
-_BLOCK_S, _BLOCK_CYCLES, _MOST_BLOCKS, _LEAST_BLOCKS = 1.0, 5.0, 256, 6
+_LEAST_BLOCKS = 6
 # Neighbouring blocks that are kept back together: fewer seams between what is fitted and what is judged.
 _HOLDOUT_RUN = 2
 # Below this many standard deviations of its noise a velocity has no direction.
@@ -51,30 +55,37 @@ class Prepared:
 
     Attributes:
         robot: as the URDF gives it.
-        recordings, surveys: in the order given, held-out ones last.
-        filtering: the one filter pair of all.
+        reading: the recordings and how they are read.
         columns: layout of x.
         statistics: all blocks.
         held_out: (B,) bool, blocks that no fit or choice may see.
         holdout_words: the same for a person.
         prior: around the URDF.
-        used: (n_dof,) bool, joints whose torque counts.
-        payload: per recording name, inertial parameters (n_params,) of known loads.
+        input_noise: what position noise does to a fit on filtered states.
+        states: what uncertain states take from the information, None if the states are filtered ones.
         notes: what the user should know of the input.
     """
 
     robot: RobotModel
-    recordings: tuple[Recording, ...]
-    surveys: tuple[Survey, ...]
-    filtering: Filtering
+    reading: Reading
     columns: Columns
     statistics: BlockStatistics
     held_out: Tensor
     holdout_words: str
     prior: Prior
-    used: Tensor
-    payload: dict[str, Tensor]
+    input_noise: InputNoise
+    states: UncertainStates | None
     notes: tuple[str, ...]
+
+    @property
+    def recordings(self) -> tuple[Recording, ...]:
+        """In the order given, held-out ones last."""
+        return self.reading.recordings
+
+    @property
+    def filtering(self) -> Filtering:
+        """The one filter pair of all."""
+        return self.reading.filtering
 
     @property
     def fitted(self) -> tuple[str, ...]:
@@ -94,11 +105,19 @@ class Prepared:
 
     def measured(self, k: int) -> Tensor:
         """Return (n_dof,) bool, the joints whose torque in recording k counts."""
-        return _measured(self.recordings[k], self.surveys[k]) & self.used
+        return self.reading.measured(k)
 
     def tiles(self, k: int) -> Iterator[States]:
-        """Stream the states of recording k; known payloads are taken off its torque."""
-        return _tiles(self.robot, self.recordings[k], self.surveys[k], self.filtering, self.payload)
+        """Stream the states of recording k."""
+        return self.reading.tiles(k)
+
+    def kept_back(self, recording: str, t: Tensor) -> Tensor:
+        """Say which times (N,) of a recording lie in held-out blocks, bool."""
+        inside = torch.zeros(len(t), dtype=torch.bool)
+        for block, held in zip(self.statistics.blocks, self.held_out.tolist(), strict=True):
+            if held and block.recording == recording:
+                inside |= (t >= block.start_s) & (t <= block.end_s)
+        return inside
 
 
 def prepare(
@@ -129,13 +148,14 @@ def prepare(
     columns = Columns(robot, effects, _scales(robot, surveys, filtering))
     used, held = settings.used_joints(robot), settings.held_bodies(robot)
     payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
-    statistics = _stream(columns, opened, surveys, filtering, used, payload, progress)
+    reading = Reading(robot, opened, tuple(surveys), filtering, used, payload)
+    statistics = reading.statistics(columns, progress)
     held_out, words = _held_out(statistics, opened, n_fitted, settings)
     n_training = int((~held_out).sum())
     if n_training < _LEAST_BLOCKS:
         raise RecordingError(
             f"after filtering at {filtering.cutoff_hz:g} Hz and holding out {words}, {n_training} blocks of "
-            f"{_block_s(surveys, filtering):.2g} s are left to fit; at least {_LEAST_BLOCKS} are needed: "
+            f"{reading.block_s:.2g} s are left to fit; at least {_LEAST_BLOCKS} are needed: "
             "give longer or more recordings"
         )
     weight, _, square = statistics.torque.sum(0).unbind(-1)
@@ -143,19 +163,47 @@ def prepare(
         raise RecordingError("no torque that changes is recorded for any of the joints in use; nothing can be fitted")
     torque_rms = (square / weight.clamp_min(1e-300)).sqrt()
     prior = urdf_prior(columns, torque_rms, _feature_rms(statistics), held=held, kappa=settings.kappa)
-    return Prepared(
+    training = statistics.select(~held_out)
+    rough = fit_model(training, prior)
+    prepared = Prepared(
         robot=robot,
-        recordings=opened,
-        surveys=tuple(surveys),
-        filtering=filtering,
+        reading=reading,
         columns=columns,
         statistics=statistics,
         held_out=held_out,
         holdout_words=words,
         prior=prior,
-        used=used,
-        payload=payload,
+        input_noise=input_noise(reading, columns, training, prior, rough),
+        states=None,
         notes=_notes(columns, surveys, filtering, prior, held, used & (weight == 0)),
+    )
+    if getattr(settings, "estimator", "auto") == "smoother" or (getattr(settings, "estimator", "auto") == "auto" and prepared.input_noise.matters):
+        return _smoothed(prepared, rough, progress)
+    return prepared
+
+
+def _smoothed(prepared: Prepared, rough: FittedModel, progress: Progress) -> Prepared:
+    """Return the same with smoothed states in place of filtered ones."""
+    reading = prepared.reading
+    slow = [r.name for r, s in zip(reading.recordings, reading.surveys, strict=True) if not smoothable(s, reading.filtering)]
+    if slow:
+        note = f"states are not smoothed: the clock of {', '.join(slow)} leaves no room above the cut-off"
+        return replace(prepared, notes=(*prepared.notes, note))
+    found = smooth(
+        reading,
+        prepared.columns,
+        prepared.prior,
+        rough,
+        prepared.kept_back,
+        lambda part: progress("smoothing states and parameters together", part),
+    )
+    reading = replace(reading, smoothed=found.trajectories)
+    return replace(
+        prepared,
+        reading=reading,
+        statistics=reading.statistics(prepared.columns, progress),
+        input_noise=replace(prepared.input_noise, encoder_std=found.encoder_std),
+        states=found.states,
     )
 
 
@@ -193,53 +241,6 @@ def _scales(robot: RobotModel, surveys: Sequence[Survey], filtering: Filtering) 
     )
     rest = np.maximum.reduce([_REST_NOISE * noise, _REST_PART * speed, np.full(robot.n_dof, 1e-6)])
     return tuple(JointScale(*map(float, values)) for values in zip(speed, rest, strict=True))
-
-
-def _tiles(
-    robot: RobotModel, recording: Recording, s: Survey, filtering: Filtering, payload: dict[str, Tensor]
-) -> Iterator[States]:
-    for states in tiles(recording, s, filtering):
-        if recording.name in payload:
-            known = robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, payload[recording.name]).T
-            states = replace(states, tau=states.tau - known)
-        yield states
-
-
-def _stream(
-    columns: Columns, recordings: Sequence[Recording], surveys: Sequence[Survey], filtering: Filtering, used: Tensor,
-    payload: dict[str, Tensor], progress: Progress,
-) -> BlockStatistics:  # fmt: skip
-    duration = sum(s.duration_s for s in surveys)
-    block_s = _block_s(surveys, filtering)
-    done, statistics = 0.0, None
-    for recording, s in zip(recordings, surveys, strict=True):
-
-        def watched(stream: Iterator[States], before: float = done) -> Iterator[States]:
-            for states in stream:
-                progress("building the statistics", min(1.0, (before + float(states.t[0])) / duration))
-                yield states
-
-        measured = _measured(recording, s) & used
-        stream = watched(_tiles(columns.robot, recording, s, filtering, payload))
-        part = block_statistics(
-            columns, recording.name, stream, measured, block_s=block_s, independent_rate_hz=filtering.effective_rate
-        )
-        statistics = part if statistics is None else statistics + part
-        done += s.duration_s
-    assert statistics is not None
-    return statistics.coarsened(_MOST_BLOCKS)
-
-
-def _block_s(surveys: Sequence[Survey], filtering: Filtering) -> float:
-    """Return the length of a block [s]: some cycles of the cut-off, and so long that not too many are kept."""
-    return max(_BLOCK_S, _BLOCK_CYCLES / filtering.cutoff_hz, sum(s.duration_s for s in surveys) / _MOST_BLOCKS)
-
-
-def _measured(recording: Recording, s: Survey) -> Tensor:
-    """Return (n_dof,) bool: joints with a torque that changes; a constant one comes from no sensor."""
-    return torch.tensor(
-        [m and n not in s.constant_tau for m, n in zip(recording.measured, recording.joints, strict=True)]
-    )
 
 
 def _notes(

@@ -1,5 +1,6 @@
 """Recordings of the real robot: files in, tiles of filtered states out."""
 
+from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering
 from torchrbd.recordings.mapping import Mapping, read_mapping
 from torchrbd.recordings.recording import Chunk, Recording, open_recording
@@ -19,4 +20,5 @@ __all__ = [
     "skipped_segments",
     "survey",
     "tiles",
+    "uniform_blocks",
 ]

@@ -67,6 +67,20 @@ class Filtering:
             )
         return torch.from_numpy(_feature_kernel(self.cutoff_hz * dt))
 
+    def feature_kernel_at(self, dt: float, step: float) -> torch.Tensor:
+        """Return the feature kernel of a clock dt [s], sampled every `step` [s]: (2 K + 1,), K even.
+
+        It weighs signals that are sampled more coarsely, and still without aliasing into the band.
+        """
+        reach = (len(self.feature_kernel(dt)) // 2) * dt
+        half = 2 * math.ceil(reach / (2 * step) - 1e-9)
+        t = step * np.arange(-half, half + 1)
+        window = np.i0(_KAISER_BETA * np.sqrt(np.maximum(0.0, 1 - (t / reach) ** 2))) * (
+            np.abs(t) <= reach * (1 + 1e-9)
+        )
+        kernel = np.sinc(2 * self.cutoff_hz * t) * window
+        return torch.from_numpy(kernel / kernel.sum())
+
     def stride(self, dt: float) -> int:
         """Return how many samples of the clock lie between two outputs: about 2.5 outputs per cut-off period."""
         return max(1, math.floor((1 + 1e-6) / (_OVERSAMPLING * self.cutoff_hz * dt)))

@@ -1,0 +1,97 @@
+"""How the recordings of one job are read: which filter, which torques count, and whose states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchrbd.inference.block_statistics import BlockStatistics, block_statistics
+from torchrbd.inference.columns import Columns
+from torchrbd.recordings import Filtering, Recording, States, Survey, tiles
+from torchrbd.robot import RobotModel
+
+Progress = Callable[[str, float], None]
+"""Told what is being done and which part (0 to 1) of it is done."""
+
+StateEstimate = Callable[[States], States]
+"""Replaces the filtered states of a tile by better ones."""
+
+_BLOCK_S, _BLOCK_CYCLES, _MOST_BLOCKS = 1.0, 5.0, 256
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Recordings and how to read them.
+
+    Attributes:
+        robot: the robot.
+        recordings, surveys: in the order given, held-out ones last.
+        filtering: the one filter pair of all.
+        used: (n_dof,) bool, joints whose torque counts.
+        payload: per recording name, inertial parameters (n_params,) of known loads.
+        smoothed: per recording, what replaces the filtered states; empty if they stay.
+    """
+
+    robot: RobotModel
+    recordings: tuple[Recording, ...]
+    surveys: tuple[Survey, ...]
+    filtering: Filtering
+    used: Tensor
+    payload: dict[str, Tensor]
+    smoothed: tuple[StateEstimate, ...] = ()
+
+    def measured(self, k: int) -> Tensor:
+        """Return (n_dof,) bool, the joints whose torque in recording k counts; a constant one comes from no sensor."""
+        recording, constant = self.recordings[k], self.surveys[k].constant_tau
+        varies = [m and n not in constant for m, n in zip(recording.measured, recording.joints, strict=True)]
+        return torch.tensor(varies) & self.used
+
+    def tiles(self, k: int) -> Iterator[States]:
+        """Stream the states of recording k; known payloads are taken off its torque."""
+        recording = self.recordings[k]
+        load = self.payload.get(recording.name)
+        for states in tiles(recording, self.surveys[k], self.filtering):
+            if self.smoothed:
+                states = self.smoothed[k](states)
+            if load is not None:
+                known = self.robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, load).T
+                states = replace(states, tau=states.tau - known)
+            yield states
+
+    @property
+    def block_s(self) -> float:
+        """Length of a block [s]: some cycles of the cut-off, and so long that not too many are kept."""
+        return max(_BLOCK_S, _BLOCK_CYCLES / self.filtering.cutoff_hz, self._duration_s / _MOST_BLOCKS)
+
+    @property
+    def _duration_s(self) -> float:
+        return sum(s.duration_s for s in self.surveys)
+
+    def statistics(self, columns: Columns, progress: Progress) -> BlockStatistics:
+        """Stream all recordings into block statistics."""
+        done, parts = 0.0, []
+        for k, (recording, s) in enumerate(zip(self.recordings, self.surveys, strict=True)):
+
+            def watched(stream: Iterator[States], before: float = done) -> Iterator[States]:
+                for states in stream:
+                    progress("building the statistics", min(1.0, (before + float(states.t[0])) / self._duration_s))
+                    yield states
+
+            parts.append(
+                block_statistics(
+                    columns,
+                    recording.name,
+                    watched(self.tiles(k)),
+                    self.measured(k),
+                    block_s=self.block_s,
+                    independent_rate_hz=self.filtering.effective_rate,
+                )
+            )
+            done += s.duration_s
+        joined = parts[0]
+        for part in parts[1:]:
+            joined = joined + part
+        return joined.coarsened(_MOST_BLOCKS)

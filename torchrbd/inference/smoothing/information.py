@@ -1,0 +1,136 @@
+"""What one stretch says of x once its own trajectory is eliminated.
+
+    H = J'WJ + B'B / sigma_q^2,   E = J'WY,   g = J'Wr + B'B (c0 - c) / sigma_q^2
+
+c follows x along c^(x) = c + H^-1 (g - E dx), so that the profile likelihood has the curvature S = Y'WY - E'H^-1 E and
+the slope Y'Wr - E'H^-1 g.
+
+Source: Golub, Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
+separate", SIAM J. Numer. Anal. 1973.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from torchrbd.inference.columns import Columns
+from torchrbd.inference.smoothing.block_tridiagonal import BlockCholesky, fold, fold_rows
+from torchrbd.inference.smoothing.linearisation import Linearisation, linearise
+from torchrbd.inference.smoothing.stretch import Stretch
+
+
+@dataclass(frozen=True)
+class Information:
+    """Sums over stretches.
+
+    Attributes:
+        gram: Y'WY (k, k) of k wanted columns, the information if the states were known.
+        lost: E'H^-1 E (k, k), what their uncertainty takes away.
+        slope: Y'Wr - E'H^-1 g (k,).
+        count: (n_dof,) independent torque samples.
+        spread: (n_dof,) sum of their variances for uncertain states, diag(J H^-1 J').
+        samples: encoder samples.
+        wander: (n_dof,) sum of the trajectory's variances at the encoder samples, diag(B H^-1 B').
+        entropy: -1/2 log det H.
+    """
+
+    gram: Tensor
+    lost: Tensor
+    slope: Tensor
+    count: Tensor
+    spread: Tensor
+    samples: int
+    wander: Tensor
+    entropy: Tensor
+
+    def __add__(self, other: Information) -> Information:
+        return Information(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+
+def distance(stretch: Stretch, c: Tensor) -> Tensor:
+    """Return |q_m - B c|^2 of each joint (n,); differentiable."""
+    away = c - stretch.encoder
+    return stretch.misfit + (away * (stretch.gram @ away)).sum(0)
+
+
+def eliminate(
+    columns: Columns,
+    stretch: Stretch,
+    c: Tensor,
+    x: Tensor,
+    torque_variance: Tensor,
+    encoder_variance: Tensor,
+    wanted: Tensor,
+) -> tuple[Information, Tensor]:
+    """Return what a stretch says of the ``wanted`` columns of x, and the step H^-1 g of its coefficients c (K, n)."""
+    at = linearise(columns, stretch, c, x)
+    n, width = columns.robot.n_dof, stretch.grid.width
+    weight = (stretch.counts / torque_variance).sqrt()
+    J, Y, r = _weighted(at, weight, wanted, width)
+    pull = (stretch.gram @ (stretch.encoder - c)) / encoder_variance
+    gram = _blocks(stretch.gram, width, len(J) + 1)
+    prior = torch.einsum("bkl,ij->bkilj", gram[0], torch.diag(1 / encoder_variance)).flatten(3, 4).flatten(1, 2)
+    beside = torch.einsum("bkl,ij->bkilj", gram[1], torch.diag(1 / encoder_variance)).flatten(3, 4).flatten(1, 2)
+    diagonal, below = fold(J.mT @ J)
+    factor = BlockCholesky.of(diagonal + prior, below + beside)
+    g = fold_rows(J.mT @ r.unsqueeze(-1)) + _padded(pull, width, len(J) + 1).unsqueeze(-1)
+    half = factor.half_solve(torch.cat((g, fold_rows(J.mT @ Y)), -1)).flatten(0, 1)
+    covariance = factor.inverse_windows()
+    leverage = ((J @ covariance) * J).sum(-1).reshape(-1, n)[: stretch.grid.outputs]
+    step = factor.back_solve(half[:, :1].unflatten(0, g.shape[:2])).reshape(-1, n)[: len(c)]
+    flat = Y.flatten(0, 1)
+    found = Information(
+        gram=flat.T @ flat,
+        lost=half[:, 1:].T @ half[:, 1:],
+        slope=flat.T @ r.flatten() - half[:, 1:].T @ half[:, 0],
+        count=stretch.counts.sum(0),
+        spread=leverage.sum(0) * torque_variance,
+        samples=stretch.samples,
+        wander=_wander(gram, covariance, n, width),
+        entropy=-0.5 * factor.logdet(),
+    )
+    return found, step
+
+
+def _weighted(at: Linearisation, weight: Tensor, wanted: Tensor, width: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Return sqrt(W) J, Y and r, rows in blocks: (b, width n, .), (b, width n, k), (b, width n)."""
+    n_blocks = len(at.J)
+
+    def blocked(values: Tensor) -> Tensor:
+        missing = n_blocks * width - len(values)
+        padded = torch.cat((values, values.new_zeros(missing, *values.shape[1:])))
+        return padded.unflatten(0, (n_blocks, width)).flatten(1, 2)
+
+    return (
+        at.J * blocked(weight).unsqueeze(-1),
+        blocked(at.Y[..., wanted] * weight.unsqueeze(-1)),
+        blocked(at.residual * weight),
+    )
+
+
+def _padded(values: Tensor, width: int, n_blocks: int) -> Tensor:
+    """Return coefficients' values (K, n) as block rows (n_blocks, width n), zero beyond K."""
+    missing = n_blocks * width - len(values)
+    return torch.cat((values, values.new_zeros(missing, values.shape[1]))).reshape(n_blocks, -1)
+
+
+def _blocks(gram: Tensor, width: int, n_blocks: int) -> tuple[Tensor, Tensor]:
+    """Return the blocks (n_blocks, width, width) of B'B and those below them; coefficients beyond its end have 1."""
+    size = n_blocks * width
+    whole = torch.eye(size, dtype=gram.dtype)
+    whole[: len(gram), : len(gram)] = gram
+    parts = whole.unflatten(0, (n_blocks, width)).unflatten(2, (n_blocks, width)).transpose(1, 2)
+    at = torch.arange(n_blocks)
+    return parts[at, at], parts[at[1:], at[:-1]]
+
+
+def _wander(gram: tuple[Tensor, Tensor], covariance: Tensor, n: int, width: int) -> Tensor:
+    """Return tr(B'B cov(c_i)) of each joint i (n,)."""
+    windows = covariance.unflatten(2, (2, width, n)).unflatten(1, (2, width, n))
+    own = windows.diagonal(dim1=3, dim2=6)
+    first = torch.einsum("bkl,bkli->i", gram[0][:-1], own[:, 0, :, 0])
+    last = torch.einsum("kl,kli->i", gram[0][-1], own[-1, 1, :, 1])
+    return first + last + 2 * torch.einsum("bkl,bkli->i", gram[1], own[:, 1, :, 0])

@@ -1,0 +1,105 @@
+"""Smooth all recordings of a job at once: they share parameters and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchrbd.inference.columns import Columns
+from torchrbd.inference.fitting import FittedModel
+from torchrbd.inference.prior import Prior
+from torchrbd.inference.reading import Reading
+from torchrbd.inference.smoothing.smoother import StateSmoother
+from torchrbd.inference.smoothing.stretch import Stretch, stretches
+from torchrbd.inference.uncertain_states import UncertainStates
+from torchrbd.recordings import Filtering, States, Survey
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """The smoothed motion of a recording; replaces the filtered states of a tile."""
+
+    parts: tuple[tuple[Stretch, Tensor], ...]
+
+    def __call__(self, states: States) -> States:
+        """Return the tile with smoothed q, qd and qdd; torque and times stay."""
+        own = [part for part in self.parts if part[0].segment == states.segment]
+        # a stretch ends half a knot before the next one's first torque
+        ends = [s.grid.first_output - 0.5 * s.grid.spacing for s, _ in own[1:]]
+        number = torch.bucketize(states.t, torch.tensor(ends, dtype=torch.float64))
+        q, qd, qdd = (torch.empty_like(states.q) for _ in range(3))
+        for k, (stretch, c) in enumerate(own):
+            here = number == k
+            found = stretch.grid.states(c, states.t[here].numpy())
+            q[:, here], qd[:, here], qdd[:, here] = found
+        return replace(states, q=q, qd=qd, qdd=qdd)
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """What smoothing found.
+
+    Attributes:
+        trajectories: per recording.
+        states: what their uncertainty takes from the information on x.
+        encoder_std: (n_dof,) position noise, [rad] or [m].
+    """
+
+    trajectories: tuple[Trajectory, ...]
+    states: UncertainStates
+    encoder_std: Tensor
+
+
+def smoothable(survey: Survey, filtering: Filtering) -> bool:
+    """Say whether a recording has more positions than its splines have coefficients."""
+    return filtering.stride(survey.clock.dt) >= 2
+
+
+def smooth(
+    reading: Reading,
+    columns: Columns,
+    prior: Prior,
+    start: FittedModel,
+    kept_back: Callable[[str, Tensor], Tensor],
+    progress: Callable[[float], None],
+) -> Smoothed:
+    """Estimate states and parameters together. Friction that the robot may have is fitted along, lest it bend the states.
+
+    Args:
+        reading: the recordings, filtered states.
+        columns: layout of x.
+        prior: of x.
+        start: a fit on filtered states.
+        kept_back: tells of a recording's name and times (O,) which are held out: there the torque is not looked at.
+        progress: told how far the work is.
+    """
+    found: list[tuple[Stretch, ...]] = []
+    for k, recording in enumerate(reading.recordings):
+
+        def counted(t: Tensor, k: int = k, name: str = recording.name) -> Tensor:
+            return ~kept_back(name, t).unsqueeze(1) & reading.measured(k)
+
+        found.append(tuple(stretches(recording, reading.surveys[k], reading.filtering, reading.tiles(k), counted)))
+    encoder = torch.stack([torch.from_numpy(s.q_noise_std) for s in reading.surveys]).square().mean(0).sqrt()
+    smoother = StateSmoother(
+        columns,
+        prior,
+        [s for own in found for s in own if bool(s.counts.any())],
+        torch.tensor([k for c in columns.urdf_friction for k in columns.of(c)], dtype=torch.long),
+        start.x,
+        start.noise_variance.sqrt(),
+        encoder,
+    )
+    smoother.fit(progress)
+    last = smoother.refresh(torch.arange(columns.n))
+    torque = (2 * smoother.log_torque_std.detach()).exp()
+    moved = iter(smoother.trajectories)
+    trajectories = tuple(
+        Trajectory(tuple((s, next(moved).detach() if bool(s.counts.any()) else s.encoder) for s in own))
+        for own in found
+    )
+    states = UncertainStates(smoother.x.detach(), last.gram, last.lost, last.spread / torque, torque)
+    return Smoothed(trajectories, states, smoother.log_encoder_std.detach().exp())

@@ -1,0 +1,50 @@
+"""What uncertain states take from the information that torques hold of x.
+
+    S = H - L,   L = E'H_c^-1 E
+
+with H = Y'WY as if the states were known, and L what their own freedom to move explains as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchrbd.inference.map_fit import Scaled
+from torchrbd.inference.prior import Prior
+
+
+@dataclass(frozen=True)
+class UncertainStates:
+    """The last linearisation of the smoother.
+
+    Attributes:
+        x: (n,) coefficients that the states were estimated with.
+        gram: H (n, n) there.
+        lost: L (n, n) there.
+        used: (n_dof,) torque samples that the states have used up.
+        torque_variance: (n_dof,) noise there.
+    """
+
+    x: Tensor
+    gram: Tensor
+    lost: Tensor
+    used: Tensor
+    torque_variance: Tensor
+
+    def discount(self, prior: Prior, known: Scaled) -> Scaled:
+        """Return the normal equations of torques whose states are uncertain from those for known states.
+
+        The share lost in each direction is kept where H has changed:  L' = C' C^-1 L C^-T C'^T,  C C^T = H + 1 in prior
+        coordinates. The slope at ``x`` stays: h' = h - L' z.
+        """
+        S = prior.scale
+        one = torch.eye(len(S), dtype=S.dtype)
+        before = torch.linalg.cholesky(S.T @ self.gram @ S + one)
+        now = torch.linalg.cholesky(known.H + one)
+        half = now @ torch.linalg.solve_triangular(before, S.T, upper=False)
+        lost = half @ self.lost @ half.T
+        z = torch.linalg.lstsq(S, (self.x - prior.mean).unsqueeze(1), driver="gelsd").solution.squeeze(1)
+        return Scaled(known.H - lost, known.h - lost @ z)
