@@ -52,7 +52,7 @@ def test_error_falls_to_the_noise(found: Identification) -> None:
     for joint in found.robot.joint_names:
         urdf, fitted = found.fits["urdf"].nmse[joint], found.fits["rigid_body"].nmse[joint]
         assert fitted < 0.2 * urdf
-        assert found.fits["rigid_body"].rmse[joint] == pytest.approx(found.noise_std[joint], rel=0.5)
+        assert found.fits["rigid_body"].rmse[joint] == pytest.approx(found.noise[joint].torque, rel=0.5)
     assert found.fits["rigid_body"].mean_nmse < 2e-4
     assert is_physical(torch.from_numpy(values(found)).reshape(-1, 10)).all()
 
@@ -155,7 +155,7 @@ def test_trusted_links_are_held(recording: Recording) -> None:
 
 def test_only_the_chosen_joints_count(recording: Recording) -> None:
     found = identify(WRONG, recording, joints=["joint3"])
-    assert set(found.fits["urdf"].nmse) == set(found.noise_std) == {"joint3"}
+    assert set(found.fits["urdf"].nmse) == set(found.noise) == {"joint3"}
     seen = ~np.isnan(found.series.measured).all(0)
     assert [j for j, s in zip(found.series.joints, seen, strict=True) if s] == ["joint3"]
 

@@ -12,7 +12,14 @@ import numpy as np
 import pytest
 
 from torchrbd.diagnosis.results import Alternative, Diagnosis, Finding, Quantity, Region, Unexplained, Where
-from torchrbd.inference.results import Fit, Identification, ParameterEstimate, TorqueSeries
+from torchrbd.inference.results import (
+    BaseParameterEstimate,
+    Fit,
+    Identification,
+    JointNoise,
+    ParameterEstimate,
+    TorqueSeries,
+)
 from torchrbd.report import write_report
 
 STATEMENT = "This arm has Coulomb friction at joint2 that its URDF leaves out."
@@ -44,20 +51,22 @@ def identification(
         ParameterEstimate("coulomb", joints[0], "N m", 0.0, 1.0, 0.0123, 0.0, "term"),
     )
     robot = SimpleNamespace(name=name, joint_names=joints, prismatic=[False] * (n - 1) + [True])
-    noise = dict.fromkeys(joints, 0.05)
-    combinations, notes = ("Izz_link1 + Iyy_link2 = 0.30 ± 0.01 kg m^2",), ("Column 'mode' was ignored.",)
     return Identification(
-        cast(Any, robot),
-        ("fit.csv",),
-        "hold.csv",
-        5.0,
-        fits,
-        parameters,
-        combinations,
-        noise,
-        series,
-        cast(Any, None),
-        notes,
+        robot=cast(Any, robot),
+        recordings=("fit.csv",),
+        held_out="hold.csv",
+        cutoff_hz=5.0,
+        fits=fits,
+        parameters=parameters,
+        combinations=("Izz_link1 + Iyy_link2 = 0.30 ± 0.01 kg m^2",),
+        base=(BaseParameterEstimate("Izz_link1 + Iyy_link2", "kg m^2", 0.31, 0.3, 0.01, 0.02),),
+        covariance=np.eye(20),
+        noise=dict.fromkeys(joints, JointNoise(1e-4, 0.02, 0.05)),
+        states="filtered",
+        regime="position noise hardly matters; states are filtered",
+        series=series,
+        model=cast(Any, None),
+        notes=("Column 'mode' was ignored.",),
     )
 
 

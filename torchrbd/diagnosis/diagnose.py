@@ -54,7 +54,10 @@ def diagnose(
 
     terms = select_terms(comparison, candidates, tell)
     progress("fitting", 0.0)
-    models = {"rigid_body": fit_model(training, prior), "extended": fit_model(training, prior, terms)}
+    models = {
+        "rigid_body": fit_model(training, prior, states=prepared.states),
+        "extended": fit_model(training, prior, terms, states=prepared.states),
+    }
     identification = summarise(prepared, models, progress)
     progress("weighing the findings", 0.0)
     findings = explain(prepared, comparison, terms, candidates, models["extended"])

@@ -22,7 +22,11 @@ def write_parameters(result: Identification, path: Path) -> None:
             **_head(result),
             "parameters": [asdict(p) for p in result.parameters],
             "combinations": list(result.combinations),
-            "noise_std": result.noise_std,
+            "base_parameters": [asdict(p) for p in result.base],
+            "noise_std": {joint: noise.torque for joint, noise in result.noise.items()},
+            "noise": {joint: asdict(noise) for joint, noise in result.noise.items()},
+            "states": result.states,
+            "regime": result.regime,
         },
     )
 

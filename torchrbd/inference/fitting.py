@@ -51,6 +51,15 @@ class FittedModel:
         """Inertial parameters (n_params,)."""
         return self.x[: self.columns.robot.n_params]
 
+    def inertial_covariance(self, covariance: Tensor) -> Tensor:
+        """Return what a covariance (n_free, n_free) says of all inertial parameters (n_params, n_params), zero for held ones."""
+        n = self.columns.robot.n_params
+        whole = torch.zeros(n, n, dtype=torch.float64)
+        at = torch.nonzero(self.free < n).flatten()
+        own = self.free[at]
+        whole[own.unsqueeze(1), own] = covariance[at.unsqueeze(1), at]
+        return whole
+
     def coefficients(self, candidate: Candidate) -> tuple[Tensor, Tensor]:
         """Return coefficients (K,) and covariance (K, K) of a fitted term."""
         index = torch.tensor(self.columns.of(candidate))

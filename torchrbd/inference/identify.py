@@ -14,9 +14,16 @@ from torchrbd.inference.columns import Candidate, Columns
 from torchrbd.inference.fitting import FittedModel, fit_model, judge, predict, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.reading import Progress
-from torchrbd.inference.results import Fit, Identification, ParameterEstimate, TorqueSeries
+from torchrbd.inference.results import (
+    BaseParameterEstimate,
+    Fit,
+    Identification,
+    JointNoise,
+    ParameterEstimate,
+    TorqueSeries,
+)
 from torchrbd.inference.settings import Settings
-from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, base_parameters
+from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base_parameters
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
@@ -82,11 +89,11 @@ def summarise(prepared: Prepared, models: dict[str, FittedModel], progress: Prog
             *term_estimates(final),
         ),
         combinations=base.sentences(),
-        noise_std={
-            name: float(v.sqrt())
-            for name, v in zip(prepared.robot.joint_names, final.noise_variance, strict=True)
-            if torch.isfinite(v)
-        },
+        base=_base_estimates(prepared, final, base),
+        covariance=final.inertial_covariance(final.covariance).numpy(),
+        noise=_noise(prepared, final),
+        states="filtered" if prepared.states is None else "smoothed",
+        regime=_regime(prepared),
         series=torque_series(prepared, coefficients, progress),
         model=final.module(),
         notes=(*prepared.notes, *_doubts(prepared, final, fits)),
@@ -117,6 +124,41 @@ def _doubts(prepared: Prepared, model: FittedModel, fits: dict[str, Fit]) -> lis
     if not model.converged:
         doubts.append("the fit stopped early: the torques are far from those of any rigid body; check units and signs")
     return doubts
+
+
+def _noise(prepared: Prepared, model: FittedModel) -> dict[str, JointNoise]:
+    noise = prepared.input_noise
+    columns = zip(noise.encoder_std, noise.torque_std, model.noise_variance.sqrt(), strict=True)
+    return {
+        name: JointNoise(*map(float, values))
+        for name, values in zip(prepared.robot.joint_names, columns, strict=True)
+        if torch.isfinite(values[2])
+    }
+
+
+def _regime(prepared: Prepared) -> str:
+    """Say in a sentence what position noise does here, and what was done about it."""
+    excess = prepared.input_noise.excess
+    size = "more than a thousand" if excess > 1e3 else f"{excess:.2g}"
+    matter = "matters" if prepared.input_noise.matters else "hardly matters"
+    effect = f"position noise {matter}: it makes the squared error of a fit on filtered states {size} times as large"
+    if prepared.states is None:
+        return f"{effect}; states are filtered"
+    return f"{effect}; states and parameters are smoothed together"
+
+
+def _base_estimates(prepared: Prepared, model: FittedModel, base: BaseParameters) -> tuple[BaseParameterEstimate, ...]:
+    """Return beta = K pi with the covariance K cov(pi) K'."""
+    K, n = base.combination, prepared.robot.n_params
+    variance, laplace = ((K @ model.inertial_covariance(c) @ K.T).diagonal() for c in (model.covariance, model.laplace))
+    believed = (K @ (prepared.prior.scale @ prepared.prior.scale.T)[:n, :n] @ K.T).diagonal()
+    share = torch.where(believed > 0, (laplace / believed.clamp_min(1e-300)).clamp(0.0, 1.0), torch.ones_like(believed))
+    urdf, value = K @ prepared.prior.reference[:n], K @ model.pi
+    rows = zip(base.independent, base.expressions, urdf, value, variance.sqrt(), share, strict=True)
+    return tuple(
+        BaseParameterEstimate(expression, UNITS[k % PARAMETERS_PER_BODY], *map(float, numbers))
+        for k, expression, *numbers in rows
+    )
 
 
 def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress: Progress) -> TorqueSeries:

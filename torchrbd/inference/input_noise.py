@@ -1,4 +1,4 @@
-"""Does the noise of the positions matter here? It is passed through filter, regressor and fit, and what comes out is seen.
+"""Does the noise of the positions matter here? It is sent through filter, regressor and fit to see what comes out.
 
     Y~ = Y(s + e),  e the encoder's noise after the state filter:   bias = (Y~'WY~ + prior)^-1 Y~'W (Y - Y~) x
 
@@ -44,7 +44,7 @@ class InputNoise:
 
     @property
     def excess(self) -> float:
-        """Squared error of a fit on filtered states, in units of what known states would leave: (1 + bias) / (1 - share)."""
+        """Squared error of a fit on filtered states over that with known states: (1 + bias) / (1 - share)."""
         return (1.0 + self.bias) / max(1.0 - float(self.share.mean()), 1e-3)
 
     @property

@@ -140,10 +140,10 @@ def prepare(
         RecordingError, OptionError: input that cannot be used.
     """
     opened, n_fitted = _open(robot, recordings, settings)
-    surveys = []
+    surveys, noise = [], settings.known_encoder_noise(robot).numpy()
     for k, recording in enumerate(opened):
         progress("looking through the recordings", k / len(opened))
-        surveys.append(survey(recording))
+        surveys.append(_told(survey(recording), noise))
     filtering = Filtering(choose_cutoff(surveys) if settings.cutoff_hz is None else settings.cutoff_hz)
     columns = Columns(robot, effects, _scales(robot, surveys, filtering))
     used, held = settings.used_joints(robot), settings.held_bodies(robot)
@@ -177,15 +177,22 @@ def prepare(
         states=None,
         notes=_notes(columns, surveys, filtering, prior, held, used & (weight == 0)),
     )
-    if getattr(settings, "estimator", "auto") == "smoother" or (getattr(settings, "estimator", "auto") == "auto" and prepared.input_noise.matters):
+    if settings.estimator == "smoother" or (settings.estimator == "auto" and prepared.input_noise.matters):
         return _smoothed(prepared, rough, progress)
     return prepared
+
+
+def _told(found: Survey, noise: np.ndarray) -> Survey:
+    """Return a survey with the position noise (n,) that the user knows; NaN leaves what was found."""
+    return replace(found, q_noise_std=np.where(np.isnan(noise), found.q_noise_std, noise))
 
 
 def _smoothed(prepared: Prepared, rough: FittedModel, progress: Progress) -> Prepared:
     """Return the same with smoothed states in place of filtered ones."""
     reading = prepared.reading
-    slow = [r.name for r, s in zip(reading.recordings, reading.surveys, strict=True) if not smoothable(s, reading.filtering)]
+    slow = [
+        r.name for r, s in zip(reading.recordings, reading.surveys, strict=True) if not smoothable(s, reading.filtering)
+    ]
     if slow:
         note = f"states are not smoothed: the clock of {', '.join(slow)} leaves no room above the cut-off"
         return replace(prepared, notes=(*prepared.notes, note))

@@ -88,6 +88,41 @@ class ParameterEstimate:
 
 
 @dataclass(frozen=True)
+class BaseParameterEstimate:
+    """A combination of inertial parameters that this robot's motion can tell, with what these data tell of it.
+
+    Attributes:
+        expression: in terms of the inertial parameters, e.g. "Iyy_link2 - 0.3 mcx_link3".
+        unit: SI unit.
+        urdf: its value by the URDF.
+        value, std: posterior mean and standard deviation.
+        prior_share: 0 (told by the data) to 1 (told by the URDF alone).
+    """
+
+    expression: str
+    unit: str
+    urdf: float
+    value: float
+    std: float
+    prior_share: float
+
+
+@dataclass(frozen=True)
+class JointNoise:
+    """Noise at one joint, standard deviations.
+
+    Attributes:
+        position: of the recorded position, [rad] or [m].
+        from_position: of the torque that a model predicts from filtered positions, for their noise alone, [N m] or [N].
+        torque: of the band-limited torque that the fitted model leaves, [N m] or [N].
+    """
+
+    position: float
+    from_position: float
+    torque: float
+
+
+@dataclass(frozen=True)
 class Identification:
     """A fitted robot.
 
@@ -98,7 +133,11 @@ class Identification:
         fits: "urdf", "rigid_body" and, after a diagnosis, "extended".
         parameters: every inertial parameter, then the coefficients of the terms.
         combinations: what is identified of the parameters that are not identified alone, one sentence each.
-        noise_std: per joint, standard deviation of the torque that the fitted model leaves, [N m] or [N].
+        base: what the robot's motion can tell, with intervals.
+        covariance: (n_params, n_params) of all inertial parameters.
+        noise: per joint whose torque is measured.
+        states: "filtered", or "smoothed" together with the parameters.
+        regime: why, in a sentence.
         series: torques against time.
         model: the fitted module.
         notes: what the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
@@ -111,7 +150,11 @@ class Identification:
     fits: dict[str, Fit]
     parameters: tuple[ParameterEstimate, ...]
     combinations: tuple[str, ...]
-    noise_std: dict[str, float]
+    base: tuple[BaseParameterEstimate, ...]
+    covariance: np.ndarray
+    noise: dict[str, JointNoise]
+    states: str
+    regime: str
     series: TorqueSeries
     model: RigidBodyDynamics
     notes: tuple[str, ...] = field(default=())

@@ -37,14 +37,24 @@ class BaseParameters:
         """Indices of the parameters that are identified on their own."""
         return tuple(k for row, k in enumerate(self.independent) if torch.count_nonzero(self.combination[row]) == 1)
 
-    def sentences(self) -> tuple[str, ...]:
-        """Say in one sentence each which combinations are identified where their parts are not."""
-        said = []
+    @property
+    def expressions(self) -> tuple[str, ...]:
+        """The base parameters in terms of the inertial ones, such as "Iyy_link2 - 0.3 mcx_link3"."""
+        written = []
         for row, k in enumerate(self.independent):
             partners = [c for c in torch.nonzero(self.combination[row]).flatten().tolist() if c != k]
-            if partners:
-                terms = "".join(_term(float(self.combination[row, c]), self.names[c]) for c in partners)
-                said.append(f"only {self.names[k]}{terms} is identified")
+            terms = (_term(float(self.combination[row, c]), self.names[c]) for c in partners)
+            written.append(self.names[k] + "".join(terms))
+        return tuple(written)
+
+    def sentences(self) -> tuple[str, ...]:
+        """Say in one sentence each which combinations are identified where their parts are not."""
+        alone = set(self.alone)
+        said = [
+            f"only {written} is identified"
+            for k, written in zip(self.independent, self.expressions, strict=True)
+            if k not in alone
+        ]
         if self.invisible:
             said.append("no motion of this robot tells " + ", ".join(self.names[k] for k in self.invisible))
         return tuple(said)

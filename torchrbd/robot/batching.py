@@ -14,7 +14,8 @@ TILE = 2048
 
 def batch_last(*inputs: Tensor) -> tuple[tuple[Tensor, ...], torch.Size]:
     """Return (*batch, n) tensors, whose batches broadcast, as (n, N), and the batch shape."""
-    batch = torch.broadcast_shapes(*(x.shape[:-1] for x in inputs))
+    # torch.broadcast_shapes would import sympy, a second of start-up
+    batch = torch.Size(np.broadcast_shapes(*(x.shape[:-1] for x in inputs)))
     return tuple(x.expand(*batch, -1).reshape(-1, x.shape[-1]).T.contiguous() for x in inputs), batch
 
 

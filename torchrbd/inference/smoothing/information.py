@@ -72,10 +72,13 @@ def eliminate(
     J, Y, r = _weighted(at, weight, wanted, width)
     pull = (stretch.gram @ (stretch.encoder - c)) / encoder_variance
     gram = _blocks(stretch.gram, width, len(J) + 1)
-    prior = torch.einsum("bkl,ij->bkilj", gram[0], torch.diag(1 / encoder_variance)).flatten(3, 4).flatten(1, 2)
-    beside = torch.einsum("bkl,ij->bkilj", gram[1], torch.diag(1 / encoder_variance)).flatten(3, 4).flatten(1, 2)
+    told, told_below = (
+        torch.einsum("bkl,ij->bkilj", G, torch.diag(1 / encoder_variance)).flatten(3, 4).flatten(1, 2) for G in gram
+    )
     diagonal, below = fold(J.mT @ J)
-    factor = BlockCholesky.of(diagonal + prior, below + beside)
+    # coefficients that only fill up the last block have nothing else on their diagonal
+    filled = torch.cat((c.new_zeros(c.numel()), c.new_ones(told.shape[0] * told.shape[1] - c.numel())))
+    factor = BlockCholesky.of(diagonal + told + torch.diag_embed(filled.reshape(len(told), -1)), below + told_below)
     g = fold_rows(J.mT @ r.unsqueeze(-1)) + _padded(pull, width, len(J) + 1).unsqueeze(-1)
     half = factor.half_solve(torch.cat((g, fold_rows(J.mT @ Y)), -1)).flatten(0, 1)
     covariance = factor.inverse_windows()
@@ -118,9 +121,9 @@ def _padded(values: Tensor, width: int, n_blocks: int) -> Tensor:
 
 
 def _blocks(gram: Tensor, width: int, n_blocks: int) -> tuple[Tensor, Tensor]:
-    """Return the blocks (n_blocks, width, width) of B'B and those below them; coefficients beyond its end have 1."""
+    """Return the blocks (n_blocks, width, width) of B'B and those below them, zero beyond its end."""
     size = n_blocks * width
-    whole = torch.eye(size, dtype=gram.dtype)
+    whole = gram.new_zeros(size, size)
     whole[: len(gram), : len(gram)] = gram
     parts = whole.unflatten(0, (n_blocks, width)).unflatten(2, (n_blocks, width)).transpose(1, 2)
     at = torch.arange(n_blocks)

@@ -70,7 +70,9 @@ def _slopes(columns: Columns, states: States, x: Tensor) -> Tensor:
     """Return d tau_j / d (q, qd, qdd)_i at all N samples, (n, 3, n, N): indices j, derivative, i."""
     q, qd, qdd = (signal.detach().requires_grad_(True) for signal in (states.q, states.qd, states.qdd))
     torque = predict(columns, x.detach(), replace(states, q=q, qd=qd, qdd=qdd))
-    rows = [torch.autograd.grad(tau_j.sum(), (q, qd, qdd), retain_graph=True, materialize_grads=True) for tau_j in torque]
+    rows = [
+        torch.autograd.grad(tau_j.sum(), (q, qd, qdd), retain_graph=True, materialize_grads=True) for tau_j in torque
+    ]
     return torch.stack([torch.stack(row) for row in rows])
 
 

@@ -66,7 +66,7 @@ def smooth(
     kept_back: Callable[[str, Tensor], Tensor],
     progress: Callable[[float], None],
 ) -> Smoothed:
-    """Estimate states and parameters together. Friction that the robot may have is fitted along, lest it bend the states.
+    """Estimate states and parameters together; friction is fitted along, lest it bend the states.
 
     Args:
         reading: the recordings, filtered states.

@@ -2,21 +2,21 @@
 
     q_m = B c + e_q,   tau_f = F [Y(s(c)) x] + e_tau,   e_q ~ N(0, sigma_q^2),  e_tau ~ N(0, sigma_tau^2) per joint
 
-c are the spline coefficients of the trajectory, F the torque filter. The posterior of c is q(c) = N(m, H^-1), x a point;
-the torque is linear around m:
+c are the spline coefficients of the trajectory, F the torque filter. The posterior of c is q(c) = N(m, H^-1), x is a
+point, and the torque is linear around m:
 
     ELBO = - 1/2 sum_j [(|r_j|^2 + T_j) / sigma_j^2 + N_j log 2 pi sigma_j^2]
            - 1/2 sum_i [(|q_m - B m|_i^2 + Q_i) / sigma_qi^2 + N_q log 2 pi sigma_qi^2]
            - prior(x) + 1/2 log det (2 pi e H^-1)
 
-T_j and Q_i are the variances of torques and positions under q(c). Any optimiser may climb it; Gauss-Newton on the profile of
-x (``information.py``) is the fast one, with the noise from
+T_j and Q_i are the variances of torques and positions under q(c). Any optimiser may climb it; Gauss-Newton on the
+profile of x (``information.py``) is the fast one, with the noise from
 
     sigma_j^2 = |r_j|^2 / (N_j - T_j / sigma_j^2 - p N_j / N),   p = tr(V S) parameters
 
 Source: the model is that of Ting, Mistry, Peters, Schaal, Nakanishi, "A Bayesian Approach to Nonlinear Parameter
-Identification for Rigid Body Dynamics", RSS 2006, with the noise of all inputs tied together by the trajectory instead of one
-latent factor an input; noise update: MacKay, "Bayesian Interpolation", Neural Computation 1992, eq. (4.7).
+Identification for Rigid Body Dynamics", RSS 2006, with the noise of all inputs tied together by the trajectory instead
+of one latent factor an input; noise update: MacKay, "Bayesian Interpolation", Neural Computation 1992, eq. (4.7).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from torchrbd.inference.smoothing.stretch import Stretch
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, to_log_cholesky
 from torchrbd.robot import pseudo_inertia
 
-_MOST_ITERATIONS, _SETTLED, _LEAST_FREEDOM, _HALVINGS = 12, 0.02, 0.02, 4
+_MOST_ITERATIONS, _SETTLED, _LEAST_FREEDOM, _HALVINGS = 12, 0.05, 0.02, 4
 
 
 class StateSmoother(nn.Module):
@@ -57,8 +57,10 @@ class StateSmoother(nn.Module):
         raw_inertia: (n_fitted, 10) log-Cholesky coordinates of the fitted bodies.
         weights: coefficients of the free terms.
         log_torque_std, log_encoder_std: (n_dof,).
-        state: what the stretches say at the last linearisation.
+        information: what the stretches say at the last linearisation.
     """
+
+    fixed: Tensor
 
     def __init__(
         self,
@@ -80,7 +82,7 @@ class StateSmoother(nn.Module):
         silent = torch.stack([s.counts.sum(0) for s in self.stretches]).sum(0) == 0
         self.log_torque_std = nn.Parameter(torch.where(silent, torch.ones_like(torque_std), torque_std).log())
         self.log_encoder_std = nn.Parameter(encoder_std.log())
-        self.information = self.refresh()
+        self.information: Information | None = None
 
     @property
     def x(self) -> Tensor:
@@ -127,7 +129,8 @@ class StateSmoother(nn.Module):
 
     def elbo(self) -> Tensor:
         """Return the bound at the means and noise as they are, with the covariance of the last ``refresh``."""
-        torque, encoder, at = (2 * self.log_torque_std).exp(), (2 * self.log_encoder_std).exp(), self.information
+        at = self.information or self.refresh()
+        torque, encoder = (2 * self.log_torque_std).exp(), (2 * self.log_encoder_std).exp()
         square, misfit = self.squares()
         torques = (square + at.spread) / torque + at.count * (2 * math.pi * torque).log()
         positions = (misfit + at.wander) / encoder + at.samples * (2 * math.pi * encoder).log()
@@ -140,7 +143,9 @@ class StateSmoother(nn.Module):
         J = pseudo_inertia(self.x[self.prior.inertial].reshape(-1, PARAMETERS_PER_BODY))
         bodies = (self.prior.inverse_inertia * J).sum() - torch.linalg.slogdet(J).logabsdet.sum()
         width = self.prior.scale.diagonal()[self.terms]
-        away = torch.where(width > 0, (self.weights - self.prior.mean[self.terms]) / width, torch.zeros_like(self.weights))
+        away = torch.where(
+            width > 0, (self.weights - self.prior.mean[self.terms]) / width, torch.zeros_like(self.weights)
+        )
         return self.prior.kappa * bodies + 0.5 * away.square().sum()
 
     def fit(self, progress: Callable[[float], None] = lambda _: None) -> PhysicalFit:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 import torch
@@ -81,15 +82,10 @@ def stretches(
 
 def _positions(recording: Recording, survey: Survey) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
     """Yield the segments: number, t (N,), q (n, N)."""
-    n, number, parts = len(recording.joints), 0, []
-    for block in uniform_blocks(recording, survey.clock):
-        if parts and block.segment != number:
-            yield number, *(np.concatenate(pieces, -1) for pieces in zip(*parts, strict=True))
-            parts = []
-        number = block.segment
-        parts.append((block.t, block.x[:n]))
-    if parts:
-        yield number, *(np.concatenate(pieces, -1) for pieces in zip(*parts, strict=True))
+    n = len(recording.joints)
+    for number, blocks in groupby(uniform_blocks(recording, survey.clock), lambda block: block.segment):
+        parts = [(block.t, block.x[:n]) for block in blocks]
+        yield number, np.concatenate([t for t, _ in parts]), np.concatenate([q for _, q in parts], axis=1)
 
 
 def _least_squares(grid: Grid, t: np.ndarray, q: np.ndarray) -> tuple[Tensor, Tensor, Tensor, int]:
@@ -98,4 +94,4 @@ def _least_squares(grid: Grid, t: np.ndarray, q: np.ndarray) -> tuple[Tensor, Te
     bands = np.stack([np.append(np.zeros(k), gram.diagonal(k)) for k in range(_BANDWIDTH, -1, -1)])
     c = solveh_banded(bands, basis.T @ q.T)
     misfit = np.sum((q.T - basis @ c) ** 2, axis=0)
-    return torch.from_numpy(gram), torch.from_numpy(c), torch.from_numpy(misfit), len(t)
+    return torch.from_numpy(gram).contiguous(), torch.from_numpy(c).contiguous(), torch.from_numpy(misfit), len(t)
