@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 from scipy.signal import lfilter
+from simulated import Motion, inverse_dynamics
 
 from torchrbd.recordings import Recording
 
@@ -141,19 +142,7 @@ def perturbed(urdf: str, seed: int, size: float = 0.25) -> str:
     return urdf_text(model)
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """t (N,); q, qd, qdd (N, n)."""
-
-    t: np.ndarray
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
-
-
-def _motion(
-    model: pin.Model, rng: np.random.Generator, duration_s: float, rate_hz: float, fastest_hz: float
-) -> _Motion:
+def _motion(model: pin.Model, rng: np.random.Generator, duration_s: float, rate_hz: float, fastest_hz: float) -> Motion:
     """Sum eight sines of random frequency and phase per joint, within nine tenths of the joint's limits."""
     n, t = model.nv, np.arange(round(duration_s * rate_hz)) / rate_hz
     omega = 2 * np.pi * rng.uniform(0.1, fastest_hz, (n, 8))
@@ -166,15 +155,10 @@ def _motion(
     scale = np.minimum(1.0, np.minimum(room / np.ptp(q, axis=0), fastest / np.abs(qd).max(0)))
     slack = room - scale * np.ptp(q, axis=0)
     shift = 0.5 * (low + high) - scale * 0.5 * (q.max(0) + q.min(0)) + slack * rng.uniform(-0.5, 0.5, n)
-    return _Motion(t, scale * q + shift, scale * qd, scale * qdd)
+    return Motion(t, scale * q + shift, scale * qd, scale * qdd)
 
 
-def _rnea(model: pin.Model, motion: _Motion) -> np.ndarray:
-    data = model.createData()
-    return np.stack([pin.rnea(model, data, *row).copy() for row in zip(motion.q, motion.qd, motion.qdd, strict=True)])
-
-
-def _tracked(model: pin.Model, wanted: _Motion, noise: np.ndarray) -> tuple[_Motion, np.ndarray]:
+def _tracked(model: pin.Model, wanted: Motion, noise: np.ndarray) -> tuple[Motion, np.ndarray]:
     """Let the robot follow a motion under computed-torque control that sees q + noise; return motion and torque.
 
     The controller has the true inertia, runs once a sample, and differentiates what it sees. Torque goes in a straight
@@ -207,7 +191,7 @@ def _tracked(model: pin.Model, wanted: _Motion, noise: np.ndarray) -> tuple[_Mot
             a4 = pin.aba(model, data, q + h * v3, v4, end).copy()
             q, qd = q + h / 6 * (qd + 2 * v2 + 2 * v3 + v4), qd + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
             tau = end
-    return _Motion(wanted.t, states[0], states[1], states[2]), states[3]
+    return Motion(wanted.t, states[0], states[1], states[2]), states[3]
 
 
 def noisy_recording(
@@ -241,7 +225,7 @@ def noisy_recording(
     shaken, encoders, sensors = (np.random.default_rng([seed, k]) for k in range(3))
     wanted = _motion(model, shaken, duration_s, rate_hz, fastest_hz)
     noise = encoder_noise * encoders.standard_normal(wanted.q.shape)
-    motion, tau = (wanted, _rnea(model, wanted)) if loop == "open" else _tracked(model, wanted, noise)
+    motion, tau = (wanted, inverse_dynamics(urdf, wanted)) if loop == "open" else _tracked(model, wanted, noise)
     coloured = _autoregression(sensors, tau.shape, torque_colour_s * rate_hz)
     measured = tau + torque_noise * np.sqrt(np.mean(tau**2, 0)) * coloured
     q_ref = wanted.q if loop == "closed" else None
@@ -273,7 +257,7 @@ def torque_nmse(
     """
     model = pin.buildModelFromXML(urdf)
     motion = _motion(model, np.random.default_rng([seed, 99]), duration_s, rate_hz, fastest_hz)
-    tau, data = _rnea(model, motion), model.createData()
+    tau, data = inverse_dynamics(urdf, motion), model.createData()
     rows = zip(motion.q, motion.qd, motion.qdd, strict=True)
     told = np.stack([pin.computeJointTorqueRegressor(model, data, *row) @ pi for row in rows])
     return float((np.mean((told - tau) ** 2, 0) / tau.var(0)).mean())

@@ -18,6 +18,7 @@ from noisy_robots import (
     true_parameters,
     urdf_text,
 )
+from simulated import Motion, inverse_dynamics
 
 from torchrbd.robot import RobotModel
 
@@ -31,12 +32,6 @@ def recorded(urdf: str, seed: int, **options) -> tuple[np.ndarray, np.ndarray, n
     (chunk,) = recording.chunks(10**7)
     np.testing.assert_allclose(chunk.t, truth.t, atol=1e-12)
     return chunk.q, chunk.tau, truth
-
-
-def rnea(urdf: str, truth: noisy_robots.Truth) -> np.ndarray:
-    model = pin.buildModelFromXML(urdf)
-    data = model.createData()
-    return np.stack([pin.rnea(model, data, *r).copy() for r in zip(truth.q, truth.qd, truth.qdd, strict=True)])
 
 
 @pytest.mark.parametrize("name", ["random0", "random1", "random2", "panda", "xarm7", "baxter"])
@@ -82,7 +77,9 @@ def test_perturbed_bodies_are_physical_and_joints_stay(seed: int, size: float) -
 def test_truth_is_consistent(loop: str) -> None:
     """Torque is that of the states, states are derivatives of each other, and joints keep to their limits."""
     truth = recorded(ARM, 3, loop=loop, encoder_noise=0.0, **SHORT)[2]
-    np.testing.assert_allclose(truth.tau, rnea(ARM, truth), atol=1e-9)
+    np.testing.assert_allclose(
+        truth.tau, inverse_dynamics(ARM, Motion(truth.t, truth.q, truth.qd, truth.qdd)), atol=1e-9
+    )
     step = truth.t[1]
     middle = (truth.q[2:] - truth.q[:-2]) / (2 * step)
     np.testing.assert_allclose(middle, truth.qd[1:-1], atol=5e-4)
@@ -161,7 +158,7 @@ def test_judge_agrees_with_inverse_dynamics_of_the_other_robot() -> None:
     given = perturbed(ARM, 4)
     model = pin.buildModelFromXML(ARM)
     motion = noisy_robots._motion(model, np.random.default_rng([6, 99]), 40.0, 50.0, 1.5)
-    tau, told = (noisy_robots._rnea(pin.buildModelFromXML(u), motion) for u in (ARM, given))
+    tau, told = (inverse_dynamics(u, motion) for u in (ARM, given))
     expected = np.mean([np.mean((told[:, j] - tau[:, j]) ** 2) / np.var(tau[:, j]) for j in range(7)])
     assert torque_nmse(ARM, true_parameters(given), 6) == pytest.approx(expected, rel=1e-9)
     assert torque_nmse(ARM, true_parameters(ARM), 6) < 1e-20

@@ -13,7 +13,7 @@ from inference.problems import urdf_of
 from simulated import Motion, joint_names, record, with_wrong_inertials
 
 from torchrbd.errors import InputError, OptionError, RecordingError
-from torchrbd.inference.fitting import fit_model, judge, predict
+from torchrbd.inference.fitting import judge, predict
 from torchrbd.inference.identify import identify
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.results import Identification
@@ -98,7 +98,7 @@ def test_base_parameters_are_as_sure_as_they_claim() -> None:
         urdf = urdf_of(seed, 4)
         robot = RobotModel.from_urdf(with_wrong_inertials(urdf, seed))
         prepared = prepare(robot, [record(urdf, seed, torque_noise=0.05, duration_s=60.0)], Settings(), ())
-        model = fit_model(prepared.training, prepared.prior)
+        model = prepared.fit()
         K = base_parameters(robot).combination
         inertial = prepared.prior.inertial
         covariance = K[:, inertial] @ model.covariance[: len(inertial), : len(inertial)] @ K[:, inertial].T
@@ -133,7 +133,7 @@ def test_module_series_and_statistics_agree_on_terms_that_share_columns(recordin
     prepared = prepare(robot, [recording], Settings(), shared)
     columns = prepared.columns
     terms = tuple(c for c in columns.candidates if c.joint == 1 or c.effect.id == "torque_offset")
-    model = fit_model(prepared.training, prepared.prior, terms)
+    model = prepared.fit(terms)
     states = next(prepared.tiles(0))
     from_columns = predict(columns, model.x, states)
     from_module = model.module()(states.q.T, states.qd.T, states.qdd.T).T

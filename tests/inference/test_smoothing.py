@@ -13,7 +13,6 @@ from scipy.interpolate import BSpline
 from simulated import record
 
 import torchrbd
-from torchrbd.inference.fitting import fit_model
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.smoothing.block_tridiagonal import BlockCholesky, fold, fold_rows
@@ -107,7 +106,7 @@ def stretches_of(prepared: Prepared) -> list[Stretch]:
 
 
 def smoother_of(prepared: Prepared, pieces: list[Stretch]) -> StateSmoother:
-    start = fit_model(prepared.training, prepared.prior)
+    start = prepared.fit()
     noise = torch.from_numpy(prepared.reading.surveys[0].q_noise_std)
     none = torch.zeros(0, dtype=torch.long)
     return StateSmoother(prepared.columns, prepared.prior, pieces, none, start.x, start.noise_variance.sqrt(), noise)
@@ -257,6 +256,6 @@ def test_held_out_torque_is_not_looked_at() -> None:
     tau[core] *= 3.0
     spoiled = torchrbd.Recording.from_arrays(recording.name, recording.joints, chunk.t, chunk.q, tau)
     second = prepare(robot, [spoiled], settings, ())
-    one, two = (fit_model(p.training, p.prior, states=p.states).x for p in (first, second))
+    one, two = (p.fit().x for p in (first, second))
     assert core.any()
     torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-6)

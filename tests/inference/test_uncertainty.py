@@ -12,7 +12,6 @@ from inference.problems import urdf_of
 from simulated import Motion, record, with_wrong_inertials
 from torch import Tensor
 
-from torchrbd.inference.fitting import fit_model
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.parameters import base_parameters
@@ -39,7 +38,7 @@ def base_errors(seed: int, **options) -> tuple[Tensor, Tensor]:
     recording = record(urdf, seed, **{"duration_s": 60.0, **options})
     assert recording.joints == robot.joint_names
     prepared = prepare(robot, [recording], Settings(), ())
-    model = fit_model(prepared.training, prepared.prior)
+    model = prepared.fit()
     K, inertial = base_parameters(robot).combination, prepared.prior.inertial
     n = len(inertial)
     variance = (K[:, inertial] @ model.covariance[:n, :n] @ K[:, inertial].T).diagonal()

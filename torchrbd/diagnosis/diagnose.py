@@ -12,7 +12,6 @@ from torchrbd.diagnosis.leftover import unexplained
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.select import LEAST_GAIN, LEAST_T, Terms, distinguishable, select_terms
 from torchrbd.diagnosis.words import verdict_statement
-from torchrbd.inference.fitting import fit_model
 from torchrbd.inference.identify import listed, summarise
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.reading import Progress
@@ -54,10 +53,7 @@ def diagnose(
 
     terms = select_terms(comparison, candidates, tell)
     progress("fitting", 0.0)
-    models = {
-        "rigid_body": fit_model(training, prior, states=prepared.states),
-        "extended": fit_model(training, prior, terms, states=prepared.states),
-    }
+    models = {"rigid_body": prepared.fit(), "extended": prepared.fit(terms)}
     identification = summarise(prepared, models, progress)
     progress("weighing the findings", 0.0)
     findings = explain(prepared, comparison, terms, candidates, models["extended"])

@@ -13,7 +13,7 @@ from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
 from torchrbd.diagnosis.select import CLOSE_GAIN, CLOSE_STD, Terms, plausible, with_terms
 from torchrbd.diagnosis.words import finding_sentence
 from torchrbd.inference.columns import Candidate
-from torchrbd.inference.fitting import FittedModel, fit_model, judge
+from torchrbd.inference.fitting import FittedModel, judge
 from torchrbd.inference.identify import term_parameters
 from torchrbd.inference.preparation import Prepared
 
@@ -51,14 +51,14 @@ def explain(
     """
     comparison.set_noise(terms)
     full = comparison.errors(terms)
-    training, judging = prepared.training, prepared.judging
+    judging = prepared.judging
     after = judge(judging, model.x).nmse
     found = []
     for term in terms:
         rest = tuple(c for c in terms if c is not term)
         worth = comparison.gain(comparison.errors(rest), full)
         rivals = _rivals(comparison, term, rest, candidates, full)
-        before = judge(judging, fit_model(training, prepared.prior, rest, model.noise_variance).x).nmse
+        before = judge(judging, prepared.fit(rest, model.noise_variance).x).nmse
         found.append(_finding(term, model, worth, rivals, before, after))
     return tuple(sorted(found, key=lambda f: -f.log_evidence_gain))
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.columns import Candidate, Columns
-from torchrbd.inference.fitting import FittedModel, fit_model, judge, predict, term_candidates
+from torchrbd.inference.fitting import FittedModel, judge, predict, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.reading import Progress
 from torchrbd.inference.results import (
@@ -53,10 +53,10 @@ def identify(
     effects = settings.chosen_effects() if settings.effects else ()
     prepared = prepare(robot, listed(recordings), settings, effects, progress)
     progress("fitting", 0.0)
-    models = {"rigid_body": fit_model(prepared.training, prepared.prior, states=prepared.states)}
+    models = {"rigid_body": prepared.fit()}
     if effects:
         terms = term_candidates(prepared.columns, [e.id for e in effects])
-        models["extended"] = fit_model(prepared.training, prepared.prior, terms, states=prepared.states)
+        models["extended"] = prepared.fit(terms)
     return summarise(prepared, models, progress)
 
 
@@ -139,12 +139,16 @@ def _noise(prepared: Prepared, model: FittedModel) -> dict[str, JointNoise]:
 def _regime(prepared: Prepared) -> str:
     """Say in a sentence what position noise does here, and what was done about it."""
     excess = prepared.input_noise.excess
-    size = "more than a thousand" if excess > 1e3 else f"{excess:.2g}"
-    matter = "matters" if prepared.input_noise.matters else "hardly matters"
-    effect = f"position noise {matter}: it makes the squared error of a fit on filtered states {size} times as large"
-    if prepared.states is None:
-        return f"{effect}; states are filtered"
-    return f"{effect}; states and parameters are smoothed together"
+    if prepared.input_noise.matters:
+        size = "more than 100" if excess > 100 else f"{excess:.2g}"
+        effect = (
+            f"position noise matters: fitted to filtered states, parameters would have {size} times the squared error"
+        )
+    else:
+        effect = f"position noise hardly matters: it adds {100 * (excess - 1):.1g} % to the parameters' squared error"
+    return effect + (
+        "; states are filtered" if prepared.states is None else "; states and parameters are smoothed together"
+    )
 
 
 def _base_estimates(prepared: Prepared, model: FittedModel, base: BaseParameters) -> tuple[BaseParameterEstimate, ...]:

@@ -21,7 +21,7 @@ from torchrbd.inference.reading import Reading
 from torchrbd.recordings import Filtering, States, Survey
 
 _MOST_TILES = 8
-_MATTERS = 2.0
+_MATTERS = 1.5
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class InputNoise:
 
     @property
     def matters(self) -> bool:
-        """Whether position noise makes at least half of that error."""
+        """Whether position noise makes at least a third of that error."""
         return self.excess > _MATTERS
 
 

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference.block_statistics import BlockStatistics
-from torchrbd.inference.columns import Columns
+from torchrbd.inference.columns import Candidate, Columns
 from torchrbd.inference.fitting import FittedModel, fit_model
 from torchrbd.inference.input_noise import InputNoise, input_noise
 from torchrbd.inference.payload import payload_parameters
@@ -102,6 +102,10 @@ class Prepared:
     def judging(self) -> BlockStatistics:
         """Blocks kept back."""
         return self.statistics.select(self.held_out)
+
+    def fit(self, terms: Sequence[Candidate] = (), noise: Tensor | None = None) -> FittedModel:
+        """Fit the rigid body and terms to the training blocks, with what is known of their states; see ``fit_model``."""
+        return fit_model(self.training, self.prior, terms, noise, self.states)
 
     def measured(self, k: int) -> Tensor:
         """Return (n_dof,) bool, the joints whose torque in recording k counts."""
