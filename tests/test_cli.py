@@ -103,6 +103,28 @@ def test_identify_writes_parameters(case: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "diagnosis.json").exists()
 
 
+def test_compare_estimators_prints_and_writes_a_table(
+    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = "compare-estimators", "arm.urdf", "day.csv", "--effects", "coulomb_friction"
+    arguments = (*arguments, "--estimators", "wls", "iv")
+    assert run(case, *arguments) == 0
+    told = capsys.readouterr().out
+    rows = re.findall(r"│ (\w+) +│ (\S+) +│ (\w*) +│ (\S+) +│ \d+\.\d\d +│", told)
+    assert [row[0] for row in rows] == ["urdf", "wls"]
+    assert "iv failed: estimator 'iv' needs the set-points" in re.sub(r"\s+", " ", told)
+    assert list(tmp_path.iterdir()) == []
+    assert run(case, *arguments, "--holdout", "night.csv", "-o", str(tmp_path / "new")) == 0
+    content = json.loads((tmp_path / "new" / "estimators.json").read_text())
+    assert content["schema"] == 1
+    assert content["held_out"] == "night.csv"
+    urdf, wls, iv = content["rows"]
+    assert [row["name"] for row in (urdf, wls, iv)] == ["urdf", "wls", "iv"]
+    assert wls["raw"]["nmse"]["joint2"] < 0.1 * urdf["raw"]["nmse"]["joint2"]
+    assert isinstance(wls["was_physical"], bool)
+    assert iv["raw"] is None
+
+
 def test_configuration_file_gives_options_and_the_command_line_wins(case: Path, tmp_path: Path) -> None:
     (case / "run.yaml").write_text(f"cutoff: 6\nholdout: [{case / 'night.csv'}]\nexclude: joint_spring\n")
     assert (
@@ -129,6 +151,10 @@ BAD = {
     "bad fraction": (("identify", "arm.urdf", "day.csv", "--holdout-fraction", "0.9"), "holdout_fraction is 0.9"),
     "too short": (("identify", "arm.urdf", "day.csv", "--time", "0:3"), "give longer or more recordings"),
     "cut-off too high": (("identify", "arm.urdf", "day.csv", "--cutoff", "90"), "too high"),
+    "unknown estimator": (("identify", "arm.urdf", "day.csv", "--estimator", "smother"), "did you mean 'smoother'?"),
+    "estimator to compare": (("compare-estimators", "arm.urdf", "day.csv", "--estimators", "wsl"), "mean 'wls'?"),
+    "bad encoder noise": (("identify", "arm.urdf", "day.csv", "--encoder-noise", "fine"), "expected a number"),
+    "no encoder noise": (("diagnose", "arm.urdf", "day.csv", "--encoder-noise", "0"), "standard deviation above 0"),
     "no mapping": (("identify", "arm.urdf", "day.csv", "--mapping", "map.yaml"), "map.yaml"),
 }
 

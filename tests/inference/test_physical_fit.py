@@ -118,15 +118,14 @@ def test_truth_on_or_over_the_boundary(beyond: float) -> None:
 
 @pytest.mark.parametrize(("torque", "weight"), [(1.0, 1e8), (1e3, 1e4), (1e6, 1.0)])
 def test_heavy_weights_on_impossible_torques(torque: float, weight: float) -> None:
-    """Torques of no robot, trusted to 1e-4 and better: the result is physical, and says so if it is not the minimum."""
+    """Torques of no robot, trusted to 1e-4 and better."""
     robot = RobotModel.from_urdf(urdf_of(0, 3, fixed=0.0))
     columns = columns_of(robot)
     prior, statistics = prior_of(columns), random_moments(columns, 0, 50, torque)
     found = fit(columns, prior, statistics, weight)
     assert least_eigenvalue(prior, found) > 0
-    assert found.converged == (torque < 1e6)
-    if found.converged:
-        assert step_left(columns, prior, statistics, weight, found) < 1e-2
+    assert found.converged
+    assert step_left(columns, prior, statistics, weight, found) < 1e-2
 
 
 def test_massless_bodies_stay_as_they_are() -> None:

@@ -1,8 +1,19 @@
-"""Fitting: block statistics, physically valid estimates with uncertainties, and the result of an identification."""
+"""Fitting: block statistics, estimators, smoothing, physically valid parameters with uncertainties."""
 
+from torchrbd.inference.comparison import EstimatorComparison, compare_estimators
 from torchrbd.inference.identify import identify
 from torchrbd.inference.payload import Payload
 from torchrbd.inference.results import Fit, Identification, ParameterEstimate, TorqueSeries
 from torchrbd.inference.settings import Settings
 
-__all__ = ["Fit", "Identification", "ParameterEstimate", "Payload", "Settings", "TorqueSeries", "identify"]
+__all__ = [
+    "EstimatorComparison",
+    "Fit",
+    "Identification",
+    "ParameterEstimate",
+    "Payload",
+    "Settings",
+    "TorqueSeries",
+    "compare_estimators",
+    "identify",
+]

@@ -18,6 +18,8 @@ from torchrbd.physics import Effect, JointScale, JointState, Shape, effect
 from torchrbd.recordings import States
 from torchrbd.robot import RobotModel
 
+# Below this many standard deviations of its noise a velocity has no direction.
+_REST_NOISE, _REST_PART, _LEAST_REST = 2.0, 1e-3, 1e-6
 URDF_FRICTION = {"viscous_friction": "damping", "coulomb_friction": "friction"}
 
 
@@ -40,6 +42,7 @@ class Columns:
         scales: per joint, what the recordings cover.
 
     Attributes:
+        effects, scales: as given.
         n: length of x.
         labels: per joint, labels of its features.
         of_joint: per joint, indices in x of its columns: inertial ones of the bodies it moves, then its features.
@@ -48,13 +51,13 @@ class Columns:
     """
 
     def __init__(self, robot: RobotModel, effects: Iterable[Effect], scales: Sequence[JointScale]) -> None:
-        self.robot, self.scales = robot, tuple(scales)
+        self.robot, self.effects, self.scales = robot, tuple(effects), tuple(scales)
         self.urdf_friction = tuple(
             Candidate(effect(name), joint, {}, tuple(effect(name).features(_probe(scale), {})))
             for joint, scale in enumerate(self.scales)
             for name in URDF_FRICTION
         )
-        wanted = {e.id: e for e in effects}
+        wanted = {e.id: e for e in self.effects}
         candidates: list[Candidate] = []
         labels: list[tuple[str, ...]] = []
         for joint, scale in enumerate(self.scales):
@@ -75,6 +78,18 @@ class Columns:
             torch.cat((self.inertial[joint], torch.arange(self._first[joint], self._first[joint + 1])))
             for joint in range(robot.n_dof)
         )
+
+    def at_scales(self, scales: Sequence[JointScale]) -> Columns:
+        """Return columns of the same effects for other scales."""
+        return Columns(self.robot, self.effects, scales)
+
+    def taken_from(self, other: Columns, x: Tensor) -> Tensor:
+        """Return x (n,) with the inertial parameters and friction of another layout's x, other terms at zero."""
+        taken = self.reference()
+        taken[: self.robot.n_params] = x[: self.robot.n_params]
+        for own, theirs in zip(self.urdf_friction, other.urdf_friction, strict=True):
+            taken[self.of(own)] = x[other.of(theirs)]
+        return taken
 
     def index(self, joint: int, label: str) -> int:
         """Return where in x a joint's feature stands."""
@@ -114,6 +129,13 @@ class Columns:
             if candidate.joint == joint and not set(candidate.labels) <= found.keys():
                 found.update(candidate.effect.features(state, candidate.shape))
         return torch.stack([found[label] for label in self.labels[joint]])
+
+
+def joint_scales(speed_max: Tensor, velocity_noise: Tensor) -> tuple[JointScale, ...]:
+    """Return the scales of joints that reach speeds (n_dof,), known to a noise of standard deviation (n_dof,)."""
+    least = torch.full_like(speed_max, _LEAST_REST)
+    rest = torch.maximum(torch.maximum(_REST_NOISE * velocity_noise, _REST_PART * speed_max), least)
+    return tuple(JointScale(*map(float, values)) for values in zip(speed_max, rest, strict=True))
 
 
 def _probe(scale: JointScale) -> JointState:

@@ -52,7 +52,7 @@ class FittedModel:
         return self.x[: self.columns.robot.n_params]
 
     def inertial_covariance(self, covariance: Tensor) -> Tensor:
-        """Return what a covariance (n_free, n_free) says of all inertial parameters (n_params, n_params), zero for held ones."""
+        """Return what a covariance (n_free, n_free) says of all inertial parameters, zero for held ones."""
         n = self.columns.robot.n_params
         whole = torch.zeros(n, n, dtype=torch.float64)
         at = torch.nonzero(self.free < n).flatten()

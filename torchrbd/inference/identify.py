@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.columns import Candidate, Columns
+from torchrbd.inference.estimators import estimate
 from torchrbd.inference.fitting import FittedModel, judge, predict, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.reading import Progress
@@ -27,6 +29,8 @@ from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
+# Estimators that come with intervals of their own; see preparation.py for the choice between them.
+_OWN = ("auto", "physical", "smoother")
 _POOR, _ABSURD, _WORSE = 0.8, 100.0, 1.2
 
 
@@ -57,6 +61,13 @@ def identify(
     if effects:
         terms = term_candidates(prepared.columns, [e.id for e in effects])
         models["extended"] = prepared.fit(terms)
+    if settings.estimator not in _OWN:
+        for name, model in models.items():
+            found = estimate(prepared, settings.estimator, model.terms)
+            models[name] = replace(model, x=found.x)
+        made = "" if found.was_physical else ", made physical"
+        note = f"parameters are those of '{settings.estimator}'{made}; intervals are those of the default fit"
+        prepared = replace(prepared, notes=(*prepared.notes, note, *filter(None, [found.note])))
     return summarise(prepared, models, progress)
 
 

@@ -8,7 +8,7 @@ bias a fit on filtered states, the states are smoothed together with the paramet
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference.block_statistics import BlockStatistics
-from torchrbd.inference.columns import Candidate, Columns
+from torchrbd.inference.columns import Candidate, Columns, joint_scales
 from torchrbd.inference.fitting import FittedModel, fit_model
 from torchrbd.inference.input_noise import InputNoise, input_noise
 from torchrbd.inference.payload import payload_parameters
@@ -44,8 +44,6 @@ from torchrbd.robot import RobotModel
 _LEAST_BLOCKS = 6
 # Neighbouring blocks that are kept back together: fewer seams between what is fitted and what is judged.
 _HOLDOUT_RUN = 2
-# Below this many standard deviations of its noise a velocity has no direction.
-_REST_NOISE, _REST_PART = 2.0, 1e-3
 _BEYOND_LIMIT = 3.0
 
 
@@ -104,7 +102,7 @@ class Prepared:
         return self.statistics.select(self.held_out)
 
     def fit(self, terms: Sequence[Candidate] = (), noise: Tensor | None = None) -> FittedModel:
-        """Fit the rigid body and terms to the training blocks, with what is known of their states; see ``fit_model``."""
+        """Fit the rigid body and terms to the training blocks and what is known of their states."""
         return fit_model(self.training, self.prior, terms, noise, self.states)
 
     def measured(self, k: int) -> Tensor:
@@ -149,7 +147,7 @@ def prepare(
         progress("looking through the recordings", k / len(opened))
         surveys.append(_told(survey(recording), noise))
     filtering = Filtering(choose_cutoff(surveys) if settings.cutoff_hz is None else settings.cutoff_hz)
-    columns = Columns(robot, effects, _scales(robot, surveys, filtering))
+    columns = Columns(robot, effects, _scales(surveys, filtering))
     used, held = settings.used_joints(robot), settings.held_bodies(robot)
     payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
     reading = Reading(robot, opened, tuple(surveys), filtering, used, payload)
@@ -162,11 +160,10 @@ def prepare(
             f"{reading.block_s:.2g} s are left to fit; at least {_LEAST_BLOCKS} are needed: "
             "give longer or more recordings"
         )
-    weight, _, square = statistics.torque.sum(0).unbind(-1)
+    weight = statistics.torque[..., 0].sum(0)
     if not weight.any():
         raise RecordingError("no torque that changes is recorded for any of the joints in use; nothing can be fitted")
-    torque_rms = (square / weight.clamp_min(1e-300)).sqrt()
-    prior = urdf_prior(columns, torque_rms, _feature_rms(statistics), held=held, kappa=settings.kappa)
+    prior = _prior(statistics, held, settings)
     training = statistics.select(~held_out)
     rough = fit_model(training, prior)
     prepared = Prepared(
@@ -182,7 +179,7 @@ def prepare(
         notes=_notes(columns, surveys, filtering, prior, held, used & (weight == 0)),
     )
     if settings.estimator == "smoother" or (settings.estimator == "auto" and prepared.input_noise.matters):
-        return _smoothed(prepared, rough, progress)
+        return _smoothed(prepared, rough, held, settings, progress)
     return prepared
 
 
@@ -191,7 +188,9 @@ def _told(found: Survey, noise: np.ndarray) -> Survey:
     return replace(found, q_noise_std=np.where(np.isnan(noise), found.q_noise_std, noise))
 
 
-def _smoothed(prepared: Prepared, rough: FittedModel, progress: Progress) -> Prepared:
+def _smoothed(
+    prepared: Prepared, rough: FittedModel, held: Collection[str], settings: Settings, progress: Progress
+) -> Prepared:
     """Return the same with smoothed states in place of filtered ones."""
     reading = prepared.reading
     slow = [
@@ -202,20 +201,28 @@ def _smoothed(prepared: Prepared, rough: FittedModel, progress: Progress) -> Pre
         return replace(prepared, notes=(*prepared.notes, note))
     found = smooth(
         reading,
-        prepared.columns,
         prepared.prior,
         rough,
         prepared.kept_back,
         lambda part: progress("smoothing states and parameters together", part),
     )
     reading = replace(reading, smoothed=found.trajectories)
+    statistics = reading.statistics(found.columns, progress)
     return replace(
         prepared,
         reading=reading,
-        statistics=reading.statistics(prepared.columns, progress),
+        columns=found.columns,
+        statistics=statistics,
+        prior=_prior(statistics, held, settings),
         input_noise=replace(prepared.input_noise, encoder_std=found.encoder_std),
         states=found.states,
     )
+
+
+def _prior(statistics: BlockStatistics, held: Collection[str], settings: Settings) -> Prior:
+    weight, _, square = statistics.torque.sum(0).unbind(-1)
+    torque_rms = (square / weight.clamp_min(1e-300)).sqrt()
+    return urdf_prior(statistics.columns, torque_rms, _feature_rms(statistics), held=held, kappa=settings.kappa)
 
 
 def _open(
@@ -244,14 +251,10 @@ def _open(
     return tuple(found), len(recordings)
 
 
-def _scales(robot: RobotModel, surveys: Sequence[Survey], filtering: Filtering) -> tuple[JointScale, ...]:
-    speed = np.max([s.velocity_max for s in surveys], axis=0)
-    noise = np.max(
-        [np.sqrt(filtering.state_noise(s.q_noise_std, s.clock.dt, s.qd_noise_std)[:, 1, 1].numpy()) for s in surveys],
-        axis=0,
-    )
-    rest = np.maximum.reduce([_REST_NOISE * noise, _REST_PART * speed, np.full(robot.n_dof, 1e-6)])
-    return tuple(JointScale(*map(float, values)) for values in zip(speed, rest, strict=True))
+def _scales(surveys: Sequence[Survey], filtering: Filtering) -> tuple[JointScale, ...]:
+    noise = [filtering.state_noise(s.q_noise_std, s.clock.dt, s.qd_noise_std)[:, 1, 1].sqrt() for s in surveys]
+    speed = torch.from_numpy(np.max([s.velocity_max for s in surveys], axis=0))
+    return joint_scales(speed, torch.stack(noise).amax(0))
 
 
 def _notes(

@@ -17,6 +17,27 @@ from torchrbd.inference.payload import Payload
 from torchrbd.physics import Effect, effect, effects
 from torchrbd.robot import RobotModel
 
+ESTIMATORS = {
+    "auto": "the robust default: physically valid, and noise-aware where the recordings' noise matters",
+    "physical": "weighted least squares with the entropic prior around the URDF, always physical",
+    "smoother": "states and parameters together: noise in the positions does not bias it",
+    "ols": "ordinary least squares on base parameters",
+    "wls": "least squares with joints weighted by their noise",
+    "irls": "the same, with samples that do not fit weighted down",
+    "iv": "instrumental variables; needs recorded set-points q_ref",
+    "svd": "truncated singular values",
+    "ridge": "ridge towards the URDF",
+    "tls": "total least squares",
+    "lasso": "sparse changes of the URDF, by an absolute penalty",
+    "stepwise": "sparse changes of the URDF, selected by BIC",
+    "pls": "partial least squares",
+    "pcr": "principal component regression",
+    "eiv-ard": "errors in variables with automatic relevance determination",
+    "noisy-input": "the Bayesian factor model of Ting et al. (2006)",
+    "best": "the best of several by cross-validation corrected for input noise",
+}
+"""Estimators by name, each in a few words."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -32,6 +53,8 @@ class Settings:
         payload: known loads.
         mapping: YAML file that maps other column names and units.
         cutoff_hz: band limit; chosen from the data by default.
+        estimator: of the parameters, one of ``ESTIMATORS``.
+        encoder_noise: standard deviation of the positions [rad, m], of all joints or by joint; None: estimated.
         kappa: weight of the URDF's inertia against the data.
         seed: which blocks are kept back.
     """
@@ -46,6 +69,8 @@ class Settings:
     payload: tuple[Payload, ...] = ()
     mapping: Path | None = None
     cutoff_hz: float | None = None
+    estimator: str = "auto"
+    encoder_noise: float | Mapping[str, float] | None = None
     kappa: float = 3.0
     seed: int = 0
 
@@ -54,6 +79,11 @@ class Settings:
             raise OptionError(f"holdout_fraction is {self.holdout_fraction:g}; expected a number in (0, 0.5]")
         if not 0.0 < self.kappa < math.inf:
             raise OptionError(f"kappa is {self.kappa:g}; expected a number above 0")
+        check_estimators([self.estimator], tuple(ESTIMATORS))
+        for joint, std in self._encoder_noise().items():
+            if not 0.0 < std < math.inf:
+                place = f" of {joint}" if joint else ""
+                raise OptionError(f"encoder_noise{place} is {std:g}; expected a standard deviation above 0 in rad or m")
 
     @classmethod
     def names(cls) -> frozenset[str]:
@@ -85,6 +115,10 @@ class Settings:
             values["time"] = _interval(values["time"], place)
         if values.get("mapping") is not None:
             values["mapping"] = Path(str(values["mapping"]))
+        if "estimator" in values:
+            values["estimator"] = str(values["estimator"])
+        if values.get("encoder_noise") is not None:
+            values["encoder_noise"] = _noise(values["encoder_noise"], place)
         for key, kind in (("cutoff_hz", float), ("holdout_fraction", float), ("kappa", float), ("seed", int)):
             if values.get(key) is not None:
                 values[key] = _number(values[key], kind, key, place)
@@ -109,6 +143,23 @@ class Settings:
         _check_names(names, robot.joint_names, "joint", robot.name)
         return torch.tensor([name in names for name in robot.joint_names])
 
+    def known_encoder_noise(self, robot: RobotModel) -> Tensor:
+        """Return (n_dof,) standard deviations of the positions [rad, m]; NaN where they are to be estimated.
+
+        Raises:
+            OptionError: a joint that the robot lacks.
+        """
+        given = self._encoder_noise()
+        _check_names((name for name in given if name), robot.joint_names, "joint", robot.name)
+        everywhere = given.get("", math.nan)
+        return torch.tensor([given.get(name, everywhere) for name in robot.joint_names], dtype=torch.float64)
+
+    def _encoder_noise(self) -> Mapping[str, float]:
+        """Return the noise by joint; that of all joints under the empty name."""
+        if self.encoder_noise is None:
+            return {}
+        return self.encoder_noise if isinstance(self.encoder_noise, Mapping) else {"": self.encoder_noise}
+
     def held_bodies(self, robot: RobotModel) -> tuple[str, ...]:
         """Return the bodies that ``trust`` keeps; a link that is fixed to a body stands for the body."""
         body_of = {link.name: body for body, links in robot.folded.items() for link in links}
@@ -120,6 +171,30 @@ def _check_names(names: Iterable[str], known: tuple[str, ...], kind: str, robot:
     for name in names:
         if name not in known:
             raise OptionError(f"robot '{robot}' has no moving {kind} '{name}'; it has: {', '.join(known)}")
+
+
+def check_estimators(names: Iterable[str], known: tuple[str, ...]) -> None:
+    """Raise OptionError for a name that is not known, with the closest one that is."""
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(known)}"
+            raise OptionError(f"unknown estimator '{name}'; {hint}")
+
+
+def _noise(value: Any, place: str) -> float | dict[str, float]:
+    """Read a number, {joint: number}, or as the command line has it a list of 'number' or 'joint=number'."""
+    if isinstance(value, Mapping):
+        return {
+            str(joint): float(_number(std, float, f"encoder_noise of {joint}", place)) for joint, std in value.items()
+        }
+    entries = [str(entry).rpartition("=")[::2] for entry in _listed(value)]
+    noise = {joint: float(_number(std, float, "encoder_noise", place)) for joint, std in entries}
+    if len(noise) < len(entries) or not noise or ("" in noise and len(noise) > 1):
+        raise OptionError(
+            f"{place}: encoder_noise {value}: expected one number for all joints or JOINT=number for some, each once"
+        )
+    return noise.get("", noise)
 
 
 def _number(value: Any, kind: type[int] | type[float], key: str, place: str) -> int | float:

@@ -1,11 +1,20 @@
 """Inertial parameters: physical validity, log-Cholesky coordinates, and what a robot's motion can tell of them."""
 
 from torchrbd.parameters.base import BaseParameters, base_parameters
-from torchrbd.parameters.inertial import BASIS, PARAMETERS_PER_BODY, UNITS, is_extended, is_physical, nearest_physical
+from torchrbd.parameters.inertial import (
+    BASIS,
+    ORTHONORMAL,
+    PARAMETERS_PER_BODY,
+    UNITS,
+    is_extended,
+    is_physical,
+    nearest_physical,
+)
 from torchrbd.parameters.log_cholesky import from_log_cholesky, to_log_cholesky
 
 __all__ = [
     "BASIS",
+    "ORTHONORMAL",
     "PARAMETERS_PER_BODY",
     "UNITS",
     "BaseParameters",

@@ -22,6 +22,17 @@ BASIS = pseudo_inertia(torch.eye(PARAMETERS_PER_BODY, dtype=torch.float64))
 """E (10, 4, 4) with J = sum_k pi_k E_k."""
 
 
+def _orthonormal() -> Tensor:
+    B = torch.zeros(PARAMETERS_PER_BODY, 4, 4, dtype=torch.float64)
+    for k, (i, j) in enumerate(torch.triu_indices(4, 4).T.tolist()):
+        B[k, i, j] = B[k, j, i] = 1.0 if i == j else 0.5**0.5
+    return B
+
+
+ORTHONORMAL = _orthonormal()
+"""B (10, 4, 4), a basis of the symmetric matrices with tr(B_k B_l) = 1 for k = l, otherwise 0."""
+
+
 def central_covariance(pi: Tensor) -> Tensor:
     """Return Sigma - h h' / m (*batch, 3, 3), [kg m^2]: the second moment of the mass about its own centre."""
     J, h = pseudo_inertia(pi), pi[..., 1:4]

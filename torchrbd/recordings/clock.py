@@ -99,18 +99,27 @@ class Block:
         segment: which segment.
         t: (K,) [s].
         x: (C, K) channels: q, tau, then qd if the recording has it.
+        q_ref: (n, K) set-points, or None.
     """
 
     segment: int
     t: np.ndarray
     x: np.ndarray
+    q_ref: np.ndarray | None = None
+
+    @property
+    def channels(self) -> np.ndarray:
+        """Return x and q_ref as one array."""
+        return self.x if self.q_ref is None else np.concatenate([self.x, self.q_ref])
 
 
 def clean_blocks(recording: Recording, clock: Clock, census: Census | None = None) -> Iterator[Block]:
     """Yield the usable raw rows: no missing values, no duplicates, turns of continuous joints unwrapped, gaps split."""
     n = len(recording.joints)
     census = census if census is not None else Census(n)
-    segment, latest, q_latest, turns = 0, -np.inf, None, np.zeros((n, 1))
+    width = n * (2 + recording.has_velocity)
+    angles = np.r_[:n, width : width + n * recording.has_reference]
+    segment, latest, q_latest, turns = 0, -np.inf, None, np.zeros((len(angles), 1))
     for chunk in recording.chunks():
         t, x = _channels(chunk)
         census.rows += len(t)
@@ -122,22 +131,22 @@ def clean_blocks(recording: Recording, clock: Clock, census: Census | None = Non
         t, x = t[fresh], x[:, fresh]
         if not len(t):
             continue
-        q = x[:n]
+        q = x[angles]
         jumps = np.diff(q, axis=1, prepend=q[:, :1] if q_latest is None else q_latest)
         q_latest = q[:, -1:].copy()
         whole = np.round(jumps / (2 * np.pi))
         whole[np.abs(jumps - 2 * np.pi * whole) > _WRAP_TOLERANCE] = 0
-        census.wrapped.update(np.flatnonzero(whole.any(axis=1)).tolist())
+        census.wrapped.update(np.flatnonzero(whole[:n].any(axis=1)).tolist())
         total = turns + np.cumsum(whole, axis=1)
-        x[:n] -= 2 * np.pi * total
-        census.see_steps(np.where(whole == 0, jumps, 0))
+        x[angles] -= 2 * np.pi * total
+        census.see_steps(np.where(whole == 0, jumps, 0)[:n])
         turns = total[:, -1:]
         starts = np.flatnonzero(np.diff(t, prepend=latest if np.isfinite(latest) else t[0]) > clock.gap)
         latest = t[-1]
         for piece, (start, end) in enumerate(zip((0, *starts), (*starts, len(t)), strict=True)):
             segment += piece > 0
             if end > start:
-                yield Block(segment, t[start:end], x[:, start:end])
+                yield _block(segment, t[start:end], x[:, start:end], width)
 
 
 def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = None) -> Iterator[Block]:
@@ -152,7 +161,7 @@ def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = N
             yield from held.advance(last=True)
             held = None
         if held is None:
-            held = _Resampler(block.segment, clock.dt, block.t[0])
+            held = _Resampler(block.segment, clock.dt, block.t[0], len(block.x))
         held.append(block)
         yield from held.advance(last=False)
     if held is not None:
@@ -162,13 +171,13 @@ def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = N
 class _Resampler:
     """Interpolate one segment as its rows arrive."""
 
-    def __init__(self, segment: int, dt: float, start: float):
-        self.segment, self._dt, self._start, self._next = segment, dt, start, 0
+    def __init__(self, segment: int, dt: float, start: float, width: int):
+        self.segment, self._dt, self._start, self._next, self._width = segment, dt, start, 0, width
         self._t, self._x = np.empty(0), np.empty((0, 0))
 
     def append(self, block: Block) -> None:
         self._t = np.concatenate([self._t, block.t])
-        self._x = np.concatenate([self._x, block.x], axis=1) if self._x.size else block.x
+        self._x = np.concatenate([self._x, block.channels], axis=1) if self._x.size else block.channels
 
     def advance(self, last: bool) -> Iterator[Block]:
         """Yield the samples whose four nearest rows are known."""
@@ -186,7 +195,12 @@ class _Resampler:
         self._next += len(t)
         used = max(0, int(first[-1]))
         self._t, self._x = self._t[used:], self._x[:, used:]
-        yield Block(self.segment, t, np.asarray(x))
+        yield _block(self.segment, t, np.asarray(x), self._width)
+
+
+def _block(segment: int, t: np.ndarray, channels: np.ndarray, width: int) -> Block:
+    """Split channels (C, K) into the first `width` and the set-points that may follow them."""
+    return Block(segment, t, channels[:width], channels[width:] if len(channels) > width else None)
 
 
 def _cubic_weights(nodes: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -200,8 +214,8 @@ def _cubic_weights(nodes: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def _channels(chunk: Chunk) -> tuple[np.ndarray, np.ndarray]:
-    signals = [chunk.q, chunk.tau] + ([chunk.qd] if chunk.qd is not None else [])
-    return chunk.t, np.concatenate(signals, axis=1).T.copy()
+    signals = (chunk.q, chunk.tau, chunk.qd, chunk.q_ref)
+    return chunk.t, np.concatenate([s for s in signals if s is not None], axis=1).T.copy()
 
 
 def _required(recording: Recording, channels: int) -> np.ndarray:

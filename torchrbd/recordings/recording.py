@@ -13,7 +13,8 @@ from torchrbd.errors import RecordingError
 from torchrbd.recordings.formats import ArrayTable, Table, open_table
 from torchrbd.recordings.mapping import Mapping, Source, closest
 
-_OPTIONAL_CHANNELS = ("q_ref_", "q_link_", "temperature_", "current_", "wrench_")
+_OPTIONAL_SIGNALS = ("qd", "qdd", "q_ref")
+_OPTIONAL_CHANNELS = ("q_link_", "temperature_", "current_", "wrench_")
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Chunk:
         tau: (N, n) [N m or N]; NaN where a joint's torque is not in the file.
         qd: (N, n) [rad/s or m/s], or None.
         qdd: (N, n) [rad/s^2 or m/s^2], or None.
+        q_ref: (N, n) set-point [rad or m], or None.
     """
 
     t: np.ndarray
@@ -33,6 +35,7 @@ class Chunk:
     tau: np.ndarray
     qd: np.ndarray | None = None
     qdd: np.ndarray | None = None
+    q_ref: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Recording:
         path: where it lies; None for arrays.
         joints: the robot's joints, in its order.
         measured: (n,) bool, which joints have torque.
-        has_velocity, has_acceleration: whether every joint has a measured one.
+        has_velocity, has_acceleration, has_reference: whether every joint has a measured one, and a set-point.
         time: the part that is used, seconds since the first row; None for all.
         notes: what was left aside on opening.
     """
@@ -55,6 +58,7 @@ class Recording:
     measured: np.ndarray
     has_velocity: bool
     has_acceleration: bool
+    has_reference: bool
     time: tuple[float, float] | None
     notes: tuple[str, ...]
     _table: Table
@@ -69,15 +73,16 @@ class Recording:
         tau: np.ndarray,
         qd: np.ndarray | None = None,
         qdd: np.ndarray | None = None,
+        q_ref: np.ndarray | None = None,
     ) -> Recording:
-        """Make a recording from arrays: t (N,) [s]; q, tau, qd, qdd (N, n), columns in the order of `joints`.
+        """Make a recording from arrays: t (N,) [s]; q, tau, qd, qdd, q_ref (N, n), columns in the order of `joints`.
 
-        A column of tau that is NaN throughout means that the joint's torque was not measured.
+        A column of tau or q_ref that is NaN throughout means that it was not recorded for that joint.
 
         Raises: RecordingError naming the array whose shape does not fit.
         """
         columns = {"t": np.asarray(t, dtype=np.float64)}
-        for signal, array in (("q", q), ("tau", tau), ("qd", qd), ("qdd", qdd)):
+        for signal, array in (("q", q), ("tau", tau), ("qd", qd), ("qdd", qdd), ("q_ref", q_ref)):
             if array is None:
                 continue
             array = np.asarray(array, dtype=np.float64)
@@ -87,7 +92,7 @@ class Recording:
                     f"and joints {', '.join(joints)}"
                 )
             for index, joint in enumerate(joints):
-                if signal != "tau" or not np.isnan(array[:, index]).all():
+                if signal not in ("tau", "q_ref") or not np.isnan(array[:, index]).all():
                     columns[f"{signal}_{joint}"] = array[:, index]
         return _connect(name, None, ArrayTable(columns), joints, Mapping(), None)
 
@@ -103,7 +108,7 @@ class Recording:
         order = [self.joints.index(joint) for joint in joints]
         torques = dict(zip(compress(self.joints, self.measured), self._sources["tau"], strict=True))
         sources = dict(self._sources)
-        for key in sources.keys() & {"q", "qd", "qdd"}:
+        for key in sources.keys() & {"q", *_OPTIONAL_SIGNALS}:
             sources[key] = tuple(sources[key][k] for k in order)
         sources["tau"] = tuple(torques[joint] for joint in joints if joint in torques)
         measured = self.measured[order]
@@ -143,8 +148,8 @@ class Recording:
                 return None
         tau = np.full((len(t), len(self.joints)), np.nan)
         tau[:, self.measured] = values["tau"]
-        qd, qdd = (values[key][keep] if key in values else None for key in ("qd", "qdd"))
-        return Chunk(t[keep], values["q"][keep], tau[keep], qd, qdd)
+        optional = {key: values[key][keep] for key in _OPTIONAL_SIGNALS if key in values}
+        return Chunk(t[keep], values["q"][keep], tau[keep], **optional)
 
     def _check_finite(self, block: np.ndarray, columns: list[str], first_row: int) -> None:
         if np.isinf(block).any():
@@ -201,7 +206,7 @@ def _connect(
     """Match the table's columns with the joints."""
     wanted = {
         key: [mapping.source(joint, index, key) for index, joint in enumerate(joints)]
-        for key in ("q", "tau", "qd", "qdd")
+        for key in ("q", "tau", *_OPTIONAL_SIGNALS)
     }
     present = set(table.columns)
     place = str(path or name)
@@ -223,7 +228,7 @@ def _connect(
     notes = []
     if not measured.all():
         notes.append("no torque for " + ", ".join(compress(joints, ~measured)))
-    for key in ("qd", "qdd"):
+    for key in _OPTIONAL_SIGNALS:
         there = [source.column in present for source in wanted[key]]
         if all(there):
             sources[key] = tuple(wanted[key])
@@ -233,6 +238,7 @@ def _connect(
     ignored = [c for c in table.columns if c not in known and not c.startswith(_OPTIONAL_CHANNELS)]
     if ignored:
         notes.append("columns not used: " + ", ".join(ignored))
+    velocity, acceleration, reference = (key in sources for key in _OPTIONAL_SIGNALS)
     return Recording(
-        name, path, tuple(joints), measured, "qd" in sources, "qdd" in sources, time, tuple(notes), table, sources
+        name, path, tuple(joints), measured, velocity, acceleration, reference, time, tuple(notes), table, sources
     )

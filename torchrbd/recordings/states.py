@@ -30,6 +30,7 @@ class States:
         q, qd, qdd: (n, N) low-passed by the state filter [rad or m, per s, per s^2].
         tau: (n, N) raw [N m or N]; NaN for joints without torque. Only to be decimated.
         t_out: (M,) times of the outputs of `decimate` [s].
+        reference: set-points q_ref, qd_ref, qdd_ref (n, N) each, low-passed as q is; None where not recorded.
     """
 
     segment: int
@@ -42,6 +43,7 @@ class States:
     t_out: torch.Tensor
     _kernel: torch.Tensor
     _stride: int
+    reference: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None = None
 
     @property
     def dt_out(self) -> float:
@@ -106,14 +108,16 @@ class _Cutter:
         self.reach = filtering.reach(self._dt)
         self.produced = False
         self._segment, self._origin, self._index, self._x = -1, 0.0, 0, np.empty((0, 0))
+        self._width = 0
 
     def push(self, block: Block) -> Iterator[States]:
         """Add samples; yield the full tiles that they complete."""
         if block.segment != self._segment:
             yield from self.finish()
-            self._segment, self._origin, self._index, self._x = block.segment, float(block.t[0]), 0, block.x
+            self._segment, self._origin, self._index, self._x = block.segment, float(block.t[0]), 0, block.channels
+            self._width = len(block.x)
         else:
-            self._x = np.concatenate([self._x, block.x], axis=1)
+            self._x = np.concatenate([self._x, block.channels], axis=1)
         while self._available() >= self._outputs:
             yield self._cut(self._outputs)
 
@@ -132,18 +136,20 @@ class _Cutter:
         raw = torch.from_numpy(self._x[:, : length + 2 * half])
         q, qd, qdd = self._filter(raw[:n], self._kernels)
         if self._use_velocity.any():
-            measured = self._filter(raw[2 * n :], self._kernels[:2])
+            measured = self._filter(raw[2 * n : self._width], self._kernels[:2])
             qd = torch.where(self._use_velocity[:, None], measured[0], qd)
             qdd = torch.where(self._use_velocity[:, None], measured[1], qdd)
+        reference = None
+        if len(raw) > self._width:
+            q_ref, qd_ref, qdd_ref = self._filter(raw[self._width :], self._kernels)
+            reference = q_ref, qd_ref, qdd_ref
         t = self._origin + self._dt * torch.arange(self._index + half, self._index + half + length, dtype=torch.float64)
         t_out = t[self._feature_half : length - self._feature_half : self._stride]
         tau = raw[n : 2 * n, half : half + length].clone()
         self._x = self._x[:, outputs * self._stride :]
         self._index += outputs * self._stride
         self.produced = True
-        return States(
-            self._segment, self._dt, t, q, qd, qdd, tau, t_out, _kernel=self._feature_kernel, _stride=self._stride
-        )
+        return States(self._segment, self._dt, t, q, qd, qdd, tau, t_out, self._feature_kernel, self._stride, reference)
 
     def _filter(self, x: torch.Tensor, kernels: torch.Tensor) -> torch.Tensor:
         """Convolve x (n, N) with each kernel (k, taps) where they overlap fully: (k, n, N - taps + 1)."""

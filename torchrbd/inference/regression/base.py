@@ -23,6 +23,7 @@ class Regression(ABC):
 
     name: ClassVar[str]
     coefficients: Tensor
+    _noisy_coefficients: Tensor | None = None
 
     def fit(self, X: Tensor | Moments, y: Tensor | None = None) -> Self:
         """Fit to moments, or to inputs X (N, d) and outputs y (N,)."""
@@ -33,6 +34,11 @@ class Regression(ABC):
     def predict(self, X: Tensor) -> Tensor:
         """Return X b (N,) for noiseless inputs X (N, d)."""
         return X @ self.coefficients.to(X)
+
+    @property
+    def noisy_coefficients(self) -> Tensor:
+        """Coefficients (d,) that predict y from inputs as noisy as the training ones; b itself unless told apart."""
+        return self.coefficients if self._noisy_coefficients is None else self._noisy_coefficients
 
     @abstractmethod
     def _coefficients(self, moments: Moments) -> Tensor:

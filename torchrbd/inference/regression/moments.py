@@ -1,6 +1,6 @@
 """Second moments of regression rows, block by block: all that the regressions of this folder read of the data.
 
-    A_b = sum over the rows of block b of  a a',   a = [x, y]
+A_b = sum over the rows of block b of  a a',   a = [x, y]
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+
+from torchrbd.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -25,14 +27,31 @@ class Moments:
 
     @classmethod
     def from_data(cls, X: Tensor, y: Tensor, n_blocks: int = 10) -> Moments:
-        """Take the moments of X (N, d) and y (N,) in blocks of consecutive rows."""
+        """Take the moments of X (N, d) and y (N,) in blocks of consecutive rows.
+
+        Raises:
+            InputError: shapes that do not fit, no rows, or values that are not finite.
+        """
+        if X.dim() != 2 or y.shape != X.shape[:1] or not len(X):
+            raise InputError(
+                f"regression rows: expected X (N, d) and y (N,) with N at least 1, "
+                f"got {tuple(X.shape)} and {tuple(y.shape)}"
+            )
         rows = torch.cat((X, y.unsqueeze(1)), 1).to(torch.float64)
+        if not bool(rows.isfinite().all()):
+            bad = int(torch.nonzero(~rows.isfinite().all(1))[0])
+            raise InputError(f"regression rows: row {bad} has nan or inf; remove such rows")
         parts = rows.tensor_split(min(n_blocks, len(rows)))
         return cls(torch.stack([a.T @ a for a in parts]), torch.tensor([float(len(a)) for a in parts]).double())
 
     def select(self, keep: Tensor) -> Moments:
         """Return the blocks that ``keep`` (bool, (B,)) marks."""
         return Moments(self.blocks[keep], self.count[keep])
+
+    def transform(self, W: Tensor) -> Moments:
+        """Return the moments of the rows [W x, y], W (m, d)."""
+        T = torch.block_diag(W, W.new_ones(1, 1))
+        return Moments(T @ self.blocks @ T.T, self.count)
 
     @property
     def total(self) -> Tensor:

@@ -35,6 +35,8 @@ class Information:
         samples: encoder samples.
         wander: (n_dof,) sum of the trajectory's variances at the encoder samples, diag(B H^-1 B').
         entropy: -1/2 log det H.
+        velocity_noise: (n_dof,) posterior variance of the velocity, median over a stretch, times its torque samples.
+        outputs: torque samples.
     """
 
     gram: Tensor
@@ -45,6 +47,8 @@ class Information:
     samples: int
     wander: Tensor
     entropy: Tensor
+    velocity_noise: Tensor
+    outputs: int
 
     def __add__(self, other: Information) -> Information:
         return Information(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
@@ -94,6 +98,8 @@ def eliminate(
         samples=stretch.samples,
         wander=_wander(gram, covariance, n, width),
         entropy=-0.5 * factor.logdet(),
+        velocity_noise=stretch.grid.outputs * _velocity_variance(covariance, n, width, stretch.grid.spacing),
+        outputs=stretch.grid.outputs,
     )
     return found, step
 
@@ -128,6 +134,14 @@ def _blocks(gram: Tensor, width: int, n_blocks: int) -> tuple[Tensor, Tensor]:
     parts = whole.unflatten(0, (n_blocks, width)).unflatten(2, (n_blocks, width)).transpose(1, 2)
     at = torch.arange(n_blocks)
     return parts[at, at], parts[at[1:], at[:-1]]
+
+
+def _velocity_variance(covariance: Tensor, n: int, width: int, spacing: float) -> Tensor:
+    """Return the median over the knots of var(qd) (n,), with qd = (c_i+1 - c_i-1) / 2 h there."""
+    own = covariance.unflatten(2, (2 * width, n)).unflatten(1, (2 * width, n)).diagonal(dim1=2, dim2=4)
+    before, after = torch.arange(width), torch.arange(width) + 2
+    variance = own[:, before, before] + own[:, after, after] - 2 * own[:, before, after]
+    return variance.flatten(0, 1).median(0).values / (2 * spacing) ** 2
 
 
 def _wander(gram: tuple[Tensor, Tensor], covariance: Tensor, n: int, width: int) -> Tensor:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchrbd.inference.columns import Columns
+from torchrbd.inference.columns import Columns, joint_scales
 from torchrbd.inference.fitting import FittedModel
 from torchrbd.inference.prior import Prior
 from torchrbd.inference.reading import Reading
@@ -44,11 +44,13 @@ class Smoothed:
 
     Attributes:
         trajectories: per recording.
+        columns: layout of x, with directions of motion as sharp as smoothed velocities tell them.
         states: what their uncertainty takes from the information on x.
         encoder_std: (n_dof,) position noise, [rad] or [m].
     """
 
     trajectories: tuple[Trajectory, ...]
+    columns: Columns
     states: UncertainStates
     encoder_std: Tensor
 
@@ -60,7 +62,6 @@ def smoothable(survey: Survey, filtering: Filtering) -> bool:
 
 def smooth(
     reading: Reading,
-    columns: Columns,
     prior: Prior,
     start: FittedModel,
     kept_back: Callable[[str, Tensor], Tensor],
@@ -70,7 +71,6 @@ def smooth(
 
     Args:
         reading: the recordings, filtered states.
-        columns: layout of x.
         prior: of x.
         start: a fit on filtered states.
         kept_back: tells of a recording's name and times (O,) which are held out: there the torque is not looked at.
@@ -84,22 +84,26 @@ def smooth(
 
         found.append(tuple(stretches(recording, reading.surveys[k], reading.filtering, reading.tiles(k), counted)))
     encoder = torch.stack([torch.from_numpy(s.q_noise_std) for s in reading.surveys]).square().mean(0).sqrt()
-    smoother = StateSmoother(
-        columns,
-        prior,
-        [s for own in found for s in own if bool(s.counts.any())],
-        torch.tensor([k for c in columns.urdf_friction for k in columns.of(c)], dtype=torch.long),
-        start.x,
-        start.noise_variance.sqrt(),
-        encoder,
-    )
+    used = [s for own in found for s in own if bool(s.counts.any())]
+    columns = start.columns
+    smoother = StateSmoother(columns, prior, used, _friction(columns), start.x, start.noise_variance.sqrt(), encoder)
     smoother.fit(progress)
-    last = smoother.refresh(torch.arange(columns.n))
-    torque = (2 * smoother.log_torque_std.detach()).exp()
+    said = smoother.refresh()
+    speed = torch.tensor([scale.speed_max for scale in columns.scales], dtype=torch.float64)
+    sharper = columns.at_scales(joint_scales(speed, (said.velocity_noise / said.outputs).sqrt()))
+    x = sharper.taken_from(columns, smoother.x.detach())
+    torque, encoder = smoother.log_torque_std.detach().exp(), smoother.log_encoder_std.detach().exp()
+    last = StateSmoother(sharper, prior, used, _friction(sharper), x, torque, encoder)
+    last.trajectories = smoother.trajectories
+    said = last.refresh(torch.arange(sharper.n))
     moved = iter(smoother.trajectories)
     trajectories = tuple(
         Trajectory(tuple((s, next(moved).detach() if bool(s.counts.any()) else s.encoder) for s in own))
         for own in found
     )
-    states = UncertainStates(smoother.x.detach(), last.gram, last.lost, last.spread / torque, torque)
-    return Smoothed(trajectories, states, smoother.log_encoder_std.detach().exp())
+    states = UncertainStates(x, said.gram, said.lost, said.spread / torque.square(), torque.square())
+    return Smoothed(trajectories, sharper, states, encoder)
+
+
+def _friction(columns: Columns) -> Tensor:
+    return torch.tensor([k for c in columns.urdf_friction for k in columns.of(c)], dtype=torch.long)

@@ -1,0 +1,127 @@
+"""Choosing by left-out blocks: the corrected error is the noiseless one, and the choice follows the rule."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from inference.regression.regressions import normal, problem, with_factors
+from synthetic_regression import SETTINGS, Setting, draw, nmse
+from torch import Tensor
+
+from torchrbd.errors import OptionError
+from torchrbd.inference.regression import (
+    BestRegression,
+    Moments,
+    OrdinaryLeastSquares,
+    Regression,
+    Stepwise,
+    choose,
+    corrected_error,
+)
+
+
+class Fixed(Regression):
+    """Coefficients that no data changes."""
+
+    name = "fixed"
+
+    def __init__(self, b: Tensor) -> None:
+        self.b = b
+
+    def _coefficients(self, moments: Moments) -> Tensor:
+        return self.b
+
+
+@pytest.mark.parametrize("correlated", [False, True])
+def test_corrected_error_is_the_error_at_noiseless_inputs(correlated: bool) -> None:
+    n = 400_000
+    clean = normal(0, n, 3)
+    y = clean @ normal(1, 3) + normal(2, n)
+    root = normal(3, 3, 3) if correlated else torch.diag(torch.tensor([1.0, 0.5, 0.0], dtype=torch.float64))
+    Psi = root @ root.T if correlated else root.diagonal().square()
+    fold = Moments.from_data(clean + normal(4, n, 3) @ root.T, y)
+    for seed in (5, 6):
+        b = normal(seed, 3)
+        noiseless = (y - clean @ b).square().mean() - y.square().mean()
+        assert float(corrected_error(b, fold, Psi)) == pytest.approx(float(noiseless), abs=0.05)
+    noisy = corrected_error(b, fold)
+    assert float(noisy - corrected_error(b, fold, Psi)) > 0.1
+
+
+def test_errors_are_those_of_refits() -> None:
+    X, y = problem(10, n=60)
+    moments = Moments.from_data(X, y, n_blocks=6)
+    errors = choose([Stepwise(), OrdinaryLeastSquares()], moments).errors
+    rows = torch.arange(60) // 10 == 4
+    b = np.linalg.lstsq(X[~rows].numpy(), y[~rows].numpy())[0]
+    left_out = np.mean((y[rows].numpy() - X[rows].numpy() @ b) ** 2) - np.mean(y[rows].numpy() ** 2)
+    assert float(errors[4, 1]) == pytest.approx(left_out, rel=1e-6)
+
+
+def test_rule_of_choice() -> None:
+    X, b = normal(20, 1000, 4), normal(21, 4)
+    moments = Moments.from_data(X, X @ b + normal(22, 1000))
+    good, nearly, bad = Fixed(b), Fixed(b + 1e-4), Fixed(b + 1.0)
+    assert choose([bad, good], moments).best.coefficients is b
+    assert choose([good, bad], moments).best.coefficients is b
+    assert choose([nearly, good, bad], moments).best.coefficients is nearly.b, "the preferred of two alike"
+    assert choose([Fixed(b + 0.2), good], moments).best.coefficients is b, "no gain: fall back"
+    assert choose([Fixed(b), Fixed(b + 0.05)], moments, caution=1e3).best.coefficients is not b
+
+
+def test_candidates_are_not_changed() -> None:
+    candidates = [Stepwise(), OrdinaryLeastSquares()]
+    choose(candidates, Moments.from_data(*problem(30)))
+    assert not any(hasattr(c, "coefficients") for c in candidates)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_default_without_input_noise_is_about_least_squares(known: bool) -> None:
+    """Nothing to gain: 12 independent noiseless inputs that all matter."""
+    ratios = []
+    for seed in range(700, 706):
+        X, b = normal(seed, 300, 12), normal(seed + 50, 12).sign()
+        y = X @ b + normal(seed + 100, 300)
+        found = BestRegression(torch.zeros(12) if known else None).fit(X, y).coefficients
+        least = OrdinaryLeastSquares().fit(X, y).coefficients
+        ratios.append(float((found - b).square().sum() / (least - b).square().sum()))
+    assert np.mean(ratios) < 1.05
+
+
+def test_default_says_what_it_chose() -> None:
+    X, y, noise, _ = with_factors(40, 500, factors=3, shared=30, single=0, snr=2.0)
+    fitted = BestRegression(noise).fit(X, y)
+    assert fitted.choice.errors.shape == (10, 4)
+    assert torch.equal(fitted.coefficients, fitted.choice.best.coefficients)
+    assert torch.equal(fitted.noisy_coefficients, fitted.choice.best.noisy_coefficients)
+
+
+def test_one_block_is_too_few() -> None:
+    with pytest.raises(OptionError, match="2 or more blocks of moments, got 1"):
+        BestRegression().fit(Moments.from_data(*problem(0), n_blocks=1))
+
+
+def test_generator_is_that_of_the_experiment() -> None:
+    problem = draw(Setting(30, 60, 2.0), columns=100, rows=20_000, seed=900)
+    assert problem.clean.shape == (500, 100)
+    signal = problem.X.var(0) - problem.input_noise
+    assert torch.allclose(signal / problem.input_noise, torch.full((100,), 2.0).double(), rtol=0.15)
+    shared = problem.clean[:, 10:40]
+    explained = problem.clean[:, :10] @ torch.linalg.lstsq(problem.clean[:, :10], shared).solution
+    assert torch.allclose(explained, shared, atol=1e-8)
+    assert int(torch.linalg.matrix_rank(problem.clean)) == 70
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("setting", SETTINGS, ids=str)
+def test_default_on_the_experiment(setting: Setting) -> None:
+    """Seeds of neither development nor the published table."""
+    errors = []
+    for seed in range(5000, 5005):
+        problem = draw(setting, columns=100, rows=1000, seed=seed)
+        methods = (OrdinaryLeastSquares(), BestRegression(problem.input_noise), BestRegression())
+        errors.append([nmse(method.fit(problem.X, problem.y), problem) for method in methods])
+    least, known, unknown = np.mean(errors, axis=0)
+    assert known < 1.05 * least
+    assert unknown < 1.05 * least

@@ -1,0 +1,150 @@
+"""What the command line understands."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rich_argparse import RichHelpFormatter
+
+from torchrbd import __version__
+from torchrbd.errors import OptionError
+from torchrbd.inference import Settings
+from torchrbd.inference.comparison import COMPARABLE
+from torchrbd.inference.settings import ESTIMATORS
+from torchrbd.physics import effects
+
+_FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint (default: none)"
+
+
+class _Help(RichHelpFormatter):
+    """Help in colours, in which [m] is a unit."""
+
+    help_markup = text_markup = False
+
+
+def parser(runs: Mapping[str, Callable[[argparse.Namespace], None]]) -> argparse.ArgumentParser:
+    """Build the parser.
+
+    Args:
+        runs: what each command does with its options.
+    """
+    top = argparse.ArgumentParser(
+        "torchrbd",
+        description="Find, name and model the physics that a robot's URDF leaves out.",
+        formatter_class=_Help,
+    )
+    top.add_argument("--version", action="version", version=f"torchrbd {__version__}")
+    commands = top.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name: str, words: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=words, description=words, formatter_class=_Help)
+        sub.set_defaults(run=runs[name])
+        return sub
+
+    sub = command("identify", "Fit the inertial parameters of a URDF to recordings; always physically valid.")
+    _add_shared(sub, _FITTED_EFFECTS)
+    words = "; ".join(f"{name}: {meaning}" for name, meaning in ESTIMATORS.items())
+    sub.add_argument("--estimator", metavar="NAME", help=f"how parameters are found (default: auto). {words}")
+    sub = command("diagnose", "Find, name and model what the URDF leaves out.")
+    _add_shared(sub, "effects that the search may use (default: all)")
+    sub = command(
+        "compare-estimators",
+        "Estimate the parameters with many methods and judge each on held-out data.",
+    )
+    _add_shared(sub, _FITTED_EFFECTS, output_required=False)
+    sub.add_argument(
+        "--estimators",
+        nargs="+",
+        default=COMPARABLE,
+        metavar="NAME",
+        help=f"those to compare (default: all): {', '.join(COMPARABLE)}",
+    )
+    sub = command("demo", "Diagnose a bundled case: a six-joint arm with a friction that its URDF does not hold.")
+    sub.add_argument(
+        "-o", "--output", type=Path, default=Path("torchrbd-demo"), metavar="DIR", help="(default: %(default)s)"
+    )
+    return top
+
+
+def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_required: bool = True) -> None:
+    sub.add_argument("robot", type=Path, metavar="ROBOT.urdf", help="what the simulator believes")
+    sub.add_argument(
+        "recordings",
+        nargs="+",
+        type=Path,
+        metavar="RECORDING",
+        help="CSV, Parquet or NPZ with columns t [s], q_<joint> [rad, m], tau_<joint> [N m, N], "
+        "optionally qd_<joint>, q_ref_<joint>",
+    )
+    sub.add_argument(
+        "-o", "--output", type=Path, required=output_required, metavar="DIR", help="folder for the results"
+    )
+    data = sub.add_argument_group("data")
+    many: dict[str, Any] = {"nargs": "+", "action": "extend"}
+    data.add_argument("--holdout", type=Path, metavar="FILE", help="recordings that no fit or choice sees", **many)
+    data.add_argument(
+        "--holdout-fraction", type=float, metavar="X", help="else, the part of each recording kept back (default: 0.25)"
+    )
+    data.add_argument("--time", metavar="A:B", help="use only these seconds of each recording")
+    data.add_argument("--joints", metavar="JOINT", help="joints whose torque counts (default: all)", **many)
+    data.add_argument(
+        "--payload",
+        metavar="FILE=kg,x,y,z[@LINK]",
+        help="known load in a recording: mass and centre [kg, m] on a link (default: a chain's last)",
+        **many,
+    )
+    data.add_argument(
+        "--mapping", type=Path, metavar="YAML", help="other column names, units, signs, gear ratios, torque constants"
+    )
+    data.add_argument(
+        "--cutoff",
+        dest="cutoff_hz",
+        type=float,
+        metavar="HZ",
+        help="band limit of torque and features (default: chosen from the data)",
+    )
+    data.add_argument(
+        "--encoder-noise",
+        metavar="X",
+        help="standard deviation of the positions [rad, m], one number or JOINT=number (default: estimated)",
+        **many,
+    )
+    model = sub.add_argument_group("model")
+    known = ", ".join(effects())
+    model.add_argument("--effects", metavar="EFFECT", help=f"{effects_words}; known: {known}", **many)
+    model.add_argument("--exclude", metavar="EFFECT", help="effects not to use", **many)
+    model.add_argument("--trust", metavar="LINK", help="links whose inertia is not re-fitted", **many)
+    model.add_argument("--seed", type=int, metavar="N", help="of the choice of blocks kept back (default: 0)")
+    sub.add_argument(
+        "--config",
+        type=Path,
+        metavar="YAML",
+        help="file with any of these options, e.g. 'cutoff: 5'; those given on the command line win",
+    )
+
+
+def settings_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options that were given: those of the configuration file, then those of the command line."""
+    chosen = _read_config(options.config) if options.config else {}
+    given = {name: value for name, value in vars(options).items() if name in Settings.names() and value is not None}
+    return chosen | given
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise OptionError(f"{path}: is not YAML in UTF-8 ({error})") from None
+    except OSError as error:
+        raise OptionError(f"{path}: cannot be read ({error.strerror}); check --config") from None
+    if not isinstance(content, dict):
+        raise OptionError(f"{path}: expected 'option: value' lines, e.g. 'cutoff: 5'")
+    chosen = {str(key).replace("-", "_"): value for key, value in content.items()}
+    if "cutoff" in chosen:
+        chosen["cutoff_hz"] = chosen.pop("cutoff")
+    Settings.from_mapping(chosen, str(path))
+    return chosen

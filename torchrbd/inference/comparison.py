@@ -1,0 +1,144 @@
+"""Compare estimators on one robot: all see the same blocks of its recordings and are judged on those kept back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from torchrbd.errors import OptionError, TorchRBDError
+from torchrbd.inference.estimators import Estimate, estimate, linear_problem
+from torchrbd.inference.fitting import judge, term_candidates
+from torchrbd.inference.identify import listed
+from torchrbd.inference.preparation import Prepared, prepare
+from torchrbd.inference.reading import Progress
+from torchrbd.inference.results import Fit
+from torchrbd.inference.settings import ESTIMATORS, Settings, check_estimators
+from torchrbd.physics import Effect
+from torchrbd.recordings import Recording
+from torchrbd.robot import RobotModel
+
+COMPARABLE = tuple(name for name in ESTIMATORS if name != "auto")
+"""What can be compared: every estimator; "auto" is a choice among them."""
+
+
+@dataclass(frozen=True)
+class EstimatorRow:
+    """How one estimator did.
+
+    Attributes:
+        name: of the estimator; "urdf" for the robot as given.
+        raw: torque error of its parameters on held-out blocks; None if it failed.
+        physical: that of the physical ones, projected where the raw ones are not physical.
+        was_physical: whether the raw ones are; None for the URDF and for what failed.
+        seconds: of the estimate, without reading and filtering, except for the smoother, which does its own.
+        note: what a user should know; if it failed, why.
+    """
+
+    name: str
+    raw: Fit | None
+    physical: Fit | None
+    was_physical: bool | None
+    seconds: float
+    note: str
+
+
+@dataclass(frozen=True)
+class EstimatorComparison:
+    """Estimators side by side.
+
+    Attributes:
+        robot, joints: the robot's name, and its joints that are judged.
+        recordings, held_out: names of the recordings fitted; what was kept back, in words.
+        cutoff_hz: the one band limit of all torques and features.
+        base_parameters: how many combinations of inertial parameters and terms the data tells.
+        condition: condition number of their regressor, joints weighted and columns at unit length: noise of the worst
+            combination over that of the best.
+        rows: the URDF as given, then the estimators in the order asked for.
+        notes: what the user should know of the input.
+    """
+
+    robot: str
+    joints: tuple[str, ...]
+    recordings: tuple[str, ...]
+    held_out: str
+    cutoff_hz: float
+    base_parameters: int
+    condition: float
+    rows: tuple[EstimatorRow, ...]
+    notes: tuple[str, ...]
+
+
+def compare_estimators(
+    robot: RobotModel | str | Path | bytes,
+    recordings: Sequence[str | Path | Recording] | str | Path | Recording,
+    *,
+    estimators: Sequence[str] = COMPARABLE,
+    progress: Progress = lambda *_: None,
+    **options: Any,
+) -> EstimatorComparison:
+    """Estimate a robot's parameters with many estimators and judge each on the same held-out, filtered torques.
+
+    Args:
+        robot: a robot or its URDF.
+        recordings: files or opened recordings.
+        estimators: names, of ``COMPARABLE``. One that cannot be used on these recordings is a row that says why.
+        progress: told how far the work is.
+        **options: see ``Settings``. ``effects`` are fitted beside the inertial parameters, at every joint.
+
+    Raises:
+        InputError: a robot, recording or option that cannot be used.
+    """
+    robot = robot if isinstance(robot, RobotModel) else RobotModel.from_urdf(robot)
+    settings = Settings.from_mapping(options, "compare_estimators")
+    names = tuple(dict.fromkeys(estimators))
+    check_estimators(names, COMPARABLE)
+    effects = settings.chosen_effects() if settings.effects else ()
+    opened = listed(recordings)
+    prepared = prepare(robot, opened, replace(settings, estimator="physical"), effects, progress)
+    terms = term_candidates(prepared.columns, [e.id for e in effects])
+    urdf = judge(prepared.judging, prepared.prior.reference)
+    rows = [EstimatorRow("urdf", urdf, urdf, None, 0.0, "")]
+    for k, name in enumerate(names):
+        progress(name, k / len(names))
+        # An estimator that breaks down, in whatever way, is a result of the comparison and not its end.
+        try:
+            if name == "smoother":
+                found = _smoothed(robot, opened, settings, effects)
+            else:
+                found = estimate(prepared, name, terms)
+            rows.append(_row(prepared, found))
+        except (TorchRBDError, ArithmeticError, ValueError, RuntimeError) as error:
+            rows.append(EstimatorRow(name, None, None, None, 0.0, " ".join(str(error).split())))
+    problem = linear_problem(prepared, terms)
+    return EstimatorComparison(
+        robot=robot.name,
+        joints=tuple(urdf.nmse),
+        recordings=prepared.fitted,
+        held_out=prepared.holdout_words,
+        cutoff_hz=prepared.filtering.cutoff_hz,
+        base_parameters=len(problem.chosen),
+        condition=problem.condition,
+        rows=tuple(rows),
+        notes=prepared.notes,
+    )
+
+
+def _row(prepared: Prepared, found: Estimate) -> EstimatorRow:
+    raw, physical = (judge(prepared.judging, x) for x in (found.raw, found.x))
+    return EstimatorRow(found.name, raw, physical, found.was_physical, found.seconds, found.note)
+
+
+def _smoothed(
+    robot: RobotModel, recordings: Sequence[str | Path | Recording], settings: Settings, effects: Sequence[Effect]
+) -> Estimate:
+    """Estimate with states that are smoothed together with the parameters, from recordings read anew."""
+    start = time.perf_counter()
+    prepared = prepare(robot, recordings, replace(settings, estimator="smoother"), effects)
+    if prepared.states is None:
+        raise OptionError(prepared.notes[-1])
+    terms = term_candidates(prepared.columns, [e.id for e in effects])
+    x = prepared.fit(terms).x
+    return Estimate("smoother", x, True, x, time.perf_counter() - start, "")

@@ -1,0 +1,142 @@
+"""The registry: every estimator of a robot's parameters by its name, with one result."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchrbd.errors import OptionError
+from torchrbd.inference.block_statistics import assemble
+from torchrbd.inference.columns import Candidate
+from torchrbd.inference.estimators.instrumental import instrumental_variables
+from torchrbd.inference.estimators.plain import regress, regress_on_noisy_inputs
+from torchrbd.inference.estimators.problem import LinearProblem, linear_problem
+from torchrbd.inference.estimators.reweighted import iteratively_reweighted
+from torchrbd.inference.map_fit import Scaled
+from torchrbd.inference.physical_fit import physical_fit
+from torchrbd.inference.preparation import Prepared
+from torchrbd.inference.regression.base import Regression
+from torchrbd.inference.regression.choice import BestRegression
+from torchrbd.inference.regression.classical import Stepwise, TotalLeastSquares, TruncatedSVD
+from torchrbd.inference.regression.cross_validated import Lasso, PartialLeastSquares, PrincipalComponents, Ridge
+from torchrbd.inference.regression.errors_in_variables import EIVARD
+from torchrbd.inference.regression.noisy_input import NoisyInputRegression
+from torchrbd.inference.settings import check_estimators
+from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
+
+Estimator = Callable[[LinearProblem], tuple[Tensor, str]]
+"""Finds x (n,), and says what a user should know of it."""
+
+_OFF_BOUNDARY = 1e-3
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What one estimator says of a robot.
+
+    Attributes:
+        name: of the estimator.
+        raw: (n,) coefficients in the layout of ``Columns``, as estimated.
+        was_physical: whether every body of ``raw`` has a positive definite pseudo-inertia.
+        x: (n,) physical ones: ``raw``, or its projection where it is not physical.
+        seconds: of the estimate, without reading and filtering.
+        note: what a user should know, or nothing.
+    """
+
+    name: str
+    raw: Tensor
+    was_physical: bool
+    x: Tensor
+    seconds: float
+    note: str
+
+
+def estimate(prepared: Prepared, name: str, terms: Sequence[Candidate] = ()) -> Estimate:
+    """Estimate a robot's parameters from the blocks that are not kept back.
+
+    Args:
+        prepared: the data, with filtered states.
+        name: one of ``estimators()``.
+        terms: effects that are fitted beside the inertial parameters.
+
+    Raises: OptionError for an unknown name, or an estimator that cannot be used on these recordings.
+    """
+    check_estimators([name], estimators())
+    start = time.perf_counter()
+    problem = linear_problem(prepared, terms)
+    raw, note = _ESTIMATORS[name](problem)
+    if not bool(torch.isfinite(raw).all()):
+        raise OptionError(f"estimator '{name}' finds no finite parameters on these recordings; use another")
+    bodies = raw[prepared.prior.inertial].reshape(-1, PARAMETERS_PER_BODY)
+    physical = bool(is_physical(bodies).all())
+    x = raw if physical else made_physical(problem, raw)
+    return Estimate(name, raw, physical, x, time.perf_counter() - start, note)
+
+
+def estimators() -> tuple[str, ...]:
+    """Return the names of all estimators."""
+    return tuple(_ESTIMATORS)
+
+
+def made_physical(problem: LinearProblem, raw: Tensor) -> Tensor:
+    """Return the physical x (n,) whose torque on the fitted blocks is nearest to that of raw coefficients.
+
+        min 1/2 (x - raw)' H (x - raw) + kappa D(x),   J(x) > 0
+
+    with H the information of weighted least squares and D the divergence from the URDF. kappa is a thousandth of what
+    one observation tells: it costs nothing that could be seen in the torque, and keeps bodies off the boundary, where
+    rounding would make them unphysical again. What H does not tell stays close to the URDF.
+    """
+    prior, n = problem.prepared.prior, problem.prepared.robot.n_params
+    _, variance = problem.weighted()
+    H, _ = assemble(problem.training.columns, problem.training.total(), 1.0 / variance)
+    S = prior.scale
+    equations = Scaled(S.T @ H @ S, S.T @ (H @ (raw - prior.mean)))
+    return physical_fit(replace(prior, kappa=_OFF_BOUNDARY), equations, problem.free[problem.free >= n]).x
+
+
+def _ordinary(problem: LinearProblem) -> tuple[Tensor, str]:
+    """Least squares on base parameters; all joints count alike, a newton metre of one as much as of another."""
+    seen = problem.training.torque[..., 0].sum(0) > 0
+    return problem.least_squares(seen.double())[0], ""
+
+
+def _weighted(problem: LinearProblem) -> tuple[Tensor, str]:
+    """Least squares on base parameters, joints weighted by their residual variance."""
+    return problem.weighted()[0], ""
+
+
+def _physical(problem: LinearProblem) -> tuple[Tensor, str]:
+    """The physically valid fit with the entropic prior."""
+    return problem.prepared.fit(problem.terms).x, ""
+
+
+def _plain(regression: Callable[[], Regression]) -> Estimator:
+    return lambda problem: regress(problem, regression)
+
+
+def _noise_aware(regression: Callable[[Tensor], Regression]) -> Estimator:
+    return lambda problem: regress_on_noisy_inputs(problem, regression)
+
+
+_ESTIMATORS: dict[str, Estimator] = {
+    "physical": _physical,
+    "ols": _ordinary,
+    "wls": _weighted,
+    "irls": iteratively_reweighted,
+    "iv": instrumental_variables,
+    "svd": _plain(TruncatedSVD),
+    "ridge": _plain(Ridge),
+    "tls": _plain(TotalLeastSquares),
+    "lasso": _plain(Lasso),
+    "stepwise": _plain(Stepwise),
+    "pls": _plain(PartialLeastSquares),
+    "pcr": _plain(PrincipalComponents),
+    "eiv-ard": _noise_aware(EIVARD),
+    "noisy-input": _noise_aware(lambda noise: NoisyInputRegression(noise.diagonal())),
+    "best": _noise_aware(BestRegression),
+}

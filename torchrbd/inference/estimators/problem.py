@@ -1,0 +1,143 @@
+"""The linear problem that every estimator solves: the combinations of coefficients that the data tells, and their lift.
+
+    tau - Y x0 = Y_b beta + noise,   beta = K dx,   x = x0 + dx
+
+with x0 the URDF's coefficients and Y_b independent columns of the regressor: Y = Y_b K. A fit finds beta; dx is then
+the least change of the URDF, in the metric of the prior, that has these beta.
+
+Source: Gautier, "Numerical calculation of the base inertial parameters of robots", ICRA 1990; Swevers, Verdonck, De
+Schutter, "Dynamic model identification for industrial robots", IEEE Control Systems 2007, for the weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import torch
+from torch import Tensor
+
+from torchrbd.inference.block_statistics import BlockStatistics, assemble
+from torchrbd.inference.columns import Candidate
+from torchrbd.inference.map_fit import first_noise_variance, residual_variance
+from torchrbd.inference.preparation import Prepared
+from torchrbd.recordings import States
+
+# Of a column's square. Right angles written as 1.5708 make columns that depend on each other up to 4e-6 differ.
+_DEPENDENT = 1e-10
+# Of the largest: what is below it is rounding.
+_EFFECT, _SINGULAR = 1e-12, 1e-13
+_MOST_ROUNDS, _SETTLED = 10, 1e-3
+
+
+@dataclass(frozen=True)
+class LinearProblem:
+    """What the fitted blocks tell of the coefficients.
+
+    Attributes:
+        prepared: the data.
+        training: blocks to fit.
+        terms: the free terms beside the rigid body.
+        free: indices in x of the fitted columns.
+        chosen: (d,) indices in x of the independent ones among them, Y_b.
+        lift: (n, d) with dx = lift beta.
+        condition: singular values of the joint-weighted Y_b with columns of unit length, largest over smallest.
+    """
+
+    prepared: Prepared
+    training: BlockStatistics
+    terms: tuple[Candidate, ...]
+    free: Tensor
+    chosen: Tensor
+    lift: Tensor
+    condition: float
+
+    @property
+    def reference(self) -> Tensor:
+        """The URDF's x0 (n,), unphysical bodies replaced by near physical ones."""
+        return self.prepared.prior.mean
+
+    def least_squares(self, weights: Tensor, totals: Sequence[Tensor] | None = None) -> tuple[Tensor, Tensor]:
+        """Return x (n,) and its covariance (n, n) for joints weighted by ``weights`` (n_dof,), 1 / variance.
+
+        Args:
+            weights: of the joints.
+            totals: per joint, moments (p_j + 1, p_j + 1); those of the fitted blocks if not given.
+        """
+        totals = self.training.total() if totals is None else totals
+        H, h = assemble(self.training.columns, totals, weights)
+        H_b = H[self.chosen][:, self.chosen]
+        inverse, _ = pseudo_inverse(H_b, H_b.diagonal().sqrt())
+        beta = inverse @ (h - H @ self.reference)[self.chosen]
+        return self.reference + self.lift @ beta, self.lift @ inverse @ self.lift.T
+
+    def weighted(self) -> tuple[Tensor, Tensor]:
+        """Return x (n,) of weighted least squares and the joints' residual variances (n_dof,) that weigh it."""
+        variance = first_noise_variance(self.training)
+        for _ in range(_MOST_ROUNDS):
+            x, covariance = self.least_squares(1.0 / variance)
+            found = residual_variance(self.training, x, covariance, variance)
+            seen = torch.isfinite(found)
+            settled = bool(((found / variance).log()[seen].abs() < _SETTLED).all())
+            variance = found
+            if settled:
+                break
+        return self.least_squares(1.0 / variance)[0], variance
+
+    def samples(self) -> Iterator[tuple[States, Tensor, Tensor]]:
+        """Stream tiles of the fitted recordings: states, which outputs (M,) are fitted, which joints (n_dof,) count."""
+        prepared = self.prepared
+        for k, recording in enumerate(prepared.recordings):
+            spans = [(b.start_s, b.end_s) for b in self.training.blocks if b.recording == recording.name]
+            if not spans:
+                continue
+            start, end = torch.tensor(spans, dtype=torch.float64).T
+            for states in prepared.tiles(k):
+                t = states.t_out.unsqueeze(1)
+                yield states, ((t >= start) & (t <= end)).any(1), prepared.measured(k)
+
+
+def linear_problem(prepared: Prepared, terms: Sequence[Candidate] = ()) -> LinearProblem:
+    """Find what the data tells of a robot's inertial parameters and of terms.
+
+    Args:
+        prepared: the data.
+        terms: effects that are fitted beside the inertial parameters.
+    """
+    columns, prior, training = prepared.columns, prepared.prior, prepared.training
+    own = torch.tensor(sorted({k for c in terms for k in columns.of(c)}), dtype=torch.long)
+    free = torch.cat((prior.inertial, own))
+    H, _ = assemble(columns, training.total(), 1.0 / first_noise_variance(training))
+    H = H[free][:, free]
+    # What a column tells in units of the prior: that of a parameter without effect is rounding, not exactly zero.
+    told = H.diagonal() * prior.scale[free].square().sum(1)
+    length = torch.where(told > _EFFECT * told.max(), H.diagonal(), torch.inf).sqrt()
+    G = H / (length.unsqueeze(1) * length)
+    (pivoted_cholesky,) = scipy.linalg.get_lapack_funcs(("pstrf",), (G.numpy(),))
+    _, pivots, rank, _ = pivoted_cholesky(G.numpy(), tol=_DEPENDENT)
+    picked = torch.from_numpy(np.sort(pivots[:rank] - 1)).long()
+    G_b = G[picked][:, picked]
+    # An infinite length marks a column without effect: it has no part in any beta.
+    K = torch.linalg.solve(G_b, G[picked]) * length[picked].reciprocal().unsqueeze(1)
+    K = torch.where(length.isinf(), 0.0, K * length)
+    # The shortest z with K S z = beta, by QR of (K S)': R'Q'z = beta.
+    Q, R = torch.linalg.qr((K @ prior.scale[free][:, free]).T)
+    lift = prior.scale[:, free] @ torch.linalg.solve_triangular(R.T, Q, upper=False, left=False)
+    stiffness = torch.linalg.eigvalsh(G_b)
+    condition = float((stiffness[-1] / stiffness[0].clamp_min(1e-300)).sqrt())
+    return LinearProblem(prepared, training, tuple(terms), free, free[picked], lift, condition)
+
+
+def pseudo_inverse(A: Tensor, length: Tensor) -> tuple[Tensor, int]:
+    """Return the inverse of normal equations A (d, d), and their rank: directions lost in rounding are left out.
+
+    Args:
+        A: not necessarily symmetric (instruments).
+        length: (d,) of the columns, to balance A.
+    """
+    scale = length.unsqueeze(1) * length
+    U, s, Vh = torch.linalg.svd(A / scale)
+    rank = int((s > _SINGULAR * s[:1]).sum())
+    return (Vh[:rank].T / s[:rank]) @ U[:, :rank].T / scale, rank
