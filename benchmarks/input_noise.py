@@ -29,10 +29,13 @@ from torchrbd.robot import RobotModel
 FIRST_SEED = {"development": 0, "final": 1000}
 
 
-def parameters(name: str, recording: Recording, urdf: str, cutoff_hz: float) -> np.ndarray:
+def parameters(
+    name: str, recording: Recording, urdf: str, cutoff_hz: float, told_noise: float | None = None
+) -> np.ndarray:
     """Return the parameters (10 n,) that an estimator finds, before any projection; NaN where it cannot be used."""
     if name not in estimators():
-        return torchrbd.identify(urdf, recording, cutoff_hz=cutoff_hz, estimator=name).model.pi.detach().numpy()
+        options = {"cutoff_hz": cutoff_hz, "estimator": name, "encoder_noise": told_noise}
+        return torchrbd.identify(urdf, recording, **options).model.pi.detach().numpy()
     robot = RobotModel.from_urdf(urdf)
     prepared = prepare(robot, [recording], Settings(cutoff_hz=cutoff_hz, estimator=name), ())
     try:
@@ -41,8 +44,10 @@ def parameters(name: str, recording: Recording, urdf: str, cutoff_hz: float) -> 
         return np.full(robot.n_params, np.nan)
 
 
-def row(urdf: str, seeds: range, cutoff_hz: float, estimators: list[str], **options) -> list[float]:
-    """Return geometric means over seeds: of the URDF, of exact positions, and of every estimator."""
+def row(
+    urdf: str, seeds: range, cutoff_hz: float, estimators: list[str], misstated: list[float], **options
+) -> list[float]:
+    """Return geometric means over seeds: of the URDF, of exact positions, of every estimator, of misstated noise."""
     errors = []
     for seed in seeds:
         given = perturbed(urdf, seed)
@@ -50,6 +55,8 @@ def row(urdf: str, seeds: range, cutoff_hz: float, estimators: list[str], **opti
         noisy, _ = noisy_recording(urdf, seed, **options)
         found = [true_parameters(given), parameters("auto", exact, given, cutoff_hz)]
         found += [parameters(name, noisy, given, cutoff_hz) for name in estimators]
+        noise = options["encoder_noise"]
+        found += [parameters("smoother", noisy, given, cutoff_hz, factor * noise) for factor in misstated]
         errors.append([torque_nmse(urdf, pi, seed, fastest_hz=options["fastest_hz"]) for pi in found])
     return list(np.exp(np.log(errors).mean(0)))
 
@@ -60,6 +67,7 @@ def main() -> None:
     parser.add_argument("--robots", choices=FIRST_SEED, default="development")
     parser.add_argument("--seeds", type=int, default=1, help="recordings per row")
     parser.add_argument("--estimators", nargs="+", default=["auto"], help="of identify")
+    parser.add_argument("--misstated", nargs="+", type=float, default=[], help="smoother told so many times the noise")
     parser.add_argument("--loops", nargs="+", choices=("open", "closed"), default=["open", "closed"])
     parser.add_argument("--cutoff-hz", nargs="+", type=float, default=[5.0, 10.0, 30.0])
     parser.add_argument("--encoder-noise", nargs="+", type=float, default=[1e-4, 3e-4, 1e-3, 3e-3], help="[rad]")
@@ -69,8 +77,9 @@ def main() -> None:
     robots = development_robots() if chosen.robots == "development" else final_robots()
     seeds = range(FIRST_SEED[chosen.robots], FIRST_SEED[chosen.robots] + chosen.seeds)
 
+    told = [f"told x {factor:g}" for factor in chosen.misstated]
     table = Table(title=f"torque nMSE, {chosen.seeds} recordings a row, motion up to {chosen.fastest_hz:g} Hz")
-    for heading in ("robot", "loop", "cut-off Hz", "noise rad", "URDF", "exact q", *chosen.estimators):
+    for heading in ("robot", "loop", "cut-off Hz", "noise rad", "URDF", "exact q", *chosen.estimators, *told):
         table.add_column(heading, justify="right")
     cases: list[tuple[float, float]] = list(product(chosen.cutoff_hz, chosen.encoder_noise))
     pooled: dict[tuple[float, float], list[list[float]]] = {case: [] for case in cases}
@@ -81,6 +90,7 @@ def main() -> None:
             seeds,
             cutoff,
             chosen.estimators,
+            chosen.misstated,
             loop=loop,
             encoder_noise=noise,
             torque_colour_s=chosen.torque_colour_s,

@@ -137,8 +137,9 @@ identified with every method, and three controllers then use the parameters on m
   white noise, motor torques with {torque:g} % of each joint's RMS, and the set-points. No velocity is measured. The
   eyes move at up to {eye:g} Hz, the neck calmly, as heads do: one cut-off has to suit all joints, so that what is
   differentiated from the neck's positions is noisy against its motion.
-- **Methods.** The classical ones ({classical}) see the same filtered moments and are used as they come out, without
-  regard to what is physical. "{default}" is `torchrbd.identify` without any option.
+- **Methods.** The classical ones see the same filtered moments and are used as they come out, without regard to what is
+  physical: {classical}.
+  "{default}" is `torchrbd.identify` without any option.
 - **Control.** Two motions of {controlled:g} s, a sum of sines (neck up to {neck_test:g} Hz, eyes up to {eye_test:g} Hz)
   and gaze shifts, with {control:g} rad of encoder noise: noise adds as much to the error of every method and hides what
   the parameters cause. Gains were fixed before any method was compared (`examples/vision_head/control.py`). The URDF's

@@ -156,7 +156,8 @@ def _regime(prepared: Prepared) -> str:
             f"position noise matters: fitted to filtered states, parameters would have {size} times the squared error"
         )
     else:
-        effect = f"position noise hardly matters: it adds {100 * (excess - 1):.1g} % to the parameters' squared error"
+        share = "less than 1" if excess < 1.01 else f"{100 * (excess - 1):.1g}"
+        effect = f"position noise hardly matters: it adds {share} % to the parameters' squared error"
     return effect + (
         "; states are filtered" if prepared.states is None else "; states and parameters are smoothed together"
     )

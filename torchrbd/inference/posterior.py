@@ -34,7 +34,7 @@ from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 
 # The Gaussian that proposes has this part of the prior's curvature: the prior's tails are heavier than a Gaussian's.
 _SLACK = 0.8
-_CHAINS, _PILOT, _MOST_THINNING, _WINDOW = 32, 256, 64, 5.0
+_CHAINS, _PILOT, _MOST_THINNING, _WINDOW = 256, 512, 128, 5.0
 _WISHART = 2.5
 _LEAST = 1e-13
 _CHUNK = 2048
