@@ -31,6 +31,8 @@ from torchrbd.inference.regression import (
     FactorRegression,
     Lasso,
     Moments,
+    NoiseRange,
+    NoisyInputRegression,
     OrdinaryLeastSquares,
     PartialLeastSquares,
     PrincipalComponents,
@@ -40,7 +42,6 @@ from torchrbd.inference.regression import (
     TotalLeastSquares,
     TruncatedSVD,
 )
-from torchrbd.inference.regression.noisy_input import NoiseRange, NoisyInputRegression
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "synthetic_regression.md"
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"

@@ -21,14 +21,12 @@ class UncertainStates:
     """The last linearisation of the smoother.
 
     Attributes:
-        x: (n,) coefficients that the states were estimated with.
         gram: H (n, n) there.
         lost: L (n, n) there.
         used: (n_dof,) torque samples that the states have used up.
         torque_variance: (n_dof,) noise there.
     """
 
-    x: Tensor
     gram: Tensor
     lost: Tensor
     used: Tensor
@@ -37,8 +35,9 @@ class UncertainStates:
     def discount(self, prior: Prior, known: Scaled) -> Scaled:
         """Return the normal equations of torques whose states are uncertain from those for known states.
 
-        The share lost in each direction is kept where H has changed:  L' = C' C^-1 L C^-T C'^T,  C C^T = H + 1 in prior
-        coordinates. The slope at ``x`` stays: h' = h - L' z.
+        In prior coordinates, a fit to the states as they are has z^ = (H + 1)^-1 h; it stays where it is, but is known
+        less well:  h' = h - L' z^. The share lost in each direction is kept where H has changed since the states were
+        estimated:  L' = C' C^-1 L C^-T C'^T,  C C^T = H + 1.
         """
         S = prior.scale
         one = torch.eye(len(S), dtype=S.dtype)
@@ -46,5 +45,5 @@ class UncertainStates:
         now = torch.linalg.cholesky(known.H + one)
         half = now @ torch.linalg.solve_triangular(before, S.T, upper=False)
         lost = half @ self.lost @ half.T
-        z = torch.linalg.lstsq(S, (self.x - prior.mean).unsqueeze(1), driver="gelsd").solution.squeeze(1)
+        z = torch.cholesky_solve(known.h.unsqueeze(1), now).squeeze(1)
         return Scaled(known.H - lost, known.h - lost @ z)

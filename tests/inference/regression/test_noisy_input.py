@@ -131,7 +131,9 @@ def test_bound_gradient(merged: bool) -> None:
     fields = fields if s.hidden_noise is None else (*fields, s.hidden_noise)
 
     def value(*v: Tensor) -> Tensor:
-        return elbo(evidence, PRIORS, Posterior(*v[:6], v[7] if len(v) == 8 else None, v[6]))
+        return elbo(
+            evidence, PRIORS, Posterior(v[0], v[1], v[2], v[3], v[4], v[5], v[7] if len(v) == 8 else None, v[6])
+        )
 
     assert torch.autograd.gradcheck(value, [f.clone().requires_grad_() for f in fields])
 
@@ -152,13 +154,13 @@ FORMS = list(forms(torch.zeros(1)))
 
 @pytest.mark.parametrize("form", FORMS)
 def test_bound_never_falls(form: str) -> None:
-    for seed in range(8):
+    for seed in range(6):
         d = 2 + seed % 7
         X, y = small(seed + 50, n=20 + 15 * seed, d=d)
         X = X * torch.logspace(-3, 3, d).double()
         noise = (0.4 * torch.logspace(-3, 3, d).double()) ** 2
-        history = NoisyInputRegression(**forms(noise)[form], iterations=100, tolerance=-1.0).fit(X, y).history
-        assert len(history) == 101
+        history = NoisyInputRegression(**forms(noise)[form], iterations=60, tolerance=-1.0).fit(X, y).history
+        assert len(history) == 61
         assert float(history.diff().min()) > -1e-10 * float(history.abs().max())
 
 

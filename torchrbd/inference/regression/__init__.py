@@ -7,6 +7,7 @@ from torchrbd.inference.regression.cross_validated import Lasso, PartialLeastSqu
 from torchrbd.inference.regression.errors_in_variables import EIVARD
 from torchrbd.inference.regression.factor_regression import FactorRegression
 from torchrbd.inference.regression.moments import Moments
+from torchrbd.inference.regression.noisy_input import NoiseRange, NoisyInputRegression
 
 __all__ = [
     "EIVARD",
@@ -15,6 +16,8 @@ __all__ = [
     "FactorRegression",
     "Lasso",
     "Moments",
+    "NoiseRange",
+    "NoisyInputRegression",
     "OrdinaryLeastSquares",
     "PartialLeastSquares",
     "PrincipalComponents",

@@ -15,9 +15,8 @@ from torchrbd.inference.regression.errors_in_variables import noise_covariance
 from torchrbd.inference.regression.factor_model import LEAST_OWN, FactorModel, choose_rank, fit_factors
 from torchrbd.inference.regression.moments import Moments
 
-# An input that shares less than this with all others gives no hint of its noise.
-_LEAST_COMMUNALITY = 0.2
-_SIGNAL_SHARE = 0.1
+# An input that shares less than the first with all others gives no hint of its noise; the second bounds b.
+_LEAST_COMMUNALITY, _SIGNAL_SHARE = 0.2, 0.1
 
 
 class FactorRegression(Regression):
@@ -53,8 +52,7 @@ class FactorRegression(Regression):
         own_parts: "stepwise" for few, "ard" for many or weak ones; "ard" then shrinks the factors' weights too.
 
     Attributes:
-        model: factor model, its ``own`` and ``noise`` as used in S.
-        rank: as given or chosen.
+        model: factor model, its its rank as given or chosen, ``own`` and ``noise`` as used in S.
     """
 
     name = "factor"
@@ -86,7 +84,7 @@ class FactorRegression(Regression):
             own = torch.where((delta != 0.0) | (found.communality < _LEAST_COMMUNALITY), own, 0.0)
         used = torch.maximum(own, _SIGNAL_SHARE * found.rest.diagonal())
         self._noisy_coefficients = W @ weights
-        self.rank, self.model = rank, FactorModel(found.loadings, used, found.rest - torch.diag(used))
+        self.model = FactorModel(found.loadings, used, found.rest - torch.diag(used))
         S = torch.linalg.cholesky(found.loadings @ found.loadings.T + torch.diag(used))
         return torch.cholesky_solve((found.loadings @ gamma + own * delta).unsqueeze(1), S).squeeze(1)
 

@@ -71,11 +71,11 @@ def eliminate(
 ) -> tuple[Information, Tensor]:
     """Return what a stretch says of the ``wanted`` columns of x, and the step H^-1 g of its coefficients c (K, n)."""
     at = linearise(columns, stretch, c, x)
-    n, width = columns.robot.n_dof, stretch.grid.width
+    n, block = columns.robot.n_dof, stretch.grid.block
     weight = (stretch.counts / torque_variance).sqrt()
-    J, Y, r = _weighted(at, weight, wanted, width)
+    J, Y, r = _weighted(at, weight, wanted, stretch.grid.outputs_per_block)
     pull = (stretch.gram @ (stretch.encoder - c)) / encoder_variance
-    gram = _blocks(stretch.gram, width, len(J) + 1)
+    gram = _blocks(stretch.gram, block, len(J) + 1)
     told, told_below = (
         torch.einsum("bkl,ij->bkilj", G, torch.diag(1 / encoder_variance)).flatten(3, 4).flatten(1, 2) for G in gram
     )
@@ -83,7 +83,7 @@ def eliminate(
     # coefficients that only fill up the last block have nothing else on their diagonal
     filled = torch.cat((c.new_zeros(c.numel()), c.new_ones(told.shape[0] * told.shape[1] - c.numel())))
     factor = BlockCholesky.of(diagonal + told + torch.diag_embed(filled.reshape(len(told), -1)), below + told_below)
-    g = fold_rows(J.mT @ r.unsqueeze(-1)) + _padded(pull, width, len(J) + 1).unsqueeze(-1)
+    g = fold_rows(J.mT @ r.unsqueeze(-1)) + _padded(pull, block, len(J) + 1).unsqueeze(-1)
     half = factor.half_solve(torch.cat((g, fold_rows(J.mT @ Y)), -1)).flatten(0, 1)
     covariance = factor.inverse_windows()
     leverage = ((J @ covariance) * J).sum(-1).reshape(-1, n)[: stretch.grid.outputs]
@@ -96,22 +96,22 @@ def eliminate(
         count=stretch.counts.sum(0),
         spread=leverage.sum(0) * torque_variance,
         samples=stretch.samples,
-        wander=_wander(gram, covariance, n, width),
+        wander=_wander(gram, covariance, n, block),
         entropy=-0.5 * factor.logdet(),
-        velocity_noise=stretch.grid.outputs * _velocity_variance(covariance, n, width, stretch.grid.spacing),
+        velocity_noise=stretch.grid.outputs * _velocity_variance(covariance, n, block, stretch.grid.spacing),
         outputs=stretch.grid.outputs,
     )
     return found, step
 
 
-def _weighted(at: Linearisation, weight: Tensor, wanted: Tensor, width: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return sqrt(W) J, Y and r, rows in blocks: (b, width n, .), (b, width n, k), (b, width n)."""
+def _weighted(at: Linearisation, weight: Tensor, wanted: Tensor, rows: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Return sqrt(W) J, Y and r, rows in blocks: (b, rows n, .), (b, rows n, k), (b, rows n)."""
     n_blocks = len(at.J)
 
     def blocked(values: Tensor) -> Tensor:
-        missing = n_blocks * width - len(values)
+        missing = n_blocks * rows - len(values)
         padded = torch.cat((values, values.new_zeros(missing, *values.shape[1:])))
-        return padded.unflatten(0, (n_blocks, width)).flatten(1, 2)
+        return padded.unflatten(0, (n_blocks, rows)).flatten(1, 2)
 
     return (
         at.J * blocked(weight).unsqueeze(-1),
@@ -120,33 +120,33 @@ def _weighted(at: Linearisation, weight: Tensor, wanted: Tensor, width: int) -> 
     )
 
 
-def _padded(values: Tensor, width: int, n_blocks: int) -> Tensor:
-    """Return coefficients' values (K, n) as block rows (n_blocks, width n), zero beyond K."""
-    missing = n_blocks * width - len(values)
+def _padded(values: Tensor, block: int, n_blocks: int) -> Tensor:
+    """Return coefficients' values (K, n) as block rows (n_blocks, block n), zero beyond K."""
+    missing = n_blocks * block - len(values)
     return torch.cat((values, values.new_zeros(missing, values.shape[1]))).reshape(n_blocks, -1)
 
 
-def _blocks(gram: Tensor, width: int, n_blocks: int) -> tuple[Tensor, Tensor]:
-    """Return the blocks (n_blocks, width, width) of B'B and those below them, zero beyond its end."""
-    size = n_blocks * width
+def _blocks(gram: Tensor, block: int, n_blocks: int) -> tuple[Tensor, Tensor]:
+    """Return the blocks (n_blocks, block, block) of B'B and those below them, zero beyond its end."""
+    size = n_blocks * block
     whole = gram.new_zeros(size, size)
     whole[: len(gram), : len(gram)] = gram
-    parts = whole.unflatten(0, (n_blocks, width)).unflatten(2, (n_blocks, width)).transpose(1, 2)
+    parts = whole.unflatten(0, (n_blocks, block)).unflatten(2, (n_blocks, block)).transpose(1, 2)
     at = torch.arange(n_blocks)
     return parts[at, at], parts[at[1:], at[:-1]]
 
 
-def _velocity_variance(covariance: Tensor, n: int, width: int, spacing: float) -> Tensor:
+def _velocity_variance(covariance: Tensor, n: int, block: int, spacing: float) -> Tensor:
     """Return the median over the knots of var(qd) (n,), with qd = (c_i+1 - c_i-1) / 2 h there."""
-    own = covariance.unflatten(2, (2 * width, n)).unflatten(1, (2 * width, n)).diagonal(dim1=2, dim2=4)
-    before, after = torch.arange(width), torch.arange(width) + 2
+    own = covariance.unflatten(2, (2 * block, n)).unflatten(1, (2 * block, n)).diagonal(dim1=2, dim2=4)
+    before, after = torch.arange(block), torch.arange(block) + 2
     variance = own[:, before, before] + own[:, after, after] - 2 * own[:, before, after]
     return variance.flatten(0, 1).median(0).values / (2 * spacing) ** 2
 
 
-def _wander(gram: tuple[Tensor, Tensor], covariance: Tensor, n: int, width: int) -> Tensor:
+def _wander(gram: tuple[Tensor, Tensor], covariance: Tensor, n: int, block: int) -> Tensor:
     """Return tr(B'B cov(c_i)) of each joint i (n,)."""
-    windows = covariance.unflatten(2, (2, width, n)).unflatten(1, (2, width, n))
+    windows = covariance.unflatten(2, (2, block, n)).unflatten(1, (2, block, n))
     own = windows.diagonal(dim1=3, dim2=6)
     first = torch.einsum("bkl,bkli->i", gram[0][:-1], own[:, 0, :, 0])
     last = torch.einsum("kl,kli->i", gram[0][-1], own[-1, 1, :, 1])

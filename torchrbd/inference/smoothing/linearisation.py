@@ -2,8 +2,8 @@
 
     tau_f = F [Y(s(c)) x] + noise,   d tau_f = F [D_q B dc + D_qd B' dc + D_qdd B'' dc] + F[Y] dx
 
-F the torque filter, B the spline basis, D the slopes of the inverse dynamics. A torque sample depends on ``width``
-coefficients of every joint, so that ``width`` of them make one block of a block tridiagonal system.
+F the torque filter, B the spline basis, D the slopes of the inverse dynamics. A torque sample depends on so many
+coefficients of every joint as make one block, so that the system is block tridiagonal.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class Linearisation:
     Attributes:
         residual: (O, n).
         Y: (O, n, n_columns) band-limited columns of x.
-        J: (n_blocks - 1, width n, 2 width n) slopes in c; the rows of a block are its torques, its columns the
-            coefficients of this block and the next.
+        J: (n_blocks - 1, outputs_per_block n, 2 block n) slopes in c; the rows are the torques that begin in a block,
+            the columns the coefficients of this block and the next.
     """
 
     residual: Tensor
@@ -37,31 +37,31 @@ class Linearisation:
     J: Tensor
 
 
-def half_knot_states(stretch: Stretch, c: Tensor) -> States:
-    """Return the states of coefficients c (K, n) at the half knots; differentiable in c."""
+def states_at_instants(stretch: Stretch, c: Tensor) -> States:
+    """Return the states of coefficients c (K, n) where the dynamics are evaluated; differentiable in c."""
     grid = stretch.grid
-    q, qd, qdd = (grid.half_knot_basis @ c).mT
-    t = torch.from_numpy(grid.half_knots)
-    t_out = t[grid.half : len(t) - grid.half : 2]
-    step = 0.5 * grid.spacing
+    q, qd, qdd = (grid.basis @ c).mT
+    t = torch.from_numpy(grid.instants)
+    t_out = t[grid.reach : len(t) - grid.reach : 2]
+    step = 0.5 * grid.output_step
     return States(stretch.segment, step, t, q, qd, qdd, torch.zeros_like(q), t_out, _kernel=grid.kernel, _stride=2)
 
 
 def residual(columns: Columns, stretch: Stretch, c: Tensor, x: Tensor) -> Tensor:
     """Return measured minus predicted band-limited torque (O, n); differentiable in c and x."""
-    states = half_knot_states(stretch, c)
+    states = states_at_instants(stretch, c)
     return stretch.tau - states.decimate(predict(columns, x, states)).T
 
 
 def linearise(columns: Columns, stretch: Stretch, c: Tensor, x: Tensor) -> Linearisation:
     """Linearise the torque of a stretch around coefficients c (K, n) and x (n_columns,)."""
     grid, n = stretch.grid, columns.robot.n_dof
-    states = half_knot_states(stretch, c)
+    states = states_at_instants(stretch, c)
     rows, _ = filtered_rows(columns, states)
     Y = c.new_zeros(grid.outputs, n, columns.n)
     for joint, own in enumerate(columns.of_joint):
         Y[:, joint, own] = rows[joint][:-1].T
-    seen = _slopes(columns, states, x).unfold(-1, 2 * grid.half + 1, 2).permute(3, 0, 2, 1, 4)
+    seen = _slopes(columns, states, x).unfold(-1, 2 * grid.reach + 1, 2).permute(3, 0, 2, 1, 4)
     J = seen.flatten(3) @ grid.filtered_basis
     return Linearisation(stretch.tau - torch.einsum("ojk,k->oj", Y, x), Y, in_blocks(grid, J))
 
@@ -79,9 +79,9 @@ def _slopes(columns: Columns, states: States, x: Tensor) -> Tensor:
 def in_blocks(grid: Grid, J: Tensor) -> Tensor:
     """Place slopes (O, n, n, width), of torque j in joint i's coefficients, in blocks; see ``Linearisation``."""
     outputs, n, _, width = J.shape
-    n_blocks = -(-outputs // width)
-    blocks = J.new_zeros(n_blocks, width, n, 2 * width, n)
-    for place in range(width):
-        rows = J[place::width].transpose(2, 3)
-        blocks[: len(rows), place, :, place : place + width] = rows
-    return blocks.reshape(n_blocks, width * n, 2 * width * n)
+    rows, shift, block = grid.outputs_per_block, grid.per_output, grid.block
+    blocks = J.new_zeros(-(-outputs // rows), rows, n, 2 * block, n)
+    for place in range(rows):
+        own = J[place::rows].transpose(2, 3)
+        blocks[: len(own), place, :, shift * place : shift * place + width] = own
+    return blocks.reshape(len(blocks), rows * n, 2 * block * n)

@@ -27,8 +27,8 @@ class Trajectory:
     def __call__(self, states: States) -> States:
         """Return the tile with smoothed q, qd and qdd; torque and times stay."""
         own = [part for part in self.parts if part[0].segment == states.segment]
-        # a stretch ends half a knot before the next one's first torque
-        ends = [s.grid.first_output - 0.5 * s.grid.spacing for s, _ in own[1:]]
+        # a stretch ends midway to the next one's first torque
+        ends = [s.grid.first_output - 0.5 * s.grid.output_step for s, _ in own[1:]]
         number = torch.bucketize(states.t, torch.tensor(ends, dtype=torch.float64))
         q, qd, qdd = (torch.empty_like(states.q) for _ in range(3))
         for k, (stretch, c) in enumerate(own):
@@ -82,7 +82,7 @@ def smooth(
         def counted(t: Tensor, k: int = k, name: str = recording.name) -> Tensor:
             return ~kept_back(name, t).unsqueeze(1) & reading.measured(k)
 
-        found.append(tuple(stretches(recording, reading.surveys[k], reading.filtering, reading.tiles(k), counted)))
+        found.append(stretches(recording, reading.surveys[k], reading.filtering, reading.tiles(k), counted))
     encoder = torch.stack([torch.from_numpy(s.q_noise_std) for s in reading.surveys]).square().mean(0).sqrt()
     used = [s for own in found for s in own if bool(s.counts.any())]
     columns = start.columns
@@ -101,7 +101,7 @@ def smooth(
         Trajectory(tuple((s, next(moved).detach() if bool(s.counts.any()) else s.encoder) for s in own))
         for own in found
     )
-    states = UncertainStates(x, said.gram, said.lost, said.spread / torque.square(), torque.square())
+    states = UncertainStates(said.gram, said.lost, said.spread / torque.square(), torque.square())
     return Smoothed(trajectories, sharper, states, encoder)
 
 

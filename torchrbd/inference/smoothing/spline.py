@@ -1,15 +1,16 @@
-"""Cubic splines on uniform knots, aligned with the band-limited torque: one knot at each of its samples.
+"""Cubic splines on uniform knots, aligned with the band-limited torque.
 
     q(t) = sum_i c_i beta((t - t_0) / h - i + 1),   beta the cubic B-spline of support 4
 
-The knot spacing h = dt_out, about 0.4 / f_c, passes motion up to 1.25 f_c. The torque filter reaches over ``half``
-half knots to each side, so that torque sample o depends on the ``width = half + 3`` coefficients from o on.
+Torque is sampled every dt_out, about 0.4 / f_c. One knot to a torque sample bends a motion near f_c (5 Hz at f_c = 7 Hz
+by some per cent, all of which would go into the parameters); two pass it, but more noise with it. The dynamics are
+evaluated every dt_out / 2; the torque filter reaches over ``reach`` of these steps to each side.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -25,35 +26,52 @@ class Grid:
 
     Attributes:
         start: time of the first knot [s].
-        spacing: h [s].
+        output_step: time between torque samples, dt_out [s].
+        per_output: knots to a torque sample, 1 or 2.
         outputs: number of torque samples.
-        kernel: (2 half + 1,) torque filter, sampled at half knots; half is even.
+        kernel: (2 reach + 1,) torque filter, sampled every dt_out / 2; reach is even.
     """
 
     start: float
-    spacing: float
+    output_step: float
+    per_output: int
     outputs: int
     kernel: Tensor
 
     @property
-    def half(self) -> int:
-        """Reach of the torque filter in half knots."""
+    def spacing(self) -> float:
+        """Time between knots, h [s]."""
+        return self.output_step / self.per_output
+
+    @property
+    def reach(self) -> int:
+        """Reach of the torque filter, in steps of dt_out / 2."""
         return len(self.kernel) // 2
 
     @property
     def width(self) -> int:
-        """Coefficients that one torque sample depends on."""
-        return self.half + _DEGREE
+        """Coefficients that one torque sample depends on: torque sample o on those from ``per_output`` o."""
+        return self.per_output * self.reach + _DEGREE
+
+    @property
+    def outputs_per_block(self) -> int:
+        """Torque samples whose coefficients begin in the same block, so that they end in the next one."""
+        return -(-self.width // self.per_output)
+
+    @property
+    def block(self) -> int:
+        """Coefficients of one joint in a block."""
+        return self.per_output * self.outputs_per_block
 
     @property
     def n_coefficients(self) -> int:
         """Coefficients of one joint."""
-        return self.outputs - 1 + self.width
+        return self.per_output * (self.outputs - 1) + self.width
 
     @property
     def first_output(self) -> float:
         """Time of the first torque sample [s]."""
-        return self.start + 0.5 * self.half * self.spacing
+        return self.start + 0.5 * self.reach * self.output_step
 
     @property
     def end(self) -> float:
@@ -61,36 +79,38 @@ class Grid:
         return self.start + (self.n_coefficients - _DEGREE) * self.spacing
 
     @property
-    def half_knots(self) -> np.ndarray:
-        """Times of the knots and the middles between them, where the dynamics are evaluated [s]."""
-        return self.start + 0.5 * self.spacing * np.arange(2 * (self.n_coefficients - _DEGREE) + 1)
+    def instants(self) -> np.ndarray:
+        """Times at which the dynamics are evaluated [s]."""
+        return self.start + 0.5 * self.output_step * np.arange(2 * (self.outputs - 1 + self.reach) + 1)
 
-    def basis(self, t: np.ndarray) -> Tensor:
-        """Return value, first and second derivative of the basis (3, N, n_coefficients) at times within the grid."""
-        spline = BSpline(self._knots, np.eye(self.n_coefficients), _DEGREE, extrapolate=True)
-        return torch.from_numpy(np.stack([spline(t, nu=order) for order in range(3)]))
+    @property
+    def basis(self) -> Tensor:
+        """Value, first and second derivative of the basis at the instants (3, N, n_coefficients)."""
+        return _basis(self.n_coefficients, self.spacing, len(self.instants), 0.5 * self.output_step)
 
-    @cached_property
-    def half_knot_basis(self) -> Tensor:
-        """The basis at the half knots."""
-        return self.basis(self.half_knots)
-
-    @cached_property
+    @property
     def filtered_basis(self) -> Tensor:
-        """The basis that one torque sample sees, times the filter: (3 (2 half + 1), width)."""
-        window = self.half_knot_basis[:, : 2 * self.half + 1, : self.width]
+        """The basis that one torque sample sees, times the filter: (3 (2 reach + 1), width)."""
+        window = self.basis[:, : 2 * self.reach + 1, : self.width]
         return (self.kernel[:, None] * window).flatten(0, 1)
 
     def sample_basis(self, t: np.ndarray):
-        """Return the basis as a sparse matrix (N, n_coefficients)."""
-        return BSpline.design_matrix(np.clip(t, self.start, self.end), self._knots, _DEGREE)
+        """Return the basis at times t as a sparse matrix (N, n_coefficients)."""
+        knots = self.start + _knots(self.n_coefficients, self.spacing)
+        return BSpline.design_matrix(np.clip(t, self.start, self.end), knots, _DEGREE)
 
     def states(self, coefficients: Tensor, t: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
         """Return q, qd, qdd, each (n, N), of coefficients (n_coefficients, n) at times t."""
-        spline = BSpline(self._knots, coefficients.detach().numpy(), _DEGREE, extrapolate=True)
-        q, qd, qdd = (torch.from_numpy(spline(t, nu=order).T.copy()) for order in range(3))
+        spline = BSpline(_knots(self.n_coefficients, self.spacing), coefficients.numpy(), _DEGREE)
+        q, qd, qdd = (torch.from_numpy(spline(t - self.start, nu=order).T.copy()) for order in range(3))
         return q, qd, qdd
 
-    @property
-    def _knots(self) -> np.ndarray:
-        return self.start + self.spacing * np.arange(-_DEGREE, self.n_coefficients + 1)
+
+def _knots(n_coefficients: int, spacing: float) -> np.ndarray:
+    return spacing * np.arange(-_DEGREE, n_coefficients + 1)
+
+
+@lru_cache(maxsize=4)
+def _basis(n_coefficients: int, spacing: float, instants: int, step: float) -> Tensor:
+    spline = BSpline(_knots(n_coefficients, spacing), np.eye(n_coefficients), _DEGREE)
+    return torch.from_numpy(np.stack([spline(step * np.arange(instants), nu=order) for order in range(3)]))

@@ -18,7 +18,9 @@ from torch import Tensor
 from torchrbd.inference.smoothing.spline import Grid
 from torchrbd.recordings import Filtering, Recording, States, Survey, uniform_blocks
 
-_MOST_OUTPUTS = 500
+_MOST_OUTPUTS = 300
+_SAMPLES_PER_KNOT = 2
+_SURELY = 4.0
 _BANDWIDTH = 3
 
 
@@ -53,8 +55,8 @@ def stretches(
     filtering: Filtering,
     tiles: Iterable[States],
     counted: Callable[[Tensor], Tensor],
-) -> Iterator[Stretch]:
-    """Cut a recording into stretches.
+) -> tuple[Stretch, ...]:
+    """Cut a recording into stretches, with one knot to a torque sample, or two if the motion needs them.
 
     Args:
         recording, survey, filtering: the data.
@@ -62,22 +64,40 @@ def stretches(
         counted: tells for times (O,) which torques (O, n) count, bool.
     """
     torques: dict[int, list[tuple[Tensor, Tensor]]] = {}
-    spacing = 0.0
+    step = 0.0
     for states in tiles:
-        spacing = states.dt_out
+        step = states.dt_out
         tau = states.decimate(torch.nan_to_num(states.tau)).T
         torques.setdefault(states.segment, []).append((states.t_out, tau))
-    kernel = filtering.feature_kernel_at(survey.clock.dt, 0.5 * spacing)
+    kernel = filtering.feature_kernel_at(survey.clock.dt, 0.5 * step)
+    roomy = filtering.stride(survey.clock.dt) >= 2 * _SAMPLES_PER_KNOT
+    coarse, fine = [], []
     for segment, t, q in _positions(recording, survey):
-        if segment not in torques:
-            continue
-        t_out, tau = (torch.cat(parts) for parts in zip(*torques.pop(segment), strict=True))
-        for t_part, tau_part in zip(t_out.split(_MOST_OUTPUTS), tau.split(_MOST_OUTPUTS), strict=True):
-            start = float(t_part[0]) - 0.25 * (len(kernel) - 1) * spacing
-            grid = Grid(start, spacing, len(t_part), kernel)
-            inside = (t >= grid.start - 1e-9) & (t <= grid.end + 1e-9)
-            counts = counted(t_part) * filtering.effective_rate * spacing
-            yield Stretch(segment, grid, tau_part, counts, *_least_squares(grid, t[inside], q[:, inside]))
+        for t_out, tau in _parts(torques.get(segment, [])):
+            start = float(t_out[0]) - 0.25 * (len(kernel) - 1) * step
+            counts = counted(t_out) * filtering.effective_rate * step
+            for per_output, found in ((1, coarse), (2, fine))[: 1 + roomy]:
+                grid = Grid(start, step, per_output, len(t_out), kernel)
+                inside = (t >= grid.start - 1e-9) & (t <= grid.end + 1e-9)
+                told = _least_squares(grid, t[inside], q[:, inside])
+                found.append(Stretch(segment, grid, tau, counts, *told))
+    return tuple(fine if roomy and _bends(coarse, fine) else coarse)
+
+
+def _bends(coarse: list[Stretch], fine: list[Stretch]) -> bool:
+    """Say whether a motion has more between the knots of the coarse splines than noise: an F test of each joint."""
+    more = sum(s.grid.n_coefficients for s in fine) - sum(s.grid.n_coefficients for s in coarse)
+    left = sum(s.samples - s.grid.n_coefficients for s in fine)
+    noise = torch.stack([s.misfit for s in fine]).sum(0) / left
+    gained = (torch.stack([s.misfit for s in coarse]).sum(0) - noise * left) / more
+    return bool((gained > (1 + _SURELY * (2 / more) ** 0.5) * noise).any())
+
+
+def _parts(tiles: list[tuple[Tensor, Tensor]]) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yield times (O,) and torques (O, n) of a segment in parts of equal length."""
+    if tiles:
+        t, tau = (torch.cat(pieces) for pieces in zip(*tiles, strict=True))
+        yield from zip(t.split(_MOST_OUTPUTS), tau.split(_MOST_OUTPUTS), strict=True)
 
 
 def _positions(recording: Recording, survey: Survey) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:

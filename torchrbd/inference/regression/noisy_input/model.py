@@ -38,11 +38,13 @@ class NoisyInputRegression(nn.Module, Regression):
 
     - Predictions for queries as noisy as the data (``noisy_coefficients``) tend to least squares, whatever the noise.
     - b is that divided by rho, and rho comes from ``input_noise`` or else from the prior. Without knowledge of the
-      noise the answer is a convention: ``noise_share``.
+      noise the answer is a convention: ``noise_share``, small, so that b stays near least squares on the inputs kept.
     - The factors t_m are independent. Dividing by rho is right for independent inputs, and wrong for redundant ones,
       where several noisy copies already average their noise out: there, given noise makes b too large.
     - Relevance: one precision rules w_x and w_z, so an input can be dead (b = 0) only if its noise may explain all
       of it. With ``input_noise`` given none is; with ``NoiseRange(low=known)`` noise is at least the known.
+    - Started elsewhere, the iterations can pass a better b on their way up: the bound is not the noiseless error.
+      The start is therefore the bound's own stationary point to leading order, from which they move little.
 
     Args:
         input_noise: psi_x (d,) or a number [unit of x, squared], a range, or None.
