@@ -34,7 +34,7 @@ def bodies(x: Tensor, prior: Prior) -> Tensor:
     return pseudo_inertia(x[:, prior.inertial].unflatten(1, (-1, 10)))
 
 
-@pytest.mark.parametrize("kappa", [1.0, 3.0])
+@pytest.mark.parametrize("kappa", [2.0, 3.0, 10.0])
 def test_without_data_bodies_follow_the_wishart_distribution(kappa: float) -> None:
     _, prior, _, model = fitted(3, 3, 0.0, kappa=kappa)
     J = bodies(sample_robots(prior, model, 3000).x, prior)

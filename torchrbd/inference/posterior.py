@@ -39,7 +39,7 @@ from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 
 _CHAINS, _PILOT, _MOST_THINNING, _WINDOW = 64, 128, 32, 5.0
 # Radians that a trajectory turns, in steps of a length with this acceptance; the length is jittered against resonance.
-_TURN, _ACCEPTANCE, _JITTER = 1.6, 0.8, 0.2
+_TURN, _ACCEPTANCE, _JITTER = 1.6, 0.65, 0.2
 _WISHART, _LEAST = 2.5, 1e-13
 _CHUNK = 2048
 
@@ -158,7 +158,7 @@ def _density(prior: Prior, model: FittedModel, covariance: Tensor) -> _Density:
     scaled[free.unsqueeze(1), free] = own.T @ H @ own
     fit = physical_fit(wishart, Scaled(scaled, torch.zeros_like(mean).index_copy(0, free, own.T @ h)), free[n:])
     stiffness, axes = torch.linalg.eigh(fit.precision)
-    root = own @ (axes / stiffness.clamp_min(1.0).sqrt())
+    root = own @ (axes / stiffness.clamp_min(1e-3).sqrt())
     inverse = _inverse(_coordinates(prior, fit.x, free, wishart.kappa))
     return _Density(fit.x, root, inverse @ root, prior.kappa, len(prior.bodies))
 

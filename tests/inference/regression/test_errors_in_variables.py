@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 import torch
@@ -12,7 +10,13 @@ from sklearn.decomposition import FactorAnalysis
 from sklearn.linear_model import ARDRegression
 
 from torchrbd.errors import OptionError
-from torchrbd.inference.regression import EIVARD, FactorRegression, Moments, OrdinaryLeastSquares, Stepwise
+from torchrbd.inference.regression import (
+    EIVARD,
+    FactorRegression,
+    Moments,
+    OrdinaryLeastSquares,
+    Stepwise,
+)
 from torchrbd.inference.regression.ard import ard
 from torchrbd.inference.regression.factor_model import choose_rank, fit_factors
 
@@ -177,19 +181,6 @@ def test_noise_misstated_or_rank_lacking(method, excess: float) -> None:
 def test_bad_noise(method, noise: torch.Tensor, message: str) -> None:
     with pytest.raises(OptionError, match=message):
         method(noise).fit(*problem(0))
-
-
-@pytest.mark.slow
-def test_a_thousand_inputs() -> None:
-    X, y, noise, b = with_factors(130, 3000, factors=10, shared=500, single=500, snr=2.0)
-    L = normal(130, 10, 500)
-    S = torch.block_diag(L.T @ L, torch.eye(500, dtype=torch.float64))
-    least = noiseless_error(OrdinaryLeastSquares().fit(X, y).coefficients, b, S)
-    for method in (EIVARD(noise), FactorRegression(noise)):
-        start = time.perf_counter()
-        error = noiseless_error(method.fit(X, y).coefficients, b, S)
-        print(f"{method.name}: {time.perf_counter() - start:.1f} s, error {error:.2e}, least squares {least:.2e}")
-        assert error < least
 
 
 def test_a_second_fit_forgets_the_first() -> None:

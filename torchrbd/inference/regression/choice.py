@@ -101,7 +101,7 @@ class BestRegression(Regression):
     """The default: the best of several regressions by the error on left-out blocks, see ``choose``.
 
     Psi known: FactorRegression with stepwise selection, and with ARD, stepwise selection and least squares. EIVARD is
-    not among them: FactorRegression with ARD was better on 21 of 24 designs tried, and never far behind.
+    not among them: FactorRegression with ARD was better on most designs tried, though not on all.
 
     Psi unknown: FactorRegression, which finds Psi where inputs have much in common, stepwise selection and least
     squares, judged by their prediction from noisy inputs. Two models that predict equally well from noisy inputs can
