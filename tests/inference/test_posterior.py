@@ -14,7 +14,8 @@ from torchrbd.errors import InputError
 from torchrbd.inference.block_statistics import BlockStatistics, assemble
 from torchrbd.inference.columns import Columns
 from torchrbd.inference.fitting import FittedModel, fit_model, term_candidates
-from torchrbd.inference.posterior import autocorrelation_time, predictive_variance, sample_robots
+from torchrbd.inference.posterior import autocorrelation_time, sample_robots
+from torchrbd.inference.predictive import predictive_variance
 from torchrbd.inference.prior import Prior
 from torchrbd.parameters import base_parameters
 from torchrbd.robot import RobotModel, pseudo_inertia

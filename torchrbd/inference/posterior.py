@@ -1,4 +1,4 @@
-"""The posterior around a physically valid fit: robots drawn from it, and the variance of the torque that it predicts.
+"""Physically valid robots drawn from the posterior around a fit.
 
     p(x) ~ exp(-(x - x_L)' H (x - x_L) / 2) prod_bodies exp(-kappa D(J | J0)),   J > 0
 
@@ -34,14 +34,12 @@ from torchrbd.inference.map_fit import Scaled
 from torchrbd.inference.physical_fit import physical_fit
 from torchrbd.inference.prior import Prior
 from torchrbd.parameters import BASIS, ORTHONORMAL, PARAMETERS_PER_BODY
-from torchrbd.physics import JointState
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 
 _CHAINS, _PILOT, _MOST_THINNING, _WINDOW = 64, 128, 32, 5.0
 # Radians that a trajectory turns, in steps of a length with this acceptance; the length is jittered against resonance.
 _TURN, _ACCEPTANCE, _JITTER = 1.6, 0.65, 0.2
 _WISHART, _LEAST = 2.5, 1e-13
-_CHUNK = 2048
 
 
 @dataclass(frozen=True)
@@ -57,19 +55,6 @@ class RobotSamples:
     x: Tensor
     thinning: int
     autocorrelation: float
-
-
-@dataclass(frozen=True)
-class PredictiveVariance:
-    """Variance of a predicted torque, [(N m)^2] or [N^2].
-
-    Attributes:
-        parameters: (*batch, n_dof) Y cov Y', from what is not known of the coefficients.
-        noise: (n_dof,) of the band-limited torque that the model does not explain; inf without recorded torque.
-    """
-
-    parameters: Tensor
-    noise: Tensor
 
 
 @dataclass(frozen=True)
@@ -234,42 +219,3 @@ def autocorrelation_time(series: Tensor) -> float:
     wide = torch.arange(n_steps).unsqueeze(1) >= _WINDOW * tau
     first = torch.where(wide.any(0), wide.double().argmax(0), torch.tensor(n_steps // 2))
     return max(1.0, float(tau.gather(0, first.unsqueeze(0)).max()))
-
-
-def predictive_variance(model: FittedModel, q: Tensor, qd: Tensor, qdd: Tensor) -> PredictiveVariance:
-    """Return how uncertain the model's torque is.
-
-        var tau_j = a_j cov(x) a_j' + sigma_j^2,   a_j = [Y_j, phi_j]
-
-    Args:
-        model: the fit; its ``covariance`` counts.
-        q, qd, qdd: (*batch, n_dof) [rad or m, per s, per s^2].
-    """
-    robot, columns = model.columns.robot, model.columns
-    batch = q.shape[:-1]
-    q, qd, qdd = (v.reshape(-1, robot.n_dof).to(torch.float64) for v in (q, qd, qdd))
-    cov = torch.zeros(columns.n, columns.n, dtype=torch.float64)
-    cov[model.free.unsqueeze(1), model.free] = model.covariance
-    found = []
-    for at in zip(*(v.split(_CHUNK) for v in (q, qd, qdd)), strict=True):
-        Y = robot.regressor_batch_last(*(v.T for v in at))
-        rows = []
-        for joint in range(robot.n_dof):
-            index, a = _row(model, joint, Y[joint], *(v[:, joint] for v in at))
-            rows.append(torch.einsum("kn,kl,ln->n", a, cov[index.unsqueeze(1), index], a))
-        found.append(torch.stack(rows, -1))
-    variance = torch.cat(found) if found else q.new_zeros(0, robot.n_dof)
-    return PredictiveVariance(variance.reshape(*batch, robot.n_dof), model.noise_variance)
-
-
-def _row(model: FittedModel, joint: int, Y: Tensor, q: Tensor, qd: Tensor, qdd: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the indices in x (K,) of what acts on a joint, and a_j (K, N)."""
-    columns = model.columns
-    state = JointState(q, qd, qdd, columns.scales[joint].rest_width)
-    features: dict[int, Tensor] = {}
-    for candidate in model.terms:
-        if candidate.joint == joint:
-            found = candidate.effect.features(state, candidate.shape)
-            features.update({columns.index(joint, label): value for label, value in found.items()})
-    index = torch.cat((columns.inertial[joint], torch.tensor(list(features), dtype=torch.long)))
-    return index, torch.cat((Y[columns.inertial[joint]], *(v.unsqueeze(0) for v in features.values())))

@@ -49,15 +49,22 @@ class BaseParameters:
 
     def sentences(self) -> tuple[str, ...]:
         """Say in one sentence each which combinations are identified where their parts are not."""
-        alone = set(self.alone)
-        said = [
-            f"only {written} is identified"
-            for k, written in zip(self.independent, self.expressions, strict=True)
-            if k not in alone
-        ]
+        said = [self._sentence(row) for row in range(len(self.independent)) if self._partners(row)]
         if self.invisible:
             said.append("no motion of this robot tells " + ", ".join(self.names[k] for k in self.invisible))
         return tuple(said)
+
+    def sentences_with(self, k: int) -> tuple[str, ...]:
+        """Return those of the sentences in whose combination parameter k stands."""
+        rows = torch.nonzero(self.combination[:, k]).flatten().tolist()
+        return tuple(self._sentence(row) for row in rows if self._partners(row))
+
+    def _partners(self, row: int) -> list[int]:
+        return [c for c in torch.nonzero(self.combination[row]).flatten().tolist() if c != self.independent[row]]
+
+    def _sentence(self, row: int) -> str:
+        terms = "".join(_term(float(self.combination[row, c]), self.names[c]) for c in self._partners(row))
+        return f"only {self.names[self.independent[row]]}{terms} is identified"
 
 
 def _term(factor: float, name: str) -> str:

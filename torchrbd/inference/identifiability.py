@@ -1,0 +1,200 @@
+"""What the data tells of each inertial parameter, what the prior, and which motion would tell more.
+
+    share = var(pi_k | data) / var(pi_k),   floor = var(pi_k | base parameters) / var(pi_k)
+
+The variances belong to the curvature at the fit, with and without that of the data. The floor is what remains of a
+parameter's variance when every motion has been made; the part of what motions can tell that this data has not told is
+
+    untold = (share - floor) / (1 - floor)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from torchrbd.inference.experiments import KINDS, SECONDS, Motion, in_words, information
+from torchrbd.inference.fitting import FittedModel
+from torchrbd.inference.prior import Prior
+from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY, BaseParameters, base_parameters
+from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
+
+Status = Literal["identified", "combination", "unexcited", "no motion", "held"]
+
+# Told: more than half of what any motion could tell.
+_TOLD = 0.5
+# A simpler motion is suggested if it leaves at most this much more than the best, or so little that it does not matter.
+_AS_GOOD, _ENOUGH = 1.3, 0.15
+# A motion that leaves more than this of what was untold is not worth its while.
+_USELESS = 0.7
+_NEIGHBOURS = 6
+_LEAST = 1e-13
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What is known of one inertial parameter.
+
+    Attributes:
+        name, owner: of the parameter and its body.
+        prior_share: 0 (told by the data) to 1 (told by the URDF alone).
+        status: "identified" alone, in a "combination" with others, "unexcited" (this data does not tell it although the
+            robot could), "no motion" tells it with the base fixed, or "held" as the URDF has it.
+        combinations: the combinations of it that motions can tell, one sentence each, shortest first.
+        motion: what to record to tell it, if "unexcited"; None where no short motion would at the present noise.
+        suggestion: the same in words, otherwise empty.
+        prior_share_after: predicted, with ten seconds of that motion added.
+        statement: all this in one sentence.
+    """
+
+    name: str
+    owner: str
+    prior_share: float
+    status: Status
+    combinations: tuple[str, ...]
+    motion: Motion | None
+    suggestion: str
+    prior_share_after: float
+    statement: str
+
+
+def unidentified(prior: Prior, model: FittedModel, rate_hz: float) -> tuple[Identifiability, ...]:
+    """Return the parameters that the data does not tell alone, held ones left out; arguments as ``identifiability``."""
+    found = identifiability(prior, model, rate_hz)
+    return tuple(p for p in found if p.status not in ("identified", "held"))
+
+
+def identifiability(prior: Prior, model: FittedModel, rate_hz: float) -> tuple[Identifiability, ...]:
+    """Judge every inertial parameter.
+
+    Args:
+        prior: of the fit.
+        model: the fit.
+        rate_hz: independent samples a second of a recording, twice its cut-off.
+    """
+    robot, base = model.columns.robot, base_parameters(model.columns.robot)
+    state = _State.of(prior, model, base)
+    fitted = {k: row for row, k in enumerate(prior.inertial.tolist())}
+    suggested = _suggestions(model, state, rate_hz)
+    found = []
+    for k, name in enumerate(robot.parameter_names):
+        share = 1.0
+        status: Status = "held"
+        combinations = tuple(sorted(base.sentences_with(k), key=len))
+        row = fitted.get(k, -1)
+        if row >= 0 and k in base.invisible:
+            status = "no motion"
+        elif row >= 0:
+            share = float(state.share[row])
+            status = "unexcited" if row in suggested else "combination" if combinations else "identified"
+        motion, after = suggested[row] if status == "unexcited" else (None, share)
+        words = "" if motion is None else in_words(robot, motion)
+        statement = _statement(name, status, combinations, words, share, after)
+        owner = robot.body_names[k // PARAMETERS_PER_BODY]
+        found.append(Identifiability(name, owner, share, status, combinations, motion, words, after, statement))
+    return tuple(found)
+
+
+def _statement(
+    name: str, status: Status, combinations: tuple[str, ...], motion: str, share: float, after: float
+) -> str:
+    if status == "held":
+        return f"{name} was not fitted"
+    if status == "no motion":
+        return f"no motion of this robot with its base fixed tells {name}"
+    if status == "identified":
+        return f"{name} is identified"
+    if status == "combination":
+        shortest, *others = combinations
+        return shortest + (f", and {len(others)} other combinations with {name}" if others else "")
+    said = f"this data does not tell {name} (prior's share {100 * share:.0f} %)"
+    if not motion:
+        return f"{said}; at this noise no {SECONDS:.0f} s of motion would, record longer or with less noise"
+    return f"{said}; to tell it, {motion}: {SECONDS:.0f} s would leave the prior a share of {100 * after:.0f} %"
+
+
+@dataclass(frozen=True)
+class _State:
+    """The posterior in coordinates y with x = T y, in which the prior's curvature at the fit is 1.
+
+    ``precision`` (n_free, n_free) in y; ``believed``, ``share`` and ``floor`` (n_inertial,) are prior variance and
+    shares of it.
+    """
+
+    T: Tensor
+    precision: Tensor
+    believed: Tensor
+    share: Tensor
+    floor: Tensor
+
+    @classmethod
+    def of(cls, prior: Prior, model: FittedModel, base: BaseParameters) -> _State:
+        n = len(prior.inertial)
+        pi = model.x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY)
+        F = torch.linalg.cholesky(pseudo_inertia(pi))
+        bodies = (from_pseudo_inertia(f @ ORTHONORMAL @ f.mT).T / prior.kappa**0.5 for f in F)
+        # Terms whose feature never occurs have no scale, and no variance.
+        terms = prior.scale.diagonal()[model.free[n:]]
+        T = torch.block_diag(*bodies, torch.diag(torch.where(terms > 0, terms, 1.0)))
+        inverse = torch.linalg.inv(T)
+        values, axes = torch.linalg.eigh(inverse @ model.laplace @ inverse.T)
+        values = values.clamp(_LEAST, 1.0)
+        believed = T[:n].square().sum(1)
+        K = base.combination[:, prior.inertial] @ T[:n, :n]
+        _, s, Vh = torch.linalg.svd(K / K.norm(dim=1, keepdim=True).clamp_min(1e-300), full_matrices=False)
+        told = Vh[s > 1e-9 * s.max()] if len(s) else Vh
+        floor = 1.0 - (T[:n, :n] @ told.T).square().sum(1) / believed
+        share = ((T @ axes)[:n].square() * values).sum(1) / believed
+        return cls(T, (axes / values) @ axes.T, believed, share.clamp(0.0, 1.0), floor.clamp(0.0, 1.0))
+
+    def share_after(self, H: Tensor) -> Tensor:
+        """Return the shares (n_inertial,) with information H in y added."""
+        root = torch.linalg.cholesky(self.precision + H)
+        X = torch.linalg.solve_triangular(root, self.T[: len(self.believed)].T, upper=False)
+        return X.square().sum(0) / self.believed
+
+    def untold(self, share: Tensor) -> Tensor:
+        return ((share - self.floor) / (1.0 - self.floor).clamp_min(1e-12)).clamp(0.0, 1.0)
+
+
+def _suggestions(model: FittedModel, state: _State, rate_hz: float) -> dict[int, tuple[Motion | None, float]]:
+    """Return per untold parameter (its row) the simplest motion that is about as good as the best, and its share."""
+    before = state.untold(state.share)
+    rows = torch.nonzero((before > _TOLD) & (state.floor < 1.0 - 1e-6)).flatten().tolist()
+    n_dof = model.columns.robot.n_dof if rows else 0
+    after: dict[Motion, Tensor] = {}
+
+    def untold(motion: Motion) -> Tensor:
+        if motion not in after:
+            after[motion] = state.share_after(information(model, motion, state.T, rate_hz))
+        return state.untold(after[motion])
+
+    motions = [Motion(kind, j, tuple(k for k in range(n_dof) if k != j)) for kind in KINDS for j in range(n_dof)]
+    motions.append(Motion("all", None, ()))
+    left = torch.stack([untold(m) for m in motions]) if rows else torch.zeros(1, 0)
+    found: dict[int, tuple[Motion | None, float]] = {}
+    for row in rows:
+        least = float(left[:, row].min())
+        if least > _USELESS * float(before[row]):
+            found[row] = (None, float(state.share[row]))
+            continue
+        # Motions stand in the order of their simplicity; of the simplest kind the joint that tells most.
+        good = [i for i in range(len(motions)) if float(left[i, row]) <= max(_AS_GOOD * least, _ENOUGH)]
+        kind = motions[good[0]].kind
+        best = motions[min((i for i in good if motions[i].kind == kind), key=lambda i: float(left[i, row]))]
+        limit = max(_AS_GOOD * float(untold(best)[row]), _ENOUGH)
+        best = next((m for m in _with_fewer_postures(best) if float(untold(m)[row]) <= limit), best)
+        found[row] = (best, float(after[best][row]))
+    return found
+
+
+def _with_fewer_postures(motion: Motion) -> list[Motion]:
+    """Return the motion with all other joints still, and with one near one in several postures."""
+    joint = motion.joint
+    if joint is None:
+        return []
+    near = sorted(motion.varied, key=lambda k: abs(k - joint))[:_NEIGHBOURS]
+    return [Motion(motion.kind, joint, varied) for varied in ((), *((k,) for k in near))]
