@@ -34,13 +34,10 @@ def distance(pi: Tensor, pi_hat: Tensor, metric: Tensor) -> float:
     return float((pi - pi_hat) @ metric @ (pi - pi_hat))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("kind", ["gram", "diagonal"])
 def test_distance_is_scipys(seed: int, kind: str) -> None:
-    """SLSQP on the 4x4 leading minors cannot cope with the boundary; L-BFGS in log-Cholesky coordinates goes near it.
-
-    Its minimum is a local one of a non-convex problem, so that ours may be nearer, but not farther.
-    """
+    """L-BFGS in log-Cholesky coordinates, where the problem is not convex: ours may be nearer, but not farther."""
     robot, start, pi_hat, metric = case(seed)
     if kind == "diagonal":
         metric = torch.diag(metric.diagonal() + 0.1)

@@ -22,7 +22,7 @@ from torchrbd.inference.prior import Prior
 from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY, BaseParameters, base_parameters
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 
-Status = Literal["identified", "combination", "unexcited", "no motion", "held"]
+Status = Literal["identified", "combination", "unexcited", "not identifiable", "held"]
 
 # Told: more than half of what any motion could tell.
 _TOLD = 0.5
@@ -42,7 +42,7 @@ class Identifiability:
         name, owner: of the parameter and its body.
         prior_share: 0 (told by the data) to 1 (told by the URDF alone).
         status: "identified" alone, in a "combination" with others, "unexcited" (this data does not tell it although the
-            robot could), "no motion" tells it with the base fixed, or "held" as the URDF has it.
+            robot could), "not identifiable" tells it with the base fixed, or "held" as the URDF has it.
         combinations: the combinations of it that motions can tell, one sentence each, shortest first.
         motion: what to record to tell it, if "unexcited"; None where no short motion would at the present noise.
         suggestion: the same in words, otherwise empty.
@@ -86,7 +86,7 @@ def identifiability(prior: Prior, model: FittedModel, rate_hz: float) -> tuple[I
         combinations = tuple(sorted(base.sentences_with(k), key=len))
         row = fitted.get(k, -1)
         if row >= 0 and k in base.invisible:
-            status = "no motion"
+            status = "not identifiable"
         elif row >= 0:
             share = float(state.share[row])
             status = "unexcited" if row in suggested else "combination" if combinations else "identified"
@@ -103,13 +103,14 @@ def _statement(
 ) -> str:
     if status == "held":
         return f"{name} was not fitted"
-    if status == "no motion":
+    if status == "not identifiable":
         return f"no motion of this robot with its base fixed tells {name}"
     if status == "identified":
         return f"{name} is identified"
     if status == "combination":
         shortest, *others = combinations
-        return shortest + (f", and {len(others)} other combinations with {name}" if others else "")
+        number = f"{len(others)} other combination{'s' if len(others) > 1 else ''}"
+        return shortest + (f", and {number} with {name}" if others else "")
     said = f"this data does not tell {name} (prior's share {100 * share:.0f} %)"
     if not motion:
         return f"{said}; at this noise no {SECONDS:.0f} s of motion would, record longer or with less noise"

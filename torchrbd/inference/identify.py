@@ -14,6 +14,7 @@ from torch import Tensor
 from torchrbd.inference.columns import Candidate, Columns
 from torchrbd.inference.estimators import estimate
 from torchrbd.inference.fitting import FittedModel, judge, predict, term_candidates
+from torchrbd.inference.identifiability import identifiability
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.reading import Progress
 from torchrbd.inference.results import (
@@ -96,7 +97,7 @@ def summarise(prepared: Prepared, models: dict[str, FittedModel], progress: Prog
         cutoff_hz=prepared.filtering.cutoff_hz,
         fits=fits,
         parameters=(
-            *_inertial_estimates(prepared, final, set(base.alone), set(base.invisible)),
+            *_inertial_estimates(prepared, final),
             *term_estimates(final),
         ),
         combinations=base.sentences(),
@@ -205,38 +206,23 @@ def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress:
     )
 
 
-def _inertial_estimates(
-    prepared: Prepared, model: FittedModel, alone: set[int], invisible: set[int]
-) -> list[ParameterEstimate]:
-    robot, prior = prepared.robot, prepared.prior
-    std, share = torch.zeros(robot.n_params, dtype=torch.float64), torch.ones(robot.n_params, dtype=torch.float64)
-    n = len(prior.inertial)
-    std[prior.inertial] = model.covariance.diagonal()[:n].sqrt()
-    believed = (prior.scale @ prior.scale.T).diagonal()[prior.inertial]
-    share[prior.inertial] = (model.laplace.diagonal()[:n] / believed).clamp(0.0, 1.0)
-    fitted = set(prior.inertial.tolist())
-    found = []
-    for k, name in enumerate(robot.parameter_names):
-        status = "combination"
-        if k not in fitted:
-            status = "held"
-        elif k in invisible:
-            status = "not identifiable"
-        elif k in alone:
-            status = "identified"
-        found.append(
-            ParameterEstimate(
-                name=name,
-                owner=robot.body_names[k // PARAMETERS_PER_BODY],
-                unit=UNITS[k % PARAMETERS_PER_BODY],
-                urdf=float(prior.reference[k]),
-                value=float(model.x[k]),
-                std=float(std[k]),
-                prior_share=1.0 if status == "not identifiable" else float(share[k]),
-                status=status,
-            )
+def _inertial_estimates(prepared: Prepared, model: FittedModel) -> list[ParameterEstimate]:
+    std = model.inertial_covariance(model.covariance).diagonal().sqrt()
+    known = identifiability(prepared.prior, model, prepared.filtering.effective_rate)
+    return [
+        ParameterEstimate(
+            name=one.name,
+            owner=one.owner,
+            unit=UNITS[k % PARAMETERS_PER_BODY],
+            urdf=float(prepared.prior.reference[k]),
+            value=float(model.x[k]),
+            std=float(std[k]),
+            prior_share=one.prior_share,
+            status=one.status,
+            suggestion=one.suggestion,
         )
-    return found
+        for k, one in enumerate(known)
+    ]
 
 
 def term_estimates(model: FittedModel) -> list[ParameterEstimate]:

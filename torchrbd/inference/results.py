@@ -72,9 +72,10 @@ class ParameterEstimate:
         urdf: the value the URDF gives.
         value, std: posterior mean and standard deviation.
         prior_share: 0 (told by the data) to 1 (told by the URDF alone).
-        status: "identified" (the data moves it alone), "combination" (only a sum with others is told), "not
-            identifiable" (no motion of this robot tells it), "held" (zero-mass or trusted link, kept as the URDF has
-            it), "term".
+        status: "identified" (the data tells it alone), "combination" (only a sum with others is told), "unexcited" (the
+            robot could tell it, this data does not), "not identifiable" (no motion of this robot tells it), "held"
+            (zero-mass or trusted link, kept as the URDF has it), "term".
+        suggestion: what to record to tell it, if "unexcited" and a short motion would.
     """
 
     name: str
@@ -85,6 +86,7 @@ class ParameterEstimate:
     std: float
     prior_share: float
     status: str
+    suggestion: str = ""
 
 
 @dataclass(frozen=True)

@@ -217,6 +217,15 @@ class Page:
                 groups.setdefault(p.owner, []).append(p)
         return groups
 
+    @property
+    def suggestions(self) -> dict[str, list[str]]:
+        """What to record next, with the names of the parameters that it would tell; longest lists first."""
+        found: dict[str, list[str]] = {}
+        for p in self.result.parameters:
+            if p.suggestion:
+                found.setdefault(p.suggestion, []).append(p.name)
+        return dict(sorted(found.items(), key=lambda item: -len(item[1])))
+
     def statuses(self, group: list[ParameterEstimate]) -> dict[str, int]:
         """Return how many parameters have each status, in the order of appearance."""
         found = [p.status for p in group]
