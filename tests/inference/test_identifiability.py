@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -76,6 +75,7 @@ def test_with_much_data_only_structure_is_left() -> None:
         else:
             assert found.status == ("identified" if k in base.alone else "combination")
             assert found.prior_share == pytest.approx(left[k], abs=2e-3)
+            assert found.least_share == pytest.approx(left[k], abs=1e-6)
             assert all(found.name in sentence for sentence in found.combinations)
             assert bool(found.combinations) == (k not in base.alone)
     names = [p.name for p in unidentified(prior, model, RATE_HZ)]
@@ -172,7 +172,6 @@ def made(robot: RobotModel, motion: Motion, seed: int) -> Made:
     return Made(t, *x)
 
 
-@cache
 def badly_recorded(seed: int, n_joints: int, still: tuple[int, ...]) -> tuple[str, np.ndarray, Recording]:
     """Record a robot whose joints ``still`` hardly move; torque noise is that of good motion."""
     urdf = urdf_of(seed, n_joints, branching=0.0)
@@ -189,34 +188,36 @@ def fitted(urdf: str, recordings: list[Recording]) -> tuple[Prepared, FittedMode
     return prepared, fit_model(prepared.training, prepared.prior)
 
 
-@pytest.mark.parametrize(
-    ("seed", "n_joints", "still"), [(11, 3, (1, 2)), (12, 4, (2,)), (16, 4, (1, 3)), (17, 4, (0, 2))]
-)
-def test_suggested_motions_do_what_is_promised(seed: int, n_joints: int, still: tuple[int, ...]) -> None:
-    """Of the parameters that motion can tell alone, the prior's share falls below half; of others it falls as told."""
+def promises(seed: int, n_joints: int, still: tuple[int, ...]) -> list[tuple[Identifiability, Identifiability]]:
+    """Make every suggested motion; return what was suggested with the same parameter afterwards."""
     urdf, scale, first = badly_recorded(seed, n_joints, still)
     prepared, model = fitted(urdf, [first])
-    before = identifiability(prepared.prior, model, prepared.filtering.effective_rate)
+    rate = prepared.filtering.effective_rate
     suggested: dict[Motion, list[Identifiability]] = {}
-    for p in before:
+    for p in identifiability(prepared.prior, model, rate):
         if p.motion is not None:
             assert p.status == "unexcited"
             suggested.setdefault(p.motion, []).append(p)
-    assert suggested
-    alone = set(base_parameters(prepared.robot).alone)
-    kept = 0
+    pairs = []
     for k, (motion, parameters) in enumerate(suggested.items()):
         second = recorded(urdf, made(prepared.robot, motion, 70 + k), "second", scale, 90 + k)
-        prepared_2, model_2 = fitted(urdf, [first, second])
-        after = {p.name: p for p in identifiability(prepared_2.prior, model_2, prepared.filtering.effective_rate)}
-        for p in parameters:
-            single = prepared.robot.parameter_names.index(p.name) in alone
-            if p.prior_share_after < 0.3:
-                assert after[p.name].prior_share < 0.5, p.statement
-                kept += 1
-            elif not single:
-                assert after[p.name].prior_share < 0.5 * (p.prior_share + p.prior_share_after) + 0.1, p.statement
-    assert kept > 0
+        longer, better = fitted(urdf, [first, second])
+        after = {p.name: p for p in identifiability(longer.prior, better, rate)}
+        pairs += [(p, after[p.name]) for p in parameters]
+    return pairs
+
+
+def test_suggested_motions_do_what_is_promised() -> None:
+    """The prior's share falls below half where that was promised with a margin, and elsewhere about as far as told."""
+    cases = [(11, 3, (1, 2)), (12, 4, (2,)), (41, 5, (0, 2, 3)), (42, 4, (1, 3)), (43, 4, (0, 1)), (44, 5, (1, 4))]
+    pairs = [pair for case in cases for pair in promises(*case)]
+    clear = [(p, after) for p, after in pairs if p.prior_share_after < 0.3]
+    assert len(clear) >= 5
+    for p, after in clear:
+        assert after.prior_share < 0.5, p.statement
+        assert after.status != "unexcited", p.statement
+    for p, after in pairs:
+        assert after.prior_share < 0.5 * (p.prior_share + p.prior_share_after) + 0.1, p.statement
 
 
 def test_noise_too_great_for_any_short_motion_is_said() -> None:

@@ -113,6 +113,8 @@ def test_planar_two_link_arm() -> None:
     said = base.sentences()
     assert "only mcx_l1 + 0.5 m_l2 is identified" in said
     assert "only Iyy_l1 + 0.25 m_l2 is identified" in said
+    assert base.sentences_with(base.names.index("m_l2")) == said[:2]
+    assert base.sentences_with(base.names.index("mcz_l1")) == ()
     assert said[-1].startswith("no motion of this robot tells m_l1, mcy_l1, Ixx_l1")
     assert len(said) == 3
 

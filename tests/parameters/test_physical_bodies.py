@@ -9,6 +9,7 @@ from parameters.bodies import by_hand, central_moments, from_points, random_bodi
 
 from torchrbd.parameters import (
     BASIS,
+    ORTHONORMAL,
     PARAMETERS_PER_BODY,
     UNITS,
     is_extended,
@@ -120,3 +121,9 @@ def test_a_point_becomes_a_body_of_plausible_width() -> None:
     torch.testing.assert_close(repaired[:4], point[:4])
     moments = central_moments(repaired.numpy())
     np.testing.assert_allclose(moments, 2 * 0.6 * (0.3 * 0.2) ** 2, rtol=1e-4)
+
+
+def test_orthonormal_basis_of_the_symmetric_matrices() -> None:
+    gram = torch.einsum("kij,lij->kl", ORTHONORMAL, ORTHONORMAL)
+    torch.testing.assert_close(gram, torch.eye(10, dtype=torch.float64), rtol=0, atol=1e-15)
+    assert torch.equal(ORTHONORMAL, ORTHONORMAL.mT)

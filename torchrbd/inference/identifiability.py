@@ -41,6 +41,7 @@ class Identifiability:
     Attributes:
         name, owner: of the parameter and its body.
         prior_share: 0 (told by the data) to 1 (told by the URDF alone).
+        least_share: what would remain after every motion; above 0 where only combinations can be told.
         status: "identified" alone, in a "combination" with others, "unexcited" (this data does not tell it although the
             robot could), "not identifiable" tells it with the base fixed, or "held" as the URDF has it.
         combinations: the combinations of it that motions can tell, one sentence each, shortest first.
@@ -53,6 +54,7 @@ class Identifiability:
     name: str
     owner: str
     prior_share: float
+    least_share: float
     status: Status
     combinations: tuple[str, ...]
     motion: Motion | None
@@ -81,25 +83,25 @@ def identifiability(prior: Prior, model: FittedModel, rate_hz: float) -> tuple[I
     suggested = _suggestions(model, state, rate_hz)
     found = []
     for k, name in enumerate(robot.parameter_names):
-        share = 1.0
+        share, least = 1.0, 1.0
         status: Status = "held"
         combinations = tuple(sorted(base.sentences_with(k), key=len))
         row = fitted.get(k, -1)
         if row >= 0 and k in base.invisible:
             status = "not identifiable"
         elif row >= 0:
-            share = float(state.share[row])
+            share, least = float(state.share[row]), float(state.floor[row])
             status = "unexcited" if row in suggested else "combination" if combinations else "identified"
         motion, after = suggested[row] if status == "unexcited" else (None, share)
         words = "" if motion is None else in_words(robot, motion)
-        statement = _statement(name, status, combinations, words, share, after)
+        statement = _statement(name, status, combinations, words, (share, least, after))
         owner = robot.body_names[k // PARAMETERS_PER_BODY]
-        found.append(Identifiability(name, owner, share, status, combinations, motion, words, after, statement))
+        found.append(Identifiability(name, owner, share, least, status, combinations, motion, words, after, statement))
     return tuple(found)
 
 
 def _statement(
-    name: str, status: Status, combinations: tuple[str, ...], motion: str, share: float, after: float
+    name: str, status: Status, combinations: tuple[str, ...], motion: str, shares: tuple[float, float, float]
 ) -> str:
     if status == "held":
         return f"{name} was not fitted"
@@ -111,10 +113,12 @@ def _statement(
         shortest, *others = combinations
         number = f"{len(others)} other combination{'s' if len(others) > 1 else ''}"
         return shortest + (f", and {number} with {name}" if others else "")
-    said = f"this data does not tell {name} (prior's share {100 * share:.0f} %)"
+    share, least, after = (f"{100 * value:.0f} %" for value in shares)
+    said = f"this data does not tell {name} (prior's share {share})"
     if not motion:
         return f"{said}; at this noise no {SECONDS:.0f} s of motion would, record longer or with less noise"
-    return f"{said}; to tell it, {motion}: {SECONDS:.0f} s would leave the prior a share of {100 * after:.0f} %"
+    floor = f"; less than {least} no motion can, it is told in combination only" if combinations else ""
+    return f"{said}; to tell it, {motion}: {SECONDS:.0f} s would leave the prior a share of {after}{floor}"
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from torchrbd.inference.estimators import estimate
 from torchrbd.inference.fitting import FittedModel, judge, predict, term_candidates
 from torchrbd.inference.identifiability import identifiability
 from torchrbd.inference.preparation import Prepared, prepare
+from torchrbd.inference.prior import local_covariance
 from torchrbd.inference.reading import Progress
 from torchrbd.inference.results import (
     BaseParameterEstimate,
@@ -168,7 +169,8 @@ def _base_estimates(prepared: Prepared, model: FittedModel, base: BaseParameters
     """Return beta = K pi with the covariance K cov(pi) K'."""
     K, n = base.combination, prepared.robot.n_params
     variance, laplace = ((K @ model.inertial_covariance(c) @ K.T).diagonal() for c in (model.covariance, model.laplace))
-    believed = (K @ (prepared.prior.scale @ prepared.prior.scale.T)[:n, :n] @ K.T).diagonal()
+    fitted = K[:, prepared.prior.inertial]
+    believed = (fitted @ local_covariance(prepared.prior, model.x) @ fitted.T).diagonal()
     share = torch.where(believed > 0, (laplace / believed.clamp_min(1e-300)).clamp(0.0, 1.0), torch.ones_like(believed))
     urdf, value = K @ prepared.prior.reference[:n], K @ model.pi
     rows = zip(base.independent, base.expressions, urdf, value, variance.sqrt(), share, strict=True)

@@ -99,6 +99,16 @@ def _inverse_root(A: Tensor) -> Tensor:
     return d.unsqueeze(1) * torch.linalg.inv(torch.linalg.cholesky(d.unsqueeze(1) * A * d)).mT
 
 
+def local_covariance(prior: Prior, x: Tensor) -> Tensor:
+    """Return the inverse curvature of the divergence at x, for the inertial parameters that are fitted (10 b, 10 b).
+
+    It scales with the body: at a body that has been found ten times heavier it is as wide in relative terms as at J0.
+    """
+    inverse = torch.linalg.inv(pseudo_inertia(x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY)))
+    roots = [_inverse_root(prior.kappa * metric) for metric in divergence_hessian(inverse)]
+    return torch.block_diag(*(root @ root.T for root in roots))
+
+
 def unphysical_bodies(columns: Columns) -> tuple[str, ...]:
     """Return the names of bodies whose URDF inertia no extended body has; massless ones are not counted."""
     pi = columns.robot.pi.reshape(-1, PARAMETERS_PER_BODY)
