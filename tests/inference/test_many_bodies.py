@@ -52,7 +52,9 @@ def large(seed: int, n_joints: int) -> tuple[RobotModel, Columns]:
     return robot, columns_of(robot, ())
 
 
-@pytest.mark.parametrize(("weight", "noise"), [(1.0, 0.0), (1e3, 0.0), (1e6, 0.0), (1.0, 0.1)])
+@pytest.mark.parametrize(
+    ("weight", "noise"), [(1e6, 0.0), (1.0, 0.1), *(pytest.param(w, 0.0, marks=pytest.mark.slow) for w in (1.0, 1e3))]
+)
 def test_sixty_bodies_half_of_them_hardly_moving(weight: float, noise: float) -> None:
     robot, columns = large(21, 60)
     prior = prior_of(columns)
@@ -66,7 +68,7 @@ def test_sixty_bodies_half_of_them_hardly_moving(weight: float, noise: float) ->
         assert step_left(columns, prior, statistics, weight, found) < 1e-2
 
 
-@pytest.mark.parametrize("weight", [1e3, 1e6, 1e9])
+@pytest.mark.parametrize("weight", [1e3, 1e9])
 @pytest.mark.parametrize("noise", [0.0, 3.0])
 def test_torques_of_no_robot_give_a_robot(weight: float, noise: float) -> None:
     """Truth outside the set of physical bodies, or torque that is mostly noise, believed to many digits."""

@@ -20,7 +20,7 @@ from torchrbd.inference.prior import Prior
 from torchrbd.inference.reading import Reading
 from torchrbd.recordings import Filtering, States, Survey
 
-_MOST_TILES = 8
+_MOST_TILES = 4
 _MATTERS = 1.5
 
 

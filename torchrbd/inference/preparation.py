@@ -203,6 +203,7 @@ def _smoothed(
         reading,
         prepared.prior,
         rough,
+        prepared.input_noise,
         prepared.kept_back,
         lambda part: progress("smoothing states and parameters together", part),
     )

@@ -10,12 +10,16 @@ from torch import Tensor
 
 from torchrbd.inference.columns import Columns, joint_scales
 from torchrbd.inference.fitting import FittedModel
+from torchrbd.inference.input_noise import InputNoise
 from torchrbd.inference.prior import Prior
 from torchrbd.inference.reading import Reading
 from torchrbd.inference.smoothing.smoother import StateSmoother
 from torchrbd.inference.smoothing.stretch import Stretch, stretches
 from torchrbd.inference.uncertain_states import UncertainStates
 from torchrbd.recordings import Filtering, States, Survey
+
+# Torque noise to start from is at least so much of what a fit on filtered states leaves.
+_LEAST_SHARE = 0.02
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,7 @@ def smooth(
     reading: Reading,
     prior: Prior,
     start: FittedModel,
+    noise: InputNoise,
     kept_back: Callable[[str, Tensor], Tensor],
     progress: Callable[[float], None],
 ) -> Smoothed:
@@ -73,6 +78,7 @@ def smooth(
         reading: the recordings, filtered states.
         prior: of x.
         start: a fit on filtered states.
+        noise: of the positions, and what it does to that fit.
         kept_back: tells of a recording's name and times (O,) which are held out: there the torque is not looked at.
         progress: told how far the work is.
     """
@@ -83,12 +89,12 @@ def smooth(
             return ~kept_back(name, t).unsqueeze(1) & reading.measured(k)
 
         found.append(stretches(recording, reading.surveys[k], reading.filtering, reading.tiles(k), counted))
-    encoder = torch.stack([torch.from_numpy(s.q_noise_std) for s in reading.surveys]).square().mean(0).sqrt()
+    torque = (start.noise_variance * (1 - noise.share).clamp_min(_LEAST_SHARE)).sqrt()
     used = [s for own in found for s in own if bool(s.counts.any())]
     columns = start.columns
-    smoother = StateSmoother(columns, prior, used, _friction(columns), start.x, start.noise_variance.sqrt(), encoder)
+    smoother = StateSmoother(columns, prior, used, _friction(columns), start.x, torque, noise.encoder_std)
     smoother.fit(progress)
-    said = smoother.refresh()
+    said = smoother.information or smoother.refresh()
     speed = torch.tensor([scale.speed_max for scale in columns.scales], dtype=torch.float64)
     sharper = columns.at_scales(joint_scales(speed, (said.velocity_noise / said.outputs).sqrt()))
     x = sharper.taken_from(columns, smoother.x.detach())
