@@ -26,12 +26,12 @@ from robot.random_robots import random_urdf
 from simulated import Motion, inverse_dynamics, joint_names, multisine
 
 from torchrbd import RobotModel
-from torchrbd.inference.block_statistics import assemble
+from torchrbd.inference.data.block_statistics import assemble
 from torchrbd.inference.estimators.estimate import estimate
-from torchrbd.inference.fitting import fit_model
-from torchrbd.inference.map_fit import noise_variance, scaled_equations, solve
+from torchrbd.inference.physical.fitting import fit_model
+from torchrbd.inference.physical.map_fit import noise_variance, scaled_equations, solve
+from torchrbd.inference.physical.projection import project, relevance
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.projection import project, relevance
 from torchrbd.inference.regression.ard import ard
 from torchrbd.inference.settings import Settings
 from torchrbd.parameters import base_parameters, is_physical

@@ -3,7 +3,8 @@
     TORCHRBD_DATA=/path/to/recordings python examples/real_estimators.py -o docs/real_estimators.md
 
 TORCHRBD_DATA names a folder with ``kuka_kr300``, ``dfki_double_pendulum`` and ``dfki_pendulum``; see real_recordings.py
-for the first two, the third is from github.com/dfki-ric-underactuated-lab/torque_limited_simple_pendulum (BSD-3-Clause).
+for the first two; the third is from
+github.com/dfki-ric-underactuated-lab/torque_limited_simple_pendulum (BSD-3-Clause).
 Friction and torque offsets at every joint are fitted along.
 """
 
@@ -28,7 +29,7 @@ OURS = ("physical", "smoother")
 
 
 def data_sets(folder: Path) -> dict[str, tuple[Path, list[Path], dict[str, float]]]:
-    """Return title -> URDF, recordings, options. Recordings with a changed robot or compensated friction are left out."""
+    """Return title -> URDF, recordings, options; without recordings of a changed robot or of compensated friction."""
     arm, double, single = (folder / name for name in ("kuka_kr300", "dfki_double_pendulum", "dfki_pendulum"))
     of_design_a = sorted(p for p in double.glob("A_20220812_*.csv") if "compensated" not in p.name)
     same_bob = sorted(p for p in single.glob("*.csv") if "1kg" not in p.name)
@@ -63,9 +64,9 @@ def page(results: dict[str, list[EstimatorComparison]]) -> str:
         "",
         *(part.strip() for part in (__doc__ or "").split("\n\n")[2:]),
         "",
-        "nmse of the torque of recordings left out in turn, squared error over variance, both averaged over the recordings,",
-        "mean over the joints. *As found*: parameters as they come out; *physical*: projected where they are not. Splits: in",
-        "how many the parameters as found were physical.",
+        "nmse of the torque of recordings left out in turn, squared error over variance, both averaged over the",
+        "recordings, mean over the joints. *As found*: parameters as they come out; *physical*: projected where they",
+        "are not. Splits: in how many the parameters as found were physical.",
         "",
         "```",
         "TORCHRBD_DATA=/path/to/recordings python examples/real_estimators.py -o docs/real_estimators.md",
@@ -80,7 +81,9 @@ def page(results: dict[str, list[EstimatorComparison]]) -> str:
             rows = [c.rows[k] for c in comparisons]
             raw, physical = ([r.raw for r in rows if r.raw], [r.physical for r in rows if r.physical])
             if len(raw) < splits:
-                lines.append(f"| {row.name} | cannot be used: {next(r.note for r in rows if r.raw is None)} | | |")
+                lines.append(
+                    f"| {row.name} | cannot be used: {next(r.note for r in rows if r.raw is None).split(',')[0]} | | |"
+                )
                 continue
             errors[row.name] = pooled(physical)
             count = sum(bool(r.was_physical) for r in rows)

@@ -12,7 +12,7 @@ from torchrbd.errors import OptionError
 from torchrbd.inference import comparison
 from torchrbd.inference.comparison import COMPARABLE, EstimatorComparison, compare_estimators
 from torchrbd.inference.estimators import Estimate, estimate
-from torchrbd.inference.fitting import judge, term_candidates
+from torchrbd.inference.physical.fitting import judge, term_candidates
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.physics import effect

@@ -14,7 +14,7 @@ from simulated import inverse_dynamics, joint_names, multisine, with_wrong_inert
 from torchrbd.errors import OptionError
 from torchrbd.inference.estimators import estimate, estimators, linear_problem
 from torchrbd.inference.estimators.plain import regress, regress_on_noisy_inputs, robot_moments
-from torchrbd.inference.fitting import judge, term_candidates
+from torchrbd.inference.physical.fitting import judge, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.regression.base import Regression
 from torchrbd.inference.regression.classical import OrdinaryLeastSquares

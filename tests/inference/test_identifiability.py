@@ -12,12 +12,12 @@ from inference.problems import columns_of, prior_of, random_moments, urdf_of
 from simulated import Motion as Made
 from simulated import inverse_dynamics, joint_names, multisine
 
-from torchrbd.inference.block_statistics import assemble
-from torchrbd.inference.experiments import Motion, extent, in_words, information, states
-from torchrbd.inference.fitting import FittedModel, fit_model
-from torchrbd.inference.identifiability import Identifiability, identifiability, unidentified
+from torchrbd.inference.data.block_statistics import assemble
+from torchrbd.inference.physical.fitting import FittedModel, fit_model
+from torchrbd.inference.physical.prior import divergence_hessian
+from torchrbd.inference.posterior.experiments import Motion, extent, in_words, information, states
+from torchrbd.inference.posterior.identifiability import Identifiability, identifiability, unidentified
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.prior import divergence_hessian
 from torchrbd.inference.settings import Settings
 from torchrbd.parameters import base_parameters
 from torchrbd.recordings import Recording

@@ -13,8 +13,8 @@ from inference.problems import urdf_of
 from simulated import Motion, joint_names, record, with_wrong_inertials
 
 from torchrbd.errors import InputError, OptionError, RecordingError
-from torchrbd.inference.fitting import judge, predict
 from torchrbd.inference.identify import identify
+from torchrbd.inference.physical.fitting import judge, predict
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings

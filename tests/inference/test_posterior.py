@@ -11,12 +11,12 @@ from inference.problems import EFFECTS, columns_of, prior_of, random_moments, ur
 from torch import Tensor
 
 from torchrbd.errors import InputError
-from torchrbd.inference.block_statistics import BlockStatistics, assemble
-from torchrbd.inference.columns import Columns
-from torchrbd.inference.fitting import FittedModel, fit_model, term_candidates
-from torchrbd.inference.posterior import autocorrelation_time, sample_robots
-from torchrbd.inference.predictive import predictive_variance
-from torchrbd.inference.prior import Prior
+from torchrbd.inference.data.block_statistics import BlockStatistics, assemble
+from torchrbd.inference.data.columns import Columns
+from torchrbd.inference.physical.fitting import FittedModel, fit_model, term_candidates
+from torchrbd.inference.physical.prior import Prior
+from torchrbd.inference.posterior.predictive import predictive_variance
+from torchrbd.inference.posterior.sampling import autocorrelation_time, sample_robots
 from torchrbd.parameters import base_parameters
 from torchrbd.robot import RobotModel, pseudo_inertia
 

@@ -10,7 +10,7 @@ import pytest
 from inference.problems import urdf_of
 
 from torchrbd.errors import OptionError
-from torchrbd.inference.payload import Payload
+from torchrbd.inference.data.payload import Payload
 from torchrbd.inference.settings import Settings
 from torchrbd.physics import effects
 from torchrbd.robot import RobotModel

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrbd.inference.block_statistics import BlockStatistics
-from torchrbd.inference.columns import Candidate
-from torchrbd.inference.map_fit import LEAST_NOISE, noise_variance, scaled_equations, solve
-from torchrbd.inference.prior import Prior
+from torchrbd.inference.data.block_statistics import BlockStatistics
+from torchrbd.inference.data.columns import Candidate
+from torchrbd.inference.physical.map_fit import LEAST_NOISE, noise_variance, scaled_equations, solve
+from torchrbd.inference.physical.prior import Prior
 
 MOST_BLOCKS = 64
 

@@ -12,9 +12,9 @@ from torchrbd.diagnosis.leftover import unexplained
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.select import LEAST_GAIN, LEAST_T, Terms, distinguishable, select_terms
 from torchrbd.diagnosis.words import verdict_statement
+from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.identify import listed, summarise
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.reading import Progress
 from torchrbd.inference.settings import Settings
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel

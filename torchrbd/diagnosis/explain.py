@@ -12,9 +12,9 @@ from torchrbd.diagnosis.compare import Comparison, Gain
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
 from torchrbd.diagnosis.select import CLOSE_GAIN, CLOSE_STD, Terms, plausible, with_terms
 from torchrbd.diagnosis.words import finding_sentence
-from torchrbd.inference.columns import Candidate
-from torchrbd.inference.fitting import FittedModel, judge
-from torchrbd.inference.identify import term_parameters
+from torchrbd.inference.data.columns import Candidate
+from torchrbd.inference.physical.fitting import FittedModel, judge
+from torchrbd.inference.physical.terms import term_parameters
 from torchrbd.inference.preparation import Prepared
 
 # Below this share of its torque a term is nested in another one: nothing of it is left beside the other.

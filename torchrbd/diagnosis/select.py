@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.diagnosis.compare import Comparison, Gain
-from torchrbd.inference.columns import Candidate
-from torchrbd.inference.prior import TERM_WIDTH
+from torchrbd.inference.data.columns import Candidate
+from torchrbd.inference.physical.prior import TERM_WIDTH
 
 # 2 x 12.5 = 25 in units of 2 log L: over 800 candidates on recordings without any effect the largest seen was 18 (t
 # 2.4).

@@ -1,8 +1,8 @@
 """Fitting: block statistics, estimators, smoothing, physically valid parameters with uncertainties."""
 
 from torchrbd.inference.comparison import EstimatorComparison, compare_estimators
+from torchrbd.inference.data.payload import Payload
 from torchrbd.inference.identify import identify
-from torchrbd.inference.payload import Payload
 from torchrbd.inference.results import Fit, Identification, ParameterEstimate, TorqueSeries
 from torchrbd.inference.settings import Settings
 

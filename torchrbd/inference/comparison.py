@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from torchrbd.errors import OptionError, TorchRBDError
+from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.estimators import Estimate, estimate, linear_problem
-from torchrbd.inference.fitting import judge, term_candidates
 from torchrbd.inference.identify import listed
+from torchrbd.inference.physical.fitting import judge, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.reading import Progress
 from torchrbd.inference.results import Fit
 from torchrbd.inference.settings import ESTIMATORS, Settings, check_estimators
 from torchrbd.physics import Effect

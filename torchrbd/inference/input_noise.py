@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchrbd.inference.block_statistics import BlockStatistics, assemble, filtered_rows
-from torchrbd.inference.columns import Columns
-from torchrbd.inference.fitting import FittedModel
-from torchrbd.inference.prior import Prior
-from torchrbd.inference.reading import Reading
+from torchrbd.inference.data.block_statistics import BlockStatistics, assemble, filtered_rows
+from torchrbd.inference.data.columns import Columns
+from torchrbd.inference.data.reading import Reading
+from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.inference.physical.prior import Prior
 from torchrbd.recordings import Filtering, States, Survey
 
 _MOST_TILES = 4
-_MATTERS = 1.5
+_MATTERS = 2.5
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class InputNoise:
 
     @property
     def matters(self) -> bool:
-        """Whether position noise makes at least a third of that error."""
+        """Whether position noise makes standard errors more than half as large again."""
         return self.excess > _MATTERS
 
 

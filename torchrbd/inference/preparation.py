@@ -17,16 +17,17 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError, RecordingError
-from torchrbd.inference.block_statistics import BlockStatistics
-from torchrbd.inference.columns import Candidate, Columns, joint_scales
-from torchrbd.inference.fitting import FittedModel, fit_model
+from torchrbd.inference.data.block_statistics import BlockStatistics
+from torchrbd.inference.data.columns import Candidate, Columns, joint_scales
+from torchrbd.inference.data.notes import input_notes
+from torchrbd.inference.data.payload import payload_parameters
+from torchrbd.inference.data.reading import Progress, Reading
 from torchrbd.inference.input_noise import InputNoise, input_noise
-from torchrbd.inference.payload import payload_parameters
-from torchrbd.inference.prior import Prior, unphysical_bodies, urdf_prior
-from torchrbd.inference.reading import Progress, Reading
+from torchrbd.inference.physical.fitting import FittedModel, fit_model
+from torchrbd.inference.physical.prior import Prior, urdf_prior
+from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.smoothing import smooth, smoothable
-from torchrbd.inference.uncertain_states import UncertainStates
 from torchrbd.physics import Effect, JointScale
 from torchrbd.recordings import (
     Filtering,
@@ -36,7 +37,6 @@ from torchrbd.recordings import (
     choose_cutoff,
     open_recording,
     read_mapping,
-    skipped_segments,
     survey,
 )
 from torchrbd.robot import RobotModel
@@ -44,7 +44,6 @@ from torchrbd.robot import RobotModel
 _LEAST_BLOCKS = 6
 # Neighbouring blocks that are kept back together: fewer seams between what is fitted and what is judged.
 _HOLDOUT_RUN = 2
-_BEYOND_LIMIT = 3.0
 
 
 @dataclass(frozen=True)
@@ -176,7 +175,7 @@ def prepare(
         prior=prior,
         input_noise=input_noise(reading, columns, training, prior, rough),
         states=None,
-        notes=_notes(columns, surveys, filtering, prior, held, used & (weight == 0)),
+        notes=input_notes(columns, surveys, filtering, prior, held, used & (weight == 0)),
     )
     if settings.estimator == "smoother" or (settings.estimator == "auto" and prepared.input_noise.matters):
         return _smoothed(prepared, rough, held, settings, progress)
@@ -256,39 +255,6 @@ def _scales(surveys: Sequence[Survey], filtering: Filtering) -> tuple[JointScale
     noise = [filtering.state_noise(s.q_noise_std, s.clock.dt, s.qd_noise_std)[:, 1, 1].sqrt() for s in surveys]
     speed = torch.from_numpy(np.max([s.velocity_max for s in surveys], axis=0))
     return joint_scales(speed, torch.stack(noise).amax(0))
-
-
-def _notes(
-    columns: Columns,
-    surveys: Sequence[Survey],
-    filtering: Filtering,
-    prior: Prior,
-    held: Sequence[str],
-    without_torque: Tensor,
-) -> tuple[str, ...]:
-    robot, notes = columns.robot, []
-    for s in surveys:
-        found = [*s.notes, *(f"the torque of {name} never changes and is not used" for name in s.constant_tau)]
-        found += [
-            f"{name} moves at up to {fastest:.3g} per second, its limit is {limit:.3g}: check the units of q and t"
-            for name, fastest, limit in zip(robot.joint_names, s.velocity_max, robot.velocity.tolist(), strict=True)
-            if fastest > _BEYOND_LIMIT * limit > 0
-        ]
-        found += [
-            f"{a:.3g} to {b:.3g} s left out: too short for the filters" for a, b in skipped_segments(s, filtering)
-        ]
-        notes += [note if note.startswith(s.name) else f"{s.name}: {note}" for note in found]
-    silent = (name for name, none in zip(robot.joint_names, without_torque.tolist(), strict=True) if none)
-    notes += [f"no recording has a torque that changes for {name}" for name in silent]
-    notes += [
-        f"the URDF's inertia of {body} is that of no extended body of its mass; the fit starts from the nearest that is"
-        for body in unphysical_bodies(columns)
-    ]
-    massless = (n for b, n in enumerate(robot.body_names) if b not in prior.bodies and n not in held)
-    return (
-        *notes,
-        *(f"{name} has no mass in the URDF and keeps none; give it a rough one if it has any" for name in massless),
-    )
 
 
 def _held_out(

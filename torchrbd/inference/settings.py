@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError
-from torchrbd.inference.payload import Payload
+from torchrbd.inference.data.payload import Payload
 from torchrbd.physics import Effect, effect, effects
 from torchrbd.robot import RobotModel
 

@@ -10,14 +10,14 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError
-from torchrbd.inference.block_statistics import assemble
-from torchrbd.inference.columns import Candidate
+from torchrbd.inference.data.block_statistics import assemble
+from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.estimators.instrumental import instrumental_variables
 from torchrbd.inference.estimators.plain import regress, regress_on_noisy_inputs
 from torchrbd.inference.estimators.problem import LinearProblem, linear_problem
 from torchrbd.inference.estimators.reweighted import iteratively_reweighted
-from torchrbd.inference.map_fit import Scaled
-from torchrbd.inference.physical_fit import physical_fit
+from torchrbd.inference.physical.map_fit import Scaled
+from torchrbd.inference.physical.physical_fit import physical_fit
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.regression.base import Regression
 from torchrbd.inference.regression.choice import BestRegression

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError
-from torchrbd.inference.block_statistics import filtered_rows
+from torchrbd.inference.data.block_statistics import filtered_rows
 from torchrbd.inference.estimators.problem import LinearProblem, pseudo_inverse
 
 

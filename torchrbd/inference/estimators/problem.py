@@ -19,9 +19,9 @@ import scipy.linalg
 import torch
 from torch import Tensor
 
-from torchrbd.inference.block_statistics import BlockStatistics, assemble
-from torchrbd.inference.columns import Candidate
-from torchrbd.inference.map_fit import first_noise_variance, residual_variance
+from torchrbd.inference.data.block_statistics import BlockStatistics, assemble
+from torchrbd.inference.data.columns import Candidate
+from torchrbd.inference.physical.map_fit import first_noise_variance, residual_variance
 from torchrbd.inference.preparation import Prepared
 from torchrbd.recordings import States
 

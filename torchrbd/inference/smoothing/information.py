@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from torchrbd.inference.columns import Columns
+from torchrbd.inference.data.columns import Columns
 from torchrbd.inference.smoothing.block_tridiagonal import BlockCholesky, fold, fold_rows
 from torchrbd.inference.smoothing.linearisation import Linearisation, linearise
 from torchrbd.inference.smoothing.stretch import Stretch

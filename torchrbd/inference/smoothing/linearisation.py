@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchrbd.inference.block_statistics import filtered_rows
-from torchrbd.inference.columns import Columns
-from torchrbd.inference.fitting import predict
+from torchrbd.inference.data.block_statistics import filtered_rows
+from torchrbd.inference.data.columns import Columns
+from torchrbd.inference.physical.fitting import predict
 from torchrbd.inference.smoothing.spline import Grid
 from torchrbd.inference.smoothing.stretch import Stretch
 from torchrbd.recordings import States

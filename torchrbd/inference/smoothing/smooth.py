@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchrbd.inference.columns import Columns, joint_scales
-from torchrbd.inference.fitting import FittedModel
+from torchrbd.inference.data.columns import Columns, joint_scales
+from torchrbd.inference.data.reading import Reading
 from torchrbd.inference.input_noise import InputNoise
-from torchrbd.inference.prior import Prior
-from torchrbd.inference.reading import Reading
+from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.inference.physical.prior import Prior
+from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.smoothing.smoother import StateSmoother
 from torchrbd.inference.smoothing.stretch import Stretch, stretches
-from torchrbd.inference.uncertain_states import UncertainStates
 from torchrbd.recordings import Filtering, States, Survey
 
 # Torque noise to start from is at least so much of what a fit on filtered states leaves.

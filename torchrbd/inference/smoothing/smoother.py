@@ -27,10 +27,10 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
-from torchrbd.inference.columns import Columns
-from torchrbd.inference.map_fit import Scaled
-from torchrbd.inference.physical_fit import PhysicalFit, physical_fit
-from torchrbd.inference.prior import Prior
+from torchrbd.inference.data.columns import Columns
+from torchrbd.inference.physical.map_fit import Scaled
+from torchrbd.inference.physical.physical_fit import PhysicalFit, physical_fit
+from torchrbd.inference.physical.prior import Prior
 from torchrbd.inference.smoothing.information import Information, distance, eliminate
 from torchrbd.inference.smoothing.linearisation import residual
 from torchrbd.inference.smoothing.stretch import Stretch

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrbd.inference.columns import Columns
+from torchrbd.inference.data.columns import Columns
 from torchrbd.parameters import BASIS, PARAMETERS_PER_BODY, is_extended, nearest_physical
 from torchrbd.robot import pseudo_inertia
 

@@ -29,10 +29,10 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError
-from torchrbd.inference.fitting import FittedModel
-from torchrbd.inference.map_fit import Scaled
-from torchrbd.inference.physical_fit import physical_fit
-from torchrbd.inference.prior import Prior
+from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.inference.physical.map_fit import Scaled
+from torchrbd.inference.physical.physical_fit import physical_fit
+from torchrbd.inference.physical.prior import Prior
 from torchrbd.parameters import BASIS, ORTHONORMAL, PARAMETERS_PER_BODY
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 

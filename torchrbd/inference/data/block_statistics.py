@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchrbd.inference.columns import Columns
+from torchrbd.inference.data.columns import Columns
 from torchrbd.recordings import States
 
 

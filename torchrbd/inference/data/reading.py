@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchrbd.inference.block_statistics import BlockStatistics, block_statistics
-from torchrbd.inference.columns import Columns
+from torchrbd.inference.data.block_statistics import BlockStatistics, block_statistics
+from torchrbd.inference.data.columns import Columns
 from torchrbd.recordings import Filtering, Recording, States, Survey, tiles
 from torchrbd.robot import RobotModel
 

@@ -18,9 +18,9 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError
-from torchrbd.inference.map_fit import Scaled
-from torchrbd.inference.physical_fit import physical_fit
-from torchrbd.inference.prior import Prior
+from torchrbd.inference.physical.map_fit import Scaled
+from torchrbd.inference.physical.physical_fit import physical_fit
+from torchrbd.inference.physical.prior import Prior
 
 # Weight of the divergence from the prior, the metric's largest entry in prior standard deviations (of kappa 1) being 1:
 # it keeps the result off the boundary, and holds what the metric has no weight for.

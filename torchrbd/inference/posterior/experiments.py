@@ -14,8 +14,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from torchrbd.inference.fitting import FittedModel
-from torchrbd.inference.predictive import joint_rows
+from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.inference.posterior.predictive import joint_rows
 from torchrbd.robot import RobotModel
 
 Kind = Literal["slow", "accelerate", "fast", "all"]

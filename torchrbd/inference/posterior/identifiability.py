@@ -16,9 +16,9 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from torchrbd.inference.experiments import KINDS, SECONDS, Motion, in_words, information
-from torchrbd.inference.fitting import FittedModel
-from torchrbd.inference.prior import Prior
+from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.inference.physical.prior import Prior
+from torchrbd.inference.posterior.experiments import KINDS, SECONDS, Motion, in_words, information
 from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY, BaseParameters, base_parameters
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 

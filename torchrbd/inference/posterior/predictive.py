@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrbd.inference.fitting import FittedModel
+from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.physics import JointState
 
 _CHUNK = 2048

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrbd.inference.block_statistics import BlockStatistics
-from torchrbd.inference.columns import Candidate, Columns
-from torchrbd.inference.map_fit import first_noise_variance, residual_variance, scaled_equations
-from torchrbd.inference.physical_fit import PhysicalFit, physical_fit
-from torchrbd.inference.prior import Prior
+from torchrbd.inference.data.block_statistics import BlockStatistics
+from torchrbd.inference.data.columns import Candidate, Columns
+from torchrbd.inference.physical.map_fit import first_noise_variance, residual_variance, scaled_equations
+from torchrbd.inference.physical.physical_fit import PhysicalFit, physical_fit
+from torchrbd.inference.physical.prior import Prior
+from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.results import Fit
-from torchrbd.inference.uncertain_states import UncertainStates
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Term, effect
 from torchrbd.recordings import States

@@ -1,0 +1,47 @@
+"""What a user should know of the input: what was left out, and what looks wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from torchrbd.inference.data.columns import Columns
+from torchrbd.inference.physical.prior import Prior, unphysical_bodies
+from torchrbd.recordings import Filtering, Survey, skipped_segments
+
+_BEYOND_LIMIT = 3.0
+
+
+def input_notes(
+    columns: Columns,
+    surveys: Sequence[Survey],
+    filtering: Filtering,
+    prior: Prior,
+    held: Sequence[str],
+    without_torque: Tensor,
+) -> tuple[str, ...]:
+    """Return what the user should know of URDF and recordings, the recording's name first."""
+    robot, notes = columns.robot, []
+    for s in surveys:
+        found = [*s.notes, *(f"the torque of {name} never changes and is not used" for name in s.constant_tau)]
+        found += [
+            f"{name} moves at up to {fastest:.3g} per second, its limit is {limit:.3g}: check the units of q and t"
+            for name, fastest, limit in zip(robot.joint_names, s.velocity_max, robot.velocity.tolist(), strict=True)
+            if fastest > _BEYOND_LIMIT * limit > 0
+        ]
+        found += [
+            f"{a:.3g} to {b:.3g} s left out: too short for the filters" for a, b in skipped_segments(s, filtering)
+        ]
+        notes += [note if note.startswith(s.name) else f"{s.name}: {note}" for note in found]
+    silent = (name for name, none in zip(robot.joint_names, without_torque.tolist(), strict=True) if none)
+    notes += [f"no recording has a torque that changes for {name}" for name in silent]
+    notes += [
+        f"the URDF's inertia of {body} is that of no extended body of its mass; the fit starts from the nearest that is"
+        for body in unphysical_bodies(columns)
+    ]
+    massless = (n for b, n in enumerate(robot.body_names) if b not in prior.bodies and n not in held)
+    return (
+        *notes,
+        *(f"{name} has no mass in the URDF and keeps none; give it a rough one if it has any" for name in massless),
+    )

@@ -1,0 +1,1 @@
+"""Physically valid fits: the prior around the URDF, linear and convex fits, their covariance, projections."""
