@@ -13,6 +13,7 @@ from torchrbd.inference.physical.map_fit import scaled_equations, solve
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
+from torchrbd.parameters import is_physical
 from torchrbd.robot import RobotModel
 
 URDF = development_robots(2)["random1"]
@@ -97,5 +98,11 @@ def test_noise_of_every_joint_is_in_the_result() -> None:
         assert noise.torque > 0
         assert noise.from_position > 0
     assert result.covariance.shape == (70, 70)
+    robots = result.posterior.robots(50)
+    assert robots.shape == (50, 70)
+    assert bool(is_physical(robots.reshape(50, 7, 10)).all())
+    variance = result.posterior.torque_variance(*torch.ones(3, 5, 7, dtype=torch.float64))
+    assert variance.parameters.shape == (5, 7)
+    assert bool((variance.parameters > 0).all())
     assert len(result.base) == len({b.expression for b in result.base})
     assert all(b.std > 0 and 0 <= b.prior_share <= 1 for b in result.base)

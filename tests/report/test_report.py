@@ -66,6 +66,7 @@ def identification(
         regime="position noise hardly matters; states are filtered",
         series=series,
         model=cast(Any, None),
+        posterior=cast(Any, None),
         notes=("Column 'mode' was ignored.",),
     )
 

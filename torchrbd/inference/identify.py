@@ -17,6 +17,7 @@ from torchrbd.inference.physical.fitting import FittedModel, judge, predict, ter
 from torchrbd.inference.physical.prior import local_covariance
 from torchrbd.inference.physical.terms import term_estimates
 from torchrbd.inference.posterior.identifiability import identifiability
+from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.results import (
     BaseParameterEstimate,
@@ -109,6 +110,7 @@ def summarise(prepared: Prepared, models: dict[str, FittedModel], progress: Prog
         regime=_regime(prepared),
         series=torque_series(prepared, coefficients, progress),
         model=final.module(),
+        posterior=Posterior(prepared.prior, final),
         notes=(*prepared.notes, *_doubts(prepared, final, fits)),
     )
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from torchrbd.inference.posterior.posterior import Posterior
     from torchrbd.model import RigidBodyDynamics
     from torchrbd.robot import RobotModel
 
@@ -142,6 +143,7 @@ class Identification:
         regime: why, in a sentence.
         series: torques against time.
         model: the fitted module.
+        posterior: draws robots, and tells the variance of predicted torques.
         notes: what the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
     """
 
@@ -159,4 +161,5 @@ class Identification:
     regime: str
     series: TorqueSeries
     model: RigidBodyDynamics
+    posterior: Posterior
     notes: tuple[str, ...] = field(default=())

@@ -106,7 +106,7 @@ def local_covariance(prior: Prior, x: Tensor) -> Tensor:
     """
     inverse = torch.linalg.inv(pseudo_inertia(x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY)))
     roots = [_inverse_root(prior.kappa * metric) for metric in divergence_hessian(inverse)]
-    return torch.block_diag(*(root @ root.T for root in roots))
+    return torch.block_diag(*(root @ root.T for root in roots)) if roots else x.new_zeros(0, 0)
 
 
 def unphysical_bodies(columns: Columns) -> tuple[str, ...]:
