@@ -7,9 +7,10 @@ A bias does not shrink as a recording grows, the standard error does; their rati
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -71,7 +72,9 @@ def input_noise(
     clean = [torch.zeros(len(own), len(own), dtype=torch.float64) for own in columns.of_joint]
     noisy = [torch.zeros(len(own) + 1, len(own) + 1, dtype=torch.float64) for own in columns.of_joint]
     square, weight = torch.zeros(n, dtype=torch.float64), 0.0
-    for k, states in _some_tiles(reading):
+    fitted = {block.recording for block in statistics.blocks}
+    used = [k for k, recording in enumerate(reading.recordings) if recording.name in fitted]
+    for k, states in _some_tiles(reading, used):
         rows, _ = filtered_rows(columns, states)
         shaken, _ = filtered_rows(columns, _shaken(states, reading.surveys[k], reading.filtering, generator))
         independent = reading.filtering.effective_rate * states.dt_out
@@ -93,7 +96,7 @@ def input_noise(
     bias = torch.linalg.solve(precision, S.T @ h)
     told = float(torch.linalg.solve(precision, information).diagonal().sum())
     return InputNoise(
-        encoder_std=torch.stack([torch.from_numpy(s.q_noise_std) for s in reading.surveys]).square().mean(0).sqrt(),
+        encoder_std=torch.from_numpy(np.sqrt(np.mean([reading.surveys[k].q_noise_std ** 2 for k in used], axis=0))),
         torque_std=torque_variance.sqrt(),
         share=(torque_variance / model.noise_variance).clamp_max(1.0),
         bias=float(bias @ precision @ bias) / max(told, 1.0),
@@ -101,10 +104,10 @@ def input_noise(
     )
 
 
-def _some_tiles(reading: Reading) -> Iterator[tuple[int, States]]:
-    """Yield up to ``_MOST_TILES`` tiles a recording, spread over it, and the recording's number."""
-    most = max(1, _MOST_TILES // len(reading.recordings))
-    for k in range(len(reading.recordings)):
+def _some_tiles(reading: Reading, used: Sequence[int]) -> Iterator[tuple[int, States]]:
+    """Yield up to ``_MOST_TILES`` tiles of the recordings ``used``, spread over them, and the recording's number."""
+    most = max(1, _MOST_TILES // len(used))
+    for k in used:
         every = max(1, round(reading.surveys[k].rows / (4096 * most)))
         for number, states in enumerate(reading.tiles(k)):
             if number % every == 0:

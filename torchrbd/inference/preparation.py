@@ -196,7 +196,10 @@ def _smoothed(
         r.name for r, s in zip(reading.recordings, reading.surveys, strict=True) if not smoothable(s, reading.filtering)
     ]
     if slow:
-        note = f"states are not smoothed: the clock of {', '.join(slow)} leaves no room above the cut-off"
+        note = (
+            f"states are not smoothed: in {', '.join(slow)} the clock leaves no room above the cut-off, or measured "
+            "velocities are better than what smoothed positions would give"
+        )
         return replace(prepared, notes=(*prepared.notes, note))
     found = smooth(
         reading,

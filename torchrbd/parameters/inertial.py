@@ -52,8 +52,10 @@ def is_extended(pi: Tensor, thinness: float = 0.05) -> Tensor:
 
     r is the radius of gyration about the body's origin. Placeholder inertias are often a thousand times too small.
     """
+    physical = is_physical(pi)
+    pi = torch.where(physical.unsqueeze(-1), pi, torch.ones_like(pi))
     eigenvalues = torch.linalg.eigvalsh(central_covariance(pi))
-    return is_physical(pi) & (eigenvalues[..., -1] > thinness**2 * _second_moment(pi, eigenvalues))
+    return physical & (eigenvalues[..., -1] > thinness**2 * _second_moment(pi, eigenvalues))
 
 
 def _second_moment(pi: Tensor, eigenvalues: Tensor) -> Tensor:

@@ -67,13 +67,13 @@ class Filtering:
             )
         return torch.from_numpy(_feature_kernel(self.cutoff_hz * dt))
 
-    def feature_kernel_at(self, dt: float, step: float) -> torch.Tensor:
-        """Return the feature kernel of a clock dt [s], sampled every `step` [s]: (2 K + 1,), K even.
+    def feature_kernel_at(self, dt: float, step: float, multiple: int) -> torch.Tensor:
+        """Return the feature kernel of a clock dt [s], sampled every `step` [s]: (2 K + 1,), `multiple` divides K.
 
         It weighs signals that are sampled more coarsely, and still without aliasing into the band.
         """
         reach = (len(self.feature_kernel(dt)) // 2) * dt
-        half = 2 * math.ceil(reach / (2 * step) - 1e-9)
+        half = multiple * math.ceil(reach / (multiple * step) - 1e-9)
         t = step * np.arange(-half, half + 1)
         window = np.i0(_KAISER_BETA * np.sqrt(np.maximum(0.0, 1 - (t / reach) ** 2))) * (
             np.abs(t) <= reach * (1 + 1e-9)

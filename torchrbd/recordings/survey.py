@@ -92,6 +92,8 @@ def survey(recording: Recording) -> Survey:
     if not q_moves.any():
         raise RecordingError(f"{place}: nothing moves: the position of every joint is constant")
     cutoff_hz = spectrum.cutoff(q_moves, max(lengths))
+    qd_noise_std = spectrum.qd_noise_std(cutoff_hz)
+    suspicions = _suspicions(recording, extent, spectrum, ~np.isnan(qd_noise_std))
     return Survey(
         name=recording.name,
         clock=clock,
@@ -108,15 +110,15 @@ def survey(recording: Recording) -> Survey:
         tau_rms=extent.rms[n:],
         q_noise_std=np.fmax(spectrum.q_noise_std(), census.resolution / np.sqrt(12)),
         q_resolution=census.resolution,
-        qd_noise_std=spectrum.qd_noise_std(cutoff_hz),
+        qd_noise_std=qd_noise_std,
         cutoff_hz=cutoff_hz,
         constant_q=tuple(compress(recording.joints, ~q_moves)),
         constant_tau=tuple(compress(recording.joints, ~tau_varies & recording.measured)),
-        notes=(*recording.notes, *_notes(recording, census, len(segments)), *_suspicions(recording, extent, spectrum)),
+        notes=(*recording.notes, *_notes(recording, census, len(segments)), *suspicions),
     )
 
 
-def _suspicions(recording: Recording, extent: _Extent, spectrum: Spectrum) -> list[str]:
+def _suspicions(recording: Recording, extent: _Extent, spectrum: Spectrum, velocity_used: np.ndarray) -> list[str]:
     """Return what hints at wrong units or bad samples."""
     joints, n, notes = recording.joints, len(recording.joints), []
     for k, joint in enumerate(joints):
@@ -128,8 +130,8 @@ def _suspicions(recording: Recording, extent: _Extent, spectrum: Spectrum) -> li
         peak, rms = max(-float(extent.low[n + k]), float(extent.high[n + k])), float(extent.rms[n + k])
         if peak > _PEAK * rms > 0:
             notes.append(f"tau_{joint} peaks at {peak:.3g}, {peak / rms:.0f} times its RMS; look for bad samples")
-    for joint, ratio in zip(joints, spectrum.velocity_ratio, strict=True):
-        if abs(ratio - 1) > _VELOCITY_ERROR:
+    for joint, ratio, used in zip(joints, spectrum.velocity_ratio, velocity_used, strict=True):
+        if abs(ratio - 1) > _VELOCITY_ERROR and not used:
             notes.append(
                 f"qd_{joint} is {ratio:.3g} times dq/dt and not used; check its unit and sign, and those of q and t"
             )

@@ -20,6 +20,7 @@ from torchrbd.physics import Term, effect
 from torchrbd.recordings import States
 
 _MOST_ROUNDS, _SETTLED = 6, 0.1
+_LEAST_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -156,12 +157,13 @@ def _sandwich_filling(
 
 
 def judge(statistics: BlockStatistics, x: Tensor) -> Fit:
-    """Return how well coefficients predict blocks; joints without torque there are left out."""
+    """Return how well coefficients predict blocks; joints whose torque there is missing or constant are left out."""
     weight = statistics.torque[..., 0].sum(0)
     mse = statistics.squared_error(x).sum(0) / weight.clamp_min(1e-300)
     variance = statistics.torque_variance()
     names = statistics.columns.robot.joint_names
-    seen = [j for j in range(len(names)) if weight[j] > 0]
+    square = statistics.torque[..., 2].sum(0) / weight.clamp_min(1e-300)
+    seen = [j for j in range(len(names)) if variance[j] > _LEAST_VARIANCE * square[j]]
     return Fit(
         nmse={names[j]: float(mse[j] / variance[j].clamp_min(1e-300)) for j in seen},
         rmse={names[j]: float(mse[j].sqrt()) for j in seen},

@@ -42,9 +42,19 @@ def states_at_instants(stretch: Stretch, c: Tensor) -> States:
     grid = stretch.grid
     q, qd, qdd = (grid.basis @ c).mT
     t = torch.from_numpy(grid.instants)
-    t_out = t[grid.reach : len(t) - grid.reach : 2]
-    step = 0.5 * grid.output_step
-    return States(stretch.segment, step, t, q, qd, qdd, torch.zeros_like(q), t_out, _kernel=grid.kernel, _stride=2)
+    t_out = t[grid.reach : len(t) - grid.reach : grid.substeps]
+    return States(
+        stretch.segment,
+        grid.step,
+        t,
+        q,
+        qd,
+        qdd,
+        torch.zeros_like(q),
+        t_out,
+        _kernel=grid.kernel,
+        _stride=grid.substeps,
+    )
 
 
 def residual(columns: Columns, stretch: Stretch, c: Tensor, x: Tensor) -> Tensor:
@@ -61,7 +71,7 @@ def linearise(columns: Columns, stretch: Stretch, c: Tensor, x: Tensor) -> Linea
     Y = c.new_zeros(grid.outputs, n, columns.n)
     for joint, own in enumerate(columns.of_joint):
         Y[:, joint, own] = rows[joint][:-1].T
-    seen = _slopes(columns, states, x).unfold(-1, 2 * grid.reach + 1, 2).permute(3, 0, 2, 1, 4)
+    seen = _slopes(columns, states, x).unfold(-1, 2 * grid.reach + 1, grid.substeps).permute(3, 0, 2, 1, 4)
     J = seen.flatten(3) @ grid.filtered_basis
     return Linearisation(stretch.tau - torch.einsum("ojk,k->oj", Y, x), Y, in_blocks(grid, J))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,11 +16,13 @@ from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.prior import Prior
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.smoothing.smoother import StateSmoother
-from torchrbd.inference.smoothing.stretch import Stretch, stretches
+from torchrbd.inference.smoothing.stretch import SAMPLES_PER_KNOT, Stretch, knots_per_output, stretches
 from torchrbd.recordings import Filtering, States, Survey
 
 # Torque noise to start from is at least so much of what a fit on filtered states leaves.
 _LEAST_SHARE = 0.02
+# A joint moves if it reaches so many times the speed below which its direction is not told.
+_MOVES = 3.0
 
 
 @dataclass(frozen=True)
@@ -60,8 +63,10 @@ class Smoothed:
 
 
 def smoothable(survey: Survey, filtering: Filtering) -> bool:
-    """Say whether a recording has more positions than its splines have coefficients."""
-    return filtering.stride(survey.clock.dt) >= 2
+    """Say whether a recording has enough positions to a spline coefficient, and no better velocities."""
+    stride = filtering.stride(survey.clock.dt)
+    room = stride >= SAMPLES_PER_KNOT * knots_per_output(stride * survey.clock.dt)
+    return room and bool(np.isnan(survey.qd_noise_std).all())
 
 
 def smooth(
@@ -112,4 +117,6 @@ def smooth(
 
 
 def _friction(columns: Columns) -> Tensor:
-    return torch.tensor([k for c in columns.urdf_friction for k in columns.of(c)], dtype=torch.long)
+    """Return the columns of friction at joints that move: a direction of motion that is never told bends everything."""
+    moving = [s.speed_max > _MOVES * s.rest_width for s in columns.scales]
+    return torch.tensor([k for c in columns.urdf_friction if moving[c.joint] for k in columns.of(c)], dtype=torch.long)

@@ -37,6 +37,8 @@ from torchrbd.inference.smoothing.stretch import Stretch
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, to_log_cholesky
 from torchrbd.robot import pseudo_inertia
 
+# A position that never changes has no noise to tell; no encoder is better than this [rad, m].
+_LEAST_ENCODER_STD = 1e-7
 _MOST_ITERATIONS, _SETTLED, _LEAST_FREEDOM, _HALVINGS = 12, 0.05, 0.02, 4
 
 
@@ -81,7 +83,7 @@ class StateSmoother(nn.Module):
         self._set_x(x)
         silent = torch.stack([s.counts.sum(0) for s in self.stretches]).sum(0) == 0
         self.log_torque_std = nn.Parameter(torch.where(silent, torch.ones_like(torque_std), torque_std).log())
-        self.log_encoder_std = nn.Parameter(encoder_std.log())
+        self.log_encoder_std = nn.Parameter(encoder_std.clamp_min(_LEAST_ENCODER_STD).log())
         self.information: Information | None = None
 
     @property
@@ -199,7 +201,9 @@ class StateSmoother(nn.Module):
         freedom = found.count - found.spread / torque - parameters
         variance = square / torch.maximum(freedom, _LEAST_FREEDOM * found.count).clamp_min(1e-300)
         variance = torch.where(found.count > 0, variance.clamp_min(1e-300), torch.ones_like(variance))
-        encoder = misfit / (found.samples - found.wander / (2 * self.log_encoder_std).exp())
+        encoder = (misfit / (found.samples - found.wander / (2 * self.log_encoder_std).exp())).clamp_min(
+            _LEAST_ENCODER_STD**2
+        )
         change = max(
             float((0.5 * variance.log() - self.log_torque_std).abs().max()),
             float((0.5 * encoder.log() - self.log_encoder_std).abs().max()),

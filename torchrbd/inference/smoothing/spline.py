@@ -2,9 +2,10 @@
 
     q(t) = sum_i c_i beta((t - t_0) / h - i + 1),   beta the cubic B-spline of support 4
 
-Torque is sampled every dt_out, about 0.4 / f_c. One knot to a torque sample bends a motion near f_c (5 Hz at f_c = 7 Hz
-by some per cent, all of which would go into the parameters); two pass it, but more noise with it. The dynamics are
-evaluated every dt_out / 2; the torque filter reaches over ``reach`` of these steps to each side.
+Torque is sampled every dt_out, about 0.4 / f_c. One knot to a torque sample bends a motion near f_c (5 Hz at f_c = 7
+Hz by some per cent, all of which would go into the parameters); more knots pass it, and more noise with it. The
+dynamics are evaluated ``substeps`` times as often as torque is sampled, lest what they make of a motion near f_c is
+aliased into the band; the torque filter reaches over ``reach`` of these steps to each side.
 """
 
 from __future__ import annotations
@@ -27,14 +28,16 @@ class Grid:
     Attributes:
         start: time of the first knot [s].
         output_step: time between torque samples, dt_out [s].
-        per_output: knots to a torque sample, 1 or 2.
+        per_output: knots to a torque sample.
+        substeps: evaluations of the dynamics to a torque sample.
         outputs: number of torque samples.
-        kernel: (2 reach + 1,) torque filter, sampled every dt_out / 2; reach is even.
+        kernel: (2 reach + 1,) torque filter, sampled at the evaluations; reach is a multiple of ``substeps``.
     """
 
     start: float
     output_step: float
     per_output: int
+    substeps: int
     outputs: int
     kernel: Tensor
 
@@ -45,13 +48,18 @@ class Grid:
 
     @property
     def reach(self) -> int:
-        """Reach of the torque filter, in steps of dt_out / 2."""
+        """Reach of the torque filter, in evaluations."""
         return len(self.kernel) // 2
+
+    @property
+    def step(self) -> float:
+        """Time between evaluations of the dynamics [s]."""
+        return self.output_step / self.substeps
 
     @property
     def width(self) -> int:
         """Coefficients that one torque sample depends on: torque sample o on those from ``per_output`` o."""
-        return self.per_output * self.reach + _DEGREE
+        return 2 * self.per_output * (self.reach // self.substeps) + _DEGREE
 
     @property
     def outputs_per_block(self) -> int:
@@ -71,7 +79,7 @@ class Grid:
     @property
     def first_output(self) -> float:
         """Time of the first torque sample [s]."""
-        return self.start + 0.5 * self.reach * self.output_step
+        return self.start + self.reach * self.step
 
     @property
     def end(self) -> float:
@@ -81,12 +89,12 @@ class Grid:
     @property
     def instants(self) -> np.ndarray:
         """Times at which the dynamics are evaluated [s]."""
-        return self.start + 0.5 * self.output_step * np.arange(2 * (self.outputs - 1 + self.reach) + 1)
+        return self.start + self.step * np.arange(self.substeps * (self.outputs - 1) + 2 * self.reach + 1)
 
     @property
     def basis(self) -> Tensor:
         """Value, first and second derivative of the basis at the instants (3, N, n_coefficients)."""
-        return _basis(self.n_coefficients, self.spacing, len(self.instants), 0.5 * self.output_step)
+        return _basis(self.n_coefficients, self.spacing, len(self.instants), self.step)
 
     @property
     def filtered_basis(self) -> Tensor:

@@ -6,6 +6,7 @@ say of the coefficients c:  |q_m - B c|^2 = misfit + (c - c0)' B'B (c - c0).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import groupby
@@ -18,8 +19,10 @@ from torch import Tensor
 from torchrbd.inference.smoothing.spline import Grid
 from torchrbd.recordings import Filtering, Recording, States, Survey, uniform_blocks
 
-_MOST_OUTPUTS = 300
-_SAMPLES_PER_KNOT = 2
+_MOST_KNOTS = 300
+# Motion of 1 Hz has ten knots a cycle, and harmonics up to 20 Hz are evaluated without aliasing.
+_LONGEST_KNOT_S, _LONGEST_STEP_S = 0.1, 0.025
+SAMPLES_PER_KNOT = 4
 _SURELY = 4.0
 _BANDWIDTH = 3
 
@@ -33,7 +36,7 @@ class Stretch:
         grid: the knots.
         tau: (O, n) band-limited torque, [N m] or [N].
         counts: (O, n) independent samples that each stands for; zero where unmeasured or kept back.
-        gram: B'B (K, K), of one joint.
+        bands: (4, K) the diagonals of B'B, of one joint: the main one first.
         encoder: c0 (K, n), the spline closest to the positions.
         misfit: (n,) squared distance that it leaves, [rad^2] or [m^2].
         samples: number of encoder samples.
@@ -43,10 +46,21 @@ class Stretch:
     grid: Grid
     tau: Tensor
     counts: Tensor
-    gram: Tensor
+    bands: Tensor
     encoder: Tensor
     misfit: Tensor
     samples: int
+
+    @property
+    def gram(self) -> Tensor:
+        """B'B (K, K)."""
+        upper = torch.stack([torch.diag(band[: len(band) - k], k) for k, band in enumerate(self.bands)]).sum(0)
+        return upper + upper.triu(1).T
+
+
+def knots_per_output(dt_out: float) -> int:
+    """Return the knots that a torque sample every dt_out [s] needs at least."""
+    return math.ceil(dt_out / _LONGEST_KNOT_S - 1e-6)
 
 
 def stretches(
@@ -56,7 +70,7 @@ def stretches(
     tiles: Iterable[States],
     counted: Callable[[Tensor], Tensor],
 ) -> tuple[Stretch, ...]:
-    """Cut a recording into stretches, with one knot to a torque sample, or two if the motion needs them.
+    """Cut a recording into stretches, with as few knots as the motion allows.
 
     Args:
         recording, survey, filtering: the data.
@@ -69,15 +83,17 @@ def stretches(
         step = states.dt_out
         tau = states.decimate(torch.nan_to_num(states.tau)).T
         torques.setdefault(states.segment, []).append((states.t_out, tau))
-    kernel = filtering.feature_kernel_at(survey.clock.dt, 0.5 * step)
-    roomy = filtering.stride(survey.clock.dt) >= 2 * _SAMPLES_PER_KNOT
+    substeps = max(2, math.ceil(step / _LONGEST_STEP_S - 1e-6))
+    kernel = filtering.feature_kernel_at(survey.clock.dt, step / substeps, substeps)
+    few = knots_per_output(step)
+    roomy = filtering.stride(survey.clock.dt) >= SAMPLES_PER_KNOT * 2 * few
     coarse, fine = [], []
     for segment, t, q in _positions(recording, survey):
-        for t_out, tau in _parts(torques.get(segment, [])):
-            start = float(t_out[0]) - 0.25 * (len(kernel) - 1) * step
+        for t_out, tau in _parts(torques.get(segment, []), max(1, _MOST_KNOTS // few)):
+            start = float(t_out[0]) - (len(kernel) // 2) * step / substeps
             counts = counted(t_out) * filtering.effective_rate * step
-            for per_output, found in ((1, coarse), (2, fine))[: 1 + roomy]:
-                grid = Grid(start, step, per_output, len(t_out), kernel)
+            for per_output, found in ((few, coarse), (2 * few, fine))[: 1 + roomy]:
+                grid = Grid(start, step, per_output, substeps, len(t_out), kernel)
                 inside = (t >= grid.start - 1e-9) & (t <= grid.end + 1e-9)
                 told = _least_squares(grid, t[inside], q[:, inside])
                 found.append(Stretch(segment, grid, tau, counts, *told))
@@ -93,11 +109,11 @@ def _bends(coarse: list[Stretch], fine: list[Stretch]) -> bool:
     return bool((gained > (1 + _SURELY * (2 / more) ** 0.5) * noise).any())
 
 
-def _parts(tiles: list[tuple[Tensor, Tensor]]) -> Iterator[tuple[Tensor, Tensor]]:
+def _parts(tiles: list[tuple[Tensor, Tensor]], outputs: int) -> Iterator[tuple[Tensor, Tensor]]:
     """Yield times (O,) and torques (O, n) of a segment in parts of equal length."""
     if tiles:
         t, tau = (torch.cat(pieces) for pieces in zip(*tiles, strict=True))
-        yield from zip(t.split(_MOST_OUTPUTS), tau.split(_MOST_OUTPUTS), strict=True)
+        yield from zip(t.split(outputs), tau.split(outputs), strict=True)
 
 
 def _positions(recording: Recording, survey: Survey) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
@@ -110,8 +126,8 @@ def _positions(recording: Recording, survey: Survey) -> Iterator[tuple[int, np.n
 
 def _least_squares(grid: Grid, t: np.ndarray, q: np.ndarray) -> tuple[Tensor, Tensor, Tensor, int]:
     basis = grid.sample_basis(t)
-    gram = (basis.T @ basis).toarray()
-    bands = np.stack([np.append(np.zeros(k), gram.diagonal(k)) for k in range(_BANDWIDTH, -1, -1)])
-    c = solveh_banded(bands, basis.T @ q.T)
+    gram = basis.T @ basis
+    bands = np.stack([np.append(gram.diagonal(k), np.zeros(k)) for k in range(_BANDWIDTH + 1)])
+    c = solveh_banded(bands, basis.T @ q.T, lower=True)
     misfit = np.sum((q.T - basis @ c) ** 2, axis=0)
-    return torch.from_numpy(gram).contiguous(), torch.from_numpy(c).contiguous(), torch.from_numpy(misfit), len(t)
+    return torch.from_numpy(bands), torch.from_numpy(c).contiguous(), torch.from_numpy(misfit), len(t)
