@@ -61,3 +61,7 @@ def test_held_out_data_that_are_predicted_worse(arrays: dict[str, np.ndarray], t
     np.savez(tmp_path / "right.npz", joints=np.array(names), **arrays)
     told = "\n".join(identify(URDF, fitted, holdout=[tmp_path / "right.npz"]).notes)
     assert all(f"on held-out data {joint} is predicted worse than by the URDF" in told for joint in names)
+
+
+def test_masses_that_no_link_has(arrays: dict[str, np.ndarray]) -> None:
+    assert "times the URDF's: a load" in notes(arrays, tau=30.0 * arrays["tau"])

@@ -34,7 +34,7 @@ from torchrbd.robot import RobotModel
 
 # Estimators that come with intervals of their own; see preparation.py for the choice between them.
 _OWN = ("auto", "physical", "smoother")
-_POOR, _ABSURD, _WORSE = 0.8, 100.0, 1.2
+_POOR, _ABSURD, _WORSE, _IMPLAUSIBLE = 0.8, 100.0, 1.2, 5.0
 
 
 def identify(
@@ -124,7 +124,7 @@ def _doubts(prepared: Prepared, model: FittedModel, fits: dict[str, Fit]) -> lis
         if nmse > _POOR:
             doubts.append(
                 f"the fitted model explains little of the torque of {joint} (nmse {nmse:.2f} where it was fitted): "
-                "check the unit, sign, gear ratio and name of its columns"
+                "check the unit, sign, gear ratio and name of its columns, or let diagnose look for missing friction"
             )
         if told[joint] > _ABSURD:
             doubts.append(
@@ -135,6 +135,13 @@ def _doubts(prepared: Prepared, model: FittedModel, fits: dict[str, Fit]) -> lis
             doubts.append(
                 f"on held-out data {joint} is predicted worse than by the URDF as given "
                 f"(nmse {last[joint]:.3g} against {fits['urdf'].nmse[joint]:.3g})"
+            )
+    for body in prepared.prior.bodies:
+        urdf, found = (float(x[PARAMETERS_PER_BODY * body]) for x in (prepared.prior.reference, model.x))
+        if not 1 / _IMPLAUSIBLE < found / urdf < _IMPLAUSIBLE:
+            doubts.append(
+                f"the mass of {prepared.robot.body_names[body]} comes out {found / urdf:.2g} times the URDF's: a load, "
+                "something that the model lacks (try diagnose), or a motion that tells it too little"
             )
     if not model.converged:
         doubts.append("the fit stopped early: the torques are far from those of any rigid body; check units and signs")
@@ -160,7 +167,7 @@ def _regime(prepared: Prepared) -> str:
             f"position noise matters: fitted to filtered states, parameters would have {size} times the squared error"
         )
     else:
-        share = "less than 1" if excess < 1.01 else f"{100 * (excess - 1):.1g}"
+        share = "less than 1" if excess < 1.01 else f"{100 * (excess - 1):.0f}"
         effect = f"position noise hardly matters: it adds {share} % to the parameters' squared error"
     return effect + (
         "; states are filtered" if prepared.states is None else "; states and parameters are smoothed together"

@@ -170,3 +170,10 @@ def test_default_elsewhere(design: str, snr: float) -> None:
     print(f"{design}, SNR {snr:g}: to OLS, noise given {known / least:.2f}, unknown {unknown / least:.2f}")
     assert known < 1.15 * least
     assert unknown < 1.15 * least
+
+
+def test_inputs_that_are_all_noise_tell_nothing() -> None:
+    generator = torch.Generator().manual_seed(8)
+    X, y = torch.randn(300, 5, generator=generator).double(), torch.randn(300, generator=generator).double()
+    fitted = BestRegression(torch.full((5,), 25.0, dtype=torch.float64)).fit(X, y)
+    assert bool(torch.isfinite(fitted.coefficients).all())

@@ -40,6 +40,8 @@ def ard(G: Tensor, g: Tensor, yy: float, n: float) -> ARDFit:
     Source: MacKay, "Bayesian interpolation" (1992), eqs. (4.6) and (4.7), one alpha for each coefficient.
     """
     d = len(g)
+    if d == 0:
+        return ARDFit(g, G, yy, 0)
     scale = G.diagonal().clamp_min(0.0).sqrt()
     live = torch.nonzero(scale > 1e-7 * scale.max().clamp_min(1e-300)).squeeze(1)
     scale = torch.where(scale > 0.0, scale, 1.0)
