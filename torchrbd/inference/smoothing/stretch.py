@@ -20,8 +20,8 @@ from torchrbd.inference.smoothing.spline import Grid
 from torchrbd.recordings import Filtering, Recording, States, Survey, uniform_blocks
 
 _MOST_KNOTS = 300
-# Motion of 1 Hz has ten knots a cycle, and harmonics up to 20 Hz are evaluated without aliasing.
-_LONGEST_KNOT_S, _LONGEST_STEP_S = 0.1, 0.025
+# Motion of 1 Hz has ten knots a cycle, and harmonics up to 16 Hz are evaluated without aliasing.
+_LONGEST_KNOT_S, _LONGEST_STEP_S = 0.1, 0.03
 SAMPLES_PER_KNOT = 4
 _SURELY = 4.0
 _BANDWIDTH = 3
@@ -83,9 +83,10 @@ def stretches(
         step = states.dt_out
         tau = states.decimate(torch.nan_to_num(states.tau)).T
         torques.setdefault(states.segment, []).append((states.t_out, tau))
-    substeps = max(2, math.ceil(step / _LONGEST_STEP_S - 1e-6))
-    kernel = filtering.feature_kernel_at(survey.clock.dt, step / substeps, substeps)
     few = knots_per_output(step)
+    # as many evaluations between any two knots, of the finer splines too
+    substeps = 2 * few * math.ceil(step / (2 * few * _LONGEST_STEP_S) - 1e-6)
+    kernel = filtering.feature_kernel_at(survey.clock.dt, step / substeps, substeps)
     roomy = filtering.stride(survey.clock.dt) >= SAMPLES_PER_KNOT * 2 * few
     coarse, fine = [], []
     for segment, t, q in _positions(recording, survey):
