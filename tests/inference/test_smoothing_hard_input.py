@@ -319,7 +319,7 @@ def test_slow_clocks(rate_hz: float) -> None:
 
 @pytest.mark.parametrize("noise", [LOUD, 1e-2, 2e-2])
 def test_very_loud_encoders(noise: float) -> None:
-    """Noise pulls the chosen cut-off into the motion's band; without a roughness prior smoothing loses a little there."""
+    """Noise pulls the chosen cut-off into the motion's band; without a roughness prior smoothing loses a little."""
     assert ratio_of_true_errors(range(130, 133), encoder_noise=noise, duration_s=60.0) < 2.0
 
 
