@@ -1,6 +1,6 @@
 """Time an identification, intervals included: a seven-joint arm, 60 s at 500 Hz, from opened recording to result.
 
-    OMP_NUM_THREADS=1 PYTHONPATH=tests python benchmarks/identification.py
+    OMP_NUM_THREADS=1 python benchmarks/identification.py
 
 The other side of the ratio is the least one can do with Pinocchio: its regressor in a loop over the same samples, and
 numpy's lstsq on the stack, without filter, prior, intervals or held-out data. Needs the test extra.
@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+import import_paths  # noqa: F401
 import numpy as np
 import pinocchio as pin
 import torch

@@ -1,6 +1,6 @@
 """Error of identified parameters against encoder noise and cut-off: torque nMSE on noiseless states of another motion.
 
-    OMP_NUM_THREADS=1 PYTHONPATH=tests python benchmarks/input_noise.py --robots final --seeds 2
+    OMP_NUM_THREADS=1 python benchmarks/input_noise.py --robots final --seeds 2
 
 Columns: the URDF as given, the estimator "auto" on exact positions (what torque noise alone costs), and the estimators
 asked for on noisy ones, unphysical answers as they come. Robots and torques are Pinocchio's. Needs the test extra.
@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 from itertools import product
 
+import import_paths  # noqa: F401
 import numpy as np
 from noisy_robots import development_robots, final_robots, noisy_recording, perturbed, torque_nmse, true_parameters
 from rich.console import Console

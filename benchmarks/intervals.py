@@ -1,6 +1,6 @@
 """Coverage of the 95 % intervals of base parameters, against encoder noise; torque noise is coloured.
 
-    OMP_NUM_THREADS=1 PYTHONPATH=tests python benchmarks/intervals.py --robots final --recordings 100
+    OMP_NUM_THREADS=1 python benchmarks/intervals.py --robots final --recordings 100
 
 Every recording has its own motion, noise and wrong URDF; robots, and open and closed loop, take turns. Robots and
 torques are Pinocchio's. Needs the test extra.
@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+import import_paths  # noqa: F401
 import numpy as np
 from noisy_robots import development_robots, final_robots, noisy_recording, perturbed
 from rich.console import Console

@@ -5,7 +5,7 @@
 Three arms of 6 and 7 joints, SEEDS seeds each (3 by default). The URDF's bodies are the true ones, changed by about
 30 % in every direction. Twenty seconds are recorded, torques by Pinocchio with 3 % noise; with *good data* all joints
 move, otherwise half of them hardly do. Judged on noiseless motions of all joints: nmse, mean over joints, geometric
-mean over robots and seeds. Needs the test extra and the folder tests.
+mean over robots and seeds. Needs the test extra.
 """
 
 from __future__ import annotations
@@ -14,16 +14,14 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
+import import_paths  # noqa: F401
 import numpy as np
 import torch
 from memory import arm
-from torch import Tensor
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from robot.random_robots import random_urdf
 from simulated import Motion, inverse_dynamics, joint_names, multisine
+from torch import Tensor
 
 from torchrbd import RobotModel
 from torchrbd.inference.data.block_statistics import assemble

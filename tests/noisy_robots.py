@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.signal import lfilter
 from simulated import Motion, inverse_dynamics
+from vision_head.motion import sines
 
 from torchrbd.recordings import Recording
 
@@ -147,15 +148,14 @@ def _motion(model: pin.Model, rng: np.random.Generator, duration_s: float, rate_
     n, t = model.nv, np.arange(round(duration_s * rate_hz)) / rate_hz
     omega = 2 * np.pi * rng.uniform(0.1, fastest_hz, (n, 8))
     phase, speed = rng.uniform(0, 2 * np.pi, (n, 8)), rng.uniform(0.2, 0.8, (n, 8))
-    angle = omega * t[:, None, None] + phase
-    q, qd = (speed / omega * np.sin(angle)).sum(-1), (speed * np.cos(angle)).sum(-1)
-    qdd = (-speed * omega * np.sin(angle)).sum(-1)
+    free = sines(t, speed / omega, omega, phase)
+    q, qd = free.q, free.qd
     low, high = np.maximum(model.lowerPositionLimit, -np.pi), np.minimum(model.upperPositionLimit, np.pi)
     room, fastest = 0.9 * (high - low), 0.9 * np.minimum(model.velocityLimit, 1e3)
     scale = np.minimum(1.0, np.minimum(room / np.ptp(q, axis=0), fastest / np.abs(qd).max(0)))
     slack = room - scale * np.ptp(q, axis=0)
     shift = 0.5 * (low + high) - scale * 0.5 * (q.max(0) + q.min(0)) + slack * rng.uniform(-0.5, 0.5, n)
-    return Motion(t, scale * q + shift, scale * qd, scale * qdd)
+    return Motion(t, scale * q + shift, scale * qd, scale * free.qdd)
 
 
 def _tracked(model: pin.Model, wanted: Motion, noise: np.ndarray) -> tuple[Motion, np.ndarray]:

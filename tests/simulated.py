@@ -3,22 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from vision_head.motion import Motion, sines
 
 from torchrbd.recordings import Recording
-
-
-@dataclass(frozen=True)
-class Motion:
-    """A smooth motion that never repeats: t (N,), and q, qd, qdd (N, n)."""
-
-    t: np.ndarray
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
 
 
 def multisine(
@@ -29,9 +19,8 @@ def multisine(
     t = np.arange(0.0, duration_s, 1.0 / rate_hz)
     omega = 2 * np.pi * rng.uniform(0.1, fastest_hz, (n_dof, 6))
     phase, speed = rng.uniform(0, 2 * np.pi, (n_dof, 6)), rng.uniform(0.3, 0.9, (n_dof, 6))
-    angle = omega * t[:, None, None] + phase
-    q = (speed / omega * np.sin(angle)).sum(-1) + rng.uniform(-1, 1, n_dof)
-    return Motion(t, q, (speed * np.cos(angle)).sum(-1), (-speed * omega * np.sin(angle)).sum(-1))
+    moved = sines(t, speed / omega, omega, phase)
+    return Motion(t, moved.q + rng.uniform(-1, 1, n_dof), moved.qd, moved.qdd)
 
 
 def joint_names(urdf: str) -> list[str]:

@@ -11,6 +11,7 @@ from simulated import joint_names, record
 
 import torchrbd
 from torchrbd.cli import main
+from torchrbd.inference.settings import ESTIMATORS
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +48,7 @@ def run(case: Path, *arguments: str) -> int:
 def test_diagnose_writes_everything(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(case, "diagnose", "arm.urdf", "day.csv", "--holdout", "night.csv", "-o", str(tmp_path)) == 0
     told = capsys.readouterr().out
-    assert "missing physics" in told
+    assert told.startswith("Missing physics: ")
     assert "Coulomb friction" in told
     assert str(tmp_path / "report.html") in told.replace("\n", "")
     diagnosis = json.loads((tmp_path / "diagnosis.json").read_text())
@@ -103,6 +104,58 @@ def test_identify_writes_parameters(case: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "diagnosis.json").exists()
 
 
+@pytest.mark.parametrize(("estimator", "sure"), [("wls", False), ("physical", True)])
+def test_identify_says_the_same_on_the_screen_in_the_report_and_in_the_file(
+    estimator: str, sure: bool, case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(case, "identify", "arm.urdf", "day.csv", "-o", str(tmp_path), "--estimator", estimator) == 0
+    told = re.sub(r"\s+", " ", capsys.readouterr().out)
+    page = (tmp_path / "report.html").read_text()
+    content = json.loads((tmp_path / "parameters.json").read_text())
+    names = {"identified": "Identified", "doubtful": "Identified, with doubts", "worse": "Worse than the URDF"}
+    assert told.startswith(f"{names[content['verdict']]}: ")
+    assert f"{names[content['verdict']]}</span>" in page
+    for doubt in content["doubts"]:
+        assert f"warning: {doubt}" in told
+    assert set(content["doubts"]) <= set(content["notes"])
+    for title in ("position noise", "torque left over", "standard deviation"):
+        assert title in told
+    assert ("without intervals, which come with auto, physical, smoother" in told) != sure
+    fitted = [p for p in content["parameters"] if p["status"] != "held"]
+    assert all((p["std"] is not None) == (p["prior_share"] is not None) == sure for p in fitted)
+    assert (content["base_covariance"] is not None) == sure
+    assert ("± –" in page) != sure
+
+
+def test_names_in_brackets_are_no_markup(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("arm.urdf", "day.csv"):
+        (tmp_path / name).write_text((case / name).read_text().replace("joint2", "j[/b]"))
+    files = str(tmp_path / "arm.urdf"), str(tmp_path / "day.csv")
+    assert main(["identify", *files, "-o", str(tmp_path / "o")]) == 0
+    assert main(["compare-estimators", *files, "--estimators", "wls"]) == 0
+    told = capsys.readouterr().out
+    assert told.count("│ j[/b] ") == 2
+    assert re.search(r"┃ +j\[/b\] ┃", told)
+
+
+def test_options_before_the_files_are_answered_with_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["compare-estimators", "--estimators", "wls", "ols", "arm.urdf", "day.csv"])
+    assert stop.value.code == 2
+    told = re.sub(r"\s+", " ", capsys.readouterr().err)
+    assert "give ROBOT.urdf RECORDING... first" in told
+
+
+def test_help_explains_every_estimator(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("identify", "compare-estimators"):
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        told = re.sub(r"\s+", " ", capsys.readouterr().out)
+        for name, meaning in ESTIMATORS.items():
+            assert meaning in told or (name, command) == ("auto", "compare-estimators")
+    assert "auto, the default of identify, is smoother where" in told
+
+
 def test_compare_estimators_prints_and_writes_a_table(
     case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -110,9 +163,13 @@ def test_compare_estimators_prints_and_writes_a_table(
     arguments = (*arguments, "--estimators", "wls", "iv")
     assert run(case, *arguments) == 0
     told = capsys.readouterr().out
-    rows = re.findall(r"│ (\w+) +│ (\S+) +│ (\w*) +│ (\S+) +│ \d+\.\d\d +│", told)
+    rows = re.findall(r"│ (\w+) +│ +(\S+) │ (\w*) +│ +(\S+)( \*)? +│ +(\d+\.\d\d s)? │", told)
     assert [row[0] for row in rows] == ["urdf", "wls"]
-    assert "iv failed: estimator 'iv' needs the set-points" in re.sub(r"\s+", " ", told)
+    assert [bool(row[4]) for row in rows] == [False, True]
+    told = re.sub(r"\s+", " ", told)
+    assert "iv is left out: estimator 'iv' needs the set-points" in told
+    assert "physical? says whether every link" in told
+    assert "Position noise" in told
     assert list(tmp_path.iterdir()) == []
     assert run(case, *arguments, "--holdout", "night.csv", "-o", str(tmp_path / "new")) == 0
     content = json.loads((tmp_path / "new" / "estimators.json").read_text())
@@ -149,10 +206,11 @@ BAD = {
     "payload of another file": (("identify", "arm.urdf", "day.csv", "--payload", "dawn.csv=1,0,0,0"), "dawn.csv"),
     "payload on nothing": (("identify", "arm.urdf", "day.csv", "--payload", "day.csv=1,0,0,0@linkX"), "linkX"),
     "bad fraction": (("identify", "arm.urdf", "day.csv", "--holdout-fraction", "0.9"), "holdout_fraction is 0.9"),
-    "too short": (("identify", "arm.urdf", "day.csv", "--time", "0:3"), "give longer or more recordings"),
+    "too short": (("identify", "arm.urdf", "day.csv", "--time", "0:3"), "give more recordings"),
     "cut-off too high": (("identify", "arm.urdf", "day.csv", "--cutoff", "90"), "too high"),
     "unknown estimator": (("identify", "arm.urdf", "day.csv", "--estimator", "smother"), "did you mean 'smoother'?"),
     "estimator to compare": (("compare-estimators", "arm.urdf", "day.csv", "--estimators", "wsl"), "mean 'wls'?"),
+    "auto to compare": (("compare-estimators", "arm.urdf", "day.csv", "--estimators", "auto"), "compare these two"),
     "bad encoder noise": (("identify", "arm.urdf", "day.csv", "--encoder-noise", "fine"), "expected a number"),
     "no encoder noise": (("diagnose", "arm.urdf", "day.csv", "--encoder-noise", "0"), "standard deviation above 0"),
     "no mapping": (("identify", "arm.urdf", "day.csv", "--mapping", "map.yaml"), "map.yaml"),
@@ -202,6 +260,16 @@ def test_configuration_in_another_encoding_is_told(
     (case / "latin.yaml").write_bytes("cutoff: 5 # Größe\n".encode("latin-1"))
     assert run(case, "identify", "arm.urdf", "day.csv", "-o", str(tmp_path / "o"), "--config", "latin.yaml") == 2
     assert "not YAML in UTF-8" in capsys.readouterr().err
+
+
+def test_diagnose_needs_an_estimator_with_intervals(
+    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (case / "plain.yaml").write_text("estimator: wls\n")
+    assert run(case, "diagnose", "arm.urdf", "day.csv", "-o", str(tmp_path / "o"), "--config", "plain.yaml") == 2
+    told = re.sub(r"\s+", " ", capsys.readouterr().err)
+    assert "diagnose: estimator 'wls' does not tell how sure it is" in told
+    assert "use auto, physical, smoother, or identify" in told
 
 
 def test_output_that_cannot_be_written_is_told_first(

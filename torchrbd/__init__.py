@@ -8,7 +8,7 @@ model = diagnosis.identification.model          # an nn.Module: tau = model(q, q
 from torchrbd.diagnosis import Diagnosis, Finding, diagnose
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.export import load_model, save_model, to_urdf
-from torchrbd.inference import EstimatorComparison, Identification, compare_estimators, identify
+from torchrbd.inference import EstimatorComparison, Identification, Settings, compare_estimators, identify
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import effects, register
 from torchrbd.recordings import Recording, open_recording, read_mapping
@@ -30,6 +30,7 @@ __all__ = [
     "RigidBodyDynamics",
     "RobotError",
     "RobotModel",
+    "Settings",
     "TorchRBDError",
     "compare_estimators",
     "diagnose",

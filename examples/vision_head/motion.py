@@ -17,7 +17,7 @@ _SHIFT_S, _REST_S = 0.6, 0.2  # neck and eyes of a person take 0.3 to 0.8 s for 
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion sampled at ``RATE_HZ``: t (N,) [s] and q, qd, qdd (N, n) [rad, per s, per s^2]."""
+    """A motion: t (N,) [s] and q, qd, qdd (N, n) [rad, per s, per s^2]."""
 
     t: np.ndarray
     q: np.ndarray
@@ -25,8 +25,20 @@ class Motion:
     qdd: np.ndarray
 
 
+def sines(t: np.ndarray, amplitude: np.ndarray, omega: np.ndarray, phase: np.ndarray) -> Motion:
+    """Sum K sines a joint: q_j = sum_k amplitude_jk sin(omega_jk t + phase_jk).
+
+    Args:
+        t: (N,) [s].
+        amplitude, omega, phase: (n, K) [rad, rad/s, rad].
+    """
+    angle = omega * t[:, None, None] + phase
+    sin, cos = amplitude * np.sin(angle), amplitude * omega * np.cos(angle)
+    return Motion(t, sin.sum(-1), cos.sum(-1), -(omega**2 * sin).sum(-1))
+
+
 def multisine(rng: np.random.Generator, seconds: float, neck_hz: float, eye_hz: float) -> Motion:
-    """Sum six sines a joint, of equal speed, with frequencies that have no common period.
+    """Sum six sines a joint at ``RATE_HZ``, of equal speed, with frequencies that have no common period.
 
     Args:
         rng: draws frequencies and phases.
@@ -39,13 +51,11 @@ def multisine(rng: np.random.Generator, seconds: float, neck_hz: float, eye_hz: 
     omega *= rng.uniform(0.85, 1.15, omega.shape)
     amplitude = rng.uniform(0.5, 1.0, omega.shape) / np.sqrt(omega)
     amplitude *= (REACH / amplitude.sum(1))[:, None]
-    angle = omega * t[:, None, None] + rng.uniform(0, 2 * np.pi, omega.shape)
-    sin, cos = amplitude * np.sin(angle), amplitude * np.cos(angle)
-    return Motion(t, sin.sum(-1), (omega * cos).sum(-1), -(omega**2 * sin).sum(-1))
+    return sines(t, amplitude, omega, rng.uniform(0, 2 * np.pi, omega.shape))
 
 
 def gaze_shifts(rng: np.random.Generator, seconds: float) -> Motion:
-    """Move from posture to posture with minimum jerk, with short rests between.
+    """Move from posture to posture with minimum jerk at ``RATE_HZ``, with short rests between.
 
         q = q_0 + (q_1 - q_0) (10 s^3 - 15 s^4 + 6 s^5),   s = t / T
 

@@ -57,6 +57,12 @@ def test_errors_are_those_of_the_held_out_blocks(compared: EstimatorComparison, 
     assert rows["urdf"].was_physical is None
 
 
+def test_the_regime_is_that_of_the_filtered_states(compared: EstimatorComparison) -> None:
+    assert not compared.noise_matters
+    assert compared.regime.endswith("states are filtered")
+    assert compared.doubts == ()
+
+
 def test_an_estimator_that_cannot_be_used_says_why(compared: EstimatorComparison) -> None:
     row = next(row for row in compared.rows if row.name == "iv")
     assert row.raw is None
@@ -90,6 +96,8 @@ def test_one_that_breaks_down_does_not_end_the_comparison(
 
 def test_unknown_estimators_and_options_are_told(recordings: list[Recording]) -> None:
     assert "auto" not in COMPARABLE
+    with pytest.raises(OptionError, match="'auto' is either 'physical' or 'smoother', by recording; compare these two"):
+        compare_estimators(WRONG, recordings, estimators=["auto"])
     with pytest.raises(OptionError, match=r"unknown estimator 'lassso'; did you mean 'lasso'\?"):
         compare_estimators(WRONG, recordings, estimators=["lassso"])
     with pytest.raises(OptionError, match="compare_estimators: unknown setting 'estimater'"):

@@ -16,7 +16,7 @@ from torchrbd.inference.data.block_statistics import assemble
 from torchrbd.inference.physical.fitting import FittedModel, fit_model
 from torchrbd.inference.physical.prior import divergence_hessian
 from torchrbd.inference.posterior.experiments import Motion, extent, in_words, information, states
-from torchrbd.inference.posterior.identifiability import Identifiability, identifiability, unidentified
+from torchrbd.inference.posterior.identifiability import Identifiability, identifiability
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.parameters import base_parameters
@@ -78,8 +78,6 @@ def test_with_much_data_only_structure_is_left() -> None:
             assert found.least_share == pytest.approx(left[k], abs=1e-6)
             assert all(found.name in sentence for sentence in found.combinations)
             assert bool(found.combinations) == (k not in base.alone)
-    names = [p.name for p in unidentified(prior, model, RATE_HZ)]
-    assert names == [n for k, n in enumerate(robot.parameter_names) if k not in base.alone]
 
 
 def test_held_bodies_are_held() -> None:
@@ -88,7 +86,7 @@ def test_held_bodies_are_held() -> None:
     model = fit_model(random_moments(columns, 0, 40), prior, (), torch.ones(3, dtype=torch.float64))
     found = identifiability(prior, model, RATE_HZ)
     assert {p.status for p in found[:10]} == {"held"}
-    assert "held" not in {p.status for p in (*found[10:], *unidentified(prior, model, RATE_HZ))}
+    assert "held" not in {p.status for p in found[10:]}
 
 
 def test_information_is_that_of_its_rows() -> None:

@@ -108,6 +108,37 @@ def test_base_parameters_are_as_sure_as_they_claim() -> None:
     assert float((errors.abs() < 1.96).double().mean()) > 0.8
 
 
+def test_base_parameters_come_with_their_matrix_and_covariance(found: Identification) -> None:
+    assert found.covariance is not None
+    assert found.base_covariance is not None
+    K, cov = found.base_combination, found.base_covariance
+    np.testing.assert_allclose(K @ values(found), [b.value for b in found.base], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(K @ [p.urdf for p in found.parameters], [b.urdf for b in found.base], atol=1e-12)
+    np.testing.assert_allclose(np.sqrt(np.diag(cov)), [b.std for b in found.base], rtol=1e-8)
+    np.testing.assert_allclose(cov, K @ found.covariance @ K.T, rtol=1e-8, atol=1e-14 * np.abs(cov).max())
+
+
+def test_an_estimator_without_intervals_borrows_none(recording: Recording, found: Identification) -> None:
+    """Nothing of the default fit's errors is left, and its noise is that of its own torque."""
+    ols = identify(WRONG, recording, estimator="ols", trust=["link2"], effects=["viscous_friction"])
+    assert (ols.covariance, ols.base_covariance, ols.posterior) == (None, None, None)
+    assert found.covariance is not None
+    for p in ols.parameters:
+        if p.owner == "link2":
+            assert (p.value, p.std, p.status, p.prior_share) == (p.urdf, 0.0, "held", 1.0)
+        else:
+            assert np.isnan(p.std)
+            assert p.status in ("term", "not judged", "not identifiable")
+            assert np.isnan(p.prior_share)
+            assert p.suggestion == ""
+    assert all(np.isnan(b.std) and np.isnan(b.prior_share) for b in ols.base)
+    residual = ols.series.residual("extended")[~ols.series.held_out]
+    for j, joint in enumerate(ols.series.joints):
+        assert ols.noise[joint].torque == pytest.approx(np.sqrt(np.mean(residual[:, j] ** 2)), rel=1e-3)
+    (told,) = (note for note in ols.notes if "without intervals" in note)
+    assert "those of 'ols'" in told
+
+
 def test_friction_is_fitted_beside_the_inertia() -> None:
     viscous, coulomb = np.array([2.0, 1.0, 0.5, 0.2]), np.array([1.0, 2.0, 0.3, 0.4])
 

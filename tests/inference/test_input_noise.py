@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from inference.problems import columns_of, prior_of, random_moments, recorded
@@ -13,7 +14,7 @@ from torchrbd.inference.physical.map_fit import scaled_equations, solve
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.parameters import is_physical
+from torchrbd.parameters import base_parameters, is_physical
 from torchrbd.robot import RobotModel
 
 URDF = development_robots(2)["random1"]
@@ -51,6 +52,31 @@ def test_regime_follows_the_noise() -> None:
     assert excess[0] == pytest.approx(1.0, abs=0.01)
     assert excess[0] < excess[1] < excess[2]
     assert [prepared_with(noise).input_noise.matters for noise in (1e-6, 3e-3)] == [False, True]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("noise", "fastest_hz"), [(3e-4, 0.8), (1e-3, 1.5)])
+def test_excess_is_what_noise_adds_to_the_squared_error(noise: float, fastest_hz: float) -> None:
+    """A fit's squared error is measured in the metric of the one on exact states, and compared with that one's."""
+    told, errors = [], []
+    for seed, urdf in enumerate(development_robots(6).values()):
+        robot = RobotModel.from_urdf(perturbed(urdf, seed + 70))
+        options = {"duration_s": 30.0, "fastest_hz": fastest_hz, "loop": "open"}
+        K = base_parameters(robot).combination
+        fits = []
+        for std in (noise, 0.0):
+            recording, _ = noisy_recording(urdf, seed + 80, encoder_noise=std, **options)
+            prepared = prepare(robot, [recording], Settings(cutoff_hz=10.0, estimator="physical"), ())
+            fits.append((prepared, prepared.fit()))
+        exact = fits[1][1]
+        V = K @ exact.inertial_covariance(exact.laplace) @ K.T
+        away = torch.stack([K @ (m.pi - torch.from_numpy(true_parameters(urdf))) for _, m in fits])
+        errors.append((away * torch.linalg.solve(V, away.T).T).sum(-1))
+        told.append(fits[0][0].input_noise.excess)
+    noisy, known = torch.stack(errors).log().mean(0).exp().tolist()
+    claimed = float(np.exp(np.mean(np.log(told))))
+    # twice the error is where smoothing begins
+    assert (claimed > 2) == (noisy / known > 2)
 
 
 def test_known_noise_takes_the_place_of_the_estimate() -> None:

@@ -16,7 +16,7 @@ from torchrbd.inference.data.columns import Columns
 from torchrbd.inference.physical.fitting import FittedModel, fit_model, term_candidates
 from torchrbd.inference.physical.prior import Prior
 from torchrbd.inference.posterior.predictive import predictive_variance
-from torchrbd.inference.posterior.sampling import autocorrelation_time, sample_robots
+from torchrbd.inference.posterior.sampling import sample_robots
 from torchrbd.parameters import base_parameters
 from torchrbd.robot import RobotModel, pseudo_inertia
 
@@ -145,16 +145,6 @@ def test_at_least_one_sample() -> None:
     assert sample_robots(prior, model, 1).x.shape[0] == 1
     with pytest.raises(InputError, match="n_samples is 0, expected at least 1"):
         sample_robots(prior, model, 0)
-
-
-@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
-def test_autocorrelation_time_of_an_autoregression(rho: float) -> None:
-    rng = np.random.default_rng(0)
-    series = np.zeros((2000, 30, 2))
-    for t in range(1, 2000):
-        series[t] = np.array([rho, 0.0]) * series[t - 1] + rng.normal(size=(30, 2))
-    found = autocorrelation_time(torch.from_numpy(series[200:]))
-    assert found == pytest.approx((1 + rho) / (1 - rho), rel=0.15)
 
 
 def test_predictive_variance_is_that_of_drawn_coefficients() -> None:

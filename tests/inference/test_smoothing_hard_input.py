@@ -317,10 +317,14 @@ def test_slow_clocks(rate_hz: float) -> None:
     assert any("not smoothed" in note for note in result.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [LOUD, 1e-2, 2e-2])
 def test_very_loud_encoders(noise: float) -> None:
-    """Noise pulls the chosen cut-off into the motion's band; without a roughness prior smoothing loses a little."""
-    assert ratio_of_true_errors(range(130, 133), encoder_noise=noise, duration_s=60.0) < 2.0
+    """Noise pulls the chosen cut-off into the motion's band, and there is little to gain: so nothing may be lost.
+
+    A recording's own ratio scatters by a factor of 2, the mean of 12 by a quarter.
+    """
+    assert ratio_of_true_errors(range(130, 142), encoder_noise=noise, duration_s=60.0) < 1.25
 
 
 def test_massless_links_are_smoothed() -> None:

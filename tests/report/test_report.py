@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from torchrbd.diagnosis.results import Alternative, Diagnosis, Finding, Quantity, Region, Unexplained, Where
+from torchrbd.diagnosis.words import number
 from torchrbd.inference.results import (
     BaseParameterEstimate,
     Fit,
@@ -20,13 +21,20 @@ from torchrbd.inference.results import (
     ParameterEstimate,
     TorqueSeries,
 )
+from torchrbd.inference.verdict import verdict_of
 from torchrbd.report import write_report
+from torchrbd.report.words import change
 
 STATEMENT = "This arm has Coulomb friction at joint2 that its URDF leaves out."
 
 
 def identification(
-    joints: tuple[str, ...], *, name: str = "arm", unmeasured: int | None = None, extended: bool = False
+    joints: tuple[str, ...],
+    *,
+    name: str = "arm",
+    unmeasured: int | None = None,
+    extended: bool = False,
+    doubts: tuple[str, ...] = (),
 ):
     """Fabricate two recordings, the second held out; the last joint is prismatic; friction at every joint."""
     rng, n, m = np.random.default_rng(0), len(joints), 1200
@@ -57,16 +65,20 @@ def identification(
         held_out="hold.csv",
         cutoff_hz=5.0,
         fits=fits,
+        verdict=verdict_of(fits, doubts),
         parameters=parameters,
         combinations=("Izz_link1 + Iyy_link2 = 0.30 ± 0.01 kg m^2",),
         base=(BaseParameterEstimate("Izz_link1 + Iyy_link2", "kg m^2", 0.31, 0.3, 0.01, 0.02),),
+        base_combination=np.eye(1, 20),
+        base_covariance=np.eye(1),
         covariance=np.eye(20),
         noise=dict.fromkeys(joints, JointNoise(1e-4, 0.02, 0.05)),
         states="filtered",
         regime="position noise hardly matters; states are filtered",
         series=series,
         model=cast(Any, None),
-        posterior=cast(Any, None),
+        posterior=None,
+        doubts=doubts,
         notes=("Column 'mode' was ignored.",),
     )
 
@@ -190,8 +202,83 @@ def test_identification_says_by_how_much_the_error_fell(tmp_path):
     assert words[0] == "✓ Identified"
     assert f"by {100 * (1 - after / before):.0f} %" in words[1]
     assert "extended" not in " ".join(words)
-    worse = replace(result, fits={"urdf": result.fits["rigid_body"], "rigid_body": result.fits["urdf"]})
-    assert "does not lower" in Text(render(worse, tmp_path)).words[1]
+
+
+def test_badge_says_what_is_the_case(tmp_path):
+    result = identification(("joint1", "joint2"))
+    fits = {"urdf": result.fits["rigid_body"], "rigid_body": result.fits["urdf"]}
+    worse = replace(result, fits=fits, verdict=verdict_of(fits, ()))
+    words = Text(render(worse, tmp_path)).words
+    assert words[0] == "✗ Worse than the URDF"
+    assert words[1].startswith("Re-fitting raises the held-out torque error of arm: mean nmse ")
+    even = replace(worse, verdict="identified")
+    assert "does not lower" in Text(render(even, tmp_path)).words[1]
+    doubted = identification(("joint1", "joint2"), doubts=("check the unit of tau",))
+    assert Text(render(doubted, tmp_path)).words[0] == "! Identified, with doubts"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        (2.0, 1.0, "−50 %"),
+        (1.0, 2.0, "+100 %"),
+        (1.0, 4e-4, "2\u202f500 times less"),
+        (3e-5, 2.7, "90\u202f000 times more"),
+        (1.0, 0.0, "−100 %"),
+        (1.0, 0.996, "±0 %"),
+        (1.0, 1.004, "±0 %"),
+        (1.0, 0.1, "−90 %"),
+        (1.0, 1.1, "+10 %"),
+        (0.0, 1.0, ""),
+    ],
+)
+def test_change(before, after, words):
+    assert change(before, after) == words
+
+
+def test_doubts_stand_under_the_headline_and_notes_at_the_end(tmp_path):
+    for result in (
+        identification(("joint1", "joint2"), doubts=("check the unit of tau",)),
+        diagnosis(("joint1", "joint2"), doubts=("check the unit of tau",)),
+    ):
+        words = Text(render(result, tmp_path)).words
+        assert words.index("Check the unit of tau.") == 2
+        assert words.index("Column 'mode' was ignored.") > words.index("How it was made")
+
+
+def test_headline_speaks_of_the_last_model(tmp_path):
+    result = identification(("joint1", "joint2"), extended=True)
+    before, between, after = (result.fits[k].mean_nmse for k in ("urdf", "rigid_body", "extended"))
+    words = Text(render(result, tmp_path)).words
+    assert words[1].startswith("The extended model lowers the held-out torque error of arm by ")
+    assert f"nmse {number(before)} → {number(after)}" in words[1]
+    assert number(between) in words[2]
+
+
+def test_noise_is_called_what_it_is(tmp_path):
+    result = identification(("turn", "slide"))
+    words = "position noise 0.000100 {}, torque from {} 0.0200 {}, torque left over 0.0500 {}"
+    text = " ".join(Text(render(result, tmp_path)).words)
+    assert words.format("rad", "it", "N m", "N m") in text
+    assert words.format("m", "it", "N", "N") in text
+    smoothed = " ".join(Text(render(replace(result, states="smoothed"), tmp_path)).words)
+    assert words.format("rad", "it, if filtered,", "N m", "N m") in smoothed
+
+
+def test_what_no_interval_is_known_of_gets_a_dash(tmp_path):
+    result = identification(("joint1",))
+    unknown = {"std": np.nan, "prior_share": np.nan}
+    parameters = [replace(p, **unknown, status="not judged") for p in result.parameters]
+    base = [replace(p, **unknown) for p in result.base]
+    bare = replace(result, parameters=tuple(parameters), base=tuple(base), covariance=None, base_covariance=None)
+    page = render(bare, tmp_path)
+    text = " ".join(Text(page).words)
+    assert "2.10 ± – kg – not judged" in text
+    assert "0.300 ± – kg m² 0.310 – Izz_link1" in text
+    assert "does not tell how sure it is" in text
+    assert "nan" not in text.lower().split()
+    assert "width: nan" not in page
+    assert "does not tell how sure it is" not in render(result, tmp_path)
 
 
 def test_units_follow_the_joint(tmp_path):

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from torchrbd.cli.options import parser, settings_of
-from torchrbd.cli.tables import print_comparison, print_diagnosis, print_fits
+from torchrbd.cli.tables import print_comparison, print_diagnosis, print_identification
 from torchrbd.diagnosis import Diagnosis, diagnose
 from torchrbd.errors import OptionError, TorchRBDError
 from torchrbd.export import save_model, to_urdf, write_diagnosis, write_parameters
-from torchrbd.inference import Identification, identify
-from torchrbd.inference.comparison import compare_estimators
+from torchrbd.export.json_files import write_comparison
+from torchrbd.inference import EstimatorComparison, Identification, compare_estimators, identify
 from torchrbd.report import write_report
+
+Result = TypeVar("Result", Identification, Diagnosis, EstimatorComparison)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,44 +51,23 @@ def _check_output(folder: Path) -> None:
         raise OptionError(f"output '{folder}': '{existing}' is not a folder that can be written; name another")
 
 
-def _identify(options: argparse.Namespace) -> None:
+def _run(work: Callable[..., Result], show: Callable[[Result], None], options: argparse.Namespace) -> None:
+    """Do the work on what the user gave, show the result and write it."""
     settings = settings_of(options)
     with _progress() as progress:
-        result = identify(options.robot, options.recordings, progress=progress, **settings)
-    print_fits(result)
+        result = work(options.robot, options.recordings, progress=progress, **settings)
+    show(result)
     _write(result, options.output)
-
-
-def _diagnose(options: argparse.Namespace) -> None:
-    settings = settings_of(options)
-    with _progress() as progress:
-        result = diagnose(options.robot, options.recordings, progress=progress, **settings)
-    print_diagnosis(result)
-    _write(result, options.output)
-
-
-def _compare(options: argparse.Namespace) -> None:
-    settings = settings_of(options)
-    with _progress() as progress:
-        result = compare_estimators(
-            options.robot, options.recordings, estimators=options.estimators, progress=progress, **settings
-        )
-    print_comparison(result)
-    if options.output is not None:
-        options.output.mkdir(parents=True, exist_ok=True)
-        file = options.output / "estimators.json"
-        content = json.dumps({"schema": 1, **asdict(result)}, indent=1, ensure_ascii=False)
-        file.write_text(content + "\n", encoding="utf-8")
-        Console(highlight=False, soft_wrap=True).print(f"wrote {file}", markup=False)
 
 
 def _demo(options: argparse.Namespace) -> None:
-    with as_file(files("torchrbd") / "demo") as case, _progress() as progress:
-        result = diagnose(
-            case / "arm.urdf", case / "fit.parquet", holdout=[case / "holdout.parquet"], progress=progress
-        )
-    print_diagnosis(result)
-    _write(result, options.output)
+    with as_file(files("torchrbd") / "demo") as case:
+        given = {"robot": case / "arm.urdf", "recordings": case / "fit.parquet", "holdout": case / "holdout.parquet"}
+        _run(diagnose, print_diagnosis, argparse.Namespace(**given, config=None, output=options.output))
+
+
+def _compare(options: argparse.Namespace) -> None:
+    _run(partial(compare_estimators, estimators=options.estimators), print_comparison, options)
 
 
 @contextmanager
@@ -103,10 +84,17 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
         yield report
 
 
-def _write(result: Identification | Diagnosis, folder: Path) -> None:
+def _write(result: Identification | Diagnosis | EstimatorComparison, folder: Path | None) -> None:
     """Write every result file and name them."""
-    identification = result.identification if isinstance(result, Diagnosis) else result
+    if folder is None:
+        return
+    out = Console(highlight=False, soft_wrap=True)
     folder.mkdir(parents=True, exist_ok=True)
+    if isinstance(result, EstimatorComparison):
+        write_comparison(result, folder / "estimators.json")
+        out.print(f"wrote estimators.json to {folder}", markup=False)
+        return
+    identification = result.identification if isinstance(result, Diagnosis) else result
     write_parameters(identification, folder / "parameters.json")
     (folder / "identified.urdf").write_bytes(to_urdf(identification.model))
     save_model(identification.model, folder / "model.safetensors")
@@ -115,9 +103,13 @@ def _write(result: Identification | Diagnosis, folder: Path) -> None:
         write_diagnosis(result, folder / "diagnosis.json")
         names.append("diagnosis.json")
     write_report(result, folder / "report.html")
-    out = Console(highlight=False, soft_wrap=True)
     out.print(f"wrote {', '.join(names)} to {folder}", markup=False)
     out.print(f"report: {(folder / 'report.html').resolve()}", style="bold", markup=False)
 
 
-_RUNS = {"identify": _identify, "diagnose": _diagnose, "compare-estimators": _compare, "demo": _demo}
+_RUNS = {
+    "identify": partial(_run, identify, print_identification),
+    "diagnose": partial(_run, diagnose, print_diagnosis),
+    "compare-estimators": _compare,
+    "demo": _demo,
+}

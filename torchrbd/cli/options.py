@@ -3,27 +3,37 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping
+import textwrap
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import yaml
-from rich_argparse import RichHelpFormatter
+from rich_argparse import RawDescriptionRichHelpFormatter
 
 from torchrbd import __version__
 from torchrbd.errors import OptionError
 from torchrbd.inference import Settings
 from torchrbd.inference.comparison import COMPARABLE
-from torchrbd.inference.settings import ESTIMATORS
+from torchrbd.inference.settings import ESTIMATORS, WITH_INTERVALS
 from torchrbd.physics import effects
 
 _FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint (default: none)"
 
 
-class _Help(RichHelpFormatter):
-    """Help in colours, in which [m] is a unit."""
+class _Help(RawDescriptionRichHelpFormatter):
+    """Help in colours, in which [m] is a unit and the list of estimators keeps its lines."""
 
     help_markup = text_markup = False
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what to do where an option with several values has taken the files that stand after it."""
+
+    def error(self, message: str) -> NoReturn:
+        if "ROBOT.urdf" in message or "RECORDING" in message:
+            message += "; give ROBOT.urdf RECORDING... first, options that take several values take all that follows"
+        super().error(message)
 
 
 def parser(runs: Mapping[str, Callable[[argparse.Namespace], None]]) -> argparse.ArgumentParser:
@@ -32,7 +42,7 @@ def parser(runs: Mapping[str, Callable[[argparse.Namespace], None]]) -> argparse
     Args:
         runs: what each command does with its options.
     """
-    top = argparse.ArgumentParser(
+    top = _Parser(
         "torchrbd",
         description="Find, name and model the physics that a robot's URDF leaves out.",
         formatter_class=_Help,
@@ -47,8 +57,8 @@ def parser(runs: Mapping[str, Callable[[argparse.Namespace], None]]) -> argparse
 
     sub = command("identify", "Fit the inertial parameters of a URDF to recordings; always physically valid.")
     _add_shared(sub, _FITTED_EFFECTS)
-    words = "; ".join(f"{name}: {meaning}" for name, meaning in ESTIMATORS.items())
-    sub.add_argument("--estimator", metavar="NAME", help=f"how parameters are found (default: auto). {words}")
+    sub.add_argument("--estimator", metavar="NAME", help="how parameters are found, see below (default: auto)")
+    sub.epilog = _list_of(ESTIMATORS)
     sub = command("diagnose", "Find, name and model what the URDF leaves out.")
     _add_shared(sub, "effects that the search may use (default: all)")
     sub = command(
@@ -61,13 +71,25 @@ def parser(runs: Mapping[str, Callable[[argparse.Namespace], None]]) -> argparse
         nargs="+",
         default=COMPARABLE,
         metavar="NAME",
-        help=f"those to compare (default: all): {', '.join(COMPARABLE)}",
+        help="those to compare, see below (default: all); auto, the default of identify, is smoother where position "
+        "noise matters and physical where not",
     )
+    sub.epilog = _list_of(COMPARABLE)
     sub = command("demo", "Diagnose a bundled case: a six-joint arm with a friction that its URDF does not hold.")
     sub.add_argument(
         "-o", "--output", type=Path, default=Path("torchrbd-demo"), metavar="DIR", help="(default: %(default)s)"
     )
     return top
+
+
+def _list_of(estimators: Iterable[str]) -> str:
+    margin = " " * 15
+    lines = (textwrap.fill(f"  {name:<13}{ESTIMATORS[name]}", 78, subsequent_indent=margin) for name in estimators)
+    rest = (
+        f"Only {', '.join(WITH_INTERVALS)} come with intervals. The others' parameters may be unphysical; the nearest "
+        "physical ones are then taken."
+    )
+    return "\n".join(("Estimators:", *lines, textwrap.fill(rest, 78)))
 
 
 def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_required: bool = True) -> None:

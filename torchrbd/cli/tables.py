@@ -2,76 +2,131 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from rich.console import Console
 from rich.table import Column, Table
+from rich.text import Text
 
 from torchrbd.diagnosis import Diagnosis
 from torchrbd.diagnosis.words import interval, number, words_of
 from torchrbd.inference import Identification
 from torchrbd.inference.comparison import EstimatorComparison
-from torchrbd.report.words import percent
+from torchrbd.report.words import VERDICTS, headline, percent
 
+_COMPARISON_WORDS = (
+    "physical? says whether every link has a mass and an inertia that a real body can have; where one has not, the "
+    "physical parameters with the nearest torques are taken, which 'identify --estimator' writes. * is within 1 % of "
+    "the least error."
+)
 _MODEL_WORDS = {"urdf": "URDF", "rigid_body": "re-fitted", "extended": "extended"}
 
 
 def print_diagnosis(result: Diagnosis) -> None:
     """Print verdict, findings and fits."""
-    out = Console(highlight=False)
-    out.print(f"{result.verdict.replace('_', ' ')}:", style="bold", end=" ")
-    out.print(result.statement, markup=False)
+    out = _headed(result, result.verdict)
     if result.findings:
         table = Table("joint", "missing", "95 % interval", "probability")
         for f in result.findings:
             values = "\n".join(f"{name.replace('_', ' ')} {interval(q)}" for name, q in f.parameters.items())
-            table.add_row(", ".join(f.joints), words_of(f.effect), values, percent(f.probability))
+            table.add_row(Text(", ".join(f.joints)), words_of(f.effect), values, percent(f.probability))
         out.print(table)
     for rest in result.unexplained:
         out.print(rest.statement, markup=False)
-    print_fits(result.identification)
+    _print_fits(result.identification, out)
 
 
-def print_fits(result: Identification) -> None:
-    """Print how well each model predicts held-out torque."""
+def print_identification(result: Identification) -> None:
+    """Print verdict and fits."""
+    _print_fits(result, _headed(result, result.verdict))
+
+
+def _headed(result: Identification | Diagnosis, verdict: str) -> Console:
+    """Print the verdict and its sentence as the report has them, and return where to print the rest."""
     out = Console(highlight=False)
-    out.print(f"Unpredicted part of the torque variance on held-out data ({result.held_out}),", markup=False)
-    out.print(f"torque and features band-limited at {result.cutoff_hz:.3g} Hz:")
-    table = Table("joint")
-    for name in result.fits:
-        table.add_column(_MODEL_WORDS[name], justify="right")
-    for title in ("position noise", "torque noise"):
-        table.add_column(title, justify="right")
+    out.print(Text.assemble((f"{VERDICTS[verdict][2:]}:", "bold"), " ", " ".join(filter(None, headline(result)))))
+    return out
+
+
+def _print_fits(result: Identification, out: Console) -> None:
+    """Print what is to be doubted, how well each model predicts held-out torque, the noise, and notes."""
+    _print_doubts(result.doubts, out)
+    _print_measure(result.held_out, result.cutoff_hz, out)
+    errors = Table("joint", *(_right(_MODEL_WORDS[name]) for name in result.fits))
+    filtered = result.states == "filtered"
+    titles = "position noise", f"torque from position noise{'' if filtered else ', if filtered'}", "torque left over"
+    noise = Table("standard deviation", *map(_right, titles))
     prismatic = dict(zip(result.robot.joint_names, result.robot.prismatic.tolist(), strict=True))
     for joint in result.fits["urdf"].nmse:
-        noise = result.noise.get(joint)
-        units = ("m", "N") if prismatic[joint] else ("rad", "N m")
-        words = (
-            (f"{number(v)} {u}" for v, u in zip((noise.position, noise.torque), units, strict=True)) if noise else ()
-        )
-        table.add_row(joint, *(number(fit.nmse[joint]) for fit in result.fits.values()), *words)
-    table.add_row("mean", *(number(fit.mean_nmse) for fit in result.fits.values()), style="bold")
-    out.print(table)
-    out.print(result.regime[0].upper() + result.regime[1:] + ".", markup=False)
-    for note in result.notes:
+        errors.add_row(Text(joint), *(number(fit.nmse[joint]) for fit in result.fits.values()))
+    errors.add_row("mean", *(number(fit.mean_nmse) for fit in result.fits.values()), style="bold")
+    for joint, of in result.noise.items():
+        q, tau = ("m", "N") if prismatic[joint] else ("rad", "N m")
+        values = ((of.position, q), (of.from_position, tau), (of.torque, tau))
+        noise.add_row(Text(joint), *(f"{number(value)} {unit}" for value, unit in values))
+    out.print(errors)
+    out.print(noise)
+    if result.regime not in result.doubts:
+        out.print(result.regime[0].upper() + result.regime[1:] + ".", markup=False)
+    _print_notes(result.notes, out)
+
+
+def _right(title: str) -> Column:
+    return Column(Text(title), justify="right")
+
+
+def _print_measure(held_out: str, cutoff_hz: float, out: Console) -> None:
+    out.print(
+        f"nmse, the unpredicted part of the torque variance on held-out data ({held_out}), torque and features "
+        f"band-limited at {cutoff_hz:.3g} Hz; 0 is perfect, 1 no better than a constant:",
+        markup=False,
+    )
+
+
+def _print_doubts(doubts: Iterable[str], out: Console) -> None:
+    for doubt in doubts:
+        out.print(Text.assemble(("warning:", "bold yellow"), " ", doubt))
+
+
+def _print_notes(notes: Iterable[str], out: Console) -> None:
+    for note in notes:
         out.print(f"note: {note}", markup=False)
 
 
 def print_comparison(result: EstimatorComparison) -> None:
-    """Print estimators side by side."""
+    """Print estimators side by side, with a star where the error is about the least."""
     out = Console(highlight=False)
-    out.print(f"Unpredicted part of the torque variance on held-out data ({result.held_out}),", markup=False)
-    out.print(f"torque and features band-limited at {result.cutoff_hz:.3g} Hz. The data tells {result.base_parameters}")
-    out.print(f"combinations of parameters, condition number {result.condition:.3g}.")
+    _print_doubts(result.doubts, out)
+    _print_measure(result.held_out, result.cutoff_hz, out)
     found = [(row, row.raw, row.physical) for row in result.rows if row.raw is not None and row.physical is not None]
-    means = Table("estimator", "mean, as found", "physical?", "mean, made physical", "seconds")
-    joints = Table("made physical", *(Column(name, justify="right") for name in result.joints))
+    means = Table("mean over joints", _right("as found"), "physical?", _right("made physical"), _right("time"))
+    joints = Table("made physical", *map(_right, result.joints))
+    least = min(physical.mean_nmse for _, _, physical in found)
+    least_of = {name: min(physical.nmse[name] for _, _, physical in found) for name in result.joints}
     for row, raw, physical in found:
         valid = "" if row.was_physical is None else "yes" if row.was_physical else "no"
-        means.add_row(row.name, number(raw.mean_nmse), valid, number(physical.mean_nmse), f"{row.seconds:.2f}")
-        joints.add_row(row.name, *(number(physical.nmse[joint]) for joint in result.joints))
+        seconds = "" if row.was_physical is None else f"{row.seconds:.2f} s"
+        means.add_row(row.name, number(raw.mean_nmse), valid, _starred(physical.mean_nmse, least), seconds)
+        joints.add_row(row.name, *(_starred(physical.nmse[name], least_of[name]) for name in result.joints))
     out.print(means)
-    out.print(joints)
+    if len(result.joints) > 1:
+        out.print(joints)
+    out.print(_COMPARISON_WORDS)
+    out.print(
+        f"The data tells {result.base_parameters} combinations of parameters; the worst told has "
+        f"{result.condition:.3g} times the noise of the best (condition number)."
+    )
+    out.print(result.regime[0].upper() + result.regime[1:] + ".", markup=False)
+    if result.noise_matters:
+        out.print(
+            "All are judged on torques predicted from filtered, noisy positions, which favours estimates that this "
+            "noise biases: parameters of 'smoother' may be better than they look here."
+        )
     for row in result.rows:
         if row.note:
-            out.print(f"{row.name}: {row.note}" if row.raw else f"{row.name} failed: {row.note}", markup=False)
-    for note in result.notes:
-        out.print(f"note: {note}", markup=False)
+            out.print(f"{row.name}: {row.note}" if row.raw else f"{row.name} is left out: {row.note}", markup=False)
+    _print_notes(result.notes, out)
+
+
+def _starred(value: float, least: float) -> str:
+    return f"[bold]{number(value)} *[/]" if value <= 1.01 * least else f"{number(value)}  "

@@ -12,17 +12,17 @@ from torchrbd.diagnosis.leftover import unexplained
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.select import LEAST_GAIN, LEAST_T, Terms, distinguishable, select_terms
 from torchrbd.diagnosis.words import verdict_statement
+from torchrbd.errors import OptionError
 from torchrbd.inference.data.reading import Progress
-from torchrbd.inference.identify import listed, summarise
+from torchrbd.inference.identify import Source, read_arguments, summarise
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.settings import Settings
-from torchrbd.recordings import Recording
+from torchrbd.inference.settings import WITH_INTERVALS
 from torchrbd.robot import RobotModel
 
 
 def diagnose(
     robot: RobotModel | str | Path | bytes,
-    recordings: Sequence[str | Path | Recording] | str | Path | Recording,
+    recordings: Sequence[Source] | Source,
     *,
     progress: Progress = lambda *_: None,
     **options: Any,
@@ -33,14 +33,18 @@ def diagnose(
         robot: a robot or its URDF.
         recordings: files or opened recordings.
         progress: told how far the work is.
-        **options: see ``Settings``.
+        **options: those of ``identify``; ``effects`` are those that the search may use, all by default.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
     """
-    robot = robot if isinstance(robot, RobotModel) else RobotModel.from_urdf(robot)
-    settings = Settings.from_mapping(options, "diagnose")
-    prepared = prepare(robot, listed(recordings), settings, settings.chosen_effects(), progress)
+    robot, sources, settings = read_arguments(robot, recordings, options, "diagnose")
+    if settings.estimator not in WITH_INTERVALS:
+        raise OptionError(
+            f"diagnose: estimator '{settings.estimator}' does not tell how sure it is, which the search must know; "
+            f"use {', '.join(WITH_INTERVALS)}, or identify"
+        )
+    prepared = prepare(robot, sources, settings, settings.chosen_effects(), progress)
     training, prior = prepared.training, prepared.prior
     comparison = Comparison(training, prior)
     measured = prepared.statistics.torque[..., 0].sum(0) > 0
@@ -54,7 +58,7 @@ def diagnose(
     terms = select_terms(comparison, candidates, tell)
     progress("fitting", 0.0)
     models = {"rigid_body": prepared.fit(), "extended": prepared.fit(terms)}
-    identification = summarise(prepared, models, progress)
+    identification = summarise(prepared, models, settings, progress)
     progress("weighing the findings", 0.0)
     findings = explain(prepared, comparison, terms, candidates, models["extended"])
     progress("looking at what is left", 0.0)

@@ -1,21 +1,41 @@
-"""parameters.json and diagnosis.json, which other tools read: keys are added, never renamed."""
+"""parameters.json, diagnosis.json and estimators.json, which other tools read: keys are added, never renamed."""
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from torchrbd.diagnosis import Diagnosis
-from torchrbd.inference import Identification
+from torchrbd.inference import EstimatorComparison, Identification
 
 SCHEMA = 1
+# A list of numbers that json.dumps has spread over lines; text has no line breaks in JSON.
+_NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
 
 
 def write_parameters(result: Identification, path: Path) -> None:
-    """Write every parameter with its uncertainty, and what is identified only in combination."""
+    """Write every parameter with its uncertainty, and what is identified only in combination.
+
+    Beside what all files have (see ``_head``):
+
+    parameters: list of name, owner (body or joint), unit, urdf, value, std, prior_share (0 told by the data, 1 by the
+        URDF alone), status, suggestion. std and prior_share are null for an estimator without intervals.
+    base_parameters: list of expression (four digits), unit, urdf, value, std, prior_share: the combinations of
+        inertial parameters that the robot's motion can tell.
+    base_combination: the same in full digits: columns (names of inertial parameters) and matrix K, a row per base
+        parameter: base parameters = K times inertial parameters.
+    base_covariance: of the base parameters, rows and columns in their order, [product of the two units]; or null.
+    combinations: what is identified of parameters that are not identified alone, in words.
+    noise: per joint position, from_position, torque: standard deviations of the recorded position [rad, m], of the
+        torque predicted from filtered positions for their noise alone, and of the torque that is left [N m, N].
+    noise_std: the last of these alone.
+    states, regime: "filtered" or "smoothed", and why.
+    verdict: "identified"; "doubtful", there are ``doubts``; "worse" than the URDF on held-out data.
+    """
     _write(
         path,
         {
@@ -23,10 +43,16 @@ def write_parameters(result: Identification, path: Path) -> None:
             "parameters": [asdict(p) for p in result.parameters],
             "combinations": list(result.combinations),
             "base_parameters": [asdict(p) for p in result.base],
+            "base_combination": {
+                "columns": list(result.robot.parameter_names),
+                "matrix": result.base_combination.tolist(),
+            },
+            "base_covariance": None if result.base_covariance is None else result.base_covariance.tolist(),
             "noise_std": {joint: noise.torque for joint, noise in result.noise.items()},
             "noise": {joint: asdict(noise) for joint, noise in result.noise.items()},
             "states": result.states,
             "regime": result.regime,
+            "verdict": result.verdict,
         },
     )
 
@@ -45,7 +71,13 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
     )
 
 
+def write_comparison(result: EstimatorComparison, path: Path) -> None:
+    """Write the errors of every estimator; "raw" of its parameters as found, "physical" of those made physical."""
+    _write(path, {"schema": SCHEMA, **asdict(result)})
+
+
 def _head(result: Identification) -> dict[str, Any]:
+    """Return what both files begin with; ``notes`` holds the ``doubts`` too."""
     return {
         "schema": SCHEMA,
         "robot": result.robot.name,
@@ -54,12 +86,15 @@ def _head(result: Identification) -> dict[str, Any]:
         "held_out": result.held_out,
         "cutoff_hz": result.cutoff_hz,
         "fit": {name: asdict(fit) for name, fit in result.fits.items()},
-        "notes": list(result.notes),
+        "doubts": list(result.doubts),
+        "notes": [*result.doubts, *result.notes],
     }
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
-    path.write_text(json.dumps(_finite(content), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    text = json.dumps(_finite(content), indent=1, ensure_ascii=False)
+    text = _NUMBERS.sub(lambda row: " ".join(row[0].split()), text)
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 def _finite(value: Any) -> Any:

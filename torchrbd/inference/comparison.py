@@ -11,17 +11,17 @@ from typing import Any
 from torchrbd.errors import OptionError, TorchRBDError
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.estimators import Estimate, estimate, linear_problem
-from torchrbd.inference.identify import listed
+from torchrbd.inference.identify import Source, read_arguments
 from torchrbd.inference.physical.fitting import judge, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.results import Fit
 from torchrbd.inference.settings import ESTIMATORS, Settings, check_estimators
+from torchrbd.inference.verdict import encoder_doubts, regime_of
 from torchrbd.physics import Effect
-from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
 COMPARABLE = tuple(name for name in ESTIMATORS if name != "auto")
-"""What can be compared: every estimator; "auto" is a choice among them."""
+"""What can be compared: every estimator; "auto" is a choice between "physical" and "smoother"."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,12 @@ class EstimatorComparison:
         base_parameters: how many combinations of inertial parameters and terms the data tells.
         condition: condition number of their regressor, joints weighted and columns at unit length: noise of the worst
             combination over that of the best.
+        regime: what position noise does here.
+        noise_matters: whether it biases a fit on filtered states. All are judged on torques that filtered states
+            predict; their noise then favours estimates that are biased the same way.
         rows: the URDF as given, then the estimators in the order asked for.
         notes: what the user should know of the input.
+        doubts: what looks wrong with the options.
     """
 
     robot: str
@@ -67,13 +71,16 @@ class EstimatorComparison:
     cutoff_hz: float
     base_parameters: int
     condition: float
+    regime: str
+    noise_matters: bool
     rows: tuple[EstimatorRow, ...]
     notes: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 def compare_estimators(
     robot: RobotModel | str | Path | bytes,
-    recordings: Sequence[str | Path | Recording] | str | Path | Recording,
+    recordings: Sequence[Source] | Source,
     *,
     estimators: Sequence[str] = COMPARABLE,
     progress: Progress = lambda *_: None,
@@ -86,17 +93,17 @@ def compare_estimators(
         recordings: files or opened recordings.
         estimators: names, of ``COMPARABLE``. One that cannot be used on these recordings is a row that says why.
         progress: told how far the work is.
-        **options: see ``Settings``. ``effects`` are fitted beside the inertial parameters, at every joint.
+        **options: those of ``identify``, whose ``estimator`` does not count.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
     """
-    robot = robot if isinstance(robot, RobotModel) else RobotModel.from_urdf(robot)
-    settings = Settings.from_mapping(options, "compare_estimators")
+    robot, opened, settings = read_arguments(robot, recordings, options, "compare_estimators")
     names = tuple(dict.fromkeys(estimators))
+    if "auto" in names:
+        raise OptionError("'auto' is either 'physical' or 'smoother', by recording; compare these two")
     check_estimators(names, COMPARABLE)
     effects = settings.chosen_effects() if settings.effects else ()
-    opened = listed(recordings)
     prepared = prepare(robot, opened, replace(settings, estimator="physical"), effects, progress)
     terms = term_candidates(prepared.columns, [e.id for e in effects])
     urdf = judge(prepared.judging, prepared.prior.reference)
@@ -106,7 +113,7 @@ def compare_estimators(
         # An estimator that breaks down, in whatever way, is a result of the comparison and not its end.
         try:
             if name == "smoother":
-                found = _smoothed(robot, opened, settings, effects)
+                found = _smoothed(robot, opened, settings, effects, progress)
             else:
                 found = estimate(prepared, name, terms)
             rows.append(_row(prepared, found))
@@ -121,8 +128,11 @@ def compare_estimators(
         cutoff_hz=prepared.filtering.cutoff_hz,
         base_parameters=len(problem.chosen),
         condition=problem.condition,
+        regime=regime_of(prepared, "physical"),
+        noise_matters=prepared.input_noise.matters,
         rows=tuple(rows),
         notes=prepared.notes,
+        doubts=encoder_doubts(prepared, settings),
     )
 
 
@@ -132,11 +142,15 @@ def _row(prepared: Prepared, found: Estimate) -> EstimatorRow:
 
 
 def _smoothed(
-    robot: RobotModel, recordings: Sequence[str | Path | Recording], settings: Settings, effects: Sequence[Effect]
+    robot: RobotModel,
+    recordings: Sequence[Source],
+    settings: Settings,
+    effects: Sequence[Effect],
+    progress: Progress,
 ) -> Estimate:
     """Estimate with states that are smoothed together with the parameters, from recordings read anew."""
     start = time.perf_counter()
-    prepared = prepare(robot, recordings, replace(settings, estimator="smoother"), effects)
+    prepared = prepare(robot, recordings, replace(settings, estimator="smoother"), effects, progress)
     if prepared.states is None:
         raise OptionError(prepared.notes[-1])
     terms = term_candidates(prepared.columns, [e.id for e in effects])

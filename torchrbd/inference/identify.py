@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,25 +21,23 @@ from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.results import (
     BaseParameterEstimate,
-    Fit,
     Identification,
     JointNoise,
     ParameterEstimate,
     TorqueSeries,
 )
-from torchrbd.inference.settings import Settings
+from torchrbd.inference.settings import WITH_INTERVALS, Settings
+from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, verdict_of
 from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base_parameters
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
-# Estimators that come with intervals of their own; see preparation.py for the choice between them.
-_OWN = ("auto", "physical", "smoother")
-_POOR, _ABSURD, _WORSE, _IMPLAUSIBLE = 0.8, 100.0, 1.2, 5.0
+Source = str | Path | Recording
 
 
 def identify(
     robot: RobotModel | str | Path | bytes,
-    recordings: Sequence[str | Path | Recording] | str | Path | Recording,
+    recordings: Sequence[Source] | Source,
     *,
     progress: Progress = lambda *_: None,
     **options: Any,
@@ -50,102 +48,102 @@ def identify(
         robot: a robot or its URDF.
         recordings: files or opened recordings.
         progress: told how far the work is.
-        **options: see ``Settings``. ``effects`` are fitted beside the inertial parameters, at every joint.
+        **options: holdout, holdout_fraction, time, joints, effects, exclude, trust, payload, mapping, cutoff_hz,
+            estimator, encoder_noise, kappa and seed; ``help(torchrbd.Settings)`` has their meaning, units
+            and defaults. ``effects`` are fitted beside the inertial parameters, at every joint.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
     """
-    robot = robot if isinstance(robot, RobotModel) else RobotModel.from_urdf(robot)
-    settings = Settings.from_mapping(options, "identify")
+    robot, sources, settings = read_arguments(robot, recordings, options, "identify")
     effects = settings.chosen_effects() if settings.effects else ()
-    prepared = prepare(robot, listed(recordings), settings, effects, progress)
+    prepared = prepare(robot, sources, settings, effects, progress)
     progress("fitting", 0.0)
     models = {"rigid_body": prepared.fit()}
     if effects:
         terms = term_candidates(prepared.columns, [e.id for e in effects])
         models["extended"] = prepared.fit(terms)
-    if settings.estimator not in _OWN:
-        for name, model in models.items():
-            found = estimate(prepared, settings.estimator, model.terms)
-            models[name] = replace(model, x=found.x)
-        made = "" if found.was_physical else ", made physical"
-        note = f"parameters are those of '{settings.estimator}'{made}; intervals are those of the default fit"
-        prepared = replace(prepared, notes=(*prepared.notes, note, *filter(None, [found.note])))
-    return summarise(prepared, models, progress)
+    if settings.estimator not in WITH_INTERVALS:
+        prepared, models = _estimated(prepared, settings.estimator, models)
+    return summarise(prepared, models, settings, progress)
 
 
-def listed(recordings: Sequence[str | Path | Recording] | str | Path | Recording) -> list[str | Path | Recording]:
-    """Return one or several recordings as a list."""
-    return [recordings] if isinstance(recordings, (str, Path, Recording)) else list(recordings)
+def read_arguments(
+    robot: RobotModel | str | Path | bytes,
+    recordings: Sequence[Source] | Source,
+    options: Mapping[str, Any],
+    place: str,
+) -> tuple[RobotModel, list[Source], Settings]:
+    """Return robot, list of recordings and checked settings of a call; ``place`` is named in errors."""
+    robot = robot if isinstance(robot, RobotModel) else RobotModel.from_urdf(robot)
+    sources = [recordings] if isinstance(recordings, (str, Path, Recording)) else list(recordings)
+    return robot, sources, Settings.from_mapping(options, place)
 
 
-def summarise(prepared: Prepared, models: dict[str, FittedModel], progress: Progress) -> Identification:
+def _estimated(
+    prepared: Prepared, name: str, models: Mapping[str, FittedModel]
+) -> tuple[Prepared, dict[str, FittedModel]]:
+    """Return the models with the coefficients of another estimator, nothing known of their errors, and notes on it."""
+    found, notes = {}, []
+    for key, model in models.items():
+        one = estimate(prepared, name, model.terms)
+        unknown = torch.full_like(model.covariance, torch.nan)
+        left = prepared.training.squared_error(one.x).sum(0) / prepared.training.torque[..., 0].sum(0)
+        found[key] = replace(model, x=one.x, laplace=unknown, covariance=unknown, noise_variance=left, converged=True)
+        made = "" if one.was_physical else ", made physical"
+        notes = [
+            f"parameters are those of '{name}'{made}, without intervals, which come with {', '.join(WITH_INTERVALS)}",
+            *filter(None, [one.note]),
+        ]
+    return replace(prepared, notes=(*prepared.notes, *notes)), found
+
+
+def summarise(
+    prepared: Prepared, models: dict[str, FittedModel], settings: Settings, progress: Progress
+) -> Identification:
     """Judge the URDF and fitted models on the blocks kept back; the last model is the one whose parameters are
     reported.
 
     Args:
         prepared: the data.
         models: fitted ones by name, "rigid_body" first.
+        settings: what the user asked for.
         progress: told how far the work is.
     """
     coefficients = {"urdf": prepared.prior.reference, **{name: model.x for name, model in models.items()}}
     final = list(models.values())[-1]
+    sure = bool(torch.isfinite(final.covariance).all())
     base = base_parameters(prepared.robot)
+    covariance = final.inertial_covariance(final.covariance)
     fits = {name: judge(prepared.judging, x) for name, x in coefficients.items()}
+    regime = regime_of(prepared, settings.estimator)
+    biased = prepared.input_noise.matters and prepared.states is None
+    doubts = (*doubts_of(prepared, final, fits), *encoder_doubts(prepared, settings), *([regime] if biased else []))
     return Identification(
         robot=prepared.robot,
         recordings=prepared.fitted,
         held_out=prepared.holdout_words,
         cutoff_hz=prepared.filtering.cutoff_hz,
         fits=fits,
+        verdict=verdict_of(fits, doubts),
         parameters=(
-            *_inertial_estimates(prepared, final),
-            *term_estimates(final),
+            *(_inertial_estimates(prepared, final) if sure else _values_alone(prepared, final, base)),
+            *(p if sure else replace(p, std=np.nan, prior_share=np.nan) for p in term_estimates(final)),
         ),
         combinations=base.sentences(),
         base=_base_estimates(prepared, final, base),
-        covariance=final.inertial_covariance(final.covariance).numpy(),
+        base_combination=base.combination.numpy(),
+        base_covariance=(base.combination @ covariance @ base.combination.T).numpy() if sure else None,
+        covariance=covariance.numpy() if sure else None,
         noise=_noise(prepared, final),
         states="filtered" if prepared.states is None else "smoothed",
-        regime=_regime(prepared),
+        regime=regime,
         series=torque_series(prepared, coefficients, progress),
         model=final.module(),
-        posterior=Posterior(prepared.prior, final),
-        notes=(*prepared.notes, *_doubts(prepared, final, fits)),
+        posterior=Posterior(prepared.prior, final) if sure else None,
+        doubts=doubts,
+        notes=prepared.notes,
     )
-
-
-def _doubts(prepared: Prepared, model: FittedModel, fits: dict[str, Fit]) -> list[str]:
-    """Return what looks like wrong input, and where the fitted model does worse than what it was to better."""
-    fitted, told = judge(prepared.training, model.x).nmse, judge(prepared.training, prepared.prior.reference).nmse
-    last = fits[list(fits)[-1]].nmse
-    doubts = []
-    for joint, nmse in fitted.items():
-        if nmse > _POOR:
-            doubts.append(
-                f"the fitted model explains little of the torque of {joint} (nmse {nmse:.2f} where it was fitted): "
-                "check the unit, sign, gear ratio and name of its columns, or let diagnose look for missing friction"
-            )
-        if told[joint] > _ABSURD:
-            doubts.append(
-                f"the URDF's torque for {joint} is more than ten times off: check the units (rad, s, N m) of the "
-                "recording and of the URDF before trusting any finding"
-            )
-        if joint in last and last[joint] > _WORSE * fits["urdf"].nmse[joint]:
-            doubts.append(
-                f"on held-out data {joint} is predicted worse than by the URDF as given "
-                f"(nmse {last[joint]:.3g} against {fits['urdf'].nmse[joint]:.3g})"
-            )
-    for body in prepared.prior.bodies:
-        urdf, found = (float(x[PARAMETERS_PER_BODY * body]) for x in (prepared.prior.reference, model.x))
-        if not 1 / _IMPLAUSIBLE < found / urdf < _IMPLAUSIBLE:
-            doubts.append(
-                f"the mass of {prepared.robot.body_names[body]} comes out {found / urdf:.2g} times the URDF's: a load, "
-                "something that the model lacks (try diagnose), or a motion that tells it too little"
-            )
-    if not model.converged:
-        doubts.append("the fit stopped early: the torques are far from those of any rigid body; check units and signs")
-    return doubts
 
 
 def _noise(prepared: Prepared, model: FittedModel) -> dict[str, JointNoise]:
@@ -156,22 +154,6 @@ def _noise(prepared: Prepared, model: FittedModel) -> dict[str, JointNoise]:
         for name, values in zip(prepared.robot.joint_names, columns, strict=True)
         if torch.isfinite(values[2])
     }
-
-
-def _regime(prepared: Prepared) -> str:
-    """Say in a sentence what position noise does here, and what was done about it."""
-    excess = prepared.input_noise.excess
-    if prepared.input_noise.matters:
-        size = "more than 100" if excess > 100 else f"{excess:.2g}"
-        effect = (
-            f"position noise matters: fitted to filtered states, parameters would have {size} times the squared error"
-        )
-    else:
-        share = "less than 1" if excess < 1.01 else f"{100 * (excess - 1):.0f}"
-        effect = f"position noise hardly matters: it adds {share} % to the parameters' squared error"
-    return effect + (
-        "; states are filtered" if prepared.states is None else "; states and parameters are smoothed together"
-    )
 
 
 def _base_estimates(prepared: Prepared, model: FittedModel, base: BaseParameters) -> tuple[BaseParameterEstimate, ...]:
@@ -234,3 +216,16 @@ def _inertial_estimates(prepared: Prepared, model: FittedModel) -> list[Paramete
         )
         for k, one in enumerate(known)
     ]
+
+
+def _values_alone(prepared: Prepared, model: FittedModel, base: BaseParameters) -> list[ParameterEstimate]:
+    """Return what is known of the parameters of an estimator that tells nothing of its errors."""
+    robot, fitted = prepared.robot, set(prepared.prior.inertial.tolist())
+    found = []
+    for k, name in enumerate(robot.parameter_names):
+        status = "held" if k not in fitted else "not identifiable" if k in base.invisible else "not judged"
+        std, share = (0.0, 1.0) if status == "held" else (np.nan, np.nan)
+        owner, unit = robot.body_names[k // PARAMETERS_PER_BODY], UNITS[k % PARAMETERS_PER_BODY]
+        urdf, value = float(prepared.prior.reference[k]), float(model.x[k])
+        found.append(ParameterEstimate(name, owner, unit, urdf, value, std, share, status))
+    return found

@@ -1,8 +1,11 @@
 """Does the noise of the positions matter here? It is sent through filter, regressor and fit to see what comes out.
 
-    Y~ = Y(s + e),  e the encoder's noise after the state filter:   bias = (Y~'WY~ + prior)^-1 Y~'W (Y - Y~) x
+    d_b = V Y~_b'W (Y_b - Y~_b) x,   Y~ = Y(s + e),   e the encoder's noise after the state filter
 
-A bias does not shrink as a recording grows, the standard error does; their ratio says which regime a recording is in.
+is how far the noise of block b moves a fit of covariance V. Over N blocks its mean mu, from noise times noise, adds up
+to a bias, its scatter S to an error: together |N mu|^2 + N tr S, in the metric V^-1 of the fit. With known states the
+error would be tr(V Y'W(1 - share)Y), from torque noise alone. A bias does not shrink as a recording grows, the others
+do. V is that of the noisy fit, so that a large excess is told too small.
 """
 
 from __future__ import annotations
@@ -18,11 +21,12 @@ from torchrbd.inference.data.block_statistics import BlockStatistics, assemble, 
 from torchrbd.inference.data.columns import Columns
 from torchrbd.inference.data.reading import Reading
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.physical.prior import Prior
 from torchrbd.recordings import Filtering, States, Survey
 
 _MOST_TILES = 4
-_MATTERS = 2.5
+_MATTERS = 2.0
+# Of the residuals, at least this part is torque noise.
+_LEAST_LEFT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -33,20 +37,16 @@ class InputNoise:
         encoder_std: (n_dof,) standard deviation of the positions, [rad] or [m].
         torque_std: (n_dof,) of the band-limited torque predicted from filtered states, [N m] or [N].
         share: (n_dof,) of the residual variance that this explains.
-        bias: squared bias of x in units of its variance, mean over the parameters that the data tell.
+        excess: squared error of the fitted parameters over what it would be with known states; errors in units of the
+            fit's covariance.
         columns_gram: per joint the noise of its columns, E[dY'dY] summed over all independent samples (p_j, p_j).
     """
 
     encoder_std: Tensor
     torque_std: Tensor
     share: Tensor
-    bias: float
+    excess: float
     columns_gram: tuple[Tensor, ...]
-
-    @property
-    def excess(self) -> float:
-        """Squared error of a fit on filtered states over that with known states: (1 + bias) / (1 - share)."""
-        return (1.0 + self.bias) / max(1.0 - float(self.share.mean()), 1e-3)
 
     @property
     def matters(self) -> bool:
@@ -55,7 +55,7 @@ class InputNoise:
 
 
 def input_noise(
-    reading: Reading, columns: Columns, statistics: BlockStatistics, prior: Prior, model: FittedModel, seed: int = 0
+    reading: Reading, columns: Columns, statistics: BlockStatistics, model: FittedModel, seed: int = 0
 ) -> InputNoise:
     """Send noise through the chain on some tiles.
 
@@ -63,15 +63,13 @@ def input_noise(
         reading: the recordings.
         columns: layout of x.
         statistics: the blocks that ``model`` was fitted to.
-        prior: of the fit.
         model: a fit on filtered states.
         seed: of the noise drawn.
     """
     generator = torch.Generator().manual_seed(seed)
-    n = columns.robot.n_dof
-    clean = [torch.zeros(len(own), len(own), dtype=torch.float64) for own in columns.of_joint]
-    noisy = [torch.zeros(len(own) + 1, len(own) + 1, dtype=torch.float64) for own in columns.of_joint]
-    square, weight = torch.zeros(n, dtype=torch.float64), 0.0
+    noise = [torch.zeros(len(own), len(own), dtype=torch.float64) for own in columns.of_joint]
+    square, weight = torch.zeros(columns.robot.n_dof, dtype=torch.float64), 0.0
+    scores: list[Tensor] = []
     fitted = {block.recording for block in statistics.blocks}
     used = [k for k, recording in enumerate(reading.recordings) if recording.name in fitted]
     for k, states in _some_tiles(reading, used):
@@ -79,29 +77,46 @@ def input_noise(
         shaken, _ = filtered_rows(columns, _shaken(states, reading.surveys[k], reading.filtering, generator))
         independent = reading.filtering.effective_rate * states.dt_out
         weight += independent * len(states.t_out)
+        gradient = torch.zeros(columns.n, len(states.t_out), dtype=torch.float64)
         for joint, own in enumerate(columns.of_joint):
             change = shaken[joint][:-1] - rows[joint][:-1]
             missing = -model.x[own] @ change
-            a = torch.cat((shaken[joint][:-1], missing.unsqueeze(0)))
-            clean[joint] += independent * change @ change.T
-            noisy[joint] += independent * a @ a.T
+            noise[joint] += independent * change @ change.T
             square[joint] += independent * missing.square().sum()
+            if reading.measured(k)[joint]:
+                gradient[own] += independent / model.noise_variance[joint] * shaken[joint][:-1] * missing
+        scores += [part.sum(1) for part in gradient.split(max(1, round(reading.block_s / states.dt_out)), 1)]
     counts = statistics.torque[..., 0].sum(0)
-    scale = (counts / weight).tolist()
-    torque_variance = square / weight
-    H, h = assemble(columns, [s * m for s, m in zip(scale, noisy, strict=True)], 1.0 / model.noise_variance)
-    S = prior.scale[:, model.free]
-    information = S.T @ H @ S
-    precision = information + torch.eye(len(information), dtype=torch.float64)
-    bias = torch.linalg.solve(precision, S.T @ h)
-    told = float(torch.linalg.solve(precision, information).diagonal().sum())
+    share = (square / weight / model.noise_variance).clamp_max(1.0)
     return InputNoise(
         encoder_std=torch.from_numpy(np.sqrt(np.mean([reading.surveys[k].q_noise_std ** 2 for k in used], axis=0))),
-        torque_std=torque_variance.sqrt(),
-        share=(torque_variance / model.noise_variance).clamp_max(1.0),
-        bias=float(bias @ precision @ bias) / max(told, 1.0),
-        columns_gram=tuple(s * m for s, m in zip(scale, clean, strict=True)),
+        torque_std=(square / weight).sqrt(),
+        share=share,
+        excess=_excess(_added(torch.stack(scores), len(statistics), model), _known(statistics, model, share)),
+        columns_gram=tuple(s * m for s, m in zip((counts / weight).tolist(), noise, strict=True)),
     )
+
+
+def _excess(added: float, known: float) -> float:
+    """Return (known + added) / known; 1 where no parameter is free."""
+    return 1.0 + added / known if known > 0.0 else 1.0
+
+
+def _added(scores: Tensor, n_blocks: int, model: FittedModel) -> float:
+    """Return |N mu|^2 + N tr S for N blocks, from the scores (B, n) Y~'W (Y - Y~) x of some."""
+    own = scores[:, model.free]
+    mean, some = own.mean(0), len(own)
+    away = own - mean
+    scatter = float(((away @ model.laplace) * away).sum()) / max(some - 1, 1)
+    shift = float(mean @ model.laplace @ mean) - scatter / some
+    return n_blocks**2 * max(shift, 0.0) + n_blocks * scatter
+
+
+def _known(statistics: BlockStatistics, model: FittedModel, share: Tensor) -> float:
+    """Return the squared error that torque noise leaves, the part 1 - share of the residuals."""
+    weights = (1.0 - share).clamp_min(_LEAST_LEFT) / model.noise_variance
+    H, _ = assemble(statistics.columns, statistics.total(), weights)
+    return float((model.laplace * H[model.free.unsqueeze(1), model.free]).sum())
 
 
 def _some_tiles(reading: Reading, used: Sequence[int]) -> Iterator[tuple[int, States]]:

@@ -16,10 +16,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.errors import OptionError, RecordingError
+from torchrbd.errors import RecordingError
 from torchrbd.inference.data.block_statistics import BlockStatistics
 from torchrbd.inference.data.columns import Candidate, Columns, joint_scales
+from torchrbd.inference.data.holdout import check_enough, held_out_recordings, held_out_runs
 from torchrbd.inference.data.notes import input_notes
+from torchrbd.inference.data.opening import open_all
 from torchrbd.inference.data.payload import payload_parameters
 from torchrbd.inference.data.reading import Progress, Reading
 from torchrbd.inference.input_noise import InputNoise, input_noise
@@ -29,21 +31,8 @@ from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.smoothing import smooth, smoothable
 from torchrbd.physics import Effect, JointScale
-from torchrbd.recordings import (
-    Filtering,
-    Recording,
-    States,
-    Survey,
-    choose_cutoff,
-    open_recording,
-    read_mapping,
-    survey,
-)
+from torchrbd.recordings import Filtering, Recording, States, Survey, choose_cutoff, survey
 from torchrbd.robot import RobotModel
-
-_LEAST_BLOCKS = 6
-# Neighbouring blocks that are kept back together: fewer seams between what is fitted and what is judged.
-_HOLDOUT_RUN = 2
 
 
 @dataclass(frozen=True)
@@ -58,6 +47,8 @@ class Prepared:
         held_out: (B,) bool, blocks that no fit or choice may see.
         holdout_words: the same for a person.
         prior: around the URDF.
+        found_encoder_noise: (n_dof,) standard deviation of the positions as the recordings to fit show it, whatever the
+            user knows of it; root mean square over them, NaN where none tells, [rad] or [m].
         input_noise: what position noise does to a fit on filtered states.
         states: what uncertain states take from the information, None if the states are filtered ones.
         notes: what the user should know of the input.
@@ -70,6 +61,7 @@ class Prepared:
     held_out: Tensor
     holdout_words: str
     prior: Prior
+    found_encoder_noise: Tensor
     input_noise: InputNoise
     states: UncertainStates | None
     notes: tuple[str, ...]
@@ -140,25 +132,18 @@ def prepare(
     Raises:
         RecordingError, OptionError: input that cannot be used.
     """
-    opened, n_fitted = _open(robot, recordings, settings)
-    surveys, noise = [], settings.known_encoder_noise(robot).numpy()
+    opened, noise, found = open_all(robot, recordings, settings), settings.known_encoder_noise(robot).numpy(), []
     for k, recording in enumerate(opened):
         progress("looking through the recordings", k / len(opened))
-        surveys.append(_told(survey(recording), noise))
+        found.append(survey(recording))
+    surveys = [_told(one, noise) for one in found]
     filtering = Filtering(choose_cutoff(surveys) if settings.cutoff_hz is None else settings.cutoff_hz)
     columns = Columns(robot, effects, _scales(surveys, filtering))
     used, held = settings.used_joints(robot), settings.held_bodies(robot)
     payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
     reading = Reading(robot, opened, tuple(surveys), filtering, used, payload)
     statistics = reading.statistics(columns, progress)
-    held_out, words = _held_out(statistics, opened, n_fitted, settings)
-    n_training = int((~held_out).sum())
-    if n_training < _LEAST_BLOCKS:
-        raise RecordingError(
-            f"after filtering at {filtering.cutoff_hz:g} Hz and holding out {words}, {n_training} blocks of "
-            f"{reading.block_s:.2g} s are left to fit; at least {_LEAST_BLOCKS} are needed: "
-            "give longer or more recordings"
-        )
+    held_out, words = _held_out(statistics, opened[len(recordings) :], reading, settings)
     weight = statistics.torque[..., 0].sum(0)
     if not weight.any():
         raise RecordingError("no torque that changes is recorded for any of the joints in use; nothing can be fitted")
@@ -173,7 +158,8 @@ def prepare(
         held_out=held_out,
         holdout_words=words,
         prior=prior,
-        input_noise=input_noise(reading, columns, training, prior, rough),
+        found_encoder_noise=_encoder_noise(found[: len(recordings)]),
+        input_noise=input_noise(reading, columns, training, rough),
         states=None,
         notes=input_notes(columns, surveys, filtering, prior, held, used & (weight == 0)),
     )
@@ -185,6 +171,11 @@ def prepare(
 def _told(found: Survey, noise: np.ndarray) -> Survey:
     """Return a survey with the position noise (n,) that the user knows; NaN leaves what was found."""
     return replace(found, q_noise_std=np.where(np.isnan(noise), found.q_noise_std, noise))
+
+
+def _encoder_noise(surveys: Sequence[Survey]) -> Tensor:
+    """Return the root mean square over recordings of the positions' noise, (n_dof,)."""
+    return torch.stack([torch.from_numpy(s.q_noise_std) for s in surveys]).square().nanmean(0).sqrt()
 
 
 def _smoothed(
@@ -228,32 +219,6 @@ def _prior(statistics: BlockStatistics, held: Collection[str], settings: Setting
     return urdf_prior(statistics.columns, torque_rms, _feature_rms(statistics), held=held, kappa=settings.kappa)
 
 
-def _open(
-    robot: RobotModel, recordings: Sequence[str | Path | Recording], settings: Settings
-) -> tuple[tuple[Recording, ...], int]:
-    mapping = read_mapping(settings.mapping) if settings.mapping else None
-
-    def opened(source: str | Path | Recording) -> Recording:
-        if isinstance(source, Recording):
-            return source.of_joints(robot.joint_names, settings.time)
-        return open_recording(source, robot.joint_names, mapping=mapping, time=settings.time)
-
-    if not recordings:
-        raise OptionError("no recording to fit; give at least one")
-    both = {str(r) for r in recordings} & {str(h) for h in settings.holdout}
-    if both:
-        raise OptionError(f"{', '.join(sorted(both))} is both fitted and held out; leave it out of one list")
-    found = [*map(opened, recordings), *map(opened, settings.holdout)]
-    names = [r.name for r in found]
-    for k, name in enumerate(names):
-        if name in names[:k]:
-            parents = [str(r.path or r.name) for r in found if r.name == name]
-            raise RecordingError(
-                f"two recordings are called '{name}' ({', '.join(parents)}); rename one, results refer to them by name"
-            )
-    return tuple(found), len(recordings)
-
-
 def _scales(surveys: Sequence[Survey], filtering: Filtering) -> tuple[JointScale, ...]:
     noise = [filtering.state_noise(s.q_noise_std, s.clock.dt, s.qd_noise_std)[:, 1, 1].sqrt() for s in surveys]
     speed = torch.from_numpy(np.max([s.velocity_max for s in surveys], axis=0))
@@ -261,20 +226,16 @@ def _scales(surveys: Sequence[Survey], filtering: Filtering) -> tuple[JointScale
 
 
 def _held_out(
-    statistics: BlockStatistics, recordings: Sequence[Recording], n_fitted: int, settings: Settings
+    statistics: BlockStatistics, recordings: Sequence[Recording], reading: Reading, settings: Settings
 ) -> tuple[Tensor, str]:
-    names = [block.recording for block in statistics.blocks]
-    if settings.holdout:
-        kept = {r.name for r in recordings[n_fitted:]}
-        return torch.tensor([name in kept for name in names]), ", ".join(sorted(kept))
-    period = max(2, round(_HOLDOUT_RUN / settings.holdout_fraction))
-    run = min(_HOLDOUT_RUN, period // 2)
-    # Counted through all recordings; of very few blocks at least the last is kept back.
-    position = (torch.arange(len(names)) + settings.seed * run) % period
-    held_out = position >= period - run
-    if not held_out.any():
-        held_out[-run:] = True
-    return held_out, f"{100 * float(held_out.double().mean()):.0f} % of the time, in short runs throughout"
+    """Choose the blocks to keep back, and see that enough are left; ``recordings`` are held out as a whole."""
+    runs = None if settings.holdout else (settings.holdout_fraction, settings.seed)
+    if runs is None:
+        held_out, words = held_out_recordings(statistics.blocks, [r.name for r in recordings])
+    else:
+        held_out, words = held_out_runs(statistics.blocks, *runs)
+    check_enough(held_out, words, reading.block_s, reading.filtering.cutoff_hz, runs)
+    return held_out, words
 
 
 def _feature_rms(statistics: BlockStatistics) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from torchrbd.inference.posterior.posterior import Posterior
     from torchrbd.model import RigidBodyDynamics
     from torchrbd.robot import RobotModel
+
+Verdict = Literal["identified", "doubtful", "worse"]
 
 
 @dataclass(frozen=True)
@@ -27,8 +29,9 @@ class Fit:
 
     @property
     def mean_nmse(self) -> float:
-        """Mean over the joints, every joint counted once."""
-        return float(np.mean(list(self.nmse.values())))
+        """Mean over the joints that have one, every joint counted once."""
+        finite = [value for value in self.nmse.values() if np.isfinite(value)]
+        return float(np.mean(finite)) if finite else np.nan
 
 
 @dataclass(frozen=True)
@@ -71,11 +74,12 @@ class ParameterEstimate:
         owner: the body or joint it belongs to.
         unit: SI unit.
         urdf: the value the URDF gives.
-        value, std: posterior mean and standard deviation.
-        prior_share: 0 (told by the data) to 1 (told by the URDF alone).
+        value, std: posterior mean and standard deviation; std is NaN for an estimator without intervals.
+        prior_share: 0 (told by the data) to 1 (told by the URDF alone); NaN where std is.
         status: "identified" (the data tells it alone), "combination" (only a sum with others is told), "unexcited" (the
             robot could tell it, this data does not), "not identifiable" (no motion of this robot tells it), "held"
-            (zero-mass or trusted link, kept as the URDF has it), "term".
+            (zero-mass or trusted link, kept as the URDF has it), "term", "not judged" (no intervals, so that nobody
+            knows what the data tells of it).
         suggestion: what to record to tell it, if "unexcited" and a short motion would.
     """
 
@@ -98,8 +102,8 @@ class BaseParameterEstimate:
         expression: in terms of the inertial parameters, e.g. "Iyy_link2 - 0.3 mcx_link3".
         unit: SI unit.
         urdf: its value by the URDF.
-        value, std: posterior mean and standard deviation.
-        prior_share: 0 (told by the data) to 1 (told by the URDF alone).
+        value, std: posterior mean and standard deviation; std is NaN for an estimator without intervals.
+        prior_share: 0 (told by the data) to 1 (told by the URDF alone); NaN where std is.
     """
 
     expression: str
@@ -117,7 +121,7 @@ class JointNoise:
     Attributes:
         position: of the recorded position, [rad] or [m].
         from_position: of the torque that a model predicts from filtered positions, for their noise alone, [N m] or [N].
-        torque: of the band-limited torque that the fitted model leaves, [N m] or [N].
+        torque: of the band-limited torque that the fitted model leaves where it was fitted, [N m] or [N].
     """
 
     position: float
@@ -133,18 +137,23 @@ class Identification:
         robot: the robot as its URDF gives it.
         recordings, held_out: names of the recordings fitted; what was kept back, in words.
         cutoff_hz: the one band limit of all torques and features.
-        fits: "urdf", "rigid_body" and, after a diagnosis, "extended".
+        fits: "urdf", "rigid_body" and, after a diagnosis or with effects, "extended".
+        verdict: of the last model on held-out data: "identified"; "doubtful", there are ``doubts``; or "worse", its
+            mean nmse is above 1.2 times the URDF's.
         parameters: every inertial parameter, then the coefficients of the terms.
         combinations: what is identified of the parameters that are not identified alone, one sentence each.
         base: what the robot's motion can tell, with intervals.
-        covariance: (n_params, n_params) of all inertial parameters.
+        base_combination: K (n_base, n_params): the base parameters are K times the inertial ones.
+        base_covariance: (n_base, n_base) of the base parameters; None for an estimator without intervals.
+        covariance: (n_params, n_params) of all inertial parameters, or None.
         noise: per joint whose torque is measured.
         states: "filtered", or "smoothed" together with the parameters.
         regime: why, in a sentence.
         series: torques against time.
         model: the fitted module.
-        posterior: draws robots, and tells the variance of predicted torques.
-        notes: what the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
+        posterior: draws robots, and tells the variance of predicted torques; None for an estimator without intervals.
+        doubts: what looks wrong with input or result, and what to do about it.
+        notes: what else the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
     """
 
     robot: RobotModel
@@ -152,14 +161,18 @@ class Identification:
     held_out: str
     cutoff_hz: float
     fits: dict[str, Fit]
+    verdict: Verdict
     parameters: tuple[ParameterEstimate, ...]
     combinations: tuple[str, ...]
     base: tuple[BaseParameterEstimate, ...]
-    covariance: np.ndarray
+    base_combination: np.ndarray
+    base_covariance: np.ndarray | None
+    covariance: np.ndarray | None
     noise: dict[str, JointNoise]
     states: str
     regime: str
     series: TorqueSeries
     model: RigidBodyDynamics
-    posterior: Posterior
+    posterior: Posterior | None
+    doubts: tuple[str, ...] = field(default=())
     notes: tuple[str, ...] = field(default=())

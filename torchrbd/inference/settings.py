@@ -18,9 +18,9 @@ from torchrbd.physics import Effect, effect, effects
 from torchrbd.robot import RobotModel
 
 ESTIMATORS = {
-    "auto": "the robust default: physically valid, and noise-aware where the recordings' noise matters",
+    "auto": "the default: smoother where the recordings' position noise matters, physical where not",
     "physical": "weighted least squares with the entropic prior around the URDF, always physical",
-    "smoother": "states and parameters together: noise in the positions does not bias it",
+    "smoother": "states and parameters together, always physical: position noise does not bias it",
     "ols": "ordinary least squares on base parameters",
     "wls": "least squares with joints weighted by their noise",
     "irls": "the same, with samples that do not fit weighted down",
@@ -38,25 +38,32 @@ ESTIMATORS = {
 }
 """Estimators by name, each in a few words."""
 
+WITH_INTERVALS = ("auto", "physical", "smoother")
+"""Estimators that tell how sure they are."""
+
 
 @dataclass(frozen=True)
 class Settings:
-    """The options that ``identify`` and ``diagnose`` share.
+    """The options that ``identify``, ``diagnose`` and ``compare_estimators`` share, as keyword arguments.
+
+    Where several are meant, one alone will do; text as on the command line is understood too ("2:30").
 
     Attributes:
-        holdout: recordings that no fit or choice sees.
-        holdout_fraction: without ``holdout``, the part of each recording that is kept back, (0, 0.5].
-        time: use only this part of each recording, (from, to) [s] from its start.
-        joints: joints whose torque counts; all by default.
-        effects, exclude: effects that the search may use, by id.
-        trust: links whose inertia is not re-fitted.
-        payload: known loads.
-        mapping: YAML file that maps other column names and units.
-        cutoff_hz: band limit; chosen from the data by default.
-        estimator: of the parameters, one of ``ESTIMATORS``.
-        encoder_noise: standard deviation of the positions [rad, m], of all joints or by joint; None: estimated.
-        kappa: weight of the URDF's inertia against the data.
-        seed: which blocks are kept back.
+        holdout: recordings (files) that no fit or choice sees. Default: none, but ``holdout_fraction``.
+        holdout_fraction: without ``holdout``, the part of each recording that is kept back, (0, 0.5]. Default: 0.25.
+        time: use only this part of each recording, (from, to) [s] from its start. Default: all.
+        joints: joints whose torque counts, by name. Default: all.
+        effects: by id; ``torchrbd.effects()`` lists them. ``identify`` and ``compare_estimators`` fit them (default:
+            none), ``diagnose`` searches among them (default: all).
+        exclude: effects not to use, by id. Default: none.
+        trust: links whose inertia is not re-fitted, by name. Default: none.
+        payload: known loads: ``torchrbd.inference.Payload`` or "FILE=kg,x,y,z[@LINK]" [kg, m]. Default: none.
+        mapping: YAML file that maps other column names and units. Default: columns as in the README.
+        cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
+        estimator: of the parameters, one of ``torchrbd.inference.settings.ESTIMATORS``. Default: "auto".
+        encoder_noise: standard deviation of the positions [rad, m], of all joints or {joint: std}. Default: estimated.
+        kappa: weight of the URDF's inertia against the data, above 0 [-]. Default: 3.
+        seed: which blocks are kept back, a whole number. Default: 0.
     """
 
     holdout: tuple[Path, ...] = ()

@@ -21,17 +21,9 @@ from torchrbd.physics import effects
 from torchrbd.report.excerpt import SIGNALS, informative_stretch, signal_words, telling_signal
 from torchrbd.report.figures import Units, decades, dependence_figure, error_figure, time_figure
 from torchrbd.report.inline import inline, page_style
-from torchrbd.report.words import change, measure, percent, plain, tied, unit, where_words
+from torchrbd.report.words import VERDICTS, change, headline, measure, percent, plain, tied, unit, where_words
 
 MODELS = {"urdf": "URDF", "rigid_body": "re-fitted rigid body", "extended": "extended model"}
-BADGES = {
-    "consistent": "✓ URDF consistent",
-    "parameters": "≠ Parameters differ",
-    "missing_physics": "! Missing physics",
-    "unexplained": "? Unexplained",
-    "identified": "✓ Identified",
-}
-
 CERTAIN, DOUBTFUL = 20.0, 0.9  # log-evidence gain of what is surely there, probability that needs a word
 
 
@@ -91,8 +83,10 @@ class Page:
         self.joints = list(self.series.joints)
         self.models = {m: label for m, label in MODELS.items() if m in self.result.fits}
         self.drawn = [m for m in self.models if m in self.series.predicted]
-        self.verdict = self.diagnosis.verdict if self.diagnosis else "identified"
-        self.badge = BADGES[self.verdict]
+        self.verdict = self.diagnosis.verdict if self.diagnosis else self.result.verdict
+        self.badge = VERDICTS[self.verdict]
+        self.headline = headline(result)
+        self.with_intervals = self.result.covariance is not None
         names = list(self.result.robot.joint_names)
         prismatic = [bool(self.result.robot.prismatic[names.index(j)]) for j in self.joints]
         self.units = [Units("N", "m") if p else Units("N m", "rad") for p in prismatic]
@@ -102,20 +96,7 @@ class Page:
     @property
     def mean(self) -> dict[str, float]:
         """Mean nmse of each model over the joints that have one."""
-        finite = {m: [v for v in self.result.fits[m].nmse.values() if math.isfinite(v)] for m in self.models}
-        return {m: float(np.mean(v)) if v else math.nan for m, v in finite.items()}
-
-    @property
-    def headline(self) -> tuple[str, str]:
-        """The verdict in one sentence, and what else is to say of it."""
-        if self.diagnosis:
-            first, stop, rest = self.diagnosis.statement.partition(". ")
-            return first + stop.strip(), rest
-        before, after = self.mean["urdf"], self.mean["rigid_body"]
-        name, numbers = self.result.robot.name, f"mean nmse {number(before)} → {number(after)}"
-        if not after < before:
-            return f"Re-fitting does not lower the held-out torque error of {name}: {numbers}.", ""
-        return f"Re-fitting lowers the held-out torque error of {name} by {percent(1 - after / before)}: {numbers}.", ""
+        return {m: self.result.fits[m].mean_nmse for m in self.models}
 
     @cached_property
     def _decades(self) -> tuple[float, float]:

@@ -33,3 +33,10 @@ def with_factors(
     y = clean @ b
     X = clean + normal(seed + 5, *clean.shape) * noise.sqrt()
     return X, y + 0.3 * y.std() * normal(seed + 6, n), noise, b
+
+
+def noisy_inputs(seed: int, n: int = 60, d: int = 3) -> tuple[Tensor, Tensor]:
+    """Return independent inputs with noise of variance .16, and an output."""
+    T = normal(seed, n, d)
+    y = T @ normal(seed + 1, d) + 0.5 * normal(seed + 2, n)
+    return T + 0.4 * normal(seed + 3, n, d), y

@@ -172,7 +172,7 @@ def test_noise_misstated_or_rank_lacking(method, excess: float) -> None:
 @pytest.mark.parametrize(
     ("noise", "message"),
     [
-        (torch.ones(5), r"expected variances \(6,\) or a covariance \(6, 6\), got shape \(5,\)"),
+        (torch.ones(5), r"expected a variance, variances \(6,\) or a covariance \(6, 6\), got shape \(5,\)"),
         (-torch.ones(6), "at least 0"),
         (torch.full((6,), float("nan")), "expected finite"),
         (torch.triu(torch.ones(6, 6)), "symmetric positive semidefinite"),

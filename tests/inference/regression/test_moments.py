@@ -37,6 +37,14 @@ def test_transform_is_that_of_the_rows() -> None:
     assert torch.allclose(mapped.blocks, direct.blocks, rtol=1e-10)
 
 
+def test_error_is_that_of_the_rows() -> None:
+    X, y = problem(12)
+    moments, B = Moments.from_data(X, y), normal(13, 6, 4)
+    expected = (y.unsqueeze(1) - X @ B).square().mean(0) - y.square().mean()
+    assert torch.allclose(moments.error(B), expected, rtol=1e-9)
+    assert torch.allclose(torch.stack([moments.error(b) for b in B.T]), expected, rtol=1e-9)
+
+
 def test_fewer_rows_than_blocks() -> None:
     assert len(Moments.from_data(*problem(0, n=3)).count) == 3
 

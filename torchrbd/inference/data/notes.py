@@ -1,4 +1,4 @@
-"""What a user should know of the input: what was left out, and what looks wrong."""
+"""What a user should know of the input, above all what was left out; ``verdict.py`` has what is to be doubted."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from torch import Tensor
 from torchrbd.inference.data.columns import Columns
 from torchrbd.inference.physical.prior import Prior, unphysical_bodies
 from torchrbd.recordings import Filtering, Survey, skipped_segments
-
-_BEYOND_LIMIT = 3.0
 
 
 def input_notes(
@@ -25,11 +23,6 @@ def input_notes(
     robot, notes = columns.robot, []
     for s in surveys:
         found = [*s.notes, *(f"the torque of {name} never changes and is not used" for name in s.constant_tau)]
-        found += [
-            f"{name} moves at up to {fastest:.3g} per second, its limit is {limit:.3g}: check the units of q and t"
-            for name, fastest, limit in zip(robot.joint_names, s.velocity_max, robot.velocity.tolist(), strict=True)
-            if fastest > _BEYOND_LIMIT * limit > 0
-        ]
         found += [
             f"{a:.3g} to {b:.3g} s left out: too short for the filters" for a, b in skipped_segments(s, filtering)
         ]

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError
-from torchrbd.inference.data.block_statistics import assemble
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.estimators.instrumental import instrumental_variables
 from torchrbd.inference.estimators.plain import regress, regress_on_noisy_inputs
 from torchrbd.inference.estimators.problem import LinearProblem, linear_problem
 from torchrbd.inference.estimators.reweighted import iteratively_reweighted
-from torchrbd.inference.physical.map_fit import Scaled
-from torchrbd.inference.physical.physical_fit import physical_fit
+from torchrbd.inference.physical.projection import project
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.regression.base import Regression
 from torchrbd.inference.regression.choice import BestRegression
@@ -31,8 +29,6 @@ from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 Estimator = Callable[[LinearProblem], tuple[Tensor, str]]
 """Finds x (n,), and says what a user should know of it."""
 
-_OFF_BOUNDARY = 1e-3
-
 
 @dataclass(frozen=True)
 class Estimate:
@@ -42,7 +38,8 @@ class Estimate:
         name: of the estimator.
         raw: (n,) coefficients in the layout of ``Columns``, as estimated.
         was_physical: whether every body of ``raw`` has a positive definite pseudo-inertia.
-        x: (n,) physical ones: ``raw``, or its projection where it is not physical.
+        x: (n,) physical ones: ``raw``, or where it is not physical its projection in the metric of the data, whose
+            torque on the fitted blocks is nearest.
         seconds: of the estimate, without reading and filtering.
         note: what a user should know, or nothing.
     """
@@ -63,7 +60,8 @@ def estimate(prepared: Prepared, name: str, terms: Sequence[Candidate] = ()) -> 
         name: one of ``estimators()``.
         terms: effects that are fitted beside the inertial parameters.
 
-    Raises: OptionError for an unknown name, or an estimator that cannot be used on these recordings.
+    Raises:
+        OptionError: an unknown name, or an estimator that cannot be used on these recordings.
     """
     check_estimators([name], estimators())
     start = time.perf_counter()
@@ -73,30 +71,13 @@ def estimate(prepared: Prepared, name: str, terms: Sequence[Candidate] = ()) -> 
         raise OptionError(f"estimator '{name}' finds no finite parameters on these recordings; use another")
     bodies = raw[prepared.prior.inertial].reshape(-1, PARAMETERS_PER_BODY)
     physical = bool(is_physical(bodies).all())
-    x = raw if physical else made_physical(problem, raw)
+    x = raw if physical else project(prepared.prior, raw, problem.information(), problem.free_terms)
     return Estimate(name, raw, physical, x, time.perf_counter() - start, note)
 
 
 def estimators() -> tuple[str, ...]:
     """Return the names of all estimators."""
     return tuple(_ESTIMATORS)
-
-
-def made_physical(problem: LinearProblem, raw: Tensor) -> Tensor:
-    """Return the physical x (n,) whose torque on the fitted blocks is nearest to that of raw coefficients.
-
-        min 1/2 (x - raw)' H (x - raw) + kappa D(x),   J(x) > 0
-
-    with H the information of weighted least squares and D the divergence from the URDF. kappa is a thousandth of what
-    one observation tells: it costs nothing that could be seen in the torque, and keeps bodies off the boundary, where
-    rounding would make them unphysical again. What H does not tell stays close to the URDF.
-    """
-    prior, n = problem.prepared.prior, problem.prepared.robot.n_params
-    _, variance = problem.weighted()
-    H, _ = assemble(problem.training.columns, problem.training.total(), 1.0 / variance)
-    S = prior.scale
-    equations = Scaled(S.T @ H @ S, S.T @ (H @ (raw - prior.mean)))
-    return physical_fit(replace(prior, kappa=_OFF_BOUNDARY), equations, problem.free[problem.free >= n]).x
 
 
 def _ordinary(problem: LinearProblem) -> tuple[Tensor, str]:

@@ -21,9 +21,11 @@ def instrumental_variables(problem: LinearProblem) -> tuple[Tensor, str]:
     follows its set-points less closely. Needs one more pass over the recordings. Joints are weighted as in weighted
     least squares.
 
-    Returns: x (n,), and what a user should know.
+    Returns:
+        x (n,), and what a user should know.
 
-    Raises: OptionError naming a fitted recording without set-points.
+    Raises:
+        OptionError: a fitted recording has no set-points; it is named.
 
     Source: Janot, Vandanjon, Gautier, "A generic instrumental variable approach for industrial robot identification",
     IEEE T-CST 2014, eq. (14), there with instruments from a simulation of the controlled robot.

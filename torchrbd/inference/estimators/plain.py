@@ -37,7 +37,8 @@ def regress_on_noisy_inputs(problem: LinearProblem, regression: Callable[[Tensor
         problem: the data.
         regression: makes the regression from the noise covariance (d, d) of its inputs, in columns of unit mean square.
 
-    Returns: x (n,), and what a user should know.
+    Returns:
+        x (n,), and what a user should know.
     """
     _, variance = problem.weighted()
     moments = robot_moments(problem, 1.0 / variance)

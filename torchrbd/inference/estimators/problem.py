@@ -59,6 +59,11 @@ class LinearProblem:
         """The URDF's x0 (n,), unphysical bodies replaced by near physical ones."""
         return self.prepared.prior.mean
 
+    @property
+    def free_terms(self) -> Tensor:
+        """Those of ``free`` that belong to terms."""
+        return self.free[self.free >= self.prepared.robot.n_params]
+
     def least_squares(self, weights: Tensor, totals: Sequence[Tensor] | None = None) -> tuple[Tensor, Tensor]:
         """Return x (n,) and its covariance (n, n) for joints weighted by ``weights`` (n_dof,), 1 / variance.
 
@@ -85,6 +90,11 @@ class LinearProblem:
             if settled:
                 break
         return self.least_squares(1.0 / variance)[0], variance
+
+    def information(self) -> Tensor:
+        """Return what the fitted blocks tell of x as weighted least squares weighs them, (n, n)."""
+        _, variance = self.weighted()
+        return assemble(self.training.columns, self.training.total(), 1.0 / variance)[0]
 
     def samples(self) -> Iterator[tuple[States, Tensor, Tensor]]:
         """Stream tiles of the fitted recordings: states, which outputs (M,) are fitted, which joints (n_dof,) count."""

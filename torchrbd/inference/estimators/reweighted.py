@@ -21,7 +21,8 @@ def iteratively_reweighted(problem: LinearProblem) -> tuple[Tensor, str]:
     Each round streams the recordings once: weights belong to samples, and blocks hold sums. It starts at weighted least
     squares and ends when the fit moves by less than a tenth of a standard deviation.
 
-    Returns: x (n,), and what a user should know.
+    Returns:
+        x (n,), and what a user should know.
 
     Source: Huber, "Robust estimation of a location parameter" (1964); Holland, Welsch, "Robust regression using
     iteratively reweighted least-squares" (1977), with the constant of 95 % efficiency.

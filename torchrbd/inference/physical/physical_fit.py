@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.physical.map_fit import Scaled
-from torchrbd.inference.physical.prior import Prior
+from torchrbd.inference.physical.prior import Prior, orthonormal_steps
 from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY, is_physical
 from torchrbd.robot import from_pseudo_inertia
 
@@ -123,8 +123,8 @@ def physical_fit(prior: Prior, equations: Scaled, terms: Tensor) -> PhysicalFit:
 def _turn(prior: Prior, L0: Tensor, n_terms: int) -> Tensor:
     """Return Q (n_free, n_free) from z of ``_Problem`` to the prior's; orthogonal if both mean the same kappa."""
     S = prior.scale[prior.inertial][:, prior.inertial]
-    own = torch.block_diag(*(from_pseudo_inertia(L @ ORTHONORMAL @ L.mT).T for L in L0), S.new_zeros(0, 0))
-    return torch.block_diag(torch.linalg.solve(S, own / prior.kappa**0.5), torch.eye(n_terms, dtype=S.dtype))
+    own = orthonormal_steps(L0) / prior.kappa**0.5
+    return torch.block_diag(torch.linalg.solve(S, own), torch.eye(n_terms, dtype=S.dtype))
 
 
 def _follow_path(problem: _Problem) -> tuple[Tensor, Tensor, int, bool]:

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.data.columns import Columns
-from torchrbd.parameters import BASIS, PARAMETERS_PER_BODY, is_extended, nearest_physical
-from torchrbd.robot import pseudo_inertia
+from torchrbd.parameters import BASIS, ORTHONORMAL, PARAMETERS_PER_BODY, is_extended, nearest_physical
+from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 
 KAPPA = 3.0
 # Prior standard deviation of a term's torque, in units of the joint's torque RMS: wide, it only keeps directions
@@ -99,14 +99,27 @@ def _inverse_root(A: Tensor) -> Tensor:
     return d.unsqueeze(1) * torch.linalg.inv(torch.linalg.cholesky(d.unsqueeze(1) * A * d)).mT
 
 
+def orthonormal_steps(F: Tensor) -> Tensor:
+    """Return T (10 b, 10 b), pi = pi_F + T y for J = F (1 + sum_k y_k B_k) F' with factors F (b, 4, 4).
+
+    B is orthonormal, so that -logdet J has curvature 1 in y at y = 0.
+    """
+    return torch.block_diag(*(from_pseudo_inertia(f @ ORTHONORMAL @ f.mT).T for f in F), F.new_zeros(0, 0))
+
+
+def local_coordinates(prior: Prior, x: Tensor) -> Tensor:
+    """Return T (10 b, 10 b): in y, kappa D has curvature 1 at x, fitted inertial parameters being T y away from it."""
+    F = torch.linalg.cholesky(pseudo_inertia(x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY)))
+    return orthonormal_steps(F) / prior.kappa**0.5
+
+
 def local_covariance(prior: Prior, x: Tensor) -> Tensor:
-    """Return the inverse curvature of the divergence at x, for the inertial parameters that are fitted (10 b, 10 b).
+    """Return the inverse curvature of kappa D at x, for the inertial parameters that are fitted (10 b, 10 b).
 
     It scales with the body: at a body that has been found ten times heavier it is as wide in relative terms as at J0.
     """
-    inverse = torch.linalg.inv(pseudo_inertia(x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY)))
-    roots = [_inverse_root(prior.kappa * metric) for metric in divergence_hessian(inverse)]
-    return torch.block_diag(*(root @ root.T for root in roots)) if roots else x.new_zeros(0, 0)
+    T = local_coordinates(prior, x)
+    return T @ T.T
 
 
 def unphysical_bodies(columns: Columns) -> tuple[str, ...]:

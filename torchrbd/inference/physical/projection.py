@@ -1,9 +1,18 @@
-"""The nearest physically valid parameters, in a metric that says which errors matter.
+"""The nearest physically valid coefficients, in a metric that says which errors matter.
 
-    minimise  (pi - pi_hat)' M (pi - pi_hat)   over pseudo-inertias J > 0
+    minimise  f(x) + kappa D(x | x0),   f(x) = 1/2 (x - x_hat)' M (x - x_hat),   kappa = epsilon f(x0)
+
+over pseudo-inertias J > 0, with x0 the prior's mean and D its divergence. kappa follows the distance that there is to
+go, so that the scale of M does not matter, and two bounds hold whatever M and x_hat are, with g the eigenvalues of
+J0^-1 J of all n fitted bodies, and x* the nearest point of the closed set:
+
+    sum (g + 1/g - 2) <= 1/epsilon,   f(x) - f(x*) <= epsilon f(x0) (4 n + tr J0^-1 J*)
+
+Every body keeps more than about epsilon of its URDF's inertia in every direction, and that costs a few epsilon of the
+distance. Both follow from convexity at the minimum, where f'(x) = kappa (J^-1 - J0^-1).
 
 Two metrics are of use: that of ``relevance``, a weight for each parameter, with which Ting et al. make their estimate
-physical, and the precision of the posterior (the Gram matrix). The first moves parameters one by one, and so loses the
+physical, and the information of the data (the Gram matrix). The first moves parameters one by one, and so loses the
 combinations that the data has told; the second keeps them: projecting an unconstrained fit gives the constrained one.
 
 Source: Ting, Mistry, Peters, Schaal, Nakanishi, "A Bayesian Approach to Nonlinear Parameter Identification for Rigid
@@ -21,41 +30,54 @@ from torchrbd.errors import InputError
 from torchrbd.inference.physical.map_fit import Scaled
 from torchrbd.inference.physical.physical_fit import physical_fit
 from torchrbd.inference.physical.prior import Prior
+from torchrbd.parameters import PARAMETERS_PER_BODY
+from torchrbd.robot import pseudo_inertia
 
-# Weight of the divergence from the prior, the metric's largest entry in prior standard deviations (of kappa 1) being 1:
-# it keeps the result off the boundary, and holds what the metric has no weight for.
-_BARRIER = 1e-12
+# A larger one would cost more than the noise of good data: at 1e-7 the error to the true torque grew by half in places.
+# So the torque error on few noisy samples grew by at most 5e-3 of itself, and every body kept more than 1e-8 (but for
+# unweighted least squares 1e-6) of its own second moment in each direction.
+_EPSILON = 1e-8
 
 
-def project(prior: Prior, pi_hat: Tensor, metric: Tensor) -> Tensor:
-    """Return the physical parameters nearest to an estimate, strictly inside the physical set.
+def project(prior: Prior, x_hat: Tensor, metric: Tensor, terms: Tensor | None = None) -> Tensor:
+    """Return the physical coefficients nearest to an estimate.
 
-    The scale of the metric does not matter. What the metric gives less than 1e-12 of its largest weight (in prior
-    standard deviations) stays near the prior's mean, as bodies do that the prior holds.
+    The scale of the metric does not matter. An estimate whose fitted bodies fulfil the first bound above is returned as
+    it is. Otherwise, what the metric gives no weight goes to the prior's mean, and so do bodies that the prior holds.
 
     Args:
-        prior: its mean is where the search starts, and gives each body its scale.
-        pi_hat: (n_params,) estimate, physical or not.
-        metric: M (n_params, n_params), symmetric positive semidefinite; a diagonal may be given as (n_params,).
+        prior: its mean is x0, and gives each body its scale; its kappa does not matter.
+        x_hat: (k,) estimate, physical or not: inertial parameters [kg, kg m, kg m^2], or these and columns of terms.
+        metric: M (k, k), symmetric positive semidefinite; a diagonal may be given as (k,).
+        terms: indices of the columns of terms that may move too; none by default.
 
     Returns:
-        (n_params,) with a positive definite pseudo-inertia for every body that the prior fits.
+        (k,) with a positive definite pseudo-inertia for every body that the prior fits.
 
     Raises:
         InputError: the shapes do not fit, or an entry is not finite.
     """
-    n = len(pi_hat)
+    k = len(x_hat)
     M = torch.diag(metric) if metric.ndim == 1 else metric
-    if M.shape != (n, n):
-        raise InputError(f"metric has shape {tuple(metric.shape)}, expected ({n}, {n}) or ({n},) like pi_hat")
-    if not bool(torch.isfinite(pi_hat).all() & torch.isfinite(M).all()):
-        raise InputError("pi_hat or the metric has entries that are not finite; give what was not estimated no weight")
-    S = prior.scale[:n, :n]
-    H, h = S.T @ M @ S, S.T @ (M @ (pi_hat - prior.mean[:n]))
-    largest = prior.kappa * float(H.diagonal().max())
-    weight = 1.0 / largest if largest > 0.0 else 0.0
-    fit = physical_fit(replace(prior, kappa=_BARRIER), Scaled(weight * H, weight * h), torch.arange(0))
-    return fit.x[:n]
+    if M.shape != (k, k):
+        raise InputError(f"metric has shape {tuple(metric.shape)}, expected ({k}, {k}) or ({k},) like x_hat")
+    if not bool(torch.isfinite(x_hat).all() & torch.isfinite(M).all()):
+        raise InputError("x_hat or the metric has entries that are not finite; give what was not estimated no weight")
+    if _inside(prior, x_hat):
+        return x_hat.clone()
+    S, away = prior.scale[:k, :k], x_hat - prior.mean[:k]
+    kappa = _EPSILON * 0.5 * float(away @ M @ away)
+    M = M / kappa if kappa > 0.0 else torch.zeros_like(M)
+    equations = Scaled(S.T @ M @ S, S.T @ (M @ away))
+    free = torch.arange(0) if terms is None else terms
+    return physical_fit(replace(prior, kappa=1.0), equations, free).x[:k]
+
+
+def _inside(prior: Prior, x: Tensor) -> bool:
+    """Say whether all fitted bodies fulfil sum (g + 1/g - 2) <= 1/epsilon."""
+    L = torch.linalg.cholesky(prior.inverse_inertia)
+    g = torch.linalg.eigvalsh(L.mT @ pseudo_inertia(x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY)) @ L)
+    return bool((g > 0.0).all()) and float((g + 1.0 / g - 2.0).sum()) <= 1.0 / _EPSILON
 
 
 def relevance(precision: Tensor, variance: Tensor) -> Tensor:

@@ -17,10 +17,9 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.physical.prior import Prior
+from torchrbd.inference.physical.prior import Prior, local_coordinates
 from torchrbd.inference.posterior.experiments import KINDS, SECONDS, Motion, in_words, information
-from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY, BaseParameters, base_parameters
-from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
+from torchrbd.parameters import PARAMETERS_PER_BODY, BaseParameters, base_parameters
 
 Status = Literal["identified", "combination", "unexcited", "not identifiable", "held"]
 
@@ -61,12 +60,6 @@ class Identifiability:
     suggestion: str
     prior_share_after: float
     statement: str
-
-
-def unidentified(prior: Prior, model: FittedModel, rate_hz: float) -> tuple[Identifiability, ...]:
-    """Return the parameters that the data does not tell alone, held ones left out; arguments as ``identifiability``."""
-    found = identifiability(prior, model, rate_hz)
-    return tuple(p for p in found if p.status not in ("identified", "held"))
 
 
 def identifiability(prior: Prior, model: FittedModel, rate_hz: float) -> tuple[Identifiability, ...]:
@@ -138,12 +131,9 @@ class _State:
     @classmethod
     def of(cls, prior: Prior, model: FittedModel, base: BaseParameters) -> _State:
         n = len(prior.inertial)
-        pi = model.x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY)
-        F = torch.linalg.cholesky(pseudo_inertia(pi))
-        bodies = (from_pseudo_inertia(f @ ORTHONORMAL @ f.mT).T / prior.kappa**0.5 for f in F)
         # Terms whose feature never occurs have no scale, and no variance.
         terms = prior.scale.diagonal()[model.free[n:]]
-        T = torch.block_diag(*bodies, torch.diag(torch.where(terms > 0, terms, 1.0)))
+        T = torch.block_diag(local_coordinates(prior, model.x), torch.diag(torch.where(terms > 0, terms, 1.0)))
         inverse = torch.linalg.inv(T)
         values, axes = torch.linalg.eigh(inverse @ model.laplace @ inverse.T)
         values = values.clamp(_LEAST, 1.0)

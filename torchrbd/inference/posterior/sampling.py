@@ -11,18 +11,11 @@ With J = F (1 + X) F' around the mode of p det(J)^(5/2), where the Wishart's mea
 
     p(x) = N(x) R(x),   log R = sum_bodies kappa logdet(1 + X) - k tr X + k tr X^2 / 2
 
-N is the Gaussian with the curvature there. Hamiltonian trajectories follow N exactly, by turning on ellipses, whatever
-its condition; only R needs steps. Elliptical slice sampling (Murray, Adams, MacKay 2010) turns on the same ellipses but
-does not use the slope of R: with 7 bodies its autocorrelation time was 25 to 140 turns, here it is about 3.
-
-Source: Shahbaba, Lan, Johnson, Neal, "Split Hamiltonian Monte Carlo", Statistics and Computing 2014, section 3;
-autocorrelation times by Sokal's window.
+N is the Gaussian with the curvature there. In its coordinates, e ~ N(0, 1), ``hamiltonian.py`` samples N R.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import torch
@@ -32,13 +25,11 @@ from torchrbd.errors import InputError
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.map_fit import Scaled
 from torchrbd.inference.physical.physical_fit import physical_fit
-from torchrbd.inference.physical.prior import Prior
+from torchrbd.inference.physical.prior import Prior, local_coordinates
+from torchrbd.inference.posterior.hamiltonian import sample
 from torchrbd.parameters import BASIS, ORTHONORMAL, PARAMETERS_PER_BODY
-from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
+from torchrbd.robot import pseudo_inertia
 
-_CHAINS, _PILOT, _MOST_THINNING, _WINDOW = 64, 128, 32, 5.0
-# Radians that a trajectory turns, in steps of a length with this acceptance; the length is jittered against resonance.
-_TURN, _ACCEPTANCE, _JITTER = 1.6, 0.65, 0.2
 _WISHART, _LEAST = 2.5, 1e-13
 
 
@@ -104,25 +95,16 @@ def sample_robots(
     if n_samples < 1:
         raise InputError(f"n_samples is {n_samples}, expected at least 1")
     density = _density(prior, model, model.covariance if widened else model.laplace)
-    chains = _chains(density, min(_CHAINS, n_samples), torch.Generator().manual_seed(seed))
-    pilot = torch.stack([next(chains) for _ in range(_PILOT)])
-    # The first half is for forgetting that all chains start at the same place.
-    time = autocorrelation_time(pilot[_PILOT // 2 :])
-    thinning = min(max(1, round(2.0 * time)), _MOST_THINNING)
-    kept: list[Tensor] = []
-    while sum(map(len, kept)) < n_samples:
-        for _ in range(thinning - 1):
-            next(chains)
-        kept.append(next(chains))
+    found = sample(density, len(model.free), n_samples, seed)
     x = density.mode.repeat(n_samples, 1)
-    x[:, model.free] += torch.cat(kept)[:n_samples] @ density.root.T
-    return RobotSamples(x, thinning, time)
+    x[:, model.free] += found.e @ density.root.T
+    return RobotSamples(x, found.thinning, found.autocorrelation)
 
 
 def _density(prior: Prior, model: FittedModel, covariance: Tensor) -> _Density:
     """Find the Gaussian that proposes: the physical fit under a prior whose mode is the Wishart's mean."""
     free, inertial, n = model.free, prior.inertial, len(prior.inertial)
-    T = _coordinates(prior, model.x, free, prior.kappa)
+    T = _coordinates(prior, model.x, free)
     inverse = _inverse(T)
     c, axes = torch.linalg.eigh(inverse @ covariance @ inverse.T)
     information = axes * (1.0 / c.clamp(_LEAST, 1.0) - 1.0)
@@ -144,78 +126,17 @@ def _density(prior: Prior, model: FittedModel, covariance: Tensor) -> _Density:
     fit = physical_fit(wishart, Scaled(scaled, torch.zeros_like(mean).index_copy(0, free, own.T @ h)), free[n:])
     stiffness, axes = torch.linalg.eigh(fit.precision)
     root = own @ (axes / stiffness.clamp_min(1e-3).sqrt())
-    inverse = _inverse(_coordinates(prior, fit.x, free, wishart.kappa))
+    inverse = _inverse(_coordinates(replace(prior, kappa=wishart.kappa), fit.x, free))
     return _Density(fit.x, root, inverse @ root, prior.kappa, len(prior.bodies))
 
 
-def _coordinates(prior: Prior, x: Tensor, free: Tensor, kappa: float) -> Tensor:
+def _coordinates(prior: Prior, x: Tensor, free: Tensor) -> Tensor:
     """Return T (n_free, n_free): with steps T y from x the prior's curvature in y is 1."""
-    F = torch.linalg.cholesky(pseudo_inertia(x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY)))
-    bodies = (from_pseudo_inertia(f @ ORTHONORMAL @ f.mT).T / kappa**0.5 for f in F)
     terms = free[len(prior.inertial) :]
-    return torch.block_diag(*bodies, torch.diag(prior.scale.diagonal()[terms]))
+    return torch.block_diag(local_coordinates(prior, x), torch.diag(prior.scale.diagonal()[terms]))
 
 
 def _inverse(T: Tensor) -> Tensor:
     """Return the inverse of T, zero for terms whose feature never occurs: they have no scale and stay."""
     dead = torch.diag((T == 0.0).all(0).double())
     return torch.linalg.inv(T + dead) - dead
-
-
-def _chains(density: _Density, n_chains: int, generator: torch.Generator) -> Iterator[Tensor]:
-    """Yield the states e (n_chains, n_free) of independent chains, one trajectory after the other.
-
-    The step length is adapted over the first half of the pilot run and then kept.
-    """
-
-    def draw(*shape: int) -> Tensor:
-        return torch.randn(*shape, generator=generator, dtype=torch.float64)
-
-    e = torch.zeros(n_chains, len(density.root), dtype=torch.float64)
-    value, slope = density(e)
-    length, count = 0.4, 0
-    while True:
-        momentum = draw(*e.shape)
-        new, new_value, new_slope = e, value, slope
-        energy = value - 0.5 * (e.square() + momentum.square()).sum(1)
-        angle = length * (1.0 + _JITTER * float(draw(1).clamp(-2.0, 2.0)))
-        for _ in range(max(1, round(_TURN / length))):
-            momentum = momentum + 0.5 * angle * new_slope
-            new, momentum = (
-                new * math.cos(angle) + momentum * math.sin(angle),
-                momentum * math.cos(angle) - new * math.sin(angle),
-            )
-            new_value, new_slope = density(new)
-            momentum = momentum + 0.5 * angle * new_slope
-        gain = new_value - 0.5 * (new.square() + momentum.square()).sum(1) - energy
-        accepted = torch.rand(n_chains, generator=generator, dtype=torch.float64).log() < gain
-        e = torch.where(accepted.unsqueeze(1), new, e)
-        slope = torch.where(accepted.unsqueeze(1), new_slope, slope)
-        value = torch.where(accepted, new_value, value)
-        if count < _PILOT // 2:
-            share = float(gain.clamp_max(0.0).exp().nan_to_num(0.0).mean())
-            length = min(_TURN, length * math.exp((share - _ACCEPTANCE) / (1.0 + 0.1 * count)))
-        count += 1
-        yield e
-
-
-def autocorrelation_time(series: Tensor) -> float:
-    """Return the integrated autocorrelation time of the slowest coordinate, in steps, at least 1.
-
-        tau = 1 + 2 sum_{t=1..W} rho_t,   W the first with W >= 5 tau
-
-    Args:
-        series: (n_steps, n_chains, n), stationary; the autocorrelation is averaged over the chains.
-    """
-    n_steps = len(series)
-    centred = series - series.mean((0, 1))
-    spectrum = torch.fft.rfft(centred, 2 * n_steps, dim=0)
-    overlap = torch.arange(n_steps, 0, -1, dtype=series.dtype).unsqueeze(1)
-    covariance = torch.fft.irfft(spectrum.abs().square(), 2 * n_steps, dim=0)[:n_steps].mean(1) / overlap
-    live = covariance[0] > 1e-300
-    if not bool(live.any()):
-        return 1.0
-    tau = 2.0 * (covariance[:, live] / covariance[0, live]).cumsum(0) - 1.0
-    wide = torch.arange(n_steps).unsqueeze(1) >= _WINDOW * tau
-    first = torch.where(wide.any(0), wide.double().argmax(0), torch.tensor(n_steps // 2))
-    return max(1.0, float(tau.gather(0, first.unsqueeze(0)).max()))

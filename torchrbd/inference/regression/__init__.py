@@ -1,7 +1,11 @@
-"""Plain linear regressions on second moments: the classical ones and those that know about noise in the inputs."""
+"""Plain linear regressions y = x'b on second moments: the classical ones and those that know about noise in the inputs.
+
+None fits an intercept: centre inputs and output, or add a column of ones. X and y are tensors or numpy arrays; all
+computation is in float64.
+"""
 
 from torchrbd.inference.regression.base import Regression
-from torchrbd.inference.regression.choice import BestRegression, Choice, choose, corrected_error
+from torchrbd.inference.regression.choice import BestRegression, Choice, choose
 from torchrbd.inference.regression.classical import OrdinaryLeastSquares, Stepwise, TotalLeastSquares, TruncatedSVD
 from torchrbd.inference.regression.cross_validated import Lasso, PartialLeastSquares, PrincipalComponents, Ridge
 from torchrbd.inference.regression.errors_in_variables import EIVARD
@@ -27,5 +31,4 @@ __all__ = [
     "TotalLeastSquares",
     "TruncatedSVD",
     "choose",
-    "corrected_error",
 ]

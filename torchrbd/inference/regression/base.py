@@ -5,47 +5,61 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
+from numpy.typing import ArrayLike
 from torch import Tensor
 from typing_extensions import Self
 
-from torchrbd.inference.regression.moments import Moments
+from torchrbd.errors import InputError
+from torchrbd.inference.regression.moments import Moments, as_float64
+
+NOT_FITTED = "the regression has no data yet: call fit(X, y) first"
 
 
 class Regression(ABC):
-    """A linear regression y = x'b without intercept.
+    """A linear regression y = x'b. No intercept is fitted: centre the data, or add a column of ones.
 
     Class attributes:
         name: as tables and options call it.
-
-    Attributes:
-        coefficients: b (d,), once fitted.
     """
 
     name: ClassVar[str]
-    coefficients: Tensor
-    _noisy_coefficients: Tensor | None = None
+    _b: Tensor | None = None
+    _noisy_b: Tensor | None = None
 
-    def fit(self, X: Tensor | Moments, y: Tensor | None = None) -> Self:
-        """Fit to moments, or to inputs X (N, d) and outputs y (N,)."""
-        moments = X if isinstance(X, Moments) else Moments.from_data(X, _given(y))
-        self.coefficients = self._coefficients(moments)
+    def fit(self, X: Tensor | ArrayLike | Moments, y: Tensor | ArrayLike | None = None) -> Self:
+        """Fit to moments, or to inputs X (N, d) and outputs y (N,), tensors or numpy arrays.
+
+        Raises:
+            InputError: for shapes that do not fit, no rows, or values that are not finite.
+            OptionError: for an option that does not fit the data, such as noise of another number of inputs.
+        """
+        self._b = self._coefficients(Moments.of(X, y))
         return self
 
-    def predict(self, X: Tensor) -> Tensor:
-        """Return X b (N,) for noiseless inputs X (N, d)."""
-        return X @ self.coefficients.to(X)
+    def predict(self, X: Tensor | ArrayLike) -> Tensor:
+        """Return X b (N,) for noiseless inputs X (N, d), in the dtype of X if that is a tensor of floats.
+
+        Raises:
+            InputError: before a fit, or for another number of inputs.
+        """
+        b = self.coefficients
+        X = X if isinstance(X, Tensor) and X.is_floating_point() else as_float64(X, "X")
+        if X.dim() == 0 or X.shape[-1] != len(b):
+            raise InputError(f"X: expected (N, {len(b)}), as many inputs as were fitted, got {tuple(X.shape)}")
+        return X @ b.to(X)
+
+    @property
+    def coefficients(self) -> Tensor:
+        """b (d,), for noiseless inputs; InputError before a fit."""
+        if self._b is None:
+            raise InputError(NOT_FITTED)
+        return self._b
 
     @property
     def noisy_coefficients(self) -> Tensor:
         """Coefficients (d,) that predict y from inputs as noisy as the training ones; b itself unless told apart."""
-        return self.coefficients if self._noisy_coefficients is None else self._noisy_coefficients
+        return self.coefficients if self._noisy_b is None else self._noisy_b
 
     @abstractmethod
     def _coefficients(self, moments: Moments) -> Tensor:
-        """Return b (d,)."""
-
-
-def _given(y: Tensor | None) -> Tensor:
-    if y is None:
-        raise TypeError("fit(X, y): y is missing")
-    return y
+        """Return b (d,); may set ``_noisy_b``."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchrbd.errors import OptionError
@@ -18,23 +19,6 @@ from torchrbd.inference.regression.factor_regression import FactorRegression
 from torchrbd.inference.regression.moments import Moments
 
 
-def corrected_error(b: Tensor, fold: Moments, input_noise: Tensor | None = None) -> Tensor:
-    """Return the squared error of b at noiseless inputs, less what all b have in common.
-
-        b'(C_f - Psi) b - 2 b'c_f
-
-    With x = t + e as in EIVARD, E[C_f] = S + Psi and E[c_f] = E[t y]: for a b that has not seen the fold, this is
-    E (y - t'b)^2 - E y^2 on average.
-
-    Args:
-        b: (d,) coefficients.
-        fold: moments of rows that b has not seen.
-        input_noise: Psi, variances (d,) or a covariance (d, d); None for inputs as noisy as those that b will meet.
-    """
-    C = fold.xx if input_noise is None else fold.xx - noise_covariance(input_noise, fold.d)
-    return b @ C @ b - 2.0 * (fold.xy @ b)
-
-
 @dataclass(frozen=True)
 class Choice:
     """What was chosen: ``best``, fitted to all blocks, and ``errors`` (B, K), of each candidate on each block."""
@@ -44,7 +28,11 @@ class Choice:
 
 
 def choose(
-    candidates: Sequence[Regression], moments: Moments, input_noise: Tensor | None = None, *, caution: float = 1.0
+    candidates: Sequence[Regression],
+    moments: Moments,
+    input_noise: Tensor | ArrayLike | None = None,
+    *,
+    caution: float = 1.0,
 ) -> Choice:
     """Choose between candidates by their errors on each block when fitted to all others.
 
@@ -57,8 +45,8 @@ def choose(
 
         b'K C_f K'b - 2 b'K c_f = (b - b0)'S C^-1 S (b - b0) + constant, on average, with b0 the true coefficients
 
-    It weighs directions by what the noise leaves of them. ``corrected_error`` weighs them by S, as the error at
-    noiseless inputs does, but its own sampling error is larger: b'Psi b is only cancelled on average.
+    It weighs directions by what the noise leaves of them. The corrected error b'(C_f - Psi) b - 2 b'c_f weighs them by
+    S, as the error at noiseless inputs does, but scatters more: b'Psi b is only cancelled on average.
 
     Args:
         candidates: regressions by preference, not changed.
@@ -79,7 +67,7 @@ def choose(
         for k, candidate in enumerate(candidates):
             fitted = copy.copy(candidate).fit(seen)
             b = fitted.noisy_coefficients if K is None else K.T @ fitted.coefficients
-            errors[left_out, k] = corrected_error(b, moments.select(~keep))
+            errors[left_out, k] = moments.select(~keep).error(b)
     share = moments.count / moments.n
     best = len(candidates) - 1
     better = [k for k in range(best) if _standard_errors_above(errors[:, best], errors[:, k], share) > caution]
@@ -109,7 +97,7 @@ class BestRegression(Regression):
     unless another one is better by two standard errors. Where noise is known, give it.
 
     Args:
-        input_noise: Psi, variances (d,) or a covariance (d, d); None when unknown.
+        input_noise: Psi, one variance for all inputs, variances (d,) or a covariance (d, d); None when unknown.
 
     Attributes:
         choice: the candidate chosen, fitted, and the errors of all.
@@ -118,7 +106,7 @@ class BestRegression(Regression):
     name = "best"
     choice: Choice
 
-    def __init__(self, input_noise: Tensor | None = None) -> None:
+    def __init__(self, input_noise: Tensor | ArrayLike | None = None) -> None:
         self.input_noise = input_noise
 
     def _coefficients(self, moments: Moments) -> Tensor:
@@ -129,5 +117,5 @@ class BestRegression(Regression):
         if known is not None:
             candidates.insert(1, FactorRegression(known, rank, "ard"))
         self.choice = choose(candidates, moments, known, caution=2.0 if known is None else 1.0)
-        self._noisy_coefficients = self.choice.best.noisy_coefficients
+        self._noisy_b = self.choice.best.noisy_coefficients
         return self.choice.best.coefficients

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchrbd.errors import OptionError
 from torchrbd.inference.regression.base import Regression
-from torchrbd.inference.regression.moments import Moments
+from torchrbd.inference.regression.moments import Moments, as_float64
 
 # Moments hold squares, so that singular values below the root of the rounding error cannot be told from zero.
 ROUNDING = 1e-6
@@ -63,26 +64,17 @@ class TotalLeastSquares(Regression):
 
     name = "tls"
 
-    def __init__(self, noise: Tensor | None = None) -> None:
+    def __init__(self, noise: Tensor | ArrayLike | None = None) -> None:
         self.noise = noise
 
     def _coefficients(self, moments: Moments) -> Tensor:
         A = moments.total / moments.n
-        scale = nonzero_root(A.diagonal()) if self.noise is None else self._noise_scale(moments.d)
+        scale = nonzero_root(A.diagonal()) if self.noise is None else _noise_scale(self.noise, moments.d)
         A = A / (scale.unsqueeze(1) * scale)
         rank = _rank(torch.linalg.eigvalsh(A[:-1, :-1]), ROUNDING)
         V = torch.linalg.eigh(A).eigenvectors[:, : moments.d + 1 - rank]
         v = V[-1]
         return -(V[:-1] @ v) / (v @ v).clamp_min(1e-300) * scale[-1] / scale[:-1]
-
-    def _noise_scale(self, d: int) -> Tensor:
-        noise = torch.as_tensor(self.noise, dtype=torch.float64)
-        if noise.shape != (d + 1,) or not bool((noise > 0.0).all()):
-            raise OptionError(
-                f"noise: expected {d + 1} positive variances, of {d} inputs and of y, got shape {tuple(noise.shape)}; "
-                "give an input without noise a small variance"
-            )
-        return noise.sqrt()
 
 
 class Stepwise(Regression):
@@ -143,6 +135,17 @@ def normalised(moments: Moments) -> tuple[Tensor, Tensor, Tensor]:
 def nonzero_root(square: Tensor) -> Tensor:
     """Return the square root, and 1 for what is not positive: a scale that can be divided by."""
     return torch.where(square > 0.0, square, 1.0).sqrt()
+
+
+def _noise_scale(noise: Tensor | ArrayLike, d: int) -> Tensor:
+    """Return the standard deviations (d + 1,) that total least squares divides by."""
+    noise = as_float64(noise, "noise")
+    if noise.shape != (d + 1,) or not bool((noise > 0.0).all()):
+        raise OptionError(
+            f"noise: expected {d + 1} positive variances, of {d} inputs and of y, got shape {tuple(noise.shape)}; "
+            "give an input without noise a small variance"
+        )
+    return noise.sqrt()
 
 
 def _truncated(C: Tensor, c: Tensor, tolerance: float) -> Tensor:

@@ -20,21 +20,6 @@ from torchrbd.inference.regression.moments import Moments
 _MOST_COMPONENTS = 100
 
 
-def left_out_error(B: Tensor, fold: Moments) -> Tensor:
-    """Return the squared error of each candidate on left-out rows, less what all have in common.
-
-        b'C_f b - 2 b'c_f = mean (y - x'b)^2 - mean y^2
-
-    Args:
-        B: (d, K) coefficients, a column for each candidate.
-        fold: moments of the rows left out.
-
-    Returns:
-        (K,).
-    """
-    return ((fold.xx @ B) * B).sum(0) - 2.0 * (fold.xy @ B)
-
-
 class PathRegression(Regression):
     """A regression with one hyperparameter from a fixed grid.
 
@@ -66,7 +51,7 @@ class PathRegression(Regression):
             path = self._path(moments.select(keep))
             # A fold may lack rank: its path is then shorter, and its last place is the whole of what it can fit.
             path = torch.cat((path, path[:, -1:].expand(-1, max(0, length - path.shape[1]))), 1)[:, :length]
-            error += left_out_error(path, moments.select(~keep)) * moments.count[left_out]
+            error += moments.select(~keep).error(path) * moments.count[left_out]
         return int(error.argmin())
 
     def _path(self, moments: Moments) -> Tensor:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchrbd.errors import OptionError
 from torchrbd.inference.regression.ard import ard
 from torchrbd.inference.regression.base import Regression
 from torchrbd.inference.regression.classical import nonzero_root
-from torchrbd.inference.regression.moments import Moments
+from torchrbd.inference.regression.moments import Moments, as_float64
 
 
 class EIVARD(Regression):
@@ -25,7 +26,7 @@ class EIVARD(Regression):
     with the right S b predicts alike and the prior chooses.
 
     Args:
-        input_noise: Psi, variances (d,) or a covariance (d, d).
+        input_noise: Psi, one variance for all inputs, variances (d,) or a covariance (d, d).
 
     Attributes:
         covariance: posterior covariance of b (d, d), zero for the columns that ARD has removed. It counts rows as
@@ -37,7 +38,7 @@ class EIVARD(Regression):
     covariance: Tensor
     noise: float
 
-    def __init__(self, input_noise: Tensor) -> None:
+    def __init__(self, input_noise: Tensor | ArrayLike) -> None:
         self.input_noise = input_noise
 
     def _coefficients(self, moments: Moments) -> Tensor:
@@ -45,7 +46,7 @@ class EIVARD(Regression):
         guessed = moments.transform(K)
         fit = ard(guessed.xx, guessed.xy, float(guessed.yy), guessed.n)
         self.covariance, self.noise = fit.covariance, fit.noise
-        self._noisy_coefficients = K.T @ fit.mean
+        self._noisy_b = K.T @ fit.mean
         return fit.mean
 
 
@@ -63,20 +64,24 @@ def best_guess(moments: Moments, Psi: Tensor) -> Tensor:
     return S @ torch.linalg.pinv(S + Psi / outer, rtol=1e-12, hermitian=True) * (scale.unsqueeze(1) / scale)
 
 
-def noise_covariance(input_noise: Tensor, d: int) -> Tensor:
+def noise_covariance(input_noise: Tensor | ArrayLike, d: int) -> Tensor:
     """Return input noise as a covariance (d, d).
 
     Args:
-        input_noise: variances (d,) or a covariance (d, d).
+        input_noise: one variance for all inputs, variances (d,) or a covariance (d, d).
         d: number of inputs.
 
     Raises:
         OptionError: another shape, values that are not finite, or no covariance.
+        InputError: no numbers.
     """
-    Psi = torch.as_tensor(input_noise, dtype=torch.float64)
+    Psi = as_float64(input_noise, "input_noise")
+    if Psi.dim() == 0:
+        Psi = Psi.expand(d)
     if Psi.shape not in ((d,), (d, d)):
         raise OptionError(
-            f"input_noise: expected variances ({d},) or a covariance ({d}, {d}), got shape {tuple(Psi.shape)}"
+            f"input_noise: expected a variance, variances ({d},) or a covariance ({d}, {d}), "
+            f"got shape {tuple(Psi.shape)}"
         )
     if not bool(Psi.isfinite().all()):
         raise OptionError("input_noise: expected finite variances, got nan or inf; use 0 for an input without noise")

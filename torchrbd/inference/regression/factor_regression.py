@@ -6,6 +6,7 @@ import math
 from typing import Literal
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchrbd.inference.regression.ard import ard
@@ -47,12 +48,12 @@ class FactorRegression(Regression):
     likelihood is flat in psi_i: noise only rescales b_i.
 
     Args:
-        input_noise: Psi, variances (d,) or a covariance (d, d); None when unknown.
+        input_noise: Psi, one variance for all inputs, variances (d,) or a covariance (d, d); None when unknown.
         rank: number of factors; None chooses it by the likelihood of left-out blocks.
         own_parts: "stepwise" for few, "ard" for many or weak ones; "ard" then shrinks the factors' weights too.
 
     Attributes:
-        model: factor model, its its rank as given or chosen, ``own`` and ``noise`` as used in S.
+        model: factor model, its rank as given or chosen, ``own`` and ``noise`` as used in S.
     """
 
     name = "factor"
@@ -60,7 +61,7 @@ class FactorRegression(Regression):
 
     def __init__(
         self,
-        input_noise: Tensor | None = None,
+        input_noise: Tensor | ArrayLike | None = None,
         rank: int | None = None,
         own_parts: Literal["stepwise", "ard"] = "stepwise",
     ) -> None:
@@ -83,7 +84,7 @@ class FactorRegression(Regression):
         if not known:
             own = torch.where((delta != 0.0) | (found.communality < _LEAST_COMMUNALITY), own, 0.0)
         used = torch.maximum(own, _SIGNAL_SHARE * found.rest.diagonal())
-        self._noisy_coefficients = W @ weights
+        self._noisy_b = W @ weights
         self.model = FactorModel(found.loadings, used, found.rest - torch.diag(used))
         S = torch.linalg.cholesky(found.loadings @ found.loadings.T + torch.diag(used))
         return torch.cholesky_solve((found.loadings @ gamma + own * delta).unsqueeze(1), S).squeeze(1)

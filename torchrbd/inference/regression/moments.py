@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchrbd.errors import InputError
@@ -26,18 +28,34 @@ class Moments:
     count: Tensor
 
     @classmethod
-    def from_data(cls, X: Tensor, y: Tensor, n_blocks: int = 10) -> Moments:
+    def of(cls, X: Tensor | ArrayLike | Moments, y: Tensor | ArrayLike | None = None) -> Moments:
+        """Return X if it is moments, otherwise those of the rows X (N, d) and y (N,).
+
+        Raises:
+            InputError: as ``from_data``; y missing, or given beside moments, which hold it.
+        """
+        if isinstance(X, Moments):
+            if y is not None:
+                raise InputError("y is given beside moments, which hold it already; give moments alone")
+            return X
+        if y is None:
+            raise InputError("y is missing: give inputs X (N, d) and outputs y (N,), or moments alone")
+        return cls.from_data(X, y)
+
+    @classmethod
+    def from_data(cls, X: Tensor | ArrayLike, y: Tensor | ArrayLike, n_blocks: int = 10) -> Moments:
         """Take the moments of X (N, d) and y (N,) in blocks of consecutive rows.
 
         Raises:
-            InputError: shapes that do not fit, no rows, or values that are not finite.
+            InputError: shapes that do not fit, no rows, or values that are no numbers or not finite.
         """
+        X, y = as_float64(X, "X"), as_float64(y, "y")
         if X.dim() != 2 or y.shape != X.shape[:1] or not len(X):
             raise InputError(
                 f"regression rows: expected X (N, d) and y (N,) with N at least 1, "
                 f"got {tuple(X.shape)} and {tuple(y.shape)}"
             )
-        rows = torch.cat((X, y.unsqueeze(1)), 1).to(torch.float64)
+        rows = torch.cat((X, y.unsqueeze(1)), 1)
         if not bool(rows.isfinite().all()):
             bad = int(torch.nonzero(~rows.isfinite().all(1))[0])
             raise InputError(f"regression rows: row {bad} has nan or inf; remove such rows")
@@ -52,6 +70,19 @@ class Moments:
         """Return the moments of the rows [W x, y], W (m, d)."""
         T = torch.block_diag(W, W.new_ones(1, 1))
         return Moments(T @ self.blocks @ T.T, self.count)
+
+    def error(self, b: Tensor) -> Tensor:
+        """Return the mean squared error of coefficients on these rows, less that of none.
+
+            b'X'X b / N - 2 b'X'y / N = mean (y - x'b)^2 - mean y^2
+
+        Args:
+            b: (d,), or (d, K) for K candidates.
+
+        Returns:
+            () or (K,).
+        """
+        return ((self.xx @ b) * b).sum(0) - 2.0 * (self.xy @ b)
 
     @property
     def total(self) -> Tensor:
@@ -82,3 +113,17 @@ class Moments:
     def yy(self) -> Tensor:
         """y'y / N."""
         return self.total[-1, -1] / self.n
+
+
+def as_float64(values: Tensor | ArrayLike, name: str) -> Tensor:
+    """Return numbers as a float64 tensor, a tensor's own device and gradient kept.
+
+    Raises:
+        InputError: what ``name`` stands for is no array of numbers.
+    """
+    if isinstance(values, Tensor):
+        return values.to(torch.float64)
+    try:
+        return torch.from_numpy(np.array(values, dtype=np.float64))
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: expected an array of numbers, got {type(values).__name__}") from None

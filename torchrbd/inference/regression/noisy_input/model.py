@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor, nn
 from typing_extensions import Self
 
 from torchrbd.errors import InputError, OptionError
-from torchrbd.inference.regression.base import Regression
+from torchrbd.inference.regression.base import NOT_FITTED, Regression
 from torchrbd.inference.regression.moments import Moments
 from torchrbd.inference.regression.noisy_input.ascent import climb_by_coordinates, climb_by_gradient
 from torchrbd.inference.regression.noisy_input.elbo import Evidence, Posterior, collapse, elbo
@@ -28,9 +29,10 @@ class NoisyInputRegression(nn.Module, Regression):
 
         y = sum_m z_m + e_y,   x_m = w_xm t_m + e_xm,   z_m = w_zm t_m + e_zm,   b_m = w_zm / w_xm
 
-    Each noise variance can be given (a number or tensor), learned between bounds (``NoiseRange``) or learned freely
-    (None). Learned ones have a proper inverse-gamma prior of shape 1 in units of the column's mean square: mode
-    ``noise_share`` for an input, 0.1 for the output and 0.1/d for the hidden noise. They are maximised, not integrated.
+    No intercept is fitted: centre the data. Each noise variance can be given (a number or one per input), learned
+    between bounds (``NoiseRange``) or learned freely (None). Learned ones have a proper inverse-gamma prior of shape 1
+    in units of the column's mean square: mode ``noise_share`` for an input, 0.1 for the output and 0.1/d for the hidden
+    noise. They are maximised, not integrated.
 
     What the data cannot tell. An input has two moments that matter, x_m^2 and x_m y, and three unknowns. The
     likelihood of (x, y) is the same for every rho_m = w_xm^2 / (w_xm^2 + psi_xm) as long as output noise is left:
@@ -59,6 +61,9 @@ class NoisyInputRegression(nn.Module, Regression):
         history: bound at the start and after each iteration [nat], for columns of mean square 1.
         converged: whether ``tolerance`` was reached.
 
+    ``state_dict`` holds the data's moments beside the parameters, so that ``load_state_dict`` of a new regression with
+    the same options needs no data; it leaves ``history`` out.
+
     Source: Ting, Mistry, Peters, Schaal, Nakanishi, "A Bayesian approach to nonlinear parameter identification for
     rigid body dynamics" (RSS 2006), section III. Deviations: proper noise priors, q(Z, T) eliminated, psi_z merged
     unless asked for, and a start that elects the relevant inputs by the bound (``start``).
@@ -66,14 +71,16 @@ class NoisyInputRegression(nn.Module, Regression):
 
     name: ClassVar[str] = "noisy-input"
     q: Variational
+    moments: Tensor
+    rows: Tensor
     x_scale: Tensor
     y_scale: Tensor
 
     def __init__(
         self,
-        input_noise: Tensor | float | NoiseRange | None = None,
-        output_noise: Tensor | float | NoiseRange | None = None,
-        hidden_noise: Tensor | float | NoiseRange | None = 0.0,
+        input_noise: Tensor | ArrayLike | NoiseRange | None = None,
+        output_noise: Tensor | ArrayLike | NoiseRange | None = None,
+        hidden_noise: Tensor | ArrayLike | NoiseRange | None = 0.0,
         *,
         noise_share: float = 0.03,
         iterations: int = 1000,
@@ -91,12 +98,12 @@ class NoisyInputRegression(nn.Module, Regression):
 
     def fit(
         self,
-        X: Tensor | Moments,
-        y: Tensor | None = None,
+        X: Tensor | ArrayLike | Moments,
+        y: Tensor | ArrayLike | None = None,
         *,
         method: Literal["coordinate", "autograd"] = "coordinate",
     ) -> Self:
-        """Fit to moments, or to inputs X (N, d) and outputs y (N,).
+        """Fit to moments, or to inputs X (N, d) and outputs y (N,), tensors or numpy arrays.
 
         Args:
             X: inputs or moments.
@@ -121,19 +128,16 @@ class NoisyInputRegression(nn.Module, Regression):
     def _coefficients(self, moments: Moments) -> Tensor:
         return self.fit(moments).coefficients
 
-    def start(self, X: Tensor | Moments, y: Tensor | None = None) -> Self:
+    def start(self, X: Tensor | ArrayLike | Moments, y: Tensor | ArrayLike | None = None) -> Self:
         """Take the data and go to the documented start: least squares in what the data tells, priors elsewhere.
 
         From there ``update``, or any optimizer on ``elbo``, goes on.
         """
-        if isinstance(X, Moments):
-            moments = X
-        elif y is None:
-            raise TypeError("fit(X, y): y is missing")
-        else:
-            moments = Moments.from_data(X, y)
+        moments = Moments.of(X, y)
         if not bool(torch.isfinite(moments.blocks).all()) or moments.n <= 0.0:
             raise InputError("moments must be finite and of at least one row: remove rows with missing values")
+        self.register_buffer("moments", moments.total)
+        self.register_buffer("rows", moments.count.sum())
         x_scale, y_scale = _scale(moments.xx.diagonal()), _scale(moments.yy)
         self.register_buffer("x_scale", x_scale)
         self.register_buffer("y_scale", y_scale)
@@ -143,6 +147,12 @@ class NoisyInputRegression(nn.Module, Regression):
         self._priors = priors_of(self._bounds, self._noise_share)
         self.q = Variational(start(self._evidence, self._priors, self._bounds), self._priors, self._bounds)
         return self
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
+        # Parameters have the shapes of the data, which the state holds.
+        if f"{prefix}moments" in state_dict:
+            self.start(Moments(state_dict[f"{prefix}moments"].unsqueeze(0), state_dict[f"{prefix}rows"].reshape(1)))
+        super()._load_from_state_dict(state_dict, prefix, *args)
 
     def elbo(self) -> Tensor:
         """Return the evidence lower bound at the present parameters, for columns of mean square 1 [nat].
@@ -161,7 +171,7 @@ class NoisyInputRegression(nn.Module, Regression):
     def posterior(self) -> Posterior:
         """Variational parameters and noise variances, for columns of mean square 1."""
         if self._evidence is None:
-            raise InputError("the regression has no data yet: call fit(X, y) or start(X, y) first")
+            raise InputError(NOT_FITTED)
         return self.q()
 
     @property
@@ -205,7 +215,7 @@ class NoisyInputRegression(nn.Module, Regression):
     @property
     def _data(self) -> Evidence:
         if self._evidence is None:
-            raise InputError("the regression has no data yet: call fit(X, y) or start(X, y) first")
+            raise InputError(NOT_FITTED)
         return self._evidence
 
 

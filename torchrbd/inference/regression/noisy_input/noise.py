@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from torchrbd.errors import OptionError
+from torchrbd.inference.regression.moments import as_float64
 from torchrbd.inference.regression.noisy_input.elbo import NoisePrior, Priors
 from torchrbd.inference.regression.noisy_input.updates import Bounds, NoiseBounds
 
@@ -27,11 +29,11 @@ class NoiseRange:
     explain it.
     """
 
-    low: Tensor | float = 0.0
-    high: Tensor | float = torch.inf
+    low: Tensor | ArrayLike = 0.0
+    high: Tensor | ArrayLike = torch.inf
 
 
-def as_range(noise: Tensor | float | NoiseRange | None) -> NoiseRange:
+def as_range(noise: Tensor | ArrayLike | NoiseRange | None) -> NoiseRange:
     """Read None as learned freely, a value as given."""
     if noise is None:
         return NoiseRange()
@@ -50,7 +52,7 @@ def noise_bounds(ranges: tuple[NoiseRange, NoiseRange, NoiseRange], x_scale: Ten
         OptionError: for a wrong shape, a negative variance, or bounds in the wrong order.
     """
     of_input, of_hidden, of_output = ranges
-    merged = bool((torch.as_tensor(of_hidden.high) == 0.0).all())
+    merged = bool((as_float64(of_hidden.high, "hidden_noise") == 0.0).all())
     return NoiseBounds(
         _bounds(of_input, "input_noise", x_scale.square()),
         None if merged else _bounds(of_hidden, "hidden_noise", y_scale.square().expand_as(x_scale)),
@@ -62,7 +64,7 @@ def _bounds(noise: NoiseRange, name: str, unit: Tensor) -> Bounds:
     """Return the bounds as parts of ``unit``, in its shape."""
     ends = []
     for end in (noise.low, noise.high):
-        end = torch.as_tensor(end, dtype=torch.float64)
+        end = as_float64(end, name)
         if end.ndim and end.shape != unit.shape:
             got, expected = tuple(end.shape), tuple(unit.shape)
             raise OptionError(f"{name} has shape {got}, expected a number or {expected}: one variance per input")

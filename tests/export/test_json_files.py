@@ -1,0 +1,67 @@
+"""parameters.json holds what the result holds, in full digits, and is JSON whatever the numbers are."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inference.problems import urdf_of
+from simulated import record, with_wrong_inertials
+
+from torchrbd.export import write_parameters
+from torchrbd.export.json_files import write_comparison
+from torchrbd.inference import EstimatorComparison, Fit, Identification, identify
+from torchrbd.inference.comparison import EstimatorRow
+
+URDF = urdf_of(4, 4)
+
+
+@pytest.fixture(scope="module")
+def found() -> Identification:
+    return identify(with_wrong_inertials(URDF, 1), record(URDF, 4))
+
+
+def read(path: Path) -> dict:
+    def no_constant(name: str) -> None:
+        raise AssertionError(f"{name} is not JSON")
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=no_constant)
+
+
+def test_base_parameters_follow_from_the_file_alone(found: Identification, tmp_path: Path) -> None:
+    write_parameters(found, tmp_path / "p.json")
+    content = read(tmp_path / "p.json")
+    K = np.array(content["base_combination"]["matrix"])
+    value = {p["name"]: p["value"] for p in content["parameters"]}
+    beta = K @ [value[name] for name in content["base_combination"]["columns"]]
+    np.testing.assert_allclose(beta, [b["value"] for b in content["base_parameters"]], rtol=1e-12, atol=1e-14)
+    np.testing.assert_array_equal(K, found.base_combination)
+    np.testing.assert_array_equal(content["base_covariance"], found.base_covariance)
+
+
+def test_a_row_of_a_matrix_is_a_line_and_text_stays_as_it_is(found: Identification, tmp_path: Path) -> None:
+    odd = replace(found, notes=("[1,  2]", "a [\n 1\n]"))
+    write_parameters(odd, tmp_path / "p.json")
+    assert read(tmp_path / "p.json")["notes"] == ["[1,  2]", "a [\n 1\n]"]
+    rows = [line for line in (tmp_path / "p.json").read_text().splitlines() if line.strip().startswith("[ ")]
+    assert len(rows) == 2 * len(found.base)
+
+
+def test_what_is_not_known_is_null(found: Identification, tmp_path: Path) -> None:
+    unknown = [replace(p, std=np.nan, prior_share=np.nan) for p in found.parameters]
+    write_parameters(replace(found, parameters=tuple(unknown), base_covariance=None), tmp_path / "p.json")
+    content = read(tmp_path / "p.json")
+    assert all(p["std"] is None and p["prior_share"] is None for p in content["parameters"])
+    assert content["base_covariance"] is None
+
+
+def test_a_comparison_with_an_error_beyond_all_numbers_is_json(tmp_path: Path) -> None:
+    fit = Fit({"a": np.inf}, {"a": np.nan})
+    rows = (EstimatorRow("tls", fit, fit, False, 0.1, ""),)
+    compared = EstimatorComparison("arm", ("a",), ("x",), "y", 5.0, 3, np.inf, "small", False, rows, (), ())
+    write_comparison(compared, tmp_path / "e.json")
+    content = read(tmp_path / "e.json")
+    assert content["schema"] == 1
+    assert content["condition"] is None
+    assert content["rows"][0]["raw"] == {"nmse": {"a": None}, "rmse": {"a": None}}
