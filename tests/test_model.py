@@ -11,7 +11,7 @@ from torch.autograd import gradcheck
 from torchrbd.errors import PhysicalError
 from torchrbd.model import REST_WIDTH, RigidBodyDynamics
 from torchrbd.parameters import is_physical
-from torchrbd.physics import Term, effect
+from torchrbd.physics import Signals, Site, Term, effect
 from torchrbd.robot import RobotModel
 
 URDF = random_urdf(9, 4, mimic=0.3)
@@ -24,7 +24,7 @@ def states(robot: RobotModel, *batch: int, seed: int = 1, grad: bool = False) ->
 
 def term(name: str, joint: int, *coefficients: float) -> Term:
     shape = {"stribeck_speed": 0.3} if name == "stribeck_friction" else {}
-    return Term(effect(name), joint, torch.tensor(coefficients, dtype=torch.float64), shape, 0.05)
+    return Term(effect(name), Site(joint), torch.tensor(coefficients, dtype=torch.float64), shape)
 
 
 def terms() -> list[Term]:
@@ -46,8 +46,9 @@ def test_torque_is_the_rigid_bodys_plus_the_terms(model: RigidBodyDynamics) -> N
     robot = model.robot
     q, qd, qdd = states(robot, 20)
     expected = robot.inverse_dynamics(q, qd, qdd)
+    at = Signals(robot, q.T, qd.T, qdd.T, model.rest_width)
     for t in terms():
-        expected[:, t.joint] += t(q[:, t.joint], qd[:, t.joint], qdd[:, t.joint]).detach()
+        expected[:, t.site.joint] += t(at).detach()
     torch.testing.assert_close(model(q, qd, qdd), expected, rtol=1e-11, atol=1e-11)
     torch.testing.assert_close(model.pi, robot.pi, rtol=1e-12, atol=1e-12)
 
@@ -163,7 +164,7 @@ def test_urdf_friction_becomes_terms() -> None:
     robot = RobotModel.from_urdf("</joint>".join(parts))
     j = robot.joint_names.index("joint2")
     model = RigidBodyDynamics.from_urdf("</joint>".join(parts))
-    assert [(t.effect.id, t.joint) for t in model.terms] == [("viscous_friction", j), ("coulomb_friction", j)]
+    assert [(t.effect.id, t.site.joint) for t in model.terms] == [("viscous_friction", j), ("coulomb_friction", j)]
     q, qd, qdd = states(robot, 8)
     added = model(q, qd, qdd) - robot.inverse_dynamics(q, qd, qdd)
     torch.testing.assert_close(added[:, j], 0.5 * qd[:, j] + 1.5 * torch.tanh(qd[:, j] / REST_WIDTH))

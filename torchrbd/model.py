@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from torchrbd.errors import PhysicalError
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, is_physical, to_log_cholesky
-from torchrbd.physics import Term, effect
+from torchrbd.physics import Signals, Site, Term, effect
 from torchrbd.robot import RobotModel
 
 REST_WIDTH = 1e-3
@@ -30,6 +30,7 @@ class RigidBodyDynamics(nn.Module):
         robot: kinematics, gravity and names.
         pi: (n_params,) inertial parameters; the robot's own by default.
         terms: what else adds to the torque.
+        rest_width: (n_dof,) speed below which the direction of motion is not told; ``REST_WIDTH`` by default.
 
     Attributes:
         raw_inertia: (n_physical, 10) log-Cholesky coordinates; any values give a physical robot.
@@ -40,8 +41,15 @@ class RigidBodyDynamics(nn.Module):
     raw_inertia: nn.Parameter
     constant_pi: Tensor
     physical: Tensor
+    rest_width: Tensor
 
-    def __init__(self, robot: RobotModel, pi: Tensor | None = None, terms: Iterable[Term] = ()) -> None:
+    def __init__(
+        self,
+        robot: RobotModel,
+        pi: Tensor | None = None,
+        terms: Iterable[Term] = (),
+        rest_width: Tensor | None = None,
+    ) -> None:
         super().__init__()
         self.robot = robot
         bodies = (robot.pi if pi is None else pi).detach().reshape(-1, PARAMETERS_PER_BODY).to(torch.float64)
@@ -49,6 +57,8 @@ class RigidBodyDynamics(nn.Module):
         self.register_buffer("physical", physical)
         self.register_buffer("constant_pi", torch.where(physical.unsqueeze(1), torch.zeros_like(bodies), bodies))
         self.raw_inertia = nn.Parameter(to_log_cholesky(bodies[physical]))
+        width = torch.full((robot.n_dof,), REST_WIDTH, dtype=torch.float64) if rest_width is None else rest_width
+        self.register_buffer("rest_width", width.clone())
         self._terms = nn.ModuleList(terms)
 
     @classmethod
@@ -68,37 +78,40 @@ class RigidBodyDynamics(nn.Module):
         trained = torch.zeros_like(self.constant_pi).index_put((self.physical,), from_log_cholesky(self.raw_inertia))
         return (self.constant_pi + trained).flatten()
 
-    def forward(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+    def forward(self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None = None) -> Tensor:
         """Return the torque that the actuators must supply.
 
         Args:
             q, qd, qdd: (*batch, n_dof), [rad, m] and per second, per second squared.
+            t: (N,) evenly spaced times of the last batch dimension [s]; only effects with memory need it.
 
         Returns:
             (*batch, n_dof), [N m] or [N].
         """
-        return self.robot.inverse_dynamics(q, qd, qdd, self.pi.to(q)) + self.term_torque(q, qd, qdd)
+        return self.robot.inverse_dynamics(q, qd, qdd, self.pi.to(q)) + self.term_torque(q, qd, qdd, t)
 
-    def term_torque(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Return what the terms add, (*batch, n_dof)."""
-        q, qd, qdd = torch.broadcast_tensors(q, qd, qdd)
-        torques = list(torch.zeros_like(q).unbind(-1))
+    def term_torque(self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None = None) -> Tensor:
+        """Return what the terms add, (*batch, n_dof); arguments as in ``forward``."""
+        q, qd, qdd = (x.movedim(-1, 0) for x in torch.broadcast_tensors(q, qd, qdd))
+        signals = Signals(self.robot, q, qd, qdd, self.rest_width, self.pi, t)
+        torques = list(torch.zeros_like(signals.q).unbind(0))
         for term in self.terms:
-            j = term.joint
-            torques[j] = torques[j] + term(q[..., j], qd[..., j], qdd[..., j])
+            added = term(signals)
+            for j in range(len(torques)) if term.effect.whole_robot else (term.site.joint,):
+                assert j is not None
+                torques[j] = torques[j] + (added[j] if term.effect.whole_robot else added)
         return torch.stack(torques, -1)
 
     def forward_dynamics(self, q: Tensor, qd: Tensor, tau: Tensor) -> Tensor:
         """Return the acceleration qdd (*batch, n_dof) that a torque causes.
 
-            qdd = (M(q) + diag(d tau_terms / d qdd))^-1 (tau - tau(q, qd, 0))
+            qdd = (M(q) + d tau_terms / d qdd)^-1 (tau - tau(q, qd, 0))
 
         Raises:
             PhysicalError: the mass matrix is not positive definite (a moving body without mass or rotor inertia).
         """
-        still, unit = torch.zeros_like(q), torch.ones_like(q)
-        armature = self.term_torque(q, qd, unit) - self.term_torque(q, qd, still)
-        mass = self.robot.mass_matrix(q, self.pi.to(q)) + torch.diag_embed(armature)
+        still = torch.zeros_like(q)
+        mass = self.robot.mass_matrix(q, self.pi.to(q)) + self._term_inertia(q, qd)
         factor, info = torch.linalg.cholesky_ex(mass)
         if bool((info != 0).any()):
             raise PhysicalError(
@@ -107,6 +120,12 @@ class RigidBodyDynamics(nn.Module):
             )
         return torch.cholesky_solve((tau - self(q, qd, still)).unsqueeze(-1), factor).squeeze(-1)
 
+    def _term_inertia(self, q: Tensor, qd: Tensor) -> Tensor:
+        """Return d tau_terms / d qdd (*batch, n_dof, n_dof), the terms taken as linear in qdd."""
+        unit = torch.eye(self.robot.n_dof, dtype=q.dtype, device=q.device)
+        torques = self.term_torque(q.unsqueeze(-2), qd.unsqueeze(-2), unit)
+        return (torques - self.term_torque(q, qd, torch.zeros_like(q)).unsqueeze(-2)).mT
+
 
 def urdf_friction(robot: RobotModel) -> list[Term]:
     """Return the terms that a URDF's <dynamics> tags stand for: damping is viscous, friction Coulomb friction."""
@@ -114,5 +133,5 @@ def urdf_friction(robot: RobotModel) -> list[Term]:
     for joint in range(robot.n_dof):
         for name, value in (("viscous_friction", robot.damping[joint]), ("coulomb_friction", robot.friction[joint])):
             if value:
-                terms.append(Term(effect(name), joint, value.reshape(1), {}, REST_WIDTH))
+                terms.append(Term(effect(name), Site(joint), value.reshape(1), {}))
     return terms

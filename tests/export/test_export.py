@@ -11,7 +11,7 @@ import torchrbd
 from torchrbd import RigidBodyDynamics, RobotModel
 from torchrbd.errors import InputError, RobotError
 from torchrbd.export import load_model, save_model, to_urdf
-from torchrbd.physics import Term, effect
+from torchrbd.physics import Site, Term, effect
 
 URDF = """<?xml version="1.0"?>
 <!-- kept -->
@@ -81,9 +81,9 @@ def test_friction_becomes_dynamics_and_other_terms_a_comment() -> None:
     robot = RobotModel.from_urdf(URDF)
     one = torch.ones(1, dtype=torch.float64)
     terms = [
-        Term(effect("viscous_friction"), 0, 0.4 * one, {}, 1e-3),
-        Term(effect("coulomb_friction"), 0, 0.7 * one, {}, 1e-3),
-        Term(effect("rotor_inertia"), 0, 0.2 * one, {}, 1e-3),
+        Term(effect("viscous_friction"), Site(0), 0.4 * one, {}),
+        Term(effect("coulomb_friction"), Site(0), 0.7 * one, {}),
+        Term(effect("rotor_inertia"), Site(0), 0.2 * one, {}),
     ]
     text = to_urdf(RigidBodyDynamics(robot, terms=terms))
     again = RobotModel.from_urdf(text)
@@ -95,7 +95,7 @@ def test_safetensors_round_trip(tmp_path: Path) -> None:
     robot = RobotModel.from_urdf(URDF, gravity=(0.0, 1.0, -9.7))
     stribeck = effect("stribeck_friction")
     w, shape = stribeck.coefficients({"coulomb": 0.5, "static": 0.8, "stribeck_speed": 0.1})
-    term = Term(stribeck, 0, torch.tensor(w, dtype=torch.float64), shape, 2e-3)
+    term = Term(stribeck, Site(0), torch.tensor(w, dtype=torch.float64), shape)
     model = changed(RigidBodyDynamics(robot, terms=[term]))
     save_model(model, tmp_path / "model.safetensors")
     again = load_model(tmp_path / "model.safetensors")

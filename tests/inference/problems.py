@@ -99,5 +99,5 @@ def random_moments(columns: Columns, seed: int, samples: int, torque: float | Te
 
 def prior_of(columns: Columns, kappa: float = 3.0, held: tuple[str, ...] = ()) -> Prior:
     n = columns.robot.n_dof
-    ones = torch.ones(n, dtype=torch.float64), torch.ones(columns.n, dtype=torch.float64)
+    ones = torch.ones(n, dtype=torch.float64), torch.ones(n, columns.n, dtype=torch.float64)
     return urdf_prior(columns, *ones, held=held, kappa=kappa)

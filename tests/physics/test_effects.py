@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
+from physics.sites import ROBOT, SCALE, WINDOW, signals, site_of, states
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from torchrbd.physics import Effect, JointScale, JointState, Shape, Term, effects
+from torchrbd.export import load_model, save_model
+from torchrbd.model import RigidBodyDynamics
+from torchrbd.physics import Effect, Shape, Signals, Site, Term, effects
 
-SCALE = JointScale(speed_max=3.0, rest_width=0.02)
 URDF_TAGS = {"damping", "friction"}
 EXPECTED_IDS = {
     "viscous_friction",
@@ -25,25 +29,20 @@ ALL = effects()
 
 
 def sizes(effect: Effect, seed: int = 0) -> dict[str, float]:
-    """Draw positive physical parameters in ascending order, so that friction starts higher than it runs."""
+    """Draw physical parameters: positive, ascending so that friction starts higher than it runs, times in ms."""
     values = np.sort(np.random.default_rng(seed).uniform(0.5, 2.0, len(effect.units)))
-    return dict(zip(effect.units, values.tolist(), strict=True))
+    found = dict(zip(effect.units, values.tolist(), strict=True))
+    return {name: 0.02 * v if effect.unit(name, prismatic=False) == "s" else v for name, v in found.items()}
 
 
-def states(*shape: int, seed: int = 1, grad: bool = False) -> tuple[Tensor, ...]:
-    rng = np.random.default_rng(seed)
-    q, qd, qdd = rng.uniform(-2, 1.5, shape), rng.uniform(-3, 3, shape), rng.normal(size=shape)
-    return tuple(torch.from_numpy(np.asarray(x)).requires_grad_(grad) for x in (q, qd, qdd))
-
-
-def feature_matrix(effect: Effect, shape: Shape, state: tuple[Tensor, ...]) -> Tensor:
-    """Return phi (N, K)."""
-    return torch.stack(list(effect.features(JointState(*state, SCALE.rest_width), shape).values()), -1)
+def feature_matrix(effect: Effect, site: Site, shape: Shape, at: Signals) -> Tensor:
+    """Return phi (rows, K)."""
+    return torch.stack([phi.flatten() for phi in effect.features(at, site, shape).values()], -1)
 
 
 def term_of(effect: Effect) -> Term:
     w, shape = effect.coefficients(sizes(effect))
-    return Term(effect, 0, torch.tensor(w, dtype=torch.float64), shape, SCALE.rest_width)
+    return Term(effect, site_of(effect), torch.tensor(w, dtype=torch.float64), shape)
 
 
 def test_the_designs_ids_are_registered() -> None:
@@ -65,56 +64,73 @@ class TestEveryEffect:
     def test_units_are_complete(self, effect: Effect) -> None:
         w, shape = effect.coefficients(sizes(effect))
         assert set(effect.parameters(torch.tensor(w), shape)) == set(effect.units)
-        for name in effect.units:
+        for name, pattern in effect.units.items():
             revolute, prismatic = effect.unit(name, prismatic=False), effect.unit(name, prismatic=True)
             assert "{" not in revolute + prismatic
-            assert "rad" not in prismatic
-            assert "N m" not in prismatic
-            assert revolute != prismatic
+            if "{" in pattern:
+                assert "rad" not in prismatic
+                assert "N m" not in prismatic
+                assert revolute != prismatic
+
+    def test_sites_are_on_the_robot(self, effect: Effect) -> None:
+        sites = effect.sites(ROBOT, (WINDOW,))
+        assert len(set(sites)) == len(sites) > 0
+        for site in sites:
+            assert all(j is None or 0 <= j < ROBOT.n_dof for j in (site.joint, site.other))
+            assert site.body is None or 0 <= site.body < ROBOT.n_bodies
+            assert site.other is None or site.other != site.joint
+            assert effect.whole_robot or site.joint is not None
+            assert site.window in (None, WINDOW)
+        assert len({(s.name(ROBOT), s.window) for s in sites}) == len(sites)
 
     def test_labels_are_unique_and_hold_for_every_state(self, effect: Effect) -> None:
-        shapes = effect.shapes(SCALE)
-        assert shapes
-        seen: dict[str, Tensor] = {}
-        for shape in shapes:
-            features = effect.features(JointState(*states(50), SCALE.rest_width), shape)
-            assert len(features) == len(effect.coefficients(sizes(effect))[0])
-            for label, phi in features.items():
-                torch.testing.assert_close(seen.setdefault(label, phi), phi)
-            probe = effect.features(JointState(*torch.zeros(3, 1, dtype=torch.float64), 0.1), shape)
-            assert tuple(probe) == tuple(features)
-        if len(shapes) > 1:
-            assert len(seen) > len(shapes)
+        seen: dict[tuple[int | None, str], Tensor] = {}
+        n_sites = 0
+        for site in effect.sites(ROBOT, (WINDOW,)):
+            n_sites += 1
+            shapes = effect.shapes(SCALE)
+            assert shapes
+            for shape in shapes:
+                features = effect.features(signals(*states(50)), site, shape)
+                assert len(features) == len(effect.coefficients(sizes(effect))[0])
+                for label, phi in features.items():
+                    place = None if effect.whole_robot else site.joint
+                    torch.testing.assert_close(seen.setdefault((place, label), phi), phi)
+                probe = effect.features(signals(*torch.zeros(3, ROBOT.n_dof, 4, dtype=torch.float64)), site, shape)
+                assert tuple(probe) == tuple(features)
+        assert len(seen) >= n_sites
 
     def test_equal_labels_mean_equal_features(self, effect: Effect) -> None:
-        state = JointState(*states(50), SCALE.rest_width)
-        own = effect.features(state, effect.shapes(SCALE)[0])
+        at, site = signals(*states(50)), site_of(effect)
+        own = effect.features(at, site, effect.shapes(SCALE)[0])
         for other in ALL.values():
-            for label, phi in other.features(state, other.shapes(SCALE)[0]).items():
-                torch.testing.assert_close(own.get(label, phi), phi)
+            for there in other.sites(ROBOT, (WINDOW,)):
+                if other.whole_robot == effect.whole_robot and (effect.whole_robot or there.joint == site.joint):
+                    for label, phi in other.features(at, there, other.shapes(SCALE)[0]).items():
+                        torch.testing.assert_close(own.get(label, phi), phi)
 
-    @pytest.mark.parametrize("batch", [(), (1,), (4,), (2, 3), (0,)])
+    @pytest.mark.parametrize("batch", [(4,), (2, 5), (2, 3, 4)])
     def test_features_have_the_shape_and_dtype_of_the_states(self, effect: Effect, batch: tuple[int, ...]) -> None:
         for dtype in (torch.float64, torch.float32):
-            state = JointState(*(x.to(dtype) for x in states(*batch)), SCALE.rest_width)
-            for phi in effect.features(state, effect.shapes(SCALE)[0]).values():
-                assert phi.shape == batch
+            at = signals(*(x.to(dtype) for x in states(*batch)))
+            for phi in effect.features(at, site_of(effect), effect.shapes(SCALE)[0]).values():
+                assert phi.shape == ((ROBOT.n_dof, *batch) if effect.whole_robot else batch)
                 assert phi.dtype == dtype
 
     def test_batched_is_looped(self, effect: Effect) -> None:
-        x = states(2, 3)
+        x = states(3, 20)
         term = term_of(effect)
-        batched = term(*x)
-        for index in np.ndindex(2, 3):
-            torch.testing.assert_close(batched[index], term(*(v[index] for v in x)))
+        batched = term(signals(*x))
+        for k in range(3):
+            torch.testing.assert_close(batched[..., k, :], term(signals(*(v[:, k] for v in x))))
 
     def test_gradients(self, effect: Effect) -> None:
-        x = states(6, grad=True)
+        x = tuple(v.requires_grad_() for v in states(6))
         term = term_of(effect)
         w = term.coefficients.detach().clone().requires_grad_()
 
         def torque(q: Tensor, qd: Tensor, qdd: Tensor, w: Tensor) -> Tensor:
-            return torch.func.functional_call(term, {"coefficients": w}, (q, qd, qdd))
+            return torch.func.functional_call(term, {"coefficients": w}, (signals(q, qd, qdd),))
 
         assert gradcheck(torque, (*x, w))
         shape = effect.coefficients(sizes(effect))[1]
@@ -130,21 +146,34 @@ class TestEveryEffect:
             assert {k: float(v) for k, v in back.items()} == pytest.approx(given, rel=1e-12)
 
     def test_term_is_the_weighted_sum_of_features(self, effect: Effect) -> None:
-        term, x = term_of(effect), states(30)
-        expected = feature_matrix(effect, term.shape, x).numpy() @ term.coefficients.detach().numpy()
-        np.testing.assert_allclose(term(*x).detach().numpy(), expected, atol=1e-14)
+        term, at = term_of(effect), signals(*states(30))
+        expected = feature_matrix(effect, term.site, term.shape, at).numpy() @ term.coefficients.detach().numpy()
+        np.testing.assert_allclose(term(at).detach().numpy().ravel(), expected, atol=1e-13)
         assert term.parameters_by_name() == pytest.approx(sizes(effect))
         assert effect.id in repr(term)
-        assert term(*(v.float() for v in x)).dtype == torch.float32
+        assert term(signals(*(v.float() for v in states(30)))).dtype == torch.float32
 
     def test_recovered_by_plain_least_squares(self, effect: Effect) -> None:
         given = sizes(effect)
-        term = term_of(effect)
-        x = states(400)
-        tau = term(*x).detach().numpy()
-        w, *_ = np.linalg.lstsq(feature_matrix(effect, term.shape, x).numpy(), tau, rcond=None)
+        term, at = term_of(effect), signals(*states(400))
+        tau = term(at).detach().numpy().ravel()
+        w, *_ = np.linalg.lstsq(feature_matrix(effect, term.site, term.shape, at).numpy(), tau, rcond=None)
         found = effect.parameters(torch.from_numpy(w), term.shape)
-        assert {k: float(v) for k, v in found.items()} == pytest.approx(given, rel=1e-8)
+        assert {k: float(v) for k, v in found.items()} == pytest.approx(given, rel=1e-6)
+
+    def test_in_a_model_and_its_file(self, effect: Effect, tmp_path: Path) -> None:
+        term, at = term_of(effect), signals(*states(40))
+        if term.site.window is not None:
+            pytest.skip("acts in one recording only")
+        width = torch.full((ROBOT.n_dof,), SCALE.rest_width, dtype=torch.float64)
+        model = RigidBodyDynamics(ROBOT, terms=[term], rest_width=width)
+        x = [v.movedim(0, -1) for v in (at.q, at.qd, at.qdd)]
+        tau = model(*x, t=at.t) - ROBOT.inverse_dynamics(*x)
+        own = term(at) if effect.whole_robot else term(at).unsqueeze(0)
+        there = tau.movedim(-1, 0) if effect.whole_robot else tau[..., term.site.joint].unsqueeze(0)
+        torch.testing.assert_close(there, own, rtol=1e-9, atol=1e-9)
+        save_model(model, tmp_path / "model.safetensors")
+        torch.testing.assert_close(load_model(tmp_path / "model.safetensors")(*x, t=at.t), model(*x, t=at.t))
 
     def test_urdf_tags(self, effect: Effect) -> None:
         added = effect.urdf_dynamics(sizes(effect))
@@ -161,9 +190,9 @@ def test_dissipative_effects_never_drive(effect: Effect) -> None:
         given = sizes(effect, seed)
         assert effect.plausible(given, SCALE)
         w, shape = effect.coefficients(given)
-        q, qd, qdd = states(500, seed=seed)
-        tau = Term(effect, 0, torch.tensor(w, dtype=torch.float64), shape, SCALE.rest_width)(q, qd, qdd)
-        assert (tau * qd >= 0).all()
+        site, at = site_of(effect), signals(*states(500, seed=seed))
+        tau = Term(effect, site, torch.tensor(w, dtype=torch.float64), shape)(at)
+        assert (tau * at.qd[site.joint] >= 0).all()
 
 
 @pytest.mark.parametrize("effect", DISSIPATIVE.values(), ids=DISSIPATIVE)

@@ -7,18 +7,32 @@ from collections.abc import Mapping
 
 import pytest
 import torch
+from physics.sites import ROBOT, signals
 from torch import Tensor
 
 from torchrbd.errors import InputError, OptionError
-from torchrbd.physics import Effect, JointScale, JointState, Shape, Term, effect, effects, register, registry
+from torchrbd.physics import (
+    Effect,
+    JointEffect,
+    JointScale,
+    JointState,
+    Shape,
+    Site,
+    Term,
+    effect,
+    effects,
+    register,
+    registry,
+)
 
 SCALE = JointScale(3.0, 0.02)
 
 
 def torque(name: str, q: float, qd: float, qdd: float, **parameters: float) -> float:
     w, shape = effect(name).coefficients(parameters)
-    term = Term(effect(name), 0, torch.tensor(w, dtype=torch.float64), shape, 1e-4)
-    return float(term(*(torch.tensor(v, dtype=torch.float64) for v in (q, qd, qdd))).detach())
+    term = Term(effect(name), Site(0), torch.tensor(w, dtype=torch.float64), shape)
+    at = (torch.full((ROBOT.n_dof,), v, dtype=torch.float64) for v in (q, qd, qdd))
+    return float(term(signals(*at, rest_width=1e-4)).detach())
 
 
 def test_values_of_the_equations() -> None:
@@ -71,7 +85,7 @@ def test_unknown_effect_is_told_with_the_known_ones() -> None:
     assert issubclass(OptionError, InputError)
 
 
-class CubicDrag(Effect):
+class CubicDrag(JointEffect):
     """tau += k qd^3, as a user may add it."""
 
     id = "cubic_drag"
@@ -81,7 +95,7 @@ class CubicDrag(Effect):
     complexity = 1
     dissipative = True
 
-    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"qd^3": state.qd**3}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
@@ -113,8 +127,8 @@ def test_it_is_gone_after_the_test_and_the_dictionary_is_a_copy() -> None:
     assert effects()
 
 
-@pytest.mark.parametrize("missing", ["features", "parameters", "coefficients", "plausible"])
+@pytest.mark.parametrize("missing", ["joint_features", "parameters", "coefficients", "plausible"])
 def test_an_incomplete_effect_cannot_be_made(missing: str) -> None:
-    incomplete = type("Incomplete", (CubicDrag,), {missing: getattr(Effect, missing)})
+    incomplete = type("Incomplete", (CubicDrag,), {missing: getattr(JointEffect, missing)})
     with pytest.raises(TypeError, match=missing):
         incomplete()

@@ -49,7 +49,9 @@ def diagnose(
     comparison = Comparison(training, prior)
     measured = prepared.statistics.torque[..., 0].sum(0) > 0
     progress("searching for missing physics", 0.0)
-    candidates = distinguishable(comparison, [c for c in prepared.columns.candidates if measured[c.joint]])
+    candidates = distinguishable(
+        comparison, [c for c in prepared.columns.candidates if c.place is not None and measured[c.joint]]
+    )
 
     def tell(found: Terms) -> None:
         last = f": {found[-1].effect.words} at {robot.joint_names[found[-1].joint]}" if found else ""

@@ -110,7 +110,7 @@ def plausible(comparison: Comparison, terms: Terms) -> bool:
         if not moved[comparison.columns.of(c)].any():
             return False
         values = c.effect.parameters(x[comparison.columns.of(c)], c.shape)
-        if not c.effect.plausible({k: float(v) for k, v in values.items()}, comparison.columns.scales[c.joint]):
+        if not c.effect.plausible({k: float(v) for k, v in values.items()}, comparison.columns.scale(c.site)):
             return False
     return True
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import torch
 from lxml import etree
@@ -13,10 +15,10 @@ from safetensors.torch import save_file
 from torchrbd.errors import InputError, RobotError
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.parameters import from_log_cholesky
-from torchrbd.physics import Term, effect
+from torchrbd.physics import Site, Term, Window, effect
 from torchrbd.robot import RobotModel
 
-_FORMAT = "torchrbd-model-1"
+_FORMAT = "torchrbd-model-2"
 
 
 def save_model(model: RigidBodyDynamics, path: str | Path) -> None:
@@ -27,9 +29,7 @@ def save_model(model: RigidBodyDynamics, path: str | Path) -> None:
     """
     if model.robot.urdf is None:
         raise RobotError(f"robot '{model.robot.name}' was not made from a URDF, which the file would have to hold")
-    terms = [
-        {"effect": t.effect.id, "joint": t.joint, "shape": t.shape, "rest_width": t.rest_width} for t in model.terms
-    ]
+    terms = [{"effect": t.effect.id, "site": asdict(t.site), "shape": t.shape} for t in model.terms]
     metadata = {
         "format": _FORMAT,
         "urdf": etree.tostring(etree.fromstring(model.robot.urdf), encoding="unicode"),
@@ -57,7 +57,7 @@ def load_model(path: str | Path) -> RigidBodyDynamics:
         )
     robot = RobotModel.from_urdf(metadata["urdf"].encode(), gravity=json.loads(metadata["gravity"]))
     terms = [
-        Term(effect(t["effect"]), t["joint"], state[f"_terms.{k}.coefficients"], t["shape"], t["rest_width"])
+        Term(effect(t["effect"]), _site(t["site"]), state[f"_terms.{k}.coefficients"], t["shape"])
         for k, t in enumerate(json.loads(metadata["terms"]))
     ]
     pi = state["constant_pi"].clone()
@@ -65,3 +65,8 @@ def load_model(path: str | Path) -> RigidBodyDynamics:
     model = RigidBodyDynamics(robot, pi.flatten().to(torch.float64), terms)
     model.load_state_dict(state)
     return model
+
+
+def _site(content: dict[str, Any]) -> Site:
+    window = content.pop("window")
+    return Site(**content, window=None if window is None else Window(**window))

@@ -64,7 +64,7 @@ def _write_inertial(link: etree._Element, pi: Tensor) -> None:
 def _write_dynamics(joint: etree._Element, model: RigidBodyDynamics, index: int) -> None:
     values: dict[str, float] = {}
     for term in model.terms:
-        if term.joint == index:
+        if term.site.joint == index:
             written = term.effect.urdf_dynamics(term.parameters_by_name())
             for name, value in written.items():
                 values[name] = values.get(name, 0.0) + value

@@ -222,7 +222,9 @@ def _prior(statistics: BlockStatistics, held: Collection[str], settings: Setting
 def _scales(surveys: Sequence[Survey], filtering: Filtering) -> tuple[JointScale, ...]:
     noise = [filtering.state_noise(s.q_noise_std, s.clock.dt, s.qd_noise_std)[:, 1, 1].sqrt() for s in surveys]
     speed = torch.from_numpy(np.max([s.velocity_max for s in surveys], axis=0))
-    return joint_scales(speed, torch.stack(noise).amax(0))
+    low = torch.from_numpy(np.min([s.q_min for s in surveys], axis=0))
+    high = torch.from_numpy(np.max([s.q_max for s in surveys], axis=0))
+    return joint_scales(speed, torch.stack(noise).amax(0), low, high)
 
 
 def _held_out(
@@ -240,8 +242,9 @@ def _held_out(
 
 def _feature_rms(statistics: BlockStatistics) -> Tensor:
     columns = statistics.columns
-    power, weight = torch.zeros(columns.n, dtype=torch.float64), statistics.torque[..., 0].sum(0)
+    power = torch.zeros(columns.robot.n_dof, columns.n, dtype=torch.float64)
+    weight = statistics.torque[..., 0].sum(0)
     for joint, total in enumerate(statistics.total()):
         if weight[joint] > 0:
-            power[columns.of_joint[joint]] += total.diagonal()[:-1] / weight[joint]
+            power[joint, columns.of_joint[joint]] = total.diagonal()[:-1] / weight[joint]
     return power.sqrt()

@@ -1,51 +1,27 @@
 """The one contract of everything a rigid body leaves out.
 
-An effect at joint j adds to the torque that the actuator must supply
+An effect adds to the torque that the actuators must supply
 
-    tau_j += sum_k w_k phi_k(q_j, qd_j, qdd_j; shape)
+    tau_j += sum_k w_k phi_jk(q, qd, qdd, ...; shape)
 
 It is linear in its coefficients w, so that block statistics suffice to fit it, and has at most a few nonlinear shape
-parameters, each tried on a grid. An ``Effect`` describes the physics and holds no numbers; a ``Term`` is an effect at
-a joint with numbers, as a module.
+parameters, each tried on a grid and refined. Most effects act on one joint and depend on its motion alone: those are a
+``JointEffect``. An ``Effect`` describes the physics and holds no numbers; a ``Term`` is an effect at a site with
+numbers, as a module.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import torch
 from torch import Tensor, nn
 
+from torchrbd.physics.signals import JointScale, JointState, Signals, Site, Window
+from torchrbd.robot import RobotModel
+
 Shape = Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class JointState:
-    """The signals of one joint that an effect may depend on; q, qd and qdd have one common shape.
-
-    ``rest_width`` is the speed [rad/s, m/s] below which the direction of motion is not told: sign(qd) is tanh(qd /
-    rest_width).
-    """
-
-    q: Tensor
-    qd: Tensor
-    qdd: Tensor
-    rest_width: float
-
-    def direction(self) -> Tensor:
-        """Return sign(qd), softened where the recording cannot tell it."""
-        return torch.tanh(self.qd / self.rest_width)
-
-
-@dataclass(frozen=True)
-class JointScale:
-    """What a recording covers at one joint: the range in which shapes are sought and parameters are plausible."""
-
-    speed_max: float
-    rest_width: float
 
 
 class Effect(ABC):
@@ -58,6 +34,8 @@ class Effect(ABC):
         units: of the physical parameters, with ``{tau}`` and ``{q}`` for the joint's own (N m and rad, or N and m).
         complexity: number of coefficients and shape parameters, for parsimony.
         dissipative: True if tau qd >= 0 for plausible parameters.
+        whole_robot: True if one coefficient adds to the torque of several joints.
+        uses_load: True if the features depend on the rigid body's torque, and so on the inertial parameters.
     """
 
     id: ClassVar[str]
@@ -66,14 +44,24 @@ class Effect(ABC):
     units: ClassVar[Mapping[str, str]]
     complexity: ClassVar[int]
     dissipative: ClassVar[bool] = False
+    whole_robot: ClassVar[bool] = False
+    uses_load: ClassVar[bool] = False
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
+        """Return where on a robot the effect may sit; ``windows`` are stretches of time in which it may act."""
+        return tuple(Site(joint) for joint in range(robot.n_dof))
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
         """Return the shape parameters to try in the range that a recording covers."""
         return ({},)
 
     @abstractmethod
-    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
-        """Return phi_k by label. Equal labels mean equal features, whichever effect they belong to."""
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        """Return phi_k by label: (*batch) at the site's joint, (n, *batch) if ``whole_robot``.
+
+        Equal labels at one joint mean equal features, whichever effect they belong to; with ``whole_robot`` this holds
+        for the robot, so that a label names the site too.
+        """
 
     @abstractmethod
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
@@ -96,34 +84,45 @@ class Effect(ABC):
         return self.units[parameter].format(**({"tau": "N", "q": "m"} if prismatic else {"tau": "N m", "q": "rad"}))
 
 
+class JointEffect(Effect):
+    """An effect at one joint that depends on the motion of that joint alone."""
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        return self.joint_features(signals.joint(site.joint), shape)
+
+    @abstractmethod
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        """Return phi_k by label, of the shape of ``state.q``."""
+
+
 class Term(nn.Module):
-    """An effect at one joint, with numbers: ``term(q, qd, qdd)`` of that joint is the torque it adds.
+    """An effect at a site, with numbers: ``term(signals)`` is the torque it adds.
 
     Args:
         effect: the physics.
-        joint: index of the joint.
+        site: where it sits.
         coefficients: w, (K,).
         shape: values of the nonlinear parameters.
-        rest_width: see ``JointState``.
     """
 
     coefficients: nn.Parameter
 
-    def __init__(self, effect: Effect, joint: int, coefficients: Tensor, shape: Shape, rest_width: float) -> None:
+    def __init__(self, effect: Effect, site: Site, coefficients: Tensor, shape: Shape) -> None:
         super().__init__()
-        self.effect, self.joint, self.shape, self.rest_width = effect, joint, dict(shape), rest_width
+        self.effect, self.site, self.shape = effect, site, dict(shape)
         self.coefficients = nn.Parameter(coefficients.detach().clone())
 
-    def forward(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Return sum_k w_k phi_k, of the shape of q, [N m] or [N]."""
-        features = self.effect.features(JointState(q, qd, qdd, self.rest_width), self.shape)
-        return sum(w * phi for w, phi in zip(self.coefficients.to(q.dtype), features.values(), strict=True))  # type: ignore[return-value]
+    def forward(self, signals: Signals) -> Tensor:
+        """Return sum_k w_k phi_k, (*batch) or, if the effect is ``whole_robot``, (n, *batch), [N m] or [N]."""
+        features = self.effect.features(signals, self.site, self.shape)
+        w = self.coefficients.to(signals.q.dtype)
+        return sum(w_k * phi for w_k, phi in zip(w, features.values(), strict=True))  # type: ignore[return-value]
 
     def parameters_by_name(self) -> dict[str, float]:
         """Return the physical parameters in SI units."""
         return {k: float(v) for k, v in self.effect.parameters(self.coefficients.detach(), self.shape).items()}
 
     def extra_repr(self) -> str:
-        """Show effect, joint and parameters."""
+        """Show effect, site and parameters."""
         values = ", ".join(f"{k}={v:.4g}" for k, v in self.parameters_by_name().items())
-        return f"{self.effect.id}, joint={self.joint}, {values}"
+        return f"{self.effect.id}, {self.site}, {values}"

@@ -11,10 +11,11 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, JointScale, JointState, Shape
+from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.signals import JointScale, JointState
 
 
-class CoulombFriction(Effect):
+class CoulombFriction(JointEffect):
     """tau += c sign(qd) with c >= 0."""
 
     id = "coulomb_friction"
@@ -24,7 +25,7 @@ class CoulombFriction(Effect):
     complexity = 1
     dissipative = True
 
-    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"sign(qd)": state.direction()}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
@@ -40,7 +41,7 @@ class CoulombFriction(Effect):
         return {"friction": parameters["coulomb"]}
 
 
-class AsymmetricCoulombFriction(Effect):
+class AsymmetricCoulombFriction(JointEffect):
     """tau += c_plus for qd > 0, -c_minus for qd < 0, both >= 0."""
 
     id = "asymmetric_coulomb_friction"
@@ -50,7 +51,7 @@ class AsymmetricCoulombFriction(Effect):
     complexity = 2
     dissipative = True
 
-    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         direction = state.direction()
         return {"max(sign(qd), 0)": direction.clamp_min(0.0), "min(sign(qd), 0)": direction.clamp_max(0.0)}
 

@@ -8,10 +8,11 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, JointScale, JointState, Shape
+from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.signals import JointScale, JointState
 
 
-class JointSpring(Effect):
+class JointSpring(JointEffect):
     """tau += k (q - q0) with k >= 0; linear in k and the torque at zero, -k q0."""
 
     id = "joint_spring"
@@ -20,7 +21,7 @@ class JointSpring(Effect):
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
     complexity = 2
 
-    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"q": state.q, "1": torch.ones_like(state.q)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:

@@ -7,10 +7,11 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, JointScale, JointState, Shape
+from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.signals import JointScale, JointState
 
 
-class RotorInertia(Effect):
+class RotorInertia(JointEffect):
     """tau += I_r qdd with I_r >= 0. At the first joint it *is* an inertia of the link, and no motion separates them."""
 
     id = "rotor_inertia"
@@ -19,7 +20,7 @@ class RotorInertia(Effect):
     units: ClassVar[Mapping[str, str]] = {"rotor_inertia": "{tau} s^2/{q}"}
     complexity = 1
 
-    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"qdd": state.qdd}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:

@@ -14,10 +14,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, JointScale, JointState, Shape
+from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.signals import JointScale, JointState
 
 
-class StribeckFriction(Effect):
+class StribeckFriction(JointEffect):
     """tau += sign(qd) (c + (s - c) exp(-(qd / v_s)^2)) with s >= c >= 0."""
 
     id = "stribeck_friction"
@@ -35,7 +36,7 @@ class StribeckFriction(Effect):
             return ()
         return tuple({"stribeck_speed": float(v)} for v in np.geomspace(low, high, self._GRID_POINTS))
 
-    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         direction, speed = state.direction(), shape["stribeck_speed"]
         bump = direction * torch.exp(-((state.qd / speed) ** 2))
         return {"sign(qd)": direction, f"sign(qd) exp(-(qd/{speed:.6g})^2)": bump}

@@ -8,10 +8,11 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, JointScale, JointState, Shape
+from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.signals import JointScale, JointState
 
 
-class TorqueOffset(Effect):
+class TorqueOffset(JointEffect):
     """tau += tau_0."""
 
     id = "torque_offset"
@@ -20,7 +21,7 @@ class TorqueOffset(Effect):
     units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}
     complexity = 1
 
-    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"1": torch.ones_like(state.q)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:

@@ -7,10 +7,11 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, JointScale, JointState, Shape
+from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.signals import JointScale, JointState
 
 
-class ViscousFriction(Effect):
+class ViscousFriction(JointEffect):
     """tau += d qd with d >= 0."""
 
     id = "viscous_friction"
@@ -20,7 +21,7 @@ class ViscousFriction(Effect):
     complexity = 1
     dissipative = True
 
-    def features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"qd": state.qd}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:

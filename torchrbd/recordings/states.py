@@ -30,6 +30,7 @@ class States:
         q, qd, qdd: (n, N) low-passed by the state filter [rad or m, per s, per s^2].
         tau: (n, N) raw [N m or N]; NaN for joints without torque. Only to be decimated.
         t_out: (M,) times of the outputs of `decimate` [s].
+        recording: name of the recording.
         reference: set-points q_ref, qd_ref, qdd_ref (n, N) each, low-passed as q is; None where not recorded.
     """
 
@@ -43,6 +44,7 @@ class States:
     t_out: torch.Tensor
     _kernel: torch.Tensor
     _stride: int
+    recording: str
     reference: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None = None
 
     @property
@@ -73,7 +75,7 @@ def tiles(recording: Recording, survey: Survey, filtering: Filtering, rows: int 
 
     Raises: RecordingError if no segment is long enough for the filters.
     """
-    cutter = _Cutter(survey, filtering, rows)
+    cutter = _Cutter(recording.name, survey, filtering, rows)
     for block in uniform_blocks(recording, survey.clock):
         yield from cutter.push(block)
     yield from cutter.finish()
@@ -95,8 +97,8 @@ def skipped_segments(survey: Survey, filtering: Filtering) -> tuple[tuple[float,
 class _Cutter:
     """Hold the samples that the next tile needs, and cut tiles from them."""
 
-    def __init__(self, survey: Survey, filtering: Filtering, rows: int):
-        self._dt = survey.clock.dt
+    def __init__(self, name: str, survey: Survey, filtering: Filtering, rows: int):
+        self._name, self._dt = name, survey.clock.dt
         self._use_velocity = torch.from_numpy(~np.isnan(survey.qd_noise_std))
         self._kernels = filtering.state_kernels(self._dt)
         self._feature_kernel = filtering.feature_kernel(self._dt)
@@ -149,7 +151,8 @@ class _Cutter:
         self._x = self._x[:, outputs * self._stride :]
         self._index += outputs * self._stride
         self.produced = True
-        return States(self._segment, self._dt, t, q, qd, qdd, tau, t_out, self._feature_kernel, self._stride, reference)
+        kernel, stride = self._feature_kernel, self._stride
+        return States(self._segment, self._dt, t, q, qd, qdd, tau, t_out, kernel, stride, self._name, reference)
 
     def _filter(self, x: torch.Tensor, kernels: torch.Tensor) -> torch.Tensor:
         """Convolve x (n, N) with each kernel (k, taps) where they overlap fully: (k, n, N - taps + 1)."""

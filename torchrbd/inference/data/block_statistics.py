@@ -192,8 +192,8 @@ def filtered_rows(columns: Columns, states: States) -> tuple[list[Tensor], Tenso
     """Return the band-limited rows [Y_j, phi_j, tau_j] of each joint, (p_j + 1, M), and the torque (n_dof, M)."""
     Y = columns.robot.regressor_batch_last(states.q, states.qd, states.qdd)
     tau = states.decimate(torch.nan_to_num(states.tau))
-    rows = []
+    features, rows = columns.features(states), []
     for joint in range(columns.robot.n_dof):
-        own = torch.cat((Y[joint, columns.inertial[joint]], columns.features(states, joint)))
+        own = torch.cat((Y[joint, columns.inertial[joint]], features[joint]))
         rows.append(torch.cat((states.decimate(own), tau[joint : joint + 1])))
     return rows, tau

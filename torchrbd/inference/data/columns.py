@@ -2,19 +2,19 @@
 
     tau_j = Y_j pi + sum_k phi_jk w_jk
 
-A joint's torque depends on the bodies that it moves and on its own features only, so joint j has the columns
-``of_joint[j]`` of x and no others.
+A joint's torque depends on the bodies that it moves, on its own features, and on those of effects that act on the whole
+robot; so joint j has the columns ``of_joint[j]`` of x and no others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
-from torchrbd.physics import Effect, JointScale, JointState, Shape, effect
+from torchrbd.physics import Effect, JointScale, Shape, Signals, Site, Window, effect
 from torchrbd.recordings import States
 from torchrbd.robot import RobotModel
 
@@ -25,12 +25,23 @@ URDF_FRICTION = {"viscous_friction": "damping", "coulomb_friction": "friction"}
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect at a joint with its shape parameters fixed: a set of columns."""
+    """An effect at a site with its shape parameters fixed: a set of columns."""
 
     effect: Effect
-    joint: int
+    site: Site
     shape: Shape = field(hash=False)
     labels: tuple[str, ...]
+
+    @property
+    def joint(self) -> int:
+        """The joint where it sits; only for effects that sit at one."""
+        assert self.site.joint is not None, f"{self.effect.id} sits at no joint"
+        return self.site.joint
+
+    @property
+    def place(self) -> int | None:
+        """The joint whose torque it adds to; None if that is the whole robot's."""
+        return None if self.effect.whole_robot else self.site.joint
 
 
 class Columns:
@@ -38,50 +49,72 @@ class Columns:
 
     Args:
         robot: the robot.
-        effects: effects to have columns for, at every joint.
+        effects: effects to have columns for, at all their sites.
         scales: per joint, what the recordings cover.
+        windows: stretches of time in which effects may act.
+        pi: (n_params,) inertial parameters whose torque is the load; the URDF's if None.
 
     Attributes:
-        effects, scales: as given.
+        effects, scales, windows, pi: as given.
         n: length of x.
-        labels: per joint, labels of its features.
-        of_joint: per joint, indices in x of its columns: inertial ones of the bodies it moves, then its features.
-        candidates: every effect at every joint with every shape.
+        labels: per joint, labels of its own features.
+        shared: labels of the features that all joints have.
+        of_joint: per joint, indices in x of its columns: inertial ones of the bodies it moves, its features, shared
+            ones.
+        candidates: every effect at every site with every shape.
         urdf_friction: the terms that the URDF's <dynamics> tags can hold, at every joint.
     """
 
-    def __init__(self, robot: RobotModel, effects: Iterable[Effect], scales: Sequence[JointScale]) -> None:
-        self.robot, self.effects, self.scales = robot, tuple(effects), tuple(scales)
+    def __init__(
+        self,
+        robot: RobotModel,
+        effects: Iterable[Effect],
+        scales: Sequence[JointScale],
+        windows: Sequence[Window] = (),
+        pi: Tensor | None = None,
+    ) -> None:
+        self.robot, self.effects, self.scales, self.windows = robot, tuple(effects), tuple(scales), tuple(windows)
+        self.pi, self._rest_width = pi, torch.tensor([s.rest_width for s in self.scales], dtype=torch.float64)
+        still = torch.zeros(3, robot.n_dof, 4, dtype=torch.float64)
+        probe = replace(self.signals_at(*still), t=torch.arange(4, dtype=torch.float64))
+        wanted = list({e.id: e for e in self.effects}.values())
         self.urdf_friction = tuple(
-            Candidate(effect(name), joint, {}, tuple(effect(name).features(_probe(scale), {})))
-            for joint, scale in enumerate(self.scales)
+            self._candidate(effect(name), Site(joint), {}, probe)
+            for joint in range(robot.n_dof)
             for name in URDF_FRICTION
         )
-        wanted = {e.id: e for e in self.effects}
-        candidates: list[Candidate] = []
-        labels: list[tuple[str, ...]] = []
-        for joint, scale in enumerate(self.scales):
-            own = dict.fromkeys(c.labels[0] for c in self.urdf_friction if c.joint == joint)
-            for e in wanted.values():
-                for shape in e.shapes(scale):
-                    candidate = Candidate(e, joint, shape, tuple(e.features(_probe(scale), shape)))
-                    candidates.append(candidate)
-                    own.update(dict.fromkeys(candidate.labels))
-            labels.append(tuple(own))
-        self.candidates, self.labels = tuple(candidates), tuple(labels)
-        self._first = [robot.n_params]
-        for own_labels in labels:
-            self._first.append(self._first[-1] + len(own_labels))
-        self.n = self._first[-1]
+        self.candidates = tuple(
+            self._candidate(e, site, shape, probe)
+            for e in wanted
+            for site in e.sites(robot, self.windows)
+            for shape in e.shapes(self.scale(site))
+        )
+        self._maker: dict[tuple[int | None, str], Candidate] = {}
+        for candidate in (*self.urdf_friction, *self.candidates):
+            for label in candidate.labels:
+                self._maker.setdefault((candidate.place, label), candidate)
+        self.labels = tuple(tuple(label for at, label in self._maker if at == j) for j in range(robot.n_dof))
+        self.shared = tuple(label for at, label in self._maker if at is None)
+        own = [(j, label) for j, labels in enumerate(self.labels) for label in labels]
+        places: list[tuple[int | None, str]] = [*own, *((None, label) for label in self.shared)]
+        self._index = {place: robot.n_params + k for k, place in enumerate(places)}
+        self.n = robot.n_params + len(places)
         self.inertial = [robot.columns(joint) for joint in range(robot.n_dof)]
         self.of_joint = tuple(
-            torch.cat((self.inertial[joint], torch.arange(self._first[joint], self._first[joint + 1])))
-            for joint in range(robot.n_dof)
+            torch.cat((self.inertial[j], torch.tensor([self._index[p] for p in places if p[0] in (j, None)]).long()))
+            for j in range(robot.n_dof)
         )
+
+    def _candidate(self, e: Effect, site: Site, shape: Shape, probe: Signals) -> Candidate:
+        return Candidate(e, site, shape, tuple(e.features(probe, site, shape)))
+
+    def scale(self, site: Site) -> JointScale:
+        """Return what the recordings cover at a site's joint; at the first one for the whole robot."""
+        return self.scales[site.joint or 0]
 
     def at_scales(self, scales: Sequence[JointScale]) -> Columns:
         """Return columns of the same effects for other scales."""
-        return Columns(self.robot, self.effects, scales)
+        return Columns(self.robot, self.effects, scales, self.windows, self.pi)
 
     def taken_from(self, other: Columns, x: Tensor) -> Tensor:
         """Return x (n,) with the inertial parameters and friction of another layout's x, other terms at zero."""
@@ -91,13 +124,13 @@ class Columns:
             taken[self.of(own)] = x[other.of(theirs)]
         return taken
 
-    def index(self, joint: int, label: str) -> int:
-        """Return where in x a joint's feature stands."""
-        return self._first[joint] + self.labels[joint].index(label)
+    def index(self, joint: int | None, label: str) -> int:
+        """Return where in x a joint's feature stands, or one that all joints share (None)."""
+        return self._index[joint, label]
 
     def of(self, candidate: Candidate) -> list[int]:
         """Return where in x the columns of a candidate stand."""
-        return [self.index(candidate.joint, label) for label in candidate.labels]
+        return [self.index(candidate.place, label) for label in candidate.labels]
 
     def reference(self) -> Tensor:
         """Return x0 (n,): the inertial parameters and the <dynamics> friction of the URDF."""
@@ -113,31 +146,52 @@ class Columns:
         attribute = URDF_FRICTION.get(candidate.effect.id)
         return float(getattr(self.robot, attribute)[candidate.joint]) if attribute else 0.0
 
-    def features(self, states: States, joint: int) -> Tensor:
-        """Evaluate a joint's features.
+    def signals(self, states: States) -> Signals:
+        """Return the signals of a tile, time last."""
+        return replace(self.signals_at(states.q, states.qd, states.qdd), t=states.t, recording=states.recording)
 
-        Args:
-            states: a tile of N samples.
-            joint: index of the joint.
+    def signals_at(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Signals:
+        """Return the signals of states (n_dof, N) that are no sequence."""
+        return Signals(self.robot, q, qd, qdd, self._rest_width, self.pi)
 
-        Returns:
-            (K, N) in the order of ``labels[joint]``.
-        """
-        state = JointState(states.q[joint], states.qd[joint], states.qdd[joint], self.scales[joint].rest_width)
-        found: dict[str, Tensor] = {}
-        for candidate in (*self.urdf_friction, *self.candidates):
-            if candidate.joint == joint and not set(candidate.labels) <= found.keys():
-                found.update(candidate.effect.features(state, candidate.shape))
-        return torch.stack([found[label] for label in self.labels[joint]])
+    def evaluated(self, signals: Signals, candidates: Iterable[Candidate]) -> dict[int, Tensor]:
+        """Return the features of candidates by their place in x, (N,) each, or (n_dof, N) where all joints share it."""
+        found: dict[int, Tensor] = {}
+        for candidate in candidates:
+            index = self.of(candidate)
+            if not found.keys() >= set(index):
+                phi = candidate.effect.features(signals, candidate.site, candidate.shape)
+                found.update(zip(index, phi.values(), strict=True))
+        return found
+
+    def features(self, states: States) -> list[Tensor]:
+        """Evaluate all features on a tile of N samples: per joint (K_j, N), in the order of ``of_joint``."""
+        found = self.evaluated(self.signals(states), self._maker.values())
+        return [
+            torch.stack([v if v.ndim == 1 else v[j] for v in (found[k] for k in self.of_joint[j][len(own) :].tolist())])
+            for j, own in enumerate(self.inertial)
+        ]
+
+    def term_torque(self, signals: Signals, x: Tensor) -> Tensor:
+        """Return what the features add to the torque with coefficients x, (n_dof, N)."""
+        needed = [(place, c) for place, c in self._maker.items() if x[self._index[place]] != 0.0]
+        found = self.evaluated(signals, [c for _, c in needed])
+        torque = list(torch.zeros_like(signals.q).unbind(0))
+        for place, _ in needed:
+            joint, k = place[0], self._index[place]
+            for j in range(len(torque)) if joint is None else (joint,):
+                torque[j] = torque[j] + x[k] * (found[k][j] if joint is None else found[k])
+        return torch.stack(torque)
 
 
-def joint_scales(speed_max: Tensor, velocity_noise: Tensor) -> tuple[JointScale, ...]:
-    """Return the scales of joints that reach speeds (n_dof,), known to a noise of standard deviation (n_dof,)."""
+def joint_scales(speed_max: Tensor, velocity_noise: Tensor, low: Tensor, high: Tensor) -> tuple[JointScale, ...]:
+    """Return the scales of joints that reach speeds (n_dof,), known to a noise of standard deviation (n_dof,).
+
+    Args:
+        speed_max: (n_dof,) [rad/s, m/s].
+        velocity_noise: (n_dof,) standard deviation [rad/s, m/s].
+        low, high: (n_dof,) positions that they reach [rad, m].
+    """
     least = torch.full_like(speed_max, _LEAST_REST)
     rest = torch.maximum(torch.maximum(_REST_NOISE * velocity_noise, _REST_PART * speed_max), least)
-    return tuple(JointScale(*map(float, values)) for values in zip(speed_max, rest, strict=True))
-
-
-def _probe(scale: JointScale) -> JointState:
-    """Return one sample at rest, enough to ask an effect for its labels."""
-    return JointState(*torch.zeros(3, 1, dtype=torch.float64), rest_width=scale.rest_width)
+    return tuple(JointScale(*map(float, values)) for values in zip(speed_max, rest, low, high, strict=True))

@@ -16,7 +16,7 @@ from torchrbd.inference.physical.prior import Prior
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.results import Fit
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.physics import Term, effect
+from torchrbd.physics import Site, Term
 from torchrbd.recordings import States
 
 _MOST_ROUNDS, _SETTLED = 6, 0.1
@@ -72,7 +72,7 @@ class FittedModel:
         columns = self.columns
         refitted = {k for c in self.terms for k in columns.of(c)}
         kept = [
-            self._term(c, self.x[columns.of(c)])
+            Term(c.effect, c.site, self.x[columns.of(c)], c.shape)
             for c in columns.urdf_friction
             if not refitted & set(columns.of(c)) and bool(self.x[columns.of(c)].any())
         ]
@@ -83,12 +83,9 @@ class FittedModel:
             # Two terms may share a column; its whole coefficient belongs to the first.
             w = torch.stack([self.x[k] * float(k not in shared) for k in index])
             shared.update(index)
-            fitted.append(self._term(c, w))
-        return RigidBodyDynamics(columns.robot, self.pi, [*kept, *fitted])
-
-    def _term(self, candidate: Candidate, w: Tensor) -> Term:
-        width = self.columns.scales[candidate.joint].rest_width
-        return Term(candidate.effect, candidate.joint, w, candidate.shape, width)
+            fitted.append(Term(c.effect, c.site, w, c.shape))
+        width = torch.tensor([scale.rest_width for scale in columns.scales], dtype=torch.float64)
+        return RigidBodyDynamics(columns.robot, self.pi, [*kept, *fitted], width)
 
 
 def fit_model(
@@ -173,18 +170,12 @@ def judge(statistics: BlockStatistics, x: Tensor) -> Fit:
 def predict(columns: Columns, x: Tensor, states: States) -> Tensor:
     """Return the torque (n_dof, N) that coefficients x predict for a tile, at its full rate."""
     rigid = columns.robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, x[: columns.robot.n_params]).T
-    terms = [
-        x[columns.of_joint[joint][len(columns.inertial[joint]) :]] @ columns.features(states, joint)
-        for joint in range(columns.robot.n_dof)
-    ]
-    return rigid + torch.stack(terms)
+    return rigid + columns.term_torque(columns.signals(states), x)
 
 
 def term_candidates(columns: Columns, identifiers: Sequence[str]) -> tuple[Candidate, ...]:
-    """Return the named effects at every joint, with the middle one of their shapes."""
-    found = []
-    for name in identifiers:
-        for joint in range(columns.robot.n_dof):
-            own = [c for c in columns.candidates if c.effect is effect(name) and c.joint == joint]
-            found += own[len(own) // 2 : len(own) // 2 + 1]
-    return tuple(found)
+    """Return the named effects at all their sites, with the middle one of their shapes."""
+    by_site: dict[tuple[str, Site], list[Candidate]] = {}
+    for c in columns.candidates:
+        by_site.setdefault((c.effect.id, c.site), []).append(c)
+    return tuple(own[len(own) // 2] for (name, _), own in by_site.items() if name in identifiers)

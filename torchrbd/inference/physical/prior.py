@@ -68,7 +68,7 @@ def urdf_prior(
     Args:
         columns: the layout of x.
         torque_rms: (n_dof,) of the measured torque, [N m] or [N].
-        feature_rms: (n,) root mean square of the columns, entries of features are used.
+        feature_rms: (n_dof, n) root mean square of the columns at each joint, entries of features are used.
         held: bodies that keep the URDF's inertia. Bodies without mass are always held: no distribution to start from.
         kappa: weight of the divergence; 1 is one observation's worth in each direction of a relative change of order
             one.
@@ -88,8 +88,10 @@ def urdf_prior(
     for joint in range(robot.n_dof):
         for k in columns.of_joint[joint].tolist():
             if k >= robot.n_params:
-                rms = float(feature_rms[k])
-                scale[k, k] = TERM_WIDTH * float(torque_rms[joint]) / rms if rms > 0 else 0.0
+                rms = float(feature_rms[joint, k])
+                if rms > 0:
+                    width, known = TERM_WIDTH * float(torque_rms[joint]) / rms, float(scale[k, k])
+                    scale[k, k] = min(width, known) if known > 0 else width
     return Prior(mean, reference, bodies, inverse, kappa, scale)
 
 

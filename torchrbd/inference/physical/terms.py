@@ -13,12 +13,12 @@ def term_estimates(model: FittedModel) -> list[ParameterEstimate]:
     """Return the physical parameters of the terms, standard deviations by the delta method."""
     robot, found = model.columns.robot, []
     for candidate in model.terms:
-        joint = robot.joint_names[candidate.joint]
+        place, joint = candidate.site.name(robot), candidate.site.joint
         urdf = model.columns.urdf_value(candidate)
         for name, (value, std) in term_parameters(model, candidate).items():
-            unit = candidate.effect.unit(name, prismatic=bool(robot.prismatic[candidate.joint]))
+            unit = candidate.effect.unit(name, prismatic=joint is not None and bool(robot.prismatic[joint]))
             found.append(
-                ParameterEstimate(f"{candidate.effect.id}_{joint}.{name}", joint, unit, urdf, value, std, 0.0, "term")
+                ParameterEstimate(f"{candidate.effect.id}_{place}.{name}", place, unit, urdf, value, std, 0.0, "term")
             )
     return found
 
@@ -43,7 +43,7 @@ def term_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple
 
 def _grid_std(columns: Columns, candidate: Candidate, name: str) -> float:
     """Return the standard deviation of a value that is known to lie nearer to its grid point than to the next."""
-    grid = sorted(shape[name] for shape in candidate.effect.shapes(columns.scales[candidate.joint]))
+    grid = sorted(shape[name] for shape in candidate.effect.shapes(columns.scale(candidate.site)))
     at = grid.index(candidate.shape[name])
     low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
     return 0.5 * (high - low) / 12**0.5

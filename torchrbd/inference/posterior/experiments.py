@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.posterior.predictive import joint_rows
+from torchrbd.inference.posterior.predictive import torque_rows
 from torchrbd.robot import RobotModel
 
 Kind = Literal["slow", "accelerate", "fast", "all"]
@@ -91,12 +91,10 @@ def information(model: FittedModel, motion: Motion, T: Tensor, rate_hz: float) -
     place = torch.full((columns.n,), -1, dtype=torch.long)
     place[model.free] = torch.arange(len(model.free))
     q, qd, qdd = (v.T.contiguous() for v in states(columns.robot, motion))
-    Y = columns.robot.regressor_batch_last(q, qd, qdd)
     rows = []
-    for joint, variance in enumerate(model.noise_variance.tolist()):
+    for variance, (index, a) in zip(model.noise_variance.tolist(), torque_rows(model, q, qd, qdd), strict=True):
         if math.isinf(variance):
             continue
-        index, a = joint_rows(model, joint, Y[joint], q[joint], qd[joint], qdd[joint])
         at = place[index]
         row = torch.zeros(len(model.free), a.shape[1], dtype=torch.float64)
         row[at[at >= 0]] = (SECONDS * rate_hz / (a.shape[1] * variance)) ** 0.5 * a[at >= 0]

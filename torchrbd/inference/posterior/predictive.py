@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.physics import JointState
 
 _CHUNK = 2048
 
@@ -42,35 +41,29 @@ def predictive_variance(model: FittedModel, q: Tensor, qd: Tensor, qdd: Tensor) 
     cov = torch.zeros(columns.n, columns.n, dtype=torch.float64)
     cov[model.free.unsqueeze(1), model.free] = model.covariance
     found = []
-    for at in zip(*(v.split(_CHUNK) for v in (q, qd, qdd)), strict=True):
-        Y = robot.regressor_batch_last(*(v.T for v in at))
-        rows = []
-        for joint in range(robot.n_dof):
-            index, a = joint_rows(model, joint, Y[joint], *(v[:, joint] for v in at))
-            rows.append(torch.einsum("kn,kl,ln->n", a, cov[index.unsqueeze(1), index], a))
-        found.append(torch.stack(rows, -1))
+    for at in zip(*(v.T.split(_CHUNK, 1) for v in (q, qd, qdd)), strict=True):
+        rows = torque_rows(model, *at)
+        found.append(torch.stack([torch.einsum("kn,kl,ln->n", a, cov[k.unsqueeze(1), k], a) for k, a in rows], -1))
     variance = torch.cat(found) if found else q.new_zeros(0, robot.n_dof)
     return PredictiveVariance(variance.reshape(*batch, robot.n_dof), model.noise_variance)
 
 
-def joint_rows(model: FittedModel, joint: int, Y: Tensor, q: Tensor, qd: Tensor, qdd: Tensor) -> tuple[Tensor, Tensor]:
-    """Return what multiplies the coefficients in one joint's torque.
+def torque_rows(model: FittedModel, q: Tensor, qd: Tensor, qdd: Tensor) -> list[tuple[Tensor, Tensor]]:
+    """Return what multiplies the coefficients in each joint's torque.
 
     Args:
-        model: the fit; of its features those of fitted terms count.
-        joint: index of the joint.
-        Y: (n_params, N) its regressor.
-        q, qd, qdd: (N,) its own states.
+        model: the fit; of its features those of fitted terms count, without those that need a sequence.
+        q, qd, qdd: (n_dof, N).
 
     Returns:
-        indices in x (K,), and a_j = [Y_j, phi_j] (K, N).
+        Per joint indices in x (K,), and a_j = [Y_j, phi_j] (K, N).
     """
     columns = model.columns
-    state = JointState(q, qd, qdd, columns.scales[joint].rest_width)
-    features: dict[int, Tensor] = {}
-    for candidate in model.terms:
-        if candidate.joint == joint:
-            found = candidate.effect.features(state, candidate.shape)
-            features.update({columns.index(joint, label): value for label, value in found.items()})
-    index = torch.cat((columns.inertial[joint], torch.tensor(list(features), dtype=torch.long)))
-    return index, torch.cat((Y[columns.inertial[joint]], *(v.unsqueeze(0) for v in features.values())))
+    Y = columns.robot.regressor_batch_last(q, qd, qdd)
+    features = columns.evaluated(columns.signals_at(q, qd, qdd), model.terms)
+    found = []
+    for joint, inertial in enumerate(columns.inertial):
+        own = {k: v if v.ndim == 1 else v[joint] for k, v in features.items() if k in columns.of_joint[joint]}
+        index = torch.cat((inertial, torch.tensor(list(own)).long()))
+        found.append((index, torch.cat((Y[joint, inertial], *(v.unsqueeze(0) for v in own.values())))))
+    return found

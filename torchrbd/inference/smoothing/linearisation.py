@@ -54,6 +54,7 @@ def states_at_instants(stretch: Stretch, c: Tensor) -> States:
         t_out,
         _kernel=grid.kernel,
         _stride=grid.substeps,
+        recording="",
     )
 
 

@@ -1,0 +1,150 @@
+"""What an effect may depend on, and where it may sit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from torchrbd.errors import InputError
+from torchrbd.robot import RobotModel
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of one recording, in seconds from its start."""
+
+    recording: str
+    start_s: float = -math.inf
+    end_s: float = math.inf
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where an effect sits, by index in the robot; what does not apply is None.
+
+    Attributes:
+        joint: whose torque it adds to.
+        other: another joint, on whose motion it depends.
+        body: on which it acts.
+        window: when it acts; always, if None.
+    """
+
+    joint: int | None = None
+    other: int | None = None
+    body: int | None = None
+    window: Window | None = None
+
+    def name(self, robot: RobotModel) -> str:
+        """Return the place by the robot's names, e.g. ``joint3``, ``joint3_joint2`` or ``link5``; "robot" for all."""
+        parts = [robot.joint_names[j] for j in (self.joint, self.other) if j is not None]
+        parts += [robot.body_names[self.body]] if self.body is not None else []
+        return "_".join(parts) or "robot"
+
+
+@dataclass(frozen=True)
+class JointState:
+    """The signals of one joint; q, qd and qdd have one common shape.
+
+    ``rest_width`` is the speed [rad/s, m/s] below which the direction of motion is not told: sign(qd) is tanh(qd /
+    rest_width).
+    """
+
+    q: Tensor
+    qd: Tensor
+    qdd: Tensor
+    rest_width: float
+
+    def direction(self) -> Tensor:
+        """Return sign(qd), softened where the recording cannot tell it."""
+        return torch.tanh(self.qd / self.rest_width)
+
+
+@dataclass(frozen=True)
+class JointScale:
+    """What recordings cover at one joint: the range in which shapes are sought and parameters are plausible.
+
+    Attributes:
+        speed_max: [rad/s, m/s].
+        rest_width: see ``JointState``.
+        q_low, q_high: [rad, m].
+    """
+
+    speed_max: float
+    rest_width: float
+    q_low: float = -math.pi
+    q_high: float = math.pi
+
+
+@dataclass(frozen=True)
+class Signals:
+    """The signals of a robot. Joints come first, time comes last where the samples are a sequence.
+
+    Attributes:
+        robot: the robot.
+        q, qd, qdd: (n, *batch) [rad, m] and per second, per second squared.
+        rest_width: (n,) see ``JointState``.
+        pi: (n_params,) inertial parameters that make the load; the robot's own if None.
+        t: (N,) times of the last dimension, evenly spaced [s]; None where the samples are no sequence.
+        recording: its name; None outside of recordings.
+        temperature: (n, *batch) of the joints [deg C]; None where not recorded.
+    """
+
+    robot: RobotModel
+    q: Tensor
+    qd: Tensor
+    qdd: Tensor
+    rest_width: Tensor
+    pi: Tensor | None = None
+    t: Tensor | None = None
+    recording: str | None = None
+    temperature: Tensor | None = None
+
+    def joint(self, joint: int | None) -> JointState:
+        """Return the signals of one joint."""
+        assert joint is not None
+        return JointState(self.q[joint], self.qd[joint], self.qdd[joint], float(self.rest_width[joint]))
+
+    @cached_property
+    def load(self) -> Tensor:
+        """Torque that the rigid body takes, (n, *batch) [N m] or [N]."""
+        return self._rigid(self.q, self.qd, self.qdd)
+
+    def load_slope(self, dq: Tensor, dqd: Tensor, dqdd: Tensor) -> Tensor:
+        """Return d tau/dq dq + d tau/dqd dqd + d tau/dqdd dqdd of the load, (n, *batch); all arguments as q."""
+        return torch.func.jvp(self._rigid, (self.q, self.qd, self.qdd), (dq, dqd, dqdd))[1]
+
+    def _rigid(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+        q, qd, qdd = (x.movedim(0, -1) for x in (q, qd, qdd))
+        pi = None if self.pi is None else self.pi.to(q)
+        return self.robot.inverse_dynamics(q, qd, qdd, pi).movedim(-1, 0)
+
+    def sequence(self) -> Tensor:
+        """Return t (N,).
+
+        Raises:
+            InputError: the samples are no sequence.
+        """
+        if self.t is None:
+            raise InputError(
+                "an effect with memory, or one that depends on time, needs a sequence: give t (N,), evenly spaced "
+                "seconds, with q, qd and qdd (*batch, N, n_dof)"
+            )
+        return self.t
+
+    def rate(self, x: Tensor) -> Tensor:
+        """Return dx/dt (..., N) by central differences."""
+        t = self.sequence()
+        return torch.gradient(x, spacing=float(t[1] - t[0]), dim=-1)[0]
+
+    def inside(self, window: Window | None) -> Tensor:
+        """Return 1 where a window is, 0 elsewhere, as the last dimension of q; 1 everywhere for None."""
+        if window is None:
+            return torch.ones_like(self.q[0])
+        if self.recording != window.recording:
+            return torch.zeros_like(self.q[0])
+        t = self.sequence()
+        return ((t >= window.start_s) & (t <= window.end_s)).to(self.q).expand_as(self.q[0])
