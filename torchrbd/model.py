@@ -78,22 +78,28 @@ class RigidBodyDynamics(nn.Module):
         trained = torch.zeros_like(self.constant_pi).index_put((self.physical,), from_log_cholesky(self.raw_inertia))
         return (self.constant_pi + trained).flatten()
 
-    def forward(self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None = None) -> Tensor:
+    def forward(
+        self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None = None, temperature: Tensor | None = None
+    ) -> Tensor:
         """Return the torque that the actuators must supply.
 
         Args:
             q, qd, qdd: (*batch, n_dof), [rad, m] and per second, per second squared.
             t: (N,) evenly spaced times of the last batch dimension [s]; only effects with memory need it.
+            temperature: (*batch, n_dof) of the joints [deg C]; without it thermal effects are zero.
 
         Returns:
             (*batch, n_dof), [N m] or [N].
         """
-        return self.robot.inverse_dynamics(q, qd, qdd, self.pi.to(q)) + self.term_torque(q, qd, qdd, t)
+        return self.robot.inverse_dynamics(q, qd, qdd, self.pi.to(q)) + self.term_torque(q, qd, qdd, t, temperature)
 
-    def term_torque(self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None = None) -> Tensor:
+    def term_torque(
+        self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None = None, temperature: Tensor | None = None
+    ) -> Tensor:
         """Return what the terms add, (*batch, n_dof); arguments as in ``forward``."""
         q, qd, qdd = (x.movedim(-1, 0) for x in torch.broadcast_tensors(q, qd, qdd))
-        signals = Signals(self.robot, q, qd, qdd, self.rest_width, self.pi, t)
+        warm = None if temperature is None else temperature.movedim(-1, 0)
+        signals = Signals(self.robot, q, qd, qdd, self.rest_width, self.pi, t, temperature=warm)
         torques = list(torch.zeros_like(signals.q).unbind(0))
         for term in self.terms:
             added = term(signals)

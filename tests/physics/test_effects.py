@@ -168,12 +168,13 @@ class TestEveryEffect:
         width = torch.full((ROBOT.n_dof,), SCALE.rest_width, dtype=torch.float64)
         model = RigidBodyDynamics(ROBOT, terms=[term], rest_width=width)
         x = [v.movedim(0, -1) for v in (at.q, at.qd, at.qdd)]
-        tau = model(*x, t=at.t) - ROBOT.inverse_dynamics(*x)
+        inputs = {"t": at.t, "temperature": at.temperature.movedim(0, -1)}
+        tau = model(*x, **inputs) - ROBOT.inverse_dynamics(*x)
         own = term(at) if effect.whole_robot else term(at).unsqueeze(0)
         there = tau.movedim(-1, 0) if effect.whole_robot else tau[..., term.site.joint].unsqueeze(0)
         torch.testing.assert_close(there, own, rtol=1e-9, atol=1e-9)
         save_model(model, tmp_path / "model.safetensors")
-        torch.testing.assert_close(load_model(tmp_path / "model.safetensors")(*x, t=at.t), model(*x, t=at.t))
+        torch.testing.assert_close(load_model(tmp_path / "model.safetensors")(*x, **inputs), model(*x, **inputs))
 
     def test_urdf_tags(self, effect: Effect) -> None:
         added = effect.urdf_dynamics(sizes(effect))

@@ -24,7 +24,7 @@ from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.recordings import Filtering, States, Survey
 
 _MOST_TILES = 4
-_MATTERS = 2.0
+_MATTERS = 1.2
 # Of the residuals, at least this part is torque noise.
 _LEAST_LEFT = 1e-3
 
@@ -50,7 +50,7 @@ class InputNoise:
 
     @property
     def matters(self) -> bool:
-        """Whether position noise makes standard errors more than half as large again."""
+        """Whether position noise adds more than a fifth to the squared error."""
         return self.excess > _MATTERS
 
 
