@@ -1,7 +1,7 @@
 """What a rigid body leaves out: one file per effect, one contract, one registry."""
 
 from torchrbd.physics.base import Effect, JointEffect, Shape, Term
-from torchrbd.physics.registry import effect, effects, register
+from torchrbd.physics.registry import effect, effects, register, searched_effects
 from torchrbd.physics.signals import JointScale, JointState, Signals, Site, Window
 
 __all__ = [
@@ -17,4 +17,5 @@ __all__ = [
     "effect",
     "effects",
     "register",
+    "searched_effects",
 ]

@@ -111,16 +111,34 @@ class Signals:
     @cached_property
     def load(self) -> Tensor:
         """Torque that the rigid body takes, (n, *batch) [N m] or [N]."""
-        return self._rigid(self.q, self.qd, self.qdd)
+        return self.robot.inverse_dynamics(*self._states, self._own_pi).movedim(-1, 0)
 
     def load_slope(self, dq: Tensor, dqd: Tensor, dqdd: Tensor) -> Tensor:
         """Return d tau/dq dq + d tau/dqd dqd + d tau/dqdd dqdd of the load, (n, *batch); all arguments as q."""
-        return torch.func.jvp(self._rigid, (self.q, self.qd, self.qdd), (dq, dqd, dqdd))[1]
+        return (self._slopes * torch.stack((dq, dqd, dqdd))[:, None]).sum((0, 2))
 
-    def _rigid(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        q, qd, qdd = (x.movedim(0, -1) for x in (q, qd, qdd))
-        pi = None if self.pi is None else self.pi.to(q)
-        return self.robot.inverse_dynamics(q, qd, qdd, pi).movedim(-1, 0)
+    @cached_property
+    def origin_slopes(self) -> Tensor:
+        """Derivatives of the load by shifts and turns of the joints' origins, (*batch, n, n, 6)."""
+        return self.robot.origin_slopes(*self._states, self._own_pi)
+
+    @cached_property
+    def regressor(self) -> Tensor:
+        """Regressor of the rigid body, (*batch, n, n_params)."""
+        return self.robot.regressor(*self._states)
+
+    @cached_property
+    def _slopes(self) -> Tensor:
+        """Derivatives of the load by q, qd and qdd, (3, n, n, *batch)."""
+        return self.robot.torque_slopes(*self._states, self._own_pi).movedim((-3, -2, -1), (0, 1, 2))
+
+    @property
+    def _states(self) -> tuple[Tensor, Tensor, Tensor]:
+        return self.q.movedim(0, -1), self.qd.movedim(0, -1), self.qdd.movedim(0, -1)
+
+    @property
+    def _own_pi(self) -> Tensor | None:
+        return None if self.pi is None else self.pi.to(self.q)
 
     def sequence(self) -> Tensor:
         """Return t (N,).

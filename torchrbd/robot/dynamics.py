@@ -135,12 +135,12 @@ def inverse_dynamics(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, pi:
     F = a * m + apply(turn, c)
     spin = apply(R, apply(inertia, _in_body(R, omega)))
     N = cross(pose.p, F) + cross(c, a) + apply(R, apply(inertia, _in_body(R, alpha))) + cross(omega, spin)
-    angular, linear = _screws(geometry, pose)
+    angular, linear = screws(geometry, pose)
     tau = dot(angular, geometry.above.T @ N) + dot(linear, geometry.above.T @ F)
     return geometry.coupling.T @ tau if geometry.is_coupled else tau
 
 
-def _screws(geometry: Geometry, pose: Pose) -> tuple[Tensor, Tensor]:
+def screws(geometry: Geometry, pose: Pose) -> tuple[Tensor, Tensor]:
     """Return every joint's unit motion as angular velocity and velocity of the point at the world's origin."""
     z, lever = pose.z, cross(pose.p, pose.z)
     if not any(geometry.prismatic):
@@ -152,6 +152,22 @@ def _split(pi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return m (n_bodies, 1), mc (3, n_bodies, 1), inertia (3, n_bodies, 3, 1)."""
     pi = pi.unflatten(0, (-1, 10))
     return pi[:, :1], pi[:, 1:4].T[..., None], inertia_matrix(pi).transpose(0, 1)[..., None]
+
+
+def jacobian(geometry: Geometry, q: Tensor, body: int) -> Tensor:
+    """Return how a body's origin moves and the body turns with the joints: `[v, omega] = J qd`.
+
+    Args:
+        q: (n_dof, N) [rad, m].
+
+    Returns:
+        (6, n_dof, N), in the base's axes.
+    """
+    (q,) = body_coordinates(geometry, q)
+    pose = body_poses(geometry, q)
+    angular, linear = (screw * geometry.above[body, :, None] for screw in screws(geometry, pose))
+    J = torch.cat((linear + cross(angular, pose.p[:, body, None].expand_as(angular)), angular))
+    return torch.einsum("kbn,bd->kdn", J, geometry.coupling) if geometry.is_coupled else J
 
 
 def mass_matrix(geometry: Geometry, q: Tensor, pi: Tensor) -> Tensor:
@@ -166,22 +182,31 @@ def mass_matrix(geometry: Geometry, q: Tensor, pi: Tensor) -> Tensor:
     """
     (q,) = body_coordinates(geometry, q)
     pose = body_poses(geometry, q)
-    R, p = pose.R, pose.p
     below = geometry.above.T
-    m, mc, inertia = _split(pi)
-    c = apply(R, mc)
-    u = c + p * m
-    eye = torch.eye(3, dtype=q.dtype, device=q.device)[:, None, :, None]
-    rotated = sum(_outer(apply(R, inertia[:, :, k]), R[:, :, k]) for k in range(3))
-    about_world = rotated + eye * (dot(p, c) + dot(p, u))[:, None] - _outer(p, c) - _outer(u, p)
+    m, u, about_world = masses(pose, pi)
     mass, first, second = below @ m, below @ u, (below @ about_world.flatten(2)).unflatten(2, (3, -1))
-    angular, linear = _screws(geometry, pose)
+    angular, linear = screws(geometry, pose)
     momentum = linear * mass + cross(angular, first)
     spin = apply(second, angular) + cross(first, linear)
     M = dot(angular[:, :, None], spin[:, None]) + dot(linear[:, :, None], momentum[:, None])
     strictly = below.triu(1)
     M = M * below[..., None] + (M * strictly[..., None]).transpose(0, 1)
     return torch.einsum("jd,jkn,ke->den", geometry.coupling, M, geometry.coupling) if geometry.is_coupled else M
+
+
+def masses(pose: Pose, pi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return every body's mass, first moment and inertia matrix about the world's origin, in its axes.
+
+    Returns:
+        m (n_bodies, 1), mc (3, n_bodies, N), inertia (3, n_bodies, 3, N).
+    """
+    R, p = pose.R, pose.p
+    m, mc, inertia = _split(pi)
+    c = apply(R, mc)
+    u = c + p * m
+    eye = torch.eye(3, dtype=R.dtype, device=R.device)[:, None, :, None]
+    rotated = sum(_outer(apply(R, inertia[:, :, k]), R[:, :, k]) for k in range(3))
+    return m, u, rotated + eye * (dot(p, c) + dot(p, u))[:, None] - _outer(p, c) - _outer(u, p)
 
 
 def _outer(a: Tensor, b: Tensor) -> Tensor:

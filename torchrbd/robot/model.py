@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError, PhysicalError
-from torchrbd.robot import dynamics, kinematics
+from torchrbd.robot import dynamics, kinematics, slopes
 from torchrbd.robot.batching import batch_first, batch_last, tiled, tiles, zeros
 from torchrbd.robot.description import Description
 from torchrbd.robot.inertia import PARAMETERS
@@ -40,6 +40,7 @@ class RobotModel:
         pi: (n_params,) inertial parameters [m, mcx, mcy, mcz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz] of each body about its
             origin, in its axes, links behind fixed joints included.
         folded: the links of each body, its own link first.
+        joint_bodies: (n_dof,) the index of the body that each driving joint carries.
         prismatic: (n_dof,) bool.
         damping, friction: (n_dof,) the description's friction; the methods here leave it out.
         lower, upper, velocity, effort: (n_dof,) limits, infinite where not given.
@@ -63,6 +64,7 @@ class RobotModel:
         self.body_names = tuple(joint.child for joint in tree.moving)
         self.parameter_names = tuple(f"{name}_{body}" for body in self.body_names for name in PARAMETERS)
         self.folded: dict[str, tuple[FoldedLink, ...]] = dict(zip(self.body_names, tree.folded, strict=True))
+        self.joint_bodies = tuple(tree.moving.index(joint) for joint in tree.driving)
         self.pi = tree.pi
         self.gravity = torch.as_tensor(gravity, dtype=torch.float64)
         self.prismatic = torch.tensor([joint.kind == "prismatic" for joint in tree.driving])
@@ -262,6 +264,63 @@ class RobotModel:
         geometry, _ = self._constants(q, None)
         pose = kinematics.body_poses(geometry, *kinematics.body_coordinates(geometry, q))
         return batch_first(pose.R.transpose(0, 1), batch), batch_first(pose.p.transpose(0, 1), batch)
+
+    def jacobian(self, q: Tensor, body: int) -> Tensor:
+        """Return the Jacobian of a body's origin: `[v, omega] = J(q) qd`, so that `J' [f, n]` is a wrench's torque.
+
+        Args:
+            q: (*batch, n_dof) [rad or m].
+            body: its index.
+
+        Returns:
+            (*batch, 6, n_dof), in the base's axes.
+        """
+        self._check(-1, q)
+        (q,), batch = batch_last(q)
+        geometry, _ = self._constants(q, None)
+        return batch_first(tiled(lambda q: dynamics.jacobian(geometry, q, body), q), batch)
+
+    def torque_slopes(self, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor | None = None) -> Tensor:
+        """Return the derivatives of the inverse dynamics with respect to q, qd and qdd.
+
+        Args:
+            q, qd, qdd: (*batch, n_dof) position, velocity, acceleration [rad or m, per s, per s^2].
+            pi: (n_params,) instead of the robot's own.
+
+        Returns:
+            (*batch, 3, n_dof, n_dof): of each torque by each joint's q, qd and qdd.
+        """
+        return self._slopes(slopes.torque_slopes, q, qd, qdd, pi)
+
+    def origin_slopes(self, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor | None = None) -> Tensor:
+        """Return the derivatives of the inverse dynamics with respect to the <origin> of each driving joint.
+
+        Shifts and turns are in the parent link's axes; in the root link's, for a joint that stands on the base.
+
+        Args:
+            q, qd, qdd: (*batch, n_dof) position, velocity, acceleration [rad or m, per s, per s^2].
+            pi: (n_params,) instead of the robot's own.
+
+        Returns:
+            (*batch, n_dof, n_dof, 6): of each torque by each joint's shift along x, y, z [m] and turn about them [rad].
+        """
+        by_body = self._slopes(slopes.origin_slopes, q, qd, qdd, pi)[..., self.joint_bodies, :]
+        axes = torch.stack([self._parent_axes(joint) for joint in range(self.n_dof)]).to(by_body)
+        return torch.einsum("...djsx,jxk->...djsk", by_body.unflatten(-1, (2, 3)), axes).flatten(-2)
+
+    def _slopes(self, function: Callable[..., Tensor], q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor | None) -> Tensor:
+        self._check(-1, q, qd, qdd)
+        (q, qd, qdd), batch = batch_last(q, qd, qdd)
+        geometry, gravity = self._constants(q, None)
+        pi = self._parameters(q, pi)
+        return batch_first(tiled(lambda q, qd, qdd: function(geometry, q, qd, qdd, pi, gravity), q, qd, qdd), batch)
+
+    def _parent_axes(self, joint: int) -> Tensor:
+        """Return the axes of a driving joint's parent link in the body that the link is part of, (3, 3)."""
+        name = self.joint_names[joint]
+        parent = next(j.parent for j in self.description.joints if j.name == name)
+        poses = {link.name: link.pose for links in self.folded.values() for link in links}
+        return poses[parent][:3, :3] if parent in poses else torch.eye(3, dtype=torch.float64)
 
     def with_gravity(self, gravity: Sequence[float] | Tensor) -> RobotModel:
         """Return the same robot under another gravity (3,) [m/s^2], such as on a tilted base."""

@@ -1,0 +1,47 @@
+"""An actuator that follows its command as a first-order system, where the command is what was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.signals import JointScale, Signals, Site, Window
+from torchrbd.physics.time_delay import at_site, joints_and_all
+from torchrbd.robot import RobotModel
+
+
+class ActuatorLag(Effect):
+    """tau += T d(tau_load)/dt: with T d(tau_acting)/dt + tau_acting = tau_command, the command runs ahead.
+
+    Exact for the load. Friction is not carried along, whose jumps at reversals would need pulses. A recorded torque
+    that comes late, behind a filter, looks like a negative lag to first order: that is a time delay.
+
+    Either the actuator of one joint lags, or all alike.
+    """
+
+    id = "actuator_lag"
+    words = "actuator lag"
+    equation = "T dtau_load/dt"
+    units: ClassVar[Mapping[str, str]] = {"time_constant": "s"}
+    complexity = 1
+    whole_robot = True
+    uses_load = True
+    _LONGEST_S = 0.2
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
+        return joints_and_all(robot)
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        return {f"dtau_load/dt {site.name(signals.robot)}": at_site(signals.rate(signals.load), site)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"time_constant": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["time_constant"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return 0 <= parameters["time_constant"] <= self._LONGEST_S

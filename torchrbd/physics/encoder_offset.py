@@ -1,0 +1,47 @@
+"""A joint whose zero is off: the recorded position is the true one plus a constant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.placed import telling
+from torchrbd.physics.signals import JointScale, Signals, Site, Window
+from torchrbd.robot import RobotModel
+
+
+class EncoderOffset(Effect):
+    """tau += -o d tau_rigid / d q_j: q_j is recorded as the true position plus o.
+
+    First order in o: the error grows with o^2. A first joint whose axis is vertical cannot have one that shows.
+    """
+
+    id = "encoder_offset"
+    words = "encoder offset"
+    equation = "-o dtau/dq"
+    units: ClassVar[Mapping[str, str]] = {"offset": "{q}"}
+    complexity = 1
+    whole_robot = True
+    uses_load = True
+    _LARGEST = 0.2
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
+        return telling(self, robot, tuple(Site(joint) for joint in range(robot.n_dof)))
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        still, moved = torch.zeros_like(signals.q), torch.zeros_like(signals.q)
+        moved[site.joint] = -1.0
+        return {f"-dtau/dq_{site.name(signals.robot)}": signals.load_slope(moved, still, still)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"offset": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["offset"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return abs(parameters["offset"]) <= self._LARGEST

@@ -1,0 +1,42 @@
+"""Joint coupling: torque at a joint that depends on the position of another (tendon, cable bundle, parallel rod)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import permutations
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.signals import JointScale, Signals, Site, Window
+from torchrbd.robot import RobotModel
+
+
+class JointCoupling(Effect):
+    """tau += k q_other + tau_0, k of either sign. A spring between two joints acts so at both, with equal k."""
+
+    id = "joint_coupling"
+    words = "coupling to another joint's position"
+    equation = "k q_other + tau_0"
+    units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "offset": "{tau}"}
+    complexity = 2
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
+        """Return all ordered pairs of joints."""
+        return tuple(Site(joint, other=other) for joint, other in permutations(range(robot.n_dof), 2))
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        assert site.other is not None
+        q = signals.q[site.other]
+        return {f"q_{signals.robot.joint_names[site.other]}": q, "1": torch.ones_like(q)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"stiffness": coefficients[0], "offset": coefficients[1]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["stiffness"], parameters["offset"]), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return True

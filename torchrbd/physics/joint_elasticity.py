@@ -1,0 +1,58 @@
+"""A joint that gives way: a spring between motor and link, as in harmonic drives, long shafts and belts.
+
+The motor's position q is recorded; the link lags behind it by what the spring yields, q_link = q - tau_load / k, and
+the torque is that of the link's motion. To first order in the compliance 1/k
+
+    tau += 1/k (A x + B dx/dt + M d2x/dt2),  x = -tau_load of the joint, all other joints as recorded
+
+with A, B, M the derivatives of the rigid body's torque with respect to the joint's q, qd, qdd. The error grows with
+1/k^2. Where the resonance sqrt(k / M) lies above the band of the data, what is left is small (1 % of the stiffness, .1
+% of the effect's power, for a pendulum); inside the band the link rings by itself, which is not contained, nor is
+damping beside the spring. What the motor's own inertia takes is rotor inertia, an effect of its own.
+
+Source: Spong, "Modeling and control of elastic joint robots", ASME J. Dyn. Syst. Meas. Control 1987, for the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.signals import JointScale, Signals, Site
+
+
+class JointElasticity(Effect):
+    """tau = tau_load(q - tau_load / k), linear in 1/k, with k > 0."""
+
+    id = "joint_elasticity"
+    words = "joint elasticity"
+    equation = "tau_load(q - tau_load/k) - tau_load(q)"
+    units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}"}
+    complexity = 1
+    whole_robot = True
+    uses_load = True
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        yielding = -signals.load[site.joint]
+        return {f"elastic {site.name(signals.robot)}": slope_along(signals, site, yielding)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"stiffness": 1.0 / coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (1.0 / parameters["stiffness"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["stiffness"] > 0
+
+
+def slope_along(signals: Signals, site: Site, shift: Tensor) -> Tensor:
+    """Return what the load changes by, (n, *batch), as a joint's link deviates by ``shift`` (*batch) over time."""
+    speed = signals.rate(shift)
+    directions = torch.zeros(3, *signals.q.shape, dtype=shift.dtype, device=shift.device)
+    directions[:, site.joint] = torch.stack((shift, speed, signals.rate(speed)))
+    return signals.load_slope(*directions)

@@ -1,0 +1,43 @@
+"""Load-dependent friction: gears and bearings resist in proportion to the torque that they carry.
+
+With the efficiency eta of a gear the actuator must supply |load| / eta to drive and saves (1 - eta) |load| when driven:
+the losses 1 / eta - 1 and 1 - eta have the mean k; half their difference, of second order in 1 - eta, acts as a torque
+gain. The load is the torque that the rigid body takes, never the measured one, which would explain itself.
+
+Source: Hamon, Gautier, Garrec, Janot, "Dynamic Modeling and Identification of Joint Drive with Load-Dependent Friction
+    Model", AIM 2010, with the same k in all four quadrants of torque and speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.signals import JointScale, Signals, Site
+
+
+class LoadDependentFriction(Effect):
+    """tau += k |load| sign(qd) with k >= 0."""
+
+    id = "load_dependent_friction"
+    words = "load-dependent friction"
+    equation = "k |load| sign(qd)"
+    units: ClassVar[Mapping[str, str]] = {"load_friction": "1"}
+    complexity = 1
+    dissipative = True
+    uses_load = True
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        return {"|load| sign(qd)": signals.load[site.joint].abs() * signals.joint(site.joint).direction()}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"load_friction": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["load_friction"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["load_friction"] >= 0

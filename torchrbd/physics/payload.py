@@ -1,0 +1,60 @@
+"""A load that a link carries for a part of the time: a grasped part, a tool that was changed between recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.placed import in_windows, telling
+from torchrbd.physics.signals import JointScale, Signals, Site, Window
+from torchrbd.robot import PARAMETERS, RobotModel
+
+
+class Payload(Effect):
+    """tau += Y_link(q, qd, qdd) pi during a window, pi the inertial parameters of what the link carries.
+
+    Exact: mass m, centre c in the link's frame and inertia about the link's origin. Without the inertia, a point mass
+    13 cm from the origin would leave 2 to 20 % of its torque, and its centre would be 3 to 9 % off. A load that is
+    always there is part of the link, so that there are no sites without windows; where few joints carry a link, some
+    of the ten numbers move none of them: such a link is no site.
+    """
+
+    id = "payload"
+    words = "payload"
+    equation = "Y_link [m, m c, I]"
+    units: ClassVar[Mapping[str, str]] = {
+        "mass": "kg",
+        **dict.fromkeys("xyz", "m"),
+        **dict.fromkeys(PARAMETERS[4:], "kg m^2"),
+    }
+    complexity = 10
+    whole_robot = True
+    _FURTHEST_M = 1.0
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
+        return in_windows(telling(self, robot, tuple(Site(body=body) for body in range(robot.n_bodies))), windows)
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        assert site.body is not None
+        labels = [f"{name} {site.name(signals.robot)} {site.window}" for name in PARAMETERS]
+        inside = signals.inside(site.window)
+        if not inside.any():
+            return {label: torch.zeros_like(signals.q) for label in labels}
+        first = len(PARAMETERS) * site.body
+        columns = signals.regressor[..., first : first + len(PARAMETERS)].movedim((-1, -2), (0, 1))
+        return dict(zip(labels, columns * inside, strict=True))
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        m, mc, inertia = coefficients[0], coefficients[1:4], coefficients[4:]
+        return dict(zip(self.units, (m, *(mc / m), *inertia), strict=True))
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        m, x, y, z, *inertia = (parameters[name] for name in self.units)
+        return (m, m * x, m * y, m * z, *inertia), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["mass"] > 0 and max(abs(parameters[axis]) for axis in "xyz") <= self._FURTHEST_M

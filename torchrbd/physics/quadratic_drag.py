@@ -1,0 +1,37 @@
+"""Quadratic drag: resistance that grows with the square of speed (air, water, splashing oil).
+
+Source: the drag equation F = 1/2 rho c_d A v^2 of any fluid mechanics handbook, with its factors in one coefficient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.signals import JointScale, JointState
+
+
+class QuadraticDrag(JointEffect):
+    """tau += k qd |qd| with k >= 0."""
+
+    id = "quadratic_drag"
+    words = "quadratic drag"
+    equation = "k qd |qd|"
+    units: ClassVar[Mapping[str, str]] = {"drag": "{tau} s^2/{q}^2"}
+    complexity = 1
+    dissipative = True
+
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        return {"qd |qd|": state.qd * state.qd.abs()}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"drag": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["drag"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["drag"] >= 0

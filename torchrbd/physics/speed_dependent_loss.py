@@ -1,0 +1,41 @@
+"""Speed-dependent torque loss: the efficiency of a gear falls with speed, so that part of the load is lost as it turns.
+
+Tooth and cam contacts lose torque in proportion to the load and, through the lubricant between them, to the speed; the
+loss opposes motion whether the gear drives or is driven. The load is the torque that the rigid body takes.
+
+Source: efficiency charts of gear makers, in which the loss at one load grows with speed; taken as a straight line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.signals import JointScale, Signals, Site
+
+
+class SpeedDependentLoss(Effect):
+    """tau += k |load| qd with k >= 0: viscous friction in proportion to the load."""
+
+    id = "speed_dependent_loss"
+    words = "torque loss that grows with speed and load"
+    equation = "k |load| qd"
+    units: ClassVar[Mapping[str, str]] = {"loss": "s/{q}"}
+    complexity = 1
+    dissipative = True
+    uses_load = True
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        return {"|load| qd": signals.load[site.joint].abs() * signals.qd[site.joint]}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"loss": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["loss"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["loss"] >= 0

@@ -1,0 +1,59 @@
+"""Time-varying friction: Coulomb friction that settles as a joint warms up, or rises as a brake or a seal tightens.
+
+Every recording starts cold, at its own time zero, and all settle at one rate: a first-order thermal model. Where the
+joint's temperature is recorded, ``ThermalViscosity`` says more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.signals import JointScale, Signals, Site
+
+
+class TimeVaryingFriction(Effect):
+    """tau += (c_end + (c_start - c_end) exp(-t/T)) sign(qd) with c_end, c_start >= 0; t from the recording's start."""
+
+    id = "time_varying_friction"
+    words = "friction that changes with time"
+    equation = "(c_end + (c_start - c_end) exp(-t/T)) sign(qd)"
+    units: ClassVar[Mapping[str, str]] = {
+        "coulomb_end": "{tau}",
+        "coulomb_start": "{tau}",
+        "time_constant": "s",
+    }
+    complexity = 3
+    dissipative = True
+    # Seconds: a grease film that settles to a joint that warms through. Slower than the recording, it is a straight
+    # line in time, and all slower ones are alike.
+    _FASTEST_S, _SLOWEST_S, _GRID_POINTS = 2.0, 300.0, 4
+
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        grid = np.geomspace(self._FASTEST_S, self._SLOWEST_S, self._GRID_POINTS)
+        return tuple({"time_constant": float(v)} for v in grid)
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        direction, T = signals.joint(site.joint).direction(), shape["time_constant"]
+        decay = torch.exp(-signals.sequence() / T).to(direction)
+        return {"sign(qd)": direction, f"sign(qd) exp(-t/{T:.6g})": direction * decay}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        end, extra = coefficients
+        return {
+            "coulomb_end": end,
+            "coulomb_start": end + extra,
+            "time_constant": coefficients.new_tensor(shape["time_constant"]),
+        }
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        end, start = parameters["coulomb_end"], parameters["coulomb_start"]
+        return (end, start - end), {"time_constant": parameters["time_constant"]}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return min(parameters["coulomb_end"], parameters["coulomb_start"]) >= 0 and parameters["time_constant"] > 0

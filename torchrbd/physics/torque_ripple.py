@@ -1,0 +1,61 @@
+"""Torque ripple: torque that repeats with position, from cogging magnets, gear teeth or a harmonic drive.
+
+A motor behind a gear of ratio N turns N times a turn of the joint. Its eccentricity has the order N, a harmonic drive's
+wave generator 2 N, the teeth of an output gear their number. For a gear of integer ratio all orders are integers.
+
+Source: Tuttle, "Understanding and Modeling the Behavior of a Harmonic Drive Gear Transmission", MIT 1992, on the orders
+    of a harmonic drive.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.signals import JointScale, JointState
+
+
+class TorqueRipple(JointEffect):
+    """tau += A sin(m q + phase) with A >= 0, m cycles a turn; linear in A cos(phase) and A sin(phase)."""
+
+    id = "torque_ripple"
+    words = "torque ripple"
+    equation = "A sin(m q + phase)"
+    units: ClassVar[Mapping[str, str]] = {"amplitude": "{tau}", "phase": "rad", "order": "1/{q}"}
+    complexity = 3
+    # Whole orders, or half a cycle more over the range where that is coarser: closer ones look alike. Beyond them, the
+    # orders of harmonic drives: faster ripple is mostly outside of the band that torques are compared in.
+    _STEPS, _GEAR_ORDERS = 40, (50, 60, 80, 100, 120, 160, 200)
+
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        span = scale.q_high - scale.q_low
+        if span <= 0:
+            return ()
+        step = max(1.0, math.pi / span)
+        lowest = step * math.ceil(2 * math.pi / span / step)
+        grid = [lowest + step * k for k in range(self._STEPS)]
+        return tuple({"order": float(m)} for m in (*grid, *(m for m in self._GEAR_ORDERS if m > grid[-1])))
+
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        order = shape["order"]
+        return {f"{name}({order:.6g} q)": f(order * state.q) for name, f in (("sin", torch.sin), ("cos", torch.cos))}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        a, b = coefficients
+        return {
+            "amplitude": torch.hypot(a, b),
+            "phase": torch.atan2(b, a),
+            "order": coefficients.new_tensor(shape["order"]),
+        }
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        size, phase = parameters["amplitude"], parameters["phase"]
+        return (size * math.cos(phase), size * math.sin(phase)), {"order": parameters["order"]}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["order"] * (scale.q_high - scale.q_low) >= 2 * math.pi

@@ -1,0 +1,43 @@
+"""Velocity coupling: viscous torque at a joint from the speed of another, as in a differential wrist.
+
+Where two motors drive q_1 + q_2 and q_1 - q_2 and their friction differs, each joint feels the other's speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import permutations
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.signals import JointScale, Signals, Site, Window
+from torchrbd.robot import RobotModel
+
+
+class VelocityCoupling(Effect):
+    """tau += d qd_other, d of either sign. Friction of a shared drive acts so at both joints, with equal d."""
+
+    id = "velocity_coupling"
+    words = "coupling to another joint's velocity"
+    equation = "d qd_other"
+    units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}
+    complexity = 1
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
+        """Return all ordered pairs of joints."""
+        return tuple(Site(joint, other=other) for joint, other in permutations(range(robot.n_dof), 2))
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        assert site.other is not None
+        return {f"qd_{signals.robot.joint_names[site.other]}": signals.qd[site.other]}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"viscous": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["viscous"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return True
