@@ -17,13 +17,40 @@ from torchrbd.physics import Effect, Shape, Signals, Site, Term, effects
 
 URDF_TAGS = {"damping", "friction"}
 EXPECTED_IDS = set(
-    """
-viscous_friction coulomb_friction asymmetric_coulomb_friction stribeck_friction quadratic_drag
-load_dependent_friction time_varying_friction position_dependent_friction presliding_hysteresis rotor_inertia
-joint_spring one_sided_spring torque_ripple joint_coupling backlash joint_elasticity payload external_wrench base_tilt
-torque_offset torque_scale time_delay actuator_lag encoder_offset geometry_error power_law_friction counterbalance
-cable_drag thermal_viscosity velocity_coupling torque_saturation speed_dependent_loss
-""".split()
+    [
+        "viscous_friction",
+        "coulomb_friction",
+        "asymmetric_coulomb_friction",
+        "stribeck_friction",
+        "quadratic_drag",
+        "load_dependent_friction",
+        "time_varying_friction",
+        "position_dependent_friction",
+        "presliding_hysteresis",
+        "rotor_inertia",
+        "joint_spring",
+        "one_sided_spring",
+        "torque_ripple",
+        "joint_coupling",
+        "backlash",
+        "joint_elasticity",
+        "payload",
+        "external_wrench",
+        "base_tilt",
+        "torque_offset",
+        "torque_scale",
+        "time_delay",
+        "actuator_lag",
+        "encoder_offset",
+        "geometry_error",
+        "power_law_friction",
+        "counterbalance",
+        "cable_drag",
+        "thermal_viscosity",
+        "velocity_coupling",
+        "torque_saturation",
+        "speed_dependent_loss",
+    ]
 )
 ALL = effects()
 
