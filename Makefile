@@ -2,8 +2,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 OUT ?= demo-report
+CONCEALED = concealed/dev $(if $(TORCHRBD_DATA),concealed/real)
 
-.PHONY: demo test slow check clean
+.PHONY: demo test slow check concealed-dev clean
 
 demo: .venv/base
 	$(BIN)/torchrbd demo -o $(OUT)
@@ -33,9 +34,21 @@ check: .venv/dev
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
 	touch $@
 
+.venv/benchmark: .venv/test
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'
+	touch $@
+
 .venv/dev: .venv/test
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
+concealed-dev: .venv/benchmark
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed generate --set development --count 8 --seed 0 --workers 2 -o concealed/dev
+	if [ -n "$$TORCHRBD_DATA" ]; then OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed.real --count 8 --seed 0 -o concealed/real; fi
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed.run diagnose $(CONCEALED) -o concealed/out -j 2
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed.run rivals concealed/dev -o concealed/out -j 2
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed.run oracle concealed/dev -o concealed/out -j 2
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed.run score $(CONCEALED) -o concealed/out
+
 clean:
-	rm -rf .venv demo-report
+	rm -rf .venv demo-report concealed

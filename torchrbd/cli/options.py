@@ -18,7 +18,7 @@ from torchrbd.inference.comparison import COMPARABLE
 from torchrbd.inference.settings import ESTIMATORS, WITH_INTERVALS
 from torchrbd.physics import effects
 
-_FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint (default: none)"
+_FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint or only at PLACE (default: none)"
 
 
 class _Help(RawDescriptionRichHelpFormatter):
@@ -137,7 +137,10 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_requ
     )
     model = sub.add_argument_group("model")
     known = ", ".join(effects())
-    model.add_argument("--effects", metavar="EFFECT", help=f"{effects_words}; known: {known}", **many)
+    place = "PLACE is a joint, a pair JOINT_OTHER or a link; @RECORDING=FROM:TO [s] after it for what acts for a time"
+    model.add_argument(
+        "--effects", metavar="EFFECT[@PLACE]", help=f"{effects_words}; {place}; known effects: {known}", **many
+    )
     model.add_argument("--exclude", metavar="EFFECT", help="effects not to use", **many)
     model.add_argument("--trust", metavar="LINK", help="links whose inertia is not re-fitted", **many)
     model.add_argument("--seed", type=int, metavar="N", help="of the choice of blocks kept back (default: 0)")

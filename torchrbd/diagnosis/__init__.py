@@ -3,12 +3,29 @@
 from torchrbd.diagnosis.diagnose import diagnose
 from torchrbd.diagnosis.results import (
     Alternative,
+    Attack,
+    Curve,
     Diagnosis,
     Finding,
+    LeftoverMap,
+    Location,
     Quantity,
     Region,
     Unexplained,
     Where,
 )
 
-__all__ = ["Alternative", "Diagnosis", "Finding", "Quantity", "Region", "Unexplained", "Where", "diagnose"]
+__all__ = [
+    "Alternative",
+    "Attack",
+    "Curve",
+    "Diagnosis",
+    "Finding",
+    "LeftoverMap",
+    "Location",
+    "Quantity",
+    "Region",
+    "Unexplained",
+    "Where",
+    "diagnose",
+]

@@ -9,6 +9,7 @@ from typing import Any
 from torchrbd.diagnosis.compare import Comparison
 from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.leftover import unexplained
+from torchrbd.diagnosis.locate import locate, nameless
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.select import LEAST_GAIN, LEAST_T, Terms, distinguishable, select_terms
 from torchrbd.diagnosis.words import verdict_statement
@@ -64,12 +65,17 @@ def diagnose(
     progress("weighing the findings", 0.0)
     findings = explain(prepared, comparison, terms, candidates, models["extended"])
     progress("looking at what is left", 0.0)
+    locations, maps = locate(prepared, models["rigid_body"].pi)
+    left = locations
+    if terms:
+        left, more = locate(prepared, models["extended"].pi, terms, "extended")
+        locations, maps = (*locations, *left), (*maps, *more)
     units = ["N" if prismatic else "N m" for prismatic in robot.prismatic.tolist()]
     rest = unexplained(identification.series, "extended", prepared.filtering.effective_rate, units)
+    rest = nameless(left, rest)
     verdict = _verdict(findings, rest, _refit_matters(prepared, comparison))
-    return Diagnosis(
-        identification, verdict, verdict_statement(verdict, findings, rest, identification.fits), findings, rest
-    )
+    statement = verdict_statement(verdict, findings, rest, identification.fits)
+    return Diagnosis(identification, verdict, statement, findings, rest, locations, maps)
 
 
 def _refit_matters(prepared: Prepared, comparison: Comparison) -> bool:

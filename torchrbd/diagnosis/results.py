@@ -73,12 +73,90 @@ class Unexplained:
 
 
 @dataclass(frozen=True)
+class Curve:
+    """A torque as a function of one signal, from the data alone: mean and standard deviation at values of it."""
+
+    signal: str
+    at: tuple[float, ...]
+    torque: tuple[float, ...]
+    std: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Attack:
+    """A force on a link: [N] in the base's axes, at a point [m] of the link's frame; standard deviations beside.
+
+    For a payload the force is its weight, the point its centre of mass.
+    """
+
+    force: tuple[float, float, float]
+    force_std: tuple[float, float, float]
+    point: tuple[float, float, float]
+    point_std: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Location:
+    """A place where a model and the robot differ, found without a name for what is there.
+
+    Attributes:
+        model: whose leftover: "rigid_body", re-fitted with an offset and friction at every joint, or "extended".
+        joints: where it acts, the one where it stands out most first.
+        links: the link on which a payload or force explains it best; else none.
+        where: recordings, times and region; None where it is not confined.
+        depends_on: signals that it follows, e.g. "q_joint2"; "t" if only the time matters.
+        form: what acts there: "level" (a torque), "friction" (a torque against the motion), "load" (a torque like that
+            of a load), "payload" or "force".
+        course: "abrupt" (begins or ends at once), "slow" (comes and goes gradually), or "" if time does not matter.
+        gain: log-likelihood that it gains, beyond the costs of its freedom and of the search.
+        torque_rms: per joint, RMS over all samples of what the model cannot absorb of its torque, [N m] or [N].
+        share: per joint, part of the leftover's power that it is.
+        curve: how it depends on the first signal, if it does.
+        attack: force and point of attack, if it is on a link.
+        statement: a sentence for a person.
+    """
+
+    model: str
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+    where: Where
+    depends_on: tuple[str, ...]
+    form: str
+    course: str
+    gain: float
+    torque_rms: dict[str, float]
+    share: dict[str, float]
+    curve: Curve | None
+    attack: Attack | None
+    statement: str
+
+
+@dataclass(frozen=True)
+class LeftoverMap:
+    """How large the leftover of a model is where, joint by joint, over the noise: 1 is noise.
+
+    Attributes:
+        model: as in ``Location``.
+        signal: "t", "q" or "qd" (each joint's own).
+        recording: which one, for time; "" for all.
+        edges: per joint, B + 1 edges of the bins, [s, rad, m, ...].
+        level: per joint, RMS of the leftover in each bin over the standard deviation of the noise; NaN where empty.
+    """
+
+    model: str
+    signal: str
+    recording: str
+    edges: tuple[tuple[float, ...], ...]
+    level: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """Verdict, findings strongest first, and the identification they belong to.
 
     ``verdict`` is "consistent" (the URDF as given explains the data), "parameters" (a rigid body with other parameters
     does), "missing_physics" (named effects are needed) or "unexplained" (something is left that no known effect
-    explains).
+    explains). ``locations`` say where models and robot differ, named or not; ``maps`` draw the same.
     """
 
     identification: Identification
@@ -86,3 +164,5 @@ class Diagnosis:
     statement: str
     findings: tuple[Finding, ...]
     unexplained: tuple[Unexplained, ...] = field(default=())
+    locations: tuple[Location, ...] = field(default=())
+    maps: tuple[LeftoverMap, ...] = field(default=())

@@ -58,7 +58,16 @@ def write_parameters(result: Identification, path: Path) -> None:
 
 
 def write_diagnosis(result: Diagnosis, path: Path) -> None:
-    """Write verdict, fits, findings and what is left unexplained."""
+    """Write verdict, fits, findings and what is left unexplained.
+
+    locations: where models and robot differ, named or not: list of model ("rigid_body", re-fitted, with friction and an
+        offset at every joint, or "extended"), joints, links, where (as in findings), depends_on, form ("level",
+        "friction", "load", "payload", "force"), course ("abrupt", "slow", ""), gain (log-likelihood), torque_rms and
+        share by joint, curve (signal, at, torque, std) or null, attack (force [N] in the base's axes, point [m] in the
+        link's frame, a standard deviation for each) or null, statement.
+    leftover_maps: RMS of what a model leaves over the noise, by bins: list of model, signal ("t", "q", "qd"),
+        recording, edges and level, a row per joint.
+    """
     _write(
         path,
         {
@@ -67,6 +76,8 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
             "statement": result.statement,
             "findings": [asdict(f) for f in result.findings],
             "unexplained": [asdict(u) for u in result.unexplained],
+            "locations": [asdict(x) for x in result.locations],
+            "leftover_maps": [asdict(m) for m in result.maps],
         },
     )
 

@@ -27,6 +27,8 @@ from torchrbd.inference.results import (
     TorqueSeries,
 )
 from torchrbd.inference.settings import WITH_INTERVALS, Settings
+from torchrbd.inference.shapes.places import check_seen
+from torchrbd.inference.shapes.refine import fit_with_shapes, refined
 from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, verdict_of
 from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base_parameters
 from torchrbd.recordings import Recording
@@ -50,7 +52,8 @@ def identify(
         progress: told how far the work is.
         **options: holdout, holdout_fraction, time, joints, effects, exclude, trust, payload, mapping, cutoff_hz,
             estimator, encoder_noise, kappa and seed; ``help(torchrbd.Settings)`` has their meaning, units
-            and defaults. ``effects`` are fitted beside the inertial parameters, at every joint.
+            and defaults. ``effects`` are fitted beside the inertial parameters, at every joint
+            or where "id@place" says, and their nonlinear parameters (a Stribeck speed) refined.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
@@ -58,11 +61,14 @@ def identify(
     robot, sources, settings = read_arguments(robot, recordings, options, "identify")
     effects = settings.chosen_effects() if settings.effects else ()
     prepared = prepare(robot, sources, settings, effects, progress)
+    terms = term_candidates(prepared.columns, [e.id for e in effects])
+    check_seen(settings.told_effects(), prepared.columns)
+    prepared, terms = refined(prepared, terms, progress)
     progress("fitting", 0.0)
     models = {"rigid_body": prepared.fit()}
     if effects:
-        terms = term_candidates(prepared.columns, [e.id for e in effects])
-        models["extended"] = prepared.fit(terms)
+        sure = settings.estimator in WITH_INTERVALS
+        models["extended"] = fit_with_shapes(prepared, terms) if sure else prepared.fit(terms)
     if settings.estimator not in WITH_INTERVALS:
         prepared, models = _estimated(prepared, settings.estimator, models)
     return summarise(prepared, models, settings, progress)

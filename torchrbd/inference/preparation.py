@@ -29,6 +29,7 @@ from torchrbd.inference.physical.fitting import FittedModel, fit_model
 from torchrbd.inference.physical.prior import Prior, urdf_prior
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.settings import Settings
+from torchrbd.inference.shapes.places import told_sites
 from torchrbd.inference.smoothing import smooth, smoothable
 from torchrbd.physics import Effect, JointScale
 from torchrbd.recordings import Filtering, Recording, States, Survey, choose_cutoff, survey
@@ -138,7 +139,8 @@ def prepare(
         found.append(survey(recording))
     surveys = [_told(one, noise) for one in found]
     filtering = Filtering(choose_cutoff(surveys) if settings.cutoff_hz is None else settings.cutoff_hz)
-    columns = Columns(robot, effects, _scales(surveys, filtering))
+    sites, windows = told_sites(settings.told_effects(), robot, [r.name for r in opened])
+    columns = Columns(robot, effects, _scales(surveys, filtering), windows, sites=sites)
     used, held = settings.used_joints(robot), settings.held_bodies(robot)
     payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
     reading = Reading(robot, opened, tuple(surveys), filtering, used, payload)
@@ -147,9 +149,15 @@ def prepare(
     weight = statistics.torque[..., 0].sum(0)
     if not weight.any():
         raise RecordingError("no torque that changes is recorded for any of the joints in use; nothing can be fitted")
-    prior = _prior(statistics, held, settings)
+    prior = data_prior(statistics, held, settings.kappa)
     training = statistics.select(~held_out)
     rough = fit_model(training, prior)
+    if any(e.uses_load for e in columns.effects):
+        # The URDF's own load may be far off; what depends on it is built anew around a first fit.
+        columns = columns.around(rough.pi)
+        statistics = reading.statistics(columns, progress)
+        prior, training = data_prior(statistics, held, settings.kappa), statistics.select(~held_out)
+        rough = fit_model(training, prior)
     prepared = Prepared(
         robot=robot,
         reading=reading,
@@ -207,16 +215,17 @@ def _smoothed(
         reading=reading,
         columns=found.columns,
         statistics=statistics,
-        prior=_prior(statistics, held, settings),
+        prior=data_prior(statistics, held, settings.kappa),
         input_noise=replace(prepared.input_noise, encoder_std=found.encoder_std),
         states=found.states,
     )
 
 
-def _prior(statistics: BlockStatistics, held: Collection[str], settings: Settings) -> Prior:
+def data_prior(statistics: BlockStatistics, held: Collection[str], kappa: float) -> Prior:
+    """Return the prior around the URDF; the size of torques and features tells how wide that of terms is."""
     weight, _, square = statistics.torque.sum(0).unbind(-1)
     torque_rms = (square / weight.clamp_min(1e-300)).sqrt()
-    return urdf_prior(statistics.columns, torque_rms, _feature_rms(statistics), held=held, kappa=settings.kappa)
+    return urdf_prior(statistics.columns, torque_rms, _feature_rms(statistics), held=held, kappa=kappa)
 
 
 def _scales(surveys: Sequence[Survey], filtering: Filtering) -> tuple[JointScale, ...]:

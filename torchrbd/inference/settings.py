@@ -14,7 +14,8 @@ from torch import Tensor
 
 from torchrbd.errors import OptionError
 from torchrbd.inference.data.payload import Payload
-from torchrbd.physics import Effect, effect, effects
+from torchrbd.inference.shapes.places import ToldEffect
+from torchrbd.physics import Effect, effect, searched_effects
 from torchrbd.robot import RobotModel
 
 ESTIMATORS = {
@@ -53,8 +54,10 @@ class Settings:
         holdout_fraction: without ``holdout``, the part of each recording that is kept back, (0, 0.5]. Default: 0.25.
         time: use only this part of each recording, (from, to) [s] from its start. Default: all.
         joints: joints whose torque counts, by name. Default: all.
-        effects: by id; ``torchrbd.effects()`` lists them. ``identify`` and ``compare_estimators`` fit them (default:
-            none), ``diagnose`` searches among them (default: all).
+        effects: by id, at all their places, or as "id@place"; ``torchrbd.effects()`` lists the ids, a place is a
+            joint, a pair "joint3_joint1" or a link. What acts for a time only is "id@place@recording=from:to" [s].
+            ``identify`` and ``compare_estimators`` fit them (default: none), ``diagnose`` searches among them
+            (default: all).
         exclude: effects not to use, by id. Default: none.
         trust: links whose inertia is not re-fitted, by name. Default: none.
         payload: known loads: ``torchrbd.inference.Payload`` or "FILE=kg,x,y,z[@LINK]" [kg, m]. Default: none.
@@ -131,14 +134,25 @@ class Settings:
                 values[key] = _number(values[key], kind, key, place)
         return cls(**values)
 
+    def told_effects(self) -> tuple[ToldEffect, ...]:
+        """Return the effects that were named and not excluded, with their places.
+
+        Raises:
+            OptionError: an id is unknown.
+        """
+        excluded = {effect(name).id for name in self.exclude}
+        told = (ToldEffect.parse(text) for text in self.effects or ())
+        return tuple(one for one in told if one.effect.id not in excluded)
+
     def chosen_effects(self) -> tuple[Effect, ...]:
         """Return the effects to search for.
 
         Raises:
             OptionError: an id is unknown, or no effect is left.
         """
+        told = {one.effect.id: one.effect for one in self.told_effects()}
         excluded = {effect(name).id for name in self.exclude}
-        wanted = effects() if self.effects is None else {name: effect(name) for name in self.effects}
+        wanted = searched_effects() if self.effects is None else told
         chosen = tuple(e for name, e in wanted.items() if name not in excluded)
         if not chosen:
             raise OptionError("no effect is left to look for; name others with 'effects' or exclude fewer")

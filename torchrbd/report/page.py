@@ -14,16 +14,22 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
+from torchrbd.diagnosis.results import Diagnosis, Finding, LeftoverMap, Location, Unexplained
 from torchrbd.diagnosis.words import number, words_of
 from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.physics import effects
 from torchrbd.report.excerpt import SIGNALS, informative_stretch, signal_words, telling_signal
 from torchrbd.report.figures import Units, decades, dependence_figure, error_figure, time_figure
 from torchrbd.report.inline import inline, page_style
+from torchrbd.report.maps import map_figure
 from torchrbd.report.words import VERDICTS, change, headline, measure, percent, plain, tied, unit, where_words
 
 MODELS = {"urdf": "URDF", "rigid_body": "re-fitted rigid body", "extended": "extended model"}
+LEFTOVERS = {
+    "rigid_body": "What the re-fitted rigid body with friction leaves",
+    "extended": "What the extended model leaves",
+}
+MOST_TIME_MAPS = 4
 CERTAIN, DOUBTFUL = 20.0, 0.9  # log-evidence gain of what is surely there, probability that needs a word
 
 
@@ -71,6 +77,16 @@ class JointFigures:
     words: str
     marked: bool
     states: list[Markup]
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where one model differs from the robot; pictures with the name of their recording, or none."""
+
+    title: str
+    statements: list[str]
+    times: list[tuple[str, Markup]]
+    states: list[tuple[str, Markup]]
 
 
 class Page:
@@ -164,6 +180,25 @@ class Page:
         """What depends on something and has no name."""
         items = self.diagnosis.unexplained if self.diagnosis else ()
         return [self._card(u, f"Unexplained at {', '.join(u.joints)}", "", u.depends_on) for u in items]
+
+    @cached_property
+    def located(self) -> list[Located]:
+        """Where each model differs from the robot: sentences and maps; the recordings that are loudest."""
+        found = []
+        for model, title in LEFTOVERS.items() if self.diagnosis else ():
+            maps = [m for m in self.diagnosis.maps if m.model == model] if self.diagnosis else []
+            here = [x for x in self.diagnosis.locations if x.model == model] if self.diagnosis else []
+            times = sorted((m for m in maps if m.signal == "t"), key=lambda m: -np.nansum(np.square(m.level)))
+            pictures = [self._map(m, here) for m in times[:MOST_TIME_MAPS]]
+            states = [self._map(m, here) for m in maps if m.signal != "t"]
+            if maps:
+                found.append(Located(title, [x.statement for x in here], pictures, states))
+        return found
+
+    def _map(self, one: LeftoverMap, locations: list[Location]) -> tuple[str, Markup]:
+        units = [u.q if one.signal == "t" else u.of(one.signal) for u in self.units]
+        label = f"leftover of each joint over {one.signal} {one.recording}".strip()
+        return one.recording, self._inline(map_figure(one, self.joints, locations, units), label)
 
     def alternatives(self, finding: Finding) -> list[str]:
         """Return the effects that this data cannot tell from the finding."""

@@ -8,12 +8,13 @@ robot; so joint j has the columns ``of_joint[j]`` of x and no others.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
+from torchrbd.errors import InputError
 from torchrbd.physics import Effect, JointScale, Shape, Signals, Site, Window, effect
 from torchrbd.recordings import States
 from torchrbd.robot import RobotModel
@@ -43,25 +44,31 @@ class Candidate:
         """The joint whose torque it adds to; None if that is the whole robot's."""
         return None if self.effect.whole_robot else self.site.joint
 
+    def features(self, signals: Signals) -> dict[str, Tensor]:
+        """Return the columns by label, as ``Effect.features`` does."""
+        return self.effect.features(signals, self.site, self.shape)
+
 
 class Columns:
     """The layout of x for one robot, a set of effects and the ranges that the recordings cover.
 
     Args:
         robot: the robot.
-        effects: effects to have columns for, at all their sites.
+        effects: effects to have columns for.
         scales: per joint, what the recordings cover.
         windows: stretches of time in which effects may act.
         pi: (n_params,) inertial parameters whose torque is the load; the URDF's if None.
+        sites: by an effect's id where it has columns; at all its sites if not told.
+        candidates: all that has columns; if None, every effect at its sites with every shape of its grid.
 
     Attributes:
-        effects, scales, windows, pi: as given.
+        effects, scales, windows, pi, sites: as given.
         n: length of x.
         labels: per joint, labels of its own features.
         shared: labels of the features that all joints have.
         of_joint: per joint, indices in x of its columns: inertial ones of the bodies it moves, its features, shared
             ones.
-        candidates: every effect at every site with every shape.
+        candidates: all that has columns beside the rigid body.
         urdf_friction: the terms that the URDF's <dynamics> tags can hold, at every joint.
     """
 
@@ -72,23 +79,19 @@ class Columns:
         scales: Sequence[JointScale],
         windows: Sequence[Window] = (),
         pi: Tensor | None = None,
+        *,
+        sites: Mapping[str, Collection[Site]] | None = None,
+        candidates: Iterable[Candidate] | None = None,
     ) -> None:
         self.robot, self.effects, self.scales, self.windows = robot, tuple(effects), tuple(scales), tuple(windows)
         self.pi, self._rest_width = pi, torch.tensor([s.rest_width for s in self.scales], dtype=torch.float64)
+        self.sites = dict(sites or {})
         still = torch.zeros(3, robot.n_dof, 4, dtype=torch.float64)
-        probe = replace(self.signals_at(*still), t=torch.arange(4, dtype=torch.float64))
-        wanted = list({e.id: e for e in self.effects}.values())
+        self._probe = replace(self.signals_at(*still), t=torch.arange(4, dtype=torch.float64))
         self.urdf_friction = tuple(
-            self._candidate(effect(name), Site(joint), {}, probe)
-            for joint in range(robot.n_dof)
-            for name in URDF_FRICTION
+            self.candidate(effect(name), Site(joint), {}) for joint in range(robot.n_dof) for name in URDF_FRICTION
         )
-        self.candidates = tuple(
-            self._candidate(e, site, shape, probe)
-            for e in wanted
-            for site in e.sites(robot, self.windows)
-            for shape in e.shapes(self.scale(site))
-        )
+        self.candidates = tuple(self._grid() if candidates is None else candidates)
         self._maker: dict[tuple[int | None, str], Candidate] = {}
         for candidate in (*self.urdf_friction, *self.candidates):
             for label in candidate.labels:
@@ -105,8 +108,15 @@ class Columns:
             for j in range(robot.n_dof)
         )
 
-    def _candidate(self, e: Effect, site: Site, shape: Shape, probe: Signals) -> Candidate:
-        return Candidate(e, site, shape, tuple(e.features(probe, site, shape)))
+    def _grid(self) -> Iterator[Candidate]:
+        for e in {e.id: e for e in self.effects}.values():
+            for site in self.sites.get(e.id, e.sites(self.robot, self.windows)):
+                for shape in e.shapes(self.scale(site)):
+                    yield self.candidate(e, site, shape)
+
+    def candidate(self, e: Effect, site: Site, shape: Shape) -> Candidate:
+        """Return an effect at a site with a shape, whether it has columns here or not."""
+        return Candidate(e, site, shape, tuple(e.features(self._probe, site, shape)))
 
     def scale(self, site: Site) -> JointScale:
         """Return what the recordings cover at a site's joint; at the first one for the whole robot."""
@@ -114,7 +124,15 @@ class Columns:
 
     def at_scales(self, scales: Sequence[JointScale]) -> Columns:
         """Return columns of the same effects for other scales."""
-        return Columns(self.robot, self.effects, scales, self.windows, self.pi)
+        return Columns(self.robot, self.effects, scales, self.windows, self.pi, sites=self.sites)
+
+    def around(self, pi: Tensor) -> Columns:
+        """Return the same columns with the torque of pi (n_params,) as load."""
+        return self.of_candidates(self.candidates, pi)
+
+    def of_candidates(self, candidates: Iterable[Candidate], pi: Tensor | None) -> Columns:
+        """Return columns of these candidates alone, with the torque of pi (n_params,) as load."""
+        return Columns(self.robot, self.effects, self.scales, self.windows, pi, sites=self.sites, candidates=candidates)
 
     def taken_from(self, other: Columns, x: Tensor) -> Tensor:
         """Return x (n,) with the inertial parameters and friction of another layout's x, other terms at zero."""
@@ -155,14 +173,23 @@ class Columns:
         return Signals(self.robot, q, qd, qdd, self._rest_width, self.pi)
 
     def evaluated(self, signals: Signals, candidates: Iterable[Candidate]) -> dict[int, Tensor]:
-        """Return the features of candidates by their place in x, (N,) each, or (n_dof, N) where all joints share it."""
+        """Return the features of candidates by their place in x, (N,) each, or (n_dof, N) where all joints share it.
+
+        Those that need a sequence are left out where the signals are none.
+        """
         found: dict[int, Tensor] = {}
         for candidate in candidates:
             index = self.of(candidate)
-            if not found.keys() >= set(index):
-                phi = candidate.effect.features(signals, candidate.site, candidate.shape)
-                found.update(zip(index, phi.values(), strict=True))
+            if not found.keys() >= set(index) and (signals.t is not None or not self._needs_sequence(candidate)):
+                found.update(zip(index, candidate.features(signals).values(), strict=True))
         return found
+
+    def _needs_sequence(self, candidate: Candidate) -> bool:
+        try:
+            candidate.features(replace(self._probe, t=None))
+        except InputError:
+            return True
+        return False
 
     def features(self, states: States) -> list[Tensor]:
         """Evaluate all features on a tile of N samples: per joint (K_j, N), in the order of ``of_joint``."""

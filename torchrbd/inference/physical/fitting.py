@@ -15,6 +15,7 @@ from torchrbd.inference.physical.physical_fit import PhysicalFit, physical_fit
 from torchrbd.inference.physical.prior import Prior
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.results import Fit
+from torchrbd.inference.shapes.slope import ShapeSlope
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Site, Term
 from torchrbd.recordings import States
@@ -29,7 +30,8 @@ class FittedModel:
 
     Attributes:
         columns: layout of x.
-        terms: the free terms beside the rigid body.
+        terms: what is free beside the rigid body: terms, and slopes of refined ones in their shapes, which keep the
+            coefficient zero and carry the covariance of the shapes.
         x: (n,) coefficients.
         free: indices of the fitted ones.
         laplace: (n_free, n_free) covariance from the curvature, counting independent samples.
@@ -51,6 +53,11 @@ class FittedModel:
     def pi(self) -> Tensor:
         """Inertial parameters (n_params,)."""
         return self.x[: self.columns.robot.n_params]
+
+    @property
+    def proper_terms(self) -> tuple[Candidate, ...]:
+        """The terms without slopes."""
+        return tuple(c for c in self.terms if not isinstance(c, ShapeSlope))
 
     def inertial_covariance(self, covariance: Tensor) -> Tensor:
         """Return what a covariance (n_free, n_free) says of all inertial parameters, zero for held ones."""
@@ -78,7 +85,7 @@ class FittedModel:
         ]
         shared: set[int] = set()
         fitted = []
-        for c in self.terms:
+        for c in self.proper_terms:
             index = columns.of(c)
             # Two terms may share a column; its whole coefficient belongs to the first.
             w = torch.stack([self.x[k] * float(k not in shared) for k in index])

@@ -1,0 +1,1 @@
+"""A benchmark of cases whose physics is concealed: generator, scorer, rivals."""

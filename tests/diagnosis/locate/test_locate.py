@@ -1,0 +1,141 @@
+"""What is concealed in field-like recordings is found where it sits, and nothing where nothing is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosis.locate.field import CONCEALED, Case, case
+
+from torchrbd.diagnosis import Location, Unexplained, Where
+from torchrbd.diagnosis.locate import locate, nameless
+from torchrbd.inference.preparation import prepare
+from torchrbd.inference.settings import Settings
+from torchrbd.robot import RobotModel
+
+
+def located(one: Case, folder: Path) -> tuple[Location, ...]:
+    settings = Settings.from_mapping({"holdout": [str(one.holdout_file(folder))]}, "test")
+    prepared = prepare(RobotModel.from_urdf(one.cad), [one.recording], settings, ())
+    return locate(prepared, prepared.fit().pi)[0]
+
+
+def overlap(a: tuple[float, float], b: tuple[float, float]) -> float:
+    return max(0.0, min(a[1], b[1]) - max(a[0], b[0])) / (max(a[1], b[1]) - min(a[0], b[0]))
+
+
+def test_nothing_is_located_where_nothing_is(tmp_path: Path) -> None:
+    assert located(case(50), tmp_path) == ()
+
+
+@pytest.mark.parametrize("effect", ["step", "rubbing"])
+def test_what_begins_and_ends_is_located_in_time(effect: str, tmp_path: Path) -> None:
+    one = case(51, CONCEALED[effect])
+    assert one.truth is not None
+    assert one.truth.time_s is not None
+    (found,) = located(one, tmp_path)
+    assert found.joints == (f"joint{one.truth.joint + 1}",)
+    assert found.course == "abrupt"
+    assert found.where.time_s is not None
+    np.testing.assert_allclose(found.where.time_s[0], one.truth.time_s, atol=0.3)
+
+
+@pytest.mark.parametrize("effect", ["sticky", "cable"])
+def test_what_sits_at_a_position_is_located_there(effect: str, tmp_path: Path) -> None:
+    one = case(52, CONCEALED[effect])
+    assert one.truth is not None
+    assert one.truth.region is not None
+    found = located(one, tmp_path)[0]
+    assert found.joints == (f"joint{one.truth.joint + 1}",)
+    assert found.depends_on == (one.truth.signal,)
+    assert found.where.region is not None
+    assert overlap((found.where.region[0].low, found.where.region[0].high), one.truth.region) > 0.7
+    assert found.curve is not None
+    assert found.curve.signal == one.truth.signal
+
+
+def test_what_fades_is_called_slow(tmp_path: Path) -> None:
+    found = located(case(53, CONCEALED["warming"]), tmp_path)[0]
+    assert (found.form, found.course, found.depends_on) == ("friction", "slow", ("t",))
+    assert found.where.time_s is None
+
+
+def test_a_push_is_located_on_its_link_with_force_and_point(tmp_path: Path) -> None:
+    one = case(54, CONCEALED["push"])
+    assert one.truth is not None
+    assert one.truth.time_s is not None
+    assert one.truth.force is not None
+    found = located(one, tmp_path)[0]
+    assert found.links == (one.truth.link,)
+    assert found.where.time_s is not None
+    np.testing.assert_allclose(found.where.time_s[0], one.truth.time_s, atol=0.3)
+    assert found.attack is not None
+    off = np.subtract(found.attack.force, one.truth.force) / found.attack.force_std
+    aside = np.subtract(found.attack.point, one.truth.point) / found.attack.point_std
+    assert max(np.abs(off).max(), np.abs(aside).max()) < 4.0
+    assert np.linalg.norm(found.attack.force_std) < 0.5 * np.linalg.norm(one.truth.force)
+
+
+def test_only_the_recording_that_holds_it_is_named(tmp_path: Path) -> None:
+    one = case(55, CONCEALED["step"])
+    assert one.truth is not None
+    prepared = prepare(
+        RobotModel.from_urdf(one.cad), [one.recording, one.holdout], Settings.from_mapping({}, "test"), ()
+    )
+    found, maps = locate(prepared, prepared.fit().pi)
+    assert found[0].where.recordings == ("field",)
+    assert found[0].joints == (f"joint{one.truth.joint + 1}",)
+    assert {(m.signal, m.recording) for m in maps} == {("t", "field"), ("t", "other"), ("q", ""), ("qd", "")}
+
+
+def test_the_map_is_loud_where_it_is(tmp_path: Path) -> None:
+    one = case(51, CONCEALED["rubbing"])
+    assert one.truth is not None
+    assert one.truth.time_s is not None
+    settings = Settings.from_mapping({"holdout": [str(one.holdout_file(tmp_path))]}, "test")
+    prepared = prepare(RobotModel.from_urdf(one.cad), [one.recording], settings, ())
+    maps = locate(prepared, prepared.fit().pi)[1]
+    time = next(m for m in maps if m.signal == "t")
+    centre = np.convolve(time.edges[one.truth.joint], [0.5, 0.5], "valid")
+    inside = (centre > one.truth.time_s[0]) & (centre < one.truth.time_s[1])
+    level = np.array(time.level)
+    assert np.nanmean(level[one.truth.joint, inside]) > 2 * np.nanmean(level[one.truth.joint, ~inside])
+    others = np.delete(level, one.truth.joint, axis=0)
+    assert 0.7 < np.nanmean(others) < 1.5
+
+
+def test_what_a_learner_guesses_gives_way_to_what_is_located() -> None:
+    at = Where(time_s=((1.0, 2.0),))
+    found = Location(
+        "extended", ("a",), (), at, ("t",), "level", "abrupt", 20.0, {"a": 1.0}, {"a": 0.5}, None, None, "x"
+    )
+    guesses = [Unexplained((j,), ("q_a",), Where(), 0.2, "guess") for j in ("a", "b")]
+    left = nameless([found], guesses)
+    assert [(u.joints, u.statement, u.share) for u in left] == [(("a",), "x", 0.5), (("b",), "guess", 0.2)]
+
+
+@pytest.mark.slow
+def test_joints_links_times_and_regions_on_recordings_never_seen(tmp_path: Path) -> None:
+    right, ends, overlaps = [], [], []
+    for concealed in CONCEALED.values():
+        for seed in range(200, 205):
+            one = case(seed, concealed)
+            found, truth = located(one, tmp_path), one.truth
+            assert truth is not None
+            joints = found[0].joints if found else ()
+            right.append(f"joint{truth.joint + 1}" in (joints if truth.link else joints[:1]))
+            if truth.time_s is not None:
+                span = found[0].where.time_s if found else None
+                ends += [np.inf, np.inf] if not span else list(np.abs(np.subtract(span[0], truth.time_s)))
+            if truth.region is not None:
+                regions = found[0].where.region if found else None
+                same = regions and regions[0].signal == truth.signal
+                overlaps.append(overlap((regions[0].low, regions[0].high), truth.region) if regions and same else 0.0)
+    alarms = [
+        len({j for x in located(case(seed), tmp_path) for j in x.joints}) / (5 + seed % 3) for seed in range(200, 215)
+    ]
+    assert np.mean(right) >= 0.97
+    assert np.median(ends) < 0.3
+    assert np.median(overlaps) > 0.7
+    assert np.mean(alarms) <= 0.02

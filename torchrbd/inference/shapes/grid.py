@@ -1,0 +1,70 @@
+"""Where to start with the shapes of terms: the best points of their grids, from block statistics alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchrbd.inference.data.columns import Candidate
+from torchrbd.inference.physical.map_fit import noise_variance, scaled_equations
+from torchrbd.inference.preparation import Prepared
+from torchrbd.physics import Site
+
+_MOST_SWEEPS = 5
+
+Terms = tuple[Candidate, ...]
+
+
+def columns_of(prepared: Prepared, terms: Sequence[Candidate]) -> Tensor:
+    """Return the columns that a fit of the rigid body and terms moves."""
+    own = sorted({k for c in terms for k in prepared.columns.of(c)})
+    return torch.cat((prepared.prior.inertial, torch.tensor(own, dtype=torch.long)))
+
+
+def best_on_grid(prepared: Prepared, terms: Sequence[Candidate]) -> Terms:
+    """Return terms with those shapes on their grids that fit best, chosen in turn until none changes.
+
+    Args:
+        prepared: the data, with columns for the whole grids.
+        terms: one candidate for every term.
+    """
+    grids: dict[tuple[str, Site], list[Candidate]] = {}
+    for c in prepared.columns.candidates:
+        grids.setdefault((c.effect.id, c.site), []).append(c)
+    places = [(c.effect.id, c.site) for c in terms]
+    chosen = {place: grids[place][0] for place in places if len(grids[place]) == 1}
+    for _ in range(_MOST_SWEEPS):
+        before = dict(chosen)
+        for place in places:
+            if len(grids[place]) > 1:
+                others = [c for other, c in chosen.items() if other != place]
+                chosen[place] = _best(prepared, others, grids[place])
+        if chosen == before:
+            break
+    return tuple(chosen[place] for place in places)
+
+
+def _best(prepared: Prepared, others: Sequence[Candidate], grid: Sequence[Candidate]) -> Candidate:
+    """Return the candidate that lowers the loss of a linear fit most beside other terms.
+
+    With those eliminated, H_s = H_ss - H_so H_oo^-1 H_os and h_s = h_s - H_so H_oo^-1 h_o, it is h_s' H_s^-1 h_s / 2.
+    """
+    base, training = columns_of(prepared, others), prepared.training
+    weights = 1.0 / noise_variance(training, prepared.prior, base)
+    equations = scaled_equations(prepared.prior, training.total(), prepared.columns, weights)
+    H = equations.H + torch.eye(len(equations.H), dtype=torch.float64)
+    factor = torch.linalg.cholesky(H[base.unsqueeze(1), base])
+    known = set(base.tolist())
+    fresh = [[k for k in prepared.columns.of(c) if k not in known] for c in grid]
+    index = sorted({k for own in fresh for k in own})
+    row = {k: i for i, k in enumerate(index)}
+    beside = torch.linalg.solve_triangular(factor, H[base][:, index], upper=False)
+    solved = torch.linalg.solve_triangular(factor, equations.h[base].unsqueeze(1), upper=False).squeeze(1)
+    left, slope = H[index][:, index] - beside.T @ beside, equations.h[index] - beside.T @ solved
+    gains = []
+    for own in fresh:
+        at = [row[k] for k in own]
+        gains.append(float(slope[at] @ torch.linalg.lstsq(left[at][:, at], slope[at].unsqueeze(1)).solution.squeeze(1)))
+    return grid[max(range(len(grid)), key=gains.__getitem__)]

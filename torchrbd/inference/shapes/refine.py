@@ -1,0 +1,192 @@
+"""Refine the shapes of terms, and the load that features are built from, by further passes over the data.
+
+From the best point of the grid on, every pass linearises the terms in their shapes (``slope.py``) and takes the
+Gauss-Newton steps of all shapes at once, none further than to the next value on the grid. A term that fits its joint
+worse than before goes half the way back. The load is that of the last fit.
+
+Source: Golub, Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
+separate", SIAM J. Numerical Analysis 1973, for the profile (variable projection) problem; solved here in the full
+space, whose Gauss-Newton step is the same to first order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy.optimize import lsq_linear
+from torch import Tensor
+
+from torchrbd.inference.data.block_statistics import assemble
+from torchrbd.inference.data.columns import Candidate
+from torchrbd.inference.data.reading import Progress
+from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.inference.physical.map_fit import noise_variance, scaled_equations, solve
+from torchrbd.inference.preparation import Prepared
+from torchrbd.inference.shapes.grid import Terms, best_on_grid, columns_of
+from torchrbd.inference.shapes.reread import reread, with_input_noise
+from torchrbd.inference.shapes.slope import ShapeSlope, axes, feature_slopes, slopes
+from torchrbd.physics import Shape
+
+_MOST_PASSES = 12
+# A shape has settled if its step is below this part of its standard deviation or of the distance of grid points.
+_SETTLED_STD, _SETTLED_GRID = 0.05, 5e-4
+# Log-likelihood units that a term may lose in a step: less is chance.
+_WORSE = 0.1
+# Change of the load between passes, as part of the torque.
+_SETTLED_LOAD = 1e-4
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """The data read with terms at some shapes.
+
+    Attributes:
+        prepared: columns and statistics of the terms and the slopes of their features.
+        terms: at the shapes of this pass.
+        x: (n,) linear fit of the terms.
+        loss: (n_dof,) its 1/2 n_j log sigma_j^2.
+        around: (term, shape parameter) of each Gauss-Newton step.
+        step, covariance: (S,) unbounded steps, and their covariance (S, S).
+    """
+
+    prepared: Prepared
+    terms: Terms
+    x: Tensor
+    loss: Tensor
+    around: tuple[tuple[int, str], ...]
+    step: Tensor
+    covariance: Tensor
+
+    def loss_of(self, k: int) -> float:
+        """Return the loss where term k acts."""
+        place = self.terms[k].place
+        return float(self.loss.sum() if place is None else self.loss[place])
+
+    def moved(self, shapes: Sequence[Shape]) -> list[Candidate]:
+        """Return the terms with other shapes."""
+        columns = self.prepared.columns
+        return [columns.candidate(c.effect, c.site, shape) for c, shape in zip(self.terms, shapes, strict=True)]
+
+    def next_shapes(self) -> tuple[list[Shape], list[bool]]:
+        """Return the next shape of every term, and whether it has settled there.
+
+        Of the steps within the limits, those with the least loss of the linear model: cut off one by one, steps of
+        shapes that depend on each other would lead uphill.
+        """
+        shapes, settled = [dict(c.shape) for c in self.terms], [True] * len(self.terms)
+        if not self.around:
+            return list(shapes), settled
+        grids = [axes(self.prepared.columns, self.terms[k])[name] for k, name in self.around]
+        values = np.array([shapes[k][name] for k, name in self.around])
+        size = self.covariance.diagonal().sqrt()
+        limits = np.array([axis.limits(value) for axis, value in zip(grids, values, strict=True)]).T - values
+        correlation = self.covariance / size / size.unsqueeze(1)
+        root = torch.linalg.cholesky(torch.linalg.inv(correlation)).mT
+        bounded = lsq_linear(root.numpy(), (root @ (self.step / size)).numpy(), limits / size.numpy())
+        steps = zip(self.around, grids, values, bounded.x * size.numpy(), size.tolist(), strict=True)
+        for (k, name), axis, value, step, std in steps:
+            enough = max(_SETTLED_STD * std, _SETTLED_GRID * axis.spacing(value))
+            settled[k] = settled[k] and abs(step) < enough
+            shapes[k][name] = float(value + step)
+        return list(shapes), settled
+
+    def load_settled(self) -> bool:
+        """Say whether the load of this fit is the one that features were built from."""
+        columns, training = self.prepared.columns, self.prepared.training
+        if columns.pi is None:
+            return True
+        change = self.x[: self.prepared.robot.n_params] - columns.pi
+        changes = [
+            change[own] @ moments[: len(own), : len(own)] @ change[own]
+            for own, moments in zip(columns.inertial, training.total(), strict=True)
+        ]
+        return bool((torch.stack(changes) <= _SETTLED_LOAD**2 * training.torque[..., 2].sum(0)).all())
+
+
+def refined(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) -> tuple[Prepared, Terms]:
+    """Return the data with columns of terms at their refined shapes (and the slopes there), and these terms.
+
+    Where no term has a shape or uses the load, all is left as it is.
+
+    Args:
+        prepared: the data, with columns for the whole grids.
+        terms: one candidate for every term; at which of its shapes does not matter.
+        progress: told how far the work is.
+    """
+    terms = tuple(terms)
+    if not any(c.effect.uses_load or c.shape for c in terms):
+        return prepared, terms
+    terms = best_on_grid(prepared, terms)
+    now = _read(prepared, terms, _fitted(prepared, terms)[0], progress)
+    best = [(c.shape, now.loss_of(k)) for k, c in enumerate(now.terms)]
+    for _ in range(_MOST_PASSES):
+        shapes, settled = now.next_shapes()
+        for k, term in enumerate(now.terms):
+            if now.loss_of(k) > best[k][1] + _WORSE:
+                shapes[k], settled[k] = _between(best[k][0], term.shape), False
+            else:
+                best[k] = (term.shape, now.loss_of(k))
+        if all(settled) and now.load_settled():
+            return _finished(now, progress)
+        now = _read(now.prepared, now.moved(shapes), now.x, progress)
+    return _finished(_read(now.prepared, now.moved([shape for shape, _ in best]), now.x, progress), progress)
+
+
+def _finished(last: _Pass, progress: Progress) -> tuple[Prepared, Terms]:
+    """Return the data read once more with columns of the terms and of their slopes at the fitted coefficients."""
+    columns = last.prepared.columns
+    around = [s for c in last.terms for s in slopes(columns, c, last.x[columns.of(c)])]
+    prepared = reread(last.prepared, columns.of_candidates((*last.terms, *around), columns.pi), progress)
+    return with_input_noise(prepared, last.terms), last.terms
+
+
+def fit_with_shapes(prepared: Prepared, terms: Sequence[Candidate]) -> FittedModel:
+    """Fit refined terms; covariances include what is not known of their shapes."""
+    fitted = prepared.fit(terms)
+    around = [c for c in prepared.columns.candidates if isinstance(c, ShapeSlope)]
+    if not around:
+        return fitted
+    known = prepared.fit((*terms, *around), fitted.noise_variance)
+    return replace(known, x=fitted.x, converged=fitted.converged)
+
+
+def _read(prepared: Prepared, terms: Sequence[Candidate], x: Tensor, progress: Progress) -> _Pass:
+    """Read the data with columns of terms and of the slopes of their features; x gives the load."""
+    columns, terms = prepared.columns, tuple(terms)
+    by_term = [feature_slopes(columns, c) for c in terms]
+    around = tuple((k, name) for k, own in enumerate(by_term) for name in own)
+    pi = x[: prepared.robot.n_params] if any(c.effect.uses_load for c in terms) else None
+    every = [s for own in by_term for parts in own.values() for s in parts]
+    prepared = reread(prepared, columns.of_candidates((*terms, *every), pi), progress)
+    columns = prepared.columns
+    x, loss, noise = _fitted(prepared, terms)
+    slope = torch.zeros(columns.n, len(around), dtype=torch.float64)
+    for i, (k, name) in enumerate(around):
+        index = [columns.of(s)[0] for s in by_term[k][name]]
+        slope[index, i] = axes(columns, terms[k])[name].reach / 12**0.5 * x[columns.of(terms[k])]
+    H, h = assemble(columns, prepared.training.total(), 1.0 / noise)
+    into = torch.cat((prepared.prior.scale[:, columns_of(prepared, terms)], slope), 1)
+    precision = into.T @ H @ into + torch.eye(into.shape[1], dtype=torch.float64)
+    covariance = torch.cholesky_inverse(torch.linalg.cholesky(precision))
+    width = torch.tensor([axes(columns, terms[k])[name].reach / 12**0.5 for k, name in around], dtype=torch.float64)
+    n = len(around)
+    step = (covariance @ (into.T @ (h - H @ prepared.prior.mean)))[len(covariance) - n :] * width
+    own = covariance[len(covariance) - n :, len(covariance) - n :] * width * width.unsqueeze(1)
+    return _Pass(prepared, terms, x, loss, around, step, own)
+
+
+def _fitted(prepared: Prepared, terms: Sequence[Candidate]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return x (n,) of a linear fit of terms, the loss of each joint and its noise, (n_dof,)."""
+    training, prior, free = prepared.training, prepared.prior, columns_of(prepared, terms)
+    noise = noise_variance(training, prior, free)
+    count = training.torque[..., 0].sum(0)
+    loss = torch.where(count > 0, 0.5 * count * noise.log(), torch.zeros_like(count))
+    equations = scaled_equations(prior, training.total(), prepared.columns, 1.0 / noise)
+    return solve(prior, equations, free), loss, noise
+
+
+def _between(a: Shape, b: Shape) -> Shape:
+    return {name: 0.5 * (a[name] + b[name]) for name in a}

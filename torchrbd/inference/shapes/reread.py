@@ -1,0 +1,58 @@
+"""Another pass over the data, for other columns than those that it was prepared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import nn
+
+from torchrbd.inference.data.columns import Candidate, Columns
+from torchrbd.inference.data.reading import Progress
+from torchrbd.inference.input_noise import input_noise
+from torchrbd.inference.physical.fitting import fit_model
+from torchrbd.inference.physical.uncertain_states import UncertainStates
+from torchrbd.inference.preparation import Prepared, data_prior
+from torchrbd.inference.shapes.slope import ShapeSlope, axes
+from torchrbd.inference.smoothing.smooth import Trajectory
+from torchrbd.inference.smoothing.smoother import StateSmoother
+
+
+def reread(prepared: Prepared, columns: Columns, progress: Progress) -> Prepared:
+    """Return the same data with other columns; what it says of uncertain states is left as it was.
+
+    Slopes have a prior as wide as their grid, centred where they stand.
+    """
+    prior = prepared.prior
+    held = [name for b, name in enumerate(prepared.robot.body_names) if b not in prior.bodies]
+    statistics = prepared.reading.statistics(columns, progress)
+    prior = data_prior(statistics, held, prior.kappa)
+    for c in columns.candidates:
+        if isinstance(c, ShapeSlope):
+            (k,) = columns.of(c)
+            prior.scale[k, k] = min(float(prior.scale[k, k]), axes(columns, c)[c.parameter].reach / 12**0.5)
+    return replace(prepared, columns=columns, statistics=statistics, prior=prior)
+
+
+def with_input_noise(prepared: Prepared, terms: Sequence[Candidate]) -> Prepared:
+    """Return the same with what is known of noisy positions or uncertain states, for the columns as they are now."""
+    if prepared.states is None:
+        rough = fit_model(prepared.training, prepared.prior)
+        found = input_noise(prepared.reading, prepared.columns, prepared.training, rough)
+        return replace(prepared, input_noise=found)
+    x = fit_model(prepared.training, prepared.prior, terms).x
+    parts = [
+        part
+        for one in prepared.reading.smoothed
+        if isinstance(one, Trajectory)
+        for part in one.parts
+        if bool(part[0].counts.any())
+    ]
+    variance, encoder = prepared.states.torque_variance, prepared.input_noise.encoder_std
+    silent = torch.zeros(0, dtype=torch.long)
+    stretches = [stretch for stretch, _ in parts]
+    smoother = StateSmoother(prepared.columns, prepared.prior, stretches, silent, x, variance.sqrt(), encoder)
+    smoother.trajectories = nn.ParameterList([c for _, c in parts])
+    said = smoother.refresh(torch.arange(prepared.columns.n))
+    return replace(prepared, states=UncertainStates(said.gram, said.lost, said.spread / variance, variance))
