@@ -14,7 +14,7 @@ import numpy as np
 from torchrbd.diagnosis.locate.intervals import Clock, Interval, signal_interval
 from torchrbd.diagnosis.locate.residual import Leftover, Noise, fit_rows, whitened
 from torchrbd.diagnosis.locate.rows import Rows
-from torchrbd.diagnosis.locate.signals import Signal, Smooth, form_columns, signals, smooth
+from torchrbd.diagnosis.locate.signals import LEAST_SHARE, Signal, Smooth, form_columns, signals, smooth
 
 # In log-likelihood units, beyond the costs of freedom and search: on 30 recordings with coloured noise and drift and
 # nothing concealed the three largest were 9.6, 8.7 and 6.7.
@@ -186,6 +186,7 @@ def _bodies(leftover: Leftover, clock: Clock, stretches: Sequence[Interval]) -> 
     seen = [j for j in range(n) if len(leftover.e[j])]
     m = sum(len(leftover.e[j]) for j in seen)
     mass = float(rows.robot.pi[::10].sum())
+    # Nothing on an arm weighs more than the arm.
     heaviest = {"payload": mass, "force": 9.81 * mass}
     for form in BODY_FORMS:
         columns = rows.carried if form == "payload" else rows.held.reshape(*rows.held.shape[:3], -1)
@@ -198,7 +199,8 @@ def _bodies(leftover: Leftover, clock: Clock, stretches: Sequence[Interval]) -> 
                 options.append((gain, body, stretch, w))
         gain, body, stretch, w = max(options, key=lambda option: option[0])
         cost = _freedom(len(w), m) + np.log(clock.fine.count * columns.shape[2])
-        if gain <= cost or np.abs(w[: -3 if form == "payload" else 3]).max() > heaviest[form]:
+        size = np.abs(w[:1] if form == "payload" else w[:3]).max()
+        if gain <= cost or size > heaviest[form]:
             continue
         phi = {j: columns[j, :, body] for j in range(n)}
         for _ in range(2 if stretch is not None else 0):
@@ -214,5 +216,5 @@ def coefficients(leftover: Leftover, phi: Mapping[int, np.ndarray]) -> tuple[flo
     """Return gain and coefficients (K,) of features that joints share."""
     G, alone, u = leftover.equations({j: leftover.white(j, A) for j, A in phi.items()})
     size = np.sqrt(np.maximum(alone.diagonal(), 1e-300))
-    w = np.linalg.solve(G / size / size[:, None] + 1e-4 * np.eye(len(u)), u / size)
+    w = np.linalg.solve(G / size / size[:, None] + LEAST_SHARE * np.eye(len(u)), u / size)
     return 0.5 * float(w @ (u / size)), w / size
