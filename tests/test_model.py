@@ -8,7 +8,7 @@ from robot.random_robots import random_states, random_urdf
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from torchrbd.errors import PhysicalError
+from torchrbd.errors import InputError, PhysicalError
 from torchrbd.model import REST_WIDTH, RigidBodyDynamics
 from torchrbd.parameters import is_physical
 from torchrbd.physics import Signals, Site, Term, effect
@@ -97,6 +97,42 @@ def test_forward_dynamics_inverts_inverse_dynamics(model: RigidBodyDynamics) -> 
     bare = RigidBodyDynamics(model.robot)
     tau = model.robot.inverse_dynamics(q, qd, qdd)
     torch.testing.assert_close(bare.forward_dynamics(q, qd, tau), qdd, rtol=1e-9, atol=1e-9)
+
+
+def test_forward_dynamics_at_a_time(model: RigidBodyDynamics) -> None:
+    """Friction that changes with time: for a sequence, sample by sample, and with one time for all states."""
+    q, qd, qdd = states(model.robot, 2, 5)
+    t = torch.linspace(0.0, 8.0, 5, dtype=torch.float64)
+    w, shape = effect("time_varying_friction").coefficients(
+        {"coulomb_end": 1.0, "coulomb_start": 4.0, "time_constant": 3.0}
+    )
+    warming = Term(effect("time_varying_friction"), Site(1), torch.tensor(w, dtype=torch.float64), shape)
+    timed = RigidBodyDynamics(model.robot, terms=[*model.terms, warming])
+    tau = timed(q, qd, qdd, t)
+    found = timed.forward_dynamics(q, qd, tau, t)
+    torch.testing.assert_close(found, qdd, rtol=1e-9, atol=1e-9)
+    for k in range(5):
+        alone = timed.forward_dynamics(q[:, k], qd[:, k], tau[:, k], t[k])
+        torch.testing.assert_close(alone, qdd[:, k], rtol=1e-9, atol=1e-9)
+    single = timed.forward_dynamics(q[0, 2], qd[0, 2], tau[0, 2], t[2])
+    torch.testing.assert_close(single, qdd[0, 2], rtol=1e-9, atol=1e-9)
+    with pytest.raises(InputError, match="depends on time needs t"):
+        timed.forward_dynamics(q, qd, tau)
+    w, shape = effect("presliding_hysteresis").coefficients({"coulomb": 1.0, "distance": 0.1})
+    bristles = Term(effect("presliding_hysteresis"), Site(1), torch.tensor(w, dtype=torch.float64), shape)
+    with pytest.raises(InputError, match="it has no forward dynamics"):
+        RigidBodyDynamics(model.robot, terms=[bristles]).forward_dynamics(q, qd, tau, t)
+
+
+def test_forward_dynamics_takes_temperatures(model: RigidBodyDynamics) -> None:
+    q, qd, qdd = states(model.robot, 2, 5)
+    warm = 40.0 + 10.0 * torch.rand(2, 5, model.robot.n_dof, dtype=torch.float64)
+    thermal = Term(effect("thermal_viscosity"), Site(1), torch.tensor([0.3], dtype=torch.float64), {})
+    lubricated = RigidBodyDynamics(model.robot, terms=[*model.terms, thermal])
+    tau = lubricated(q, qd, qdd, temperature=warm)
+    found = lubricated.forward_dynamics(q, qd, tau, temperature=warm)
+    torch.testing.assert_close(found, qdd, rtol=1e-9, atol=1e-9)
+    assert not torch.allclose(lubricated.forward_dynamics(q, qd, tau), qdd)
 
 
 def test_massless_bodies_are_held_constant() -> None:

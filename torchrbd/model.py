@@ -85,7 +85,8 @@ class RigidBodyDynamics(nn.Module):
 
         Args:
             q, qd, qdd: (*batch, n_dof), [rad, m] and per second, per second squared.
-            t: (N,) evenly spaced times of the last batch dimension [s]; only effects with memory need it.
+            t: (N,) evenly spaced times of the last batch dimension [s], or one time; only effects with memory or that
+                depend on time need it.
             temperature: (*batch, n_dof) of the joints [deg C]; without it thermal effects are zero.
 
         Returns:
@@ -108,29 +109,38 @@ class RigidBodyDynamics(nn.Module):
                 torques[j] = torques[j] + (added[j] if term.effect.whole_robot else added)
         return torch.stack(torques, -1)
 
-    def forward_dynamics(self, q: Tensor, qd: Tensor, tau: Tensor) -> Tensor:
+    def forward_dynamics(
+        self, q: Tensor, qd: Tensor, tau: Tensor, t: Tensor | None = None, temperature: Tensor | None = None
+    ) -> Tensor:
         """Return the acceleration qdd (*batch, n_dof) that a torque causes.
 
             qdd = (M(q) + d tau_terms / d qdd)^-1 (tau - tau(q, qd, 0))
 
+        The terms are taken as linear in qdd.
+
+        Args:
+            q, qd, tau: (*batch, n_dof).
+            t: (N,) times of the last batch dimension, or one time [s]; only effects that depend on time need it.
+            temperature: as in ``forward``.
+
         Raises:
+            InputError: a term has memory: its torque is not one of the present state.
             PhysicalError: the mass matrix is not positive definite (a moving body without mass or rotor inertia).
         """
-        still = torch.zeros_like(q)
-        mass = self.robot.mass_matrix(q, self.pi.to(q)) + self._term_inertia(q, qd)
+        # At rest and with each unit acceleration. Times of (1, N) are no sequence: every state is one of its own.
+        unit = torch.eye(self.robot.n_dof, dtype=q.dtype, device=q.device)
+        tries = torch.cat((torch.zeros_like(unit[:1]), unit)).reshape(-1, *[1] * (q.ndim - 1), len(unit))
+        instants = t.unsqueeze(0) if t is not None and t.ndim else t
+        still, *moved = self.term_torque(q, qd, tries, instants, temperature)
+        mass = self.robot.mass_matrix(q, self.pi.to(q)) + torch.stack([one - still for one in moved], -1)
         factor, info = torch.linalg.cholesky_ex(mass)
         if bool((info != 0).any()):
             raise PhysicalError(
                 f"the mass matrix of robot '{self.robot.name}' is not positive definite: "
                 "give the last moving links a mass, or the joints a rotor inertia"
             )
-        return torch.cholesky_solve((tau - self(q, qd, still)).unsqueeze(-1), factor).squeeze(-1)
-
-    def _term_inertia(self, q: Tensor, qd: Tensor) -> Tensor:
-        """Return d tau_terms / d qdd (*batch, n_dof, n_dof), the terms taken as linear in qdd."""
-        unit = torch.eye(self.robot.n_dof, dtype=q.dtype, device=q.device)
-        torques = self.term_torque(q.unsqueeze(-2), qd.unsqueeze(-2), unit)
-        return (torques - self.term_torque(q, qd, torch.zeros_like(q)).unsqueeze(-2)).mT
+        rest = self.robot.inverse_dynamics(q, qd, torch.zeros_like(q), self.pi.to(q)) + still
+        return torch.cholesky_solve((tau - rest).unsqueeze(-1), factor).squeeze(-1)
 
 
 def urdf_friction(robot: RobotModel) -> list[Term]:

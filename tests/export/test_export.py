@@ -84,11 +84,14 @@ def test_friction_becomes_dynamics_and_other_terms_a_comment() -> None:
         Term(effect("viscous_friction"), Site(0), 0.4 * one, {}),
         Term(effect("coulomb_friction"), Site(0), 0.7 * one, {}),
         Term(effect("rotor_inertia"), Site(0), 0.2 * one, {}),
+        Term(effect("base_tilt"), Site(), torch.tensor([0.02, 0.0], dtype=torch.float64), {}),
     ]
     text = to_urdf(RigidBodyDynamics(robot, terms=terms))
     again = RobotModel.from_urdf(text)
     assert (float(again.damping[0]), float(again.friction[0])) == (pytest.approx(0.4), pytest.approx(0.7))
     assert b"rotor_inertia=0.2" in text
+    assert b'MJCF: <joint armature="0.2">' in text
+    assert b"tilt_x=0.02" in text
 
 
 def test_safetensors_round_trip(tmp_path: Path) -> None:

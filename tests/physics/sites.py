@@ -11,7 +11,9 @@ from torchrbd.physics import Effect, JointScale, Signals, Site, Window
 from torchrbd.robot import RobotModel
 
 ROBOT = RobotModel.from_urdf(random_urdf(5, 3, kinds=("revolute",), branching=0.0, massless=0.0))
-SCALE = JointScale(speed_max=3.0, rest_width=0.02, q_low=-2.0, q_high=1.5)
+SCALE = JointScale(
+    speed_max=3.0, rest_width=0.02, q_low=-2.0, q_high=1.5, load_max=8.0, duration_s=30.0, temperature=(20.0, 50.0)
+)
 WINDOW = Window("rec", 0.1, 0.35)
 STEP_S = 0.01
 

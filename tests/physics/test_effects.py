@@ -16,6 +16,8 @@ from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Effect, Shape, Signals, Site, Term, effects
 
 URDF_TAGS = {"damping", "friction"}
+OF_TWO_SIGNALS = {"smooth_torque_over_qd_of_other_and_own"}
+MJCF_ELEMENTS = {"joint", "general", "dcmotor", "actuatorfrc", "fixed", "body", "inertial"}
 EXPECTED_IDS = {
     "viscous_friction",
     "coulomb_friction",
@@ -200,6 +202,43 @@ class TestEveryEffect:
         torch.testing.assert_close(there, own, rtol=1e-9, atol=1e-9)
         save_model(model, tmp_path / "model.safetensors")
         torch.testing.assert_close(load_model(tmp_path / "model.safetensors")(*x, **inputs), model(*x, **inputs))
+
+    def test_mjcf_or_why_there_is_none(self, effect: Effect) -> None:
+        found = effect.mjcf(sizes(effect))
+        assert found or effect.export_note
+        assert set(found) <= MJCF_ELEMENTS
+        for attributes in found.values():
+            assert attributes
+            for value in attributes.values():
+                assert isinstance(value, str) or np.isfinite(value).all()
+
+    def test_prior_agrees_with_what_is_plausible(self, effect: Effect) -> None:
+        w, shape = effect.coefficients(sizes(effect))
+        assert effect.prior.words.endswith(".")
+        assert len(effect.prior.std) in (0, len(w))
+        assert all(0 < std < 10 for std in effect.prior.std)
+        for k in effect.prior.positive:
+            negative = torch.tensor([-v if i == k else v for i, v in enumerate(w)], dtype=torch.float64)
+            found = {name: float(v) for name, v in effect.parameters(negative, shape).items()}
+            assert not effect.plausible(found, SCALE)
+
+    def test_curve_is_the_torque_over_one_signal(self, effect: Effect) -> None:
+        term = term_of(effect)
+        shape = effect.shapes(SCALE)[0]
+        curve = effect.curve(term.coefficients.detach(), shape, SCALE)
+        if curve is None:
+            assert effect.whole_robot or effect.id in OF_TWO_SIGNALS
+        else:
+            assert curve.signal in {"q", "qd", "qdd", "load", "temperature", "t", "q_other", "qd_other"}
+            assert curve.x.shape == curve.y.shape
+            assert torch.isfinite(curve.y).all()
+            assert float(curve.y.abs().max()) > 0
+            w = term.coefficients.detach().clone().requires_grad_()
+            again = effect.curve(w, shape, SCALE)
+            assert again is not None
+            again.y.square().sum().backward()
+            assert w.grad is not None
+            assert (w.grad != 0).any()
 
     def test_urdf_tags(self, effect: Effect) -> None:
         added = effect.urdf_dynamics(sizes(effect))

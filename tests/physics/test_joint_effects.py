@@ -14,13 +14,16 @@ from torch.autograd import gradcheck
 
 from torchrbd.errors import InputError
 from torchrbd.physics import Effect, JointScale, Shape, Signals, Site, Term
+from torchrbd.physics import effect as effect_of
 from torchrbd.physics.cable_drag import CableDrag
 from torchrbd.physics.counterbalance import Counterbalance
 from torchrbd.physics.joint_coupling import JointCoupling
+from torchrbd.physics.joint_elasticity import JointElasticity
 from torchrbd.physics.load_dependent_friction import LoadDependentFriction
 from torchrbd.physics.one_sided_spring import OneSidedSpring
 from torchrbd.physics.position_dependent_friction import PositionDependentFriction
 from torchrbd.physics.power_law_friction import PowerLawFriction
+from torchrbd.physics.presliding_hysteresis import PreslidingHysteresis
 from torchrbd.physics.quadratic_drag import QuadraticDrag
 from torchrbd.physics.speed_dependent_loss import SpeedDependentLoss
 from torchrbd.physics.thermal_viscosity import ThermalViscosity
@@ -108,7 +111,7 @@ class TestFriction:
         assert found[-1] == pytest.approx(1.0, rel=1e-6)
 
     def test_time_varying_needs_time(self) -> None:
-        with pytest.raises(InputError, match="needs a sequence"):
+        with pytest.raises(InputError, match="depends on time needs t"):
             term(TimeVaryingFriction(), Site(0), dict.fromkeys(TimeVaryingFriction.units, 1.0))(
                 signals(*torch.zeros(3, ROBOT.n_dof, dtype=torch.float64))
             )
@@ -334,6 +337,52 @@ def test_what_physics_forbids(effect: Effect, good: dict[str, float], bad: dict[
     assert not effect.plausible({**good, **bad}, SCALE)
 
 
+CURVES = {
+    "viscous_friction": ("qd", {"viscous": 0.7}, lambda x: 0.7 * x),
+    "quadratic_drag": ("qd", {"drag": 0.7}, lambda x: 0.7 * x * np.abs(x)),
+    "rotor_inertia": ("qdd", {"rotor_inertia": 0.3}, lambda x: 0.3 * x),
+    "joint_spring": ("q", {"stiffness": 3.0, "rest_position": 0.2}, lambda x: 3.0 * (x - 0.2)),
+    "torque_ripple": ("q", {"amplitude": 0.4, "phase": 0.1, "order": 9.0}, lambda x: 0.4 * np.sin(9 * x + 0.1)),
+    "load_dependent_friction": ("load", {"load_friction": 0.1}, lambda x: 0.1 * np.abs(x)),
+    "torque_scale": ("load", {"gain": 1.2}, lambda x: 0.2 * x),
+    "torque_saturation": ("load", {"limit": 2.0, "slope": -1.0}, lambda x: np.clip(x, -2, 2) - x),
+    "speed_dependent_loss": ("qd", {"loss": 0.1}, lambda x: 0.1 * SCALE.load_max * x),
+    "thermal_viscosity": ("temperature", {"viscous_per_kelvin": 0.1}, lambda x: -0.1 * (x - 40) * SCALE.speed_max),
+    "time_varying_friction": (
+        "t",
+        {"coulomb_end": 1.0, "coulomb_start": 3.0, "time_constant": 5.0},
+        lambda x: 1 + 2 * np.exp(-x / 5),
+    ),
+    "joint_coupling": ("q_other", {"stiffness": -3.0, "offset": 0.2}, lambda x: -3.0 * x + 0.2),
+    "velocity_coupling": ("qd_other", {"viscous": -3.0}, lambda x: -3.0 * x),
+}
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_curves(name: str) -> None:
+    signal, given, function = CURVES[name]
+    w, shape = effect_of(name).coefficients(given)
+    curve = effect_of(name).curve(torch.tensor(w, dtype=torch.float64), shape, SCALE)
+    assert curve is not None
+    assert curve.signal == signal
+    np.testing.assert_allclose(curve.y, function(curve.x.numpy()), atol=1e-9)
+
+
+def test_curves_over_signals_of_unknown_range_are_not_drawn() -> None:
+    bare, w = JointScale(1.0, 0.01), torch.ones(1, dtype=torch.float64)
+    for effect in (TorqueScale(), SpeedDependentLoss(), LoadDependentFriction(), ThermalViscosity()):
+        assert effect.curve(w, {}, bare) is None
+
+
+def test_curve_of_presliding_is_a_closed_loop_of_both_directions() -> None:
+    curve = PreslidingHysteresis().curve(torch.tensor([2.0], dtype=torch.float64), {"distance": 0.01}, SCALE)
+    assert curve is not None
+    assert float(curve.y.max()) == pytest.approx(2.0, rel=0.01)
+    assert float(curve.y.min()) == pytest.approx(-2.0, rel=0.01)
+    assert abs(float(curve.x[-1] - curve.x[0])) < 1e-3
+    assert abs(float(curve.y[-1] - curve.y[0])) < 0.05
+
+
 SHAPED = (
     PowerLawFriction(),
     TimeVaryingFriction(),
@@ -366,20 +415,22 @@ def motion(seed: int, n: int = 900) -> tuple[Signals, JointScale]:
     x = [(size * omega**k * np.sin(omega * t + phase + k * np.pi / 2)).sum(1) for k in range(3)]
     q, qd, qdd = (torch.from_numpy(v * (3.0 / np.ptp(x[0], axis=1))[:, None]) for v in x)
     fastest = float(qd[1].abs().max())
-    scale = JointScale(fastest, 2e-3 * fastest, float(q[1].min()), float(q[1].max()))
-    width = torch.full((ROBOT.n_dof,), scale.rest_width, dtype=torch.float64)
-    return Signals(ROBOT, q, qd, qdd, width, t=torch.from_numpy(t)), scale
+    width = torch.full((ROBOT.n_dof,), 2e-3 * fastest, dtype=torch.float64)
+    at = Signals(ROBOT, q, qd, qdd, width, t=torch.from_numpy(t))
+    load = float(at.load[1].abs().max())
+    return at, JointScale(fastest, 2e-3 * fastest, float(q[1].min()), float(q[1].max()), load, float(t[-1]))
 
 
-def drawn(effect: Effect, scale: JointScale, load: float, rng: np.random.Generator) -> dict[str, float]:
+def drawn(effect: Effect, scale: JointScale, rng: np.random.Generator) -> dict[str, float]:
     """Draw parameters whose shapes lie anywhere in what the grid is made for."""
-    span, low = scale.q_high - scale.q_low, scale.q_low
+    span, low, load = scale.q_high - scale.q_low, scale.q_low, scale.load_max
+    assert load is not None
     part = float(np.exp(rng.uniform(np.log(0.12), np.log(0.6))))
     match effect.id:
         case "power_law_friction":
             return {"friction": 1.0, "exponent": rng.choice([rng.uniform(0.25, 0.85), rng.uniform(1.15, 1.8)])}
         case "time_varying_friction":
-            return {"coulomb_end": 1.0, "coulomb_start": 2.0, "time_constant": 2.0 * 150 ** rng.uniform()}
+            return {"coulomb_end": 1.0, "coulomb_start": 2.0, "time_constant": scale.duration_s * 0.02 ** rng.uniform()}
         case "position_dependent_friction":
             centre = rng.uniform(low, low + span)
             return {"centre": centre, "width": 0.6 * part * span, "coulomb": 1.0, "coulomb_at_centre": 2.0}
@@ -403,7 +454,7 @@ def drawn(effect: Effect, scale: JointScale, load: float, rng: np.random.Generat
 @pytest.mark.parametrize("effect", SHAPED, ids=lambda e: e.id)
 class TestGrids:
     def test_some_shape_on_the_grid_shows_most_of_any_other(self, effect: Effect) -> None:
-        """It catches nine tenths of the RMS that viscous and Coulomb friction leave, for nearly all truths."""
+        """Of what viscous and Coulomb friction leave, a quarter of the power is lost at most, for nearly all truths."""
         rng, caught = np.random.default_rng(77), []
         for seed in (101, 102):
             at, scale = motion(seed)
@@ -411,16 +462,16 @@ class TestGrids:
             grid = [np.hstack([friction, matrix(effect, at, shape)]) for shape in effect.shapes(scale)]
             bases = [np.linalg.svd(X, full_matrices=False)[:2] for X in grid]
             for _ in range(40):
-                w, shape = effect.coefficients(drawn(effect, scale, float(at.load[1].abs().max()), rng))
+                w, shape = effect.coefficients(drawn(effect, scale, rng))
                 tau = rest(matrix(effect, at, shape) @ np.array(w), friction)
                 seen = max(np.linalg.norm(U[:, S / S[0] > 1e-10].T @ tau) for U, S in bases)
                 caught.append(seen / np.linalg.norm(tau))
-        assert np.quantile(caught, 0.1) > 0.9
+        assert np.quantile(caught, 0.1) > 0.75**0.5
         assert min(caught) > 0.75
 
     def test_shapes_are_distinct_and_few(self, effect: Effect) -> None:
         shapes = effect.shapes(SCALE)
-        assert 2 <= len(shapes) <= 64
+        assert 2 <= len(shapes) <= 128
         assert len({tuple(shape.items()) for shape in shapes}) == len(shapes)
         at, _ = motion(103)
         labels = [tuple(effect.features(at, Site(1), shape)) for shape in shapes]
@@ -438,6 +489,44 @@ class TestGrids:
 )
 def test_a_joint_that_stands_still_has_no_shapes(effect: Effect) -> None:
     assert effect.shapes(JointScale(1e-3, 1e-4, 0.3, 0.3)) == ()
+
+
+def test_saturation_is_sought_below_the_largest_load() -> None:
+    known, unknown = JointScale(1.0, 0.01, load_max=40.0), JointScale(1.0, 0.01)
+    limits = [shape["limit"] for shape in TorqueSaturation().shapes(known)]
+    np.testing.assert_allclose(limits, 40.0 * np.linspace(0.35, 0.88, 4))
+    assert not TorqueSaturation().plausible({"limit": 41.0, "slope": 1.0}, known)
+    assert TorqueSaturation().plausible({"limit": 41.0, "slope": 1.0}, unknown)
+    assert TorqueSaturation().shapes(JointScale(1.0, 0.01, load_max=0.0)) == ()
+
+
+def test_time_constants_go_with_the_recordings_length() -> None:
+    short, long = (
+        [shape["time_constant"] for shape in TimeVaryingFriction().shapes(JointScale(1.0, 0.01, duration_s=d))]
+        for d in (30.0, 600.0)
+    )
+    assert max(short) == 30.0
+    np.testing.assert_allclose(long, 20 * np.array(short))
+    given = {"coulomb_end": 1.0, "coulomb_start": 2.0, "time_constant": 500.0}
+    assert not TimeVaryingFriction().plausible(given, JointScale(1.0, 0.01, duration_s=30.0))
+    assert TimeVaryingFriction().plausible(given, JointScale(1.0, 0.01, duration_s=600.0))
+
+
+def test_a_spring_that_yields_further_than_it_can_tell_is_not_plausible() -> None:
+    scale = JointScale(1.0, 0.01, load_max=40.0)
+    assert JointElasticity().plausible({"stiffness": 1000.0}, scale)
+    assert not JointElasticity().plausible({"stiffness": 100.0}, scale)
+
+
+def test_centres_of_a_counterbalance_cover_the_turn_and_are_closer_in_the_range_of_motion() -> None:
+    for low, high in ((-0.1, 2.0), (-3.0, 3.0), (-4.0, 5.0), (0.2, 0.2)):
+        shapes = Counterbalance().shapes(JointScale(1.0, 0.01, low, high))
+        for ratio in {shape["crank_ratio"] for shape in shapes}:
+            own = np.sort([s["dead_centre"] for s in shapes if s["crank_ratio"] == ratio])
+            gaps = np.diff(own, append=own[0] + 2 * np.pi)
+            assert 0.05 < gaps.min() <= gaps.max() < 0.45
+    closest = np.diff(np.sort([s["dead_centre"] for s in Counterbalance().shapes(SCALE) if s["crank_ratio"] > 0.6]))
+    assert closest.min() < 0.7 * closest.max()
 
 
 def test_ripple_has_whole_orders_on_its_grid() -> None:

@@ -87,7 +87,7 @@ def test_short_form_and_precedence(tmp_path):
         ("joints: {a: {q: {column: x, scale: big}}}", "joints.a.q.scale: expected a number, got 'big'"),
         ("joints: {a: {tau: {current: x}}}", "joints.a.tau: a current needs its torque_constant"),
         ("joints: {a: {q: {current: x}}}", "joints.a.q: unknown key 'current'"),
-        ("joints: {a: 3}", "joints.a: expected q or qd or qdd or tau or q_ref, got 3"),
+        ("joints: {a: 3}", "joints.a: expected q or qd or qdd or tau or q_ref or temperature, got 3"),
         ("joints: [a]", r"joints: expected one key for each joint, got \['a'\]"),
         ("joints: {1: {}}", "the key 1 must be text"),
         ("time: {column: t, unit: h}", "time.unit: unknown unit 'h'; valid units are s, ms, us, ns"),

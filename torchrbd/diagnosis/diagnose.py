@@ -6,18 +6,27 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from torchrbd.diagnosis.compare import Comparison
-from torchrbd.diagnosis.explain import explain
-from torchrbd.diagnosis.leftover import unexplained
-from torchrbd.diagnosis.locate import locate, nameless
+from torch import Tensor
+
+from torchrbd.diagnosis.explain import explain, weigh
+from torchrbd.diagnosis.locate import locate
+from torchrbd.diagnosis.nameless import nameless
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
-from torchrbd.diagnosis.select import LEAST_GAIN, LEAST_T, Terms, distinguishable, select_terms
+from torchrbd.diagnosis.rows.gain import gain
+from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.diagnosis.rows.samples import read_samples
+from torchrbd.diagnosis.search.grid import Grid, candidates
+from torchrbd.diagnosis.search.select import Search, Terms, accepted
 from torchrbd.diagnosis.words import verdict_statement
 from torchrbd.errors import OptionError
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.identify import Source, read_arguments, summarise
+from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import WITH_INTERVALS
+from torchrbd.inference.shapes.refine import fit_with_shapes, refined_from
+from torchrbd.inference.shapes.reread import reread
+from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
 
 
@@ -45,44 +54,55 @@ def diagnose(
             f"diagnose: estimator '{settings.estimator}' does not tell how sure it is, which the search must know; "
             f"use {', '.join(WITH_INTERVALS)}, or identify"
         )
-    prepared = prepare(robot, sources, settings, settings.chosen_effects(), progress)
-    training, prior = prepared.training, prepared.prior
-    comparison = Comparison(training, prior)
-    measured = prepared.statistics.torque[..., 0].sum(0) > 0
-    progress("searching for missing physics", 0.0)
-    candidates = distinguishable(
-        comparison, [c for c in prepared.columns.candidates if c.place is not None and measured[c.joint]]
-    )
-
-    def tell(found: Terms) -> None:
-        last = f": {found[-1].effect.words} at {robot.joint_names[found[-1].joint]}" if found else ""
-        progress(f"searching for missing physics, {len(found)} found{last}", 0.0)
-
-    terms = select_terms(comparison, candidates, tell)
-    progress("fitting", 0.0)
-    models = {"rigid_body": prepared.fit(), "extended": prepared.fit(terms)}
-    identification = summarise(prepared, models, settings, progress)
+    effects = settings.chosen_effects()
+    prepared = prepare(robot, sources, settings, (), progress)
+    search = _search(prepared, prepared.fit().pi, effects, progress)
+    fit = search.run()
     progress("weighing the findings", 0.0)
-    findings = explain(prepared, comparison, terms, candidates, models["extended"])
+    weighed = weigh(search, fit)
+    progress("fitting", 0.0)
+    prepared, extended = _extended(prepared, fit, progress)
+    models = {"rigid_body": prepared.fit(), "extended": extended}
+    identification = summarise(prepared, models, settings, progress)
+    findings = explain(prepared, weighed, extended)
     progress("looking at what is left", 0.0)
     locations, maps = locate(prepared, models["rigid_body"].pi)
     left = locations
-    if terms:
-        left, more = locate(prepared, models["extended"].pi, terms, "extended")
+    if fit.terms:
+        left, more = locate(prepared, extended.pi, extended.proper_terms, "extended")
         locations, maps = (*locations, *left), (*maps, *more)
-    units = ["N" if prismatic else "N m" for prismatic in robot.prismatic.tolist()]
-    rest = unexplained(identification.series, "extended", prepared.filtering.effective_rate, units)
-    rest = nameless(left, rest)
-    verdict = _verdict(findings, rest, _refit_matters(prepared, comparison))
+    rest = nameless(fit, extended, left)
+    verdict = _verdict(findings, rest, _refit_matters(fit))
     statement = verdict_statement(verdict, findings, rest, identification.fits)
     return Diagnosis(identification, verdict, statement, findings, rest, locations, maps)
 
 
-def _refit_matters(prepared: Prepared, comparison: Comparison) -> bool:
+def _search(prepared: Prepared, pi: Tensor, effects: Sequence[Effect], progress: Progress) -> Search:
+    """Return the search among effects, on what is not held out."""
+    robot = prepared.robot
+
+    def tell(found: Terms) -> None:
+        last = f": {found[-1].effect.words} at {found[-1].site.name(robot)}" if found else ""
+        progress(f"searching for missing physics, {len(found)} terms{last}", 0.0)
+
+    progress("searching for missing physics", 0.0)
+    samples = read_samples(prepared, pi)
+    return Search(Grid(samples, candidates(samples.columns, effects, samples.seen)), prepared.prior, tell)
+
+
+def _extended(prepared: Prepared, fit: Fit, progress: Progress) -> tuple[Prepared, FittedModel]:
+    """Fit the terms of a search to all that is not held out: physically valid, shapes as fine as the data tells."""
+    prepared = reread(prepared, prepared.columns.of_candidates(fit.terms, fit.pi), progress)
+    if not any(c.effect.uses_load or c.shape for c in fit.terms):
+        return prepared, prepared.fit(fit.terms)
+    prepared, terms = refined_from(prepared, fit.terms, progress)
+    return prepared, fit_with_shapes(prepared, terms)
+
+
+def _refit_matters(fit: Fit) -> bool:
     """Say whether re-fitted inertial parameters predict unseen blocks better than the URDF's."""
-    comparison.set_noise(())
-    better = comparison.gain(comparison.errors((), rigid=False), comparison.errors(()))
-    return better.total > LEAST_GAIN and better.t > LEAST_T
+    rows = fit.rows
+    return accepted(gain(fit.by_block(rows.y), Fit(rows, ()).errors, rows.counts))
 
 
 def _verdict(findings: Sequence[Finding], rest: Sequence[Unexplained], refit_matters: bool) -> str:

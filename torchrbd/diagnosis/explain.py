@@ -6,130 +6,143 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from torch import Tensor
-
-from torchrbd.diagnosis.compare import Comparison, Gain
-from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
-from torchrbd.diagnosis.select import CLOSE_GAIN, CLOSE_STD, Terms, plausible, with_terms
+from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, Where
+from torchrbd.diagnosis.rows.gain import Gain, gain
+from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.diagnosis.search.grid import complexity
+from torchrbd.diagnosis.search.select import Search, judged, without
+from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.diagnosis.words import finding_sentence
-from torchrbd.inference.data.columns import Candidate
+from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.physical.fitting import FittedModel, judge
 from torchrbd.inference.physical.terms import term_parameters
 from torchrbd.inference.preparation import Prepared
+from torchrbd.physics import Site
+from torchrbd.robot import RobotModel
 
-# Below this share of its torque a term is nested in another one: nothing of it is left beside the other.
-NESTED_SHARE = 1e-6
 LARGEST_PROBABILITY = 0.999
+# An alternative is told of if it is so many times as probable as the finding.
+LEAST_ODDS = 0.05
+LONGEST = 50.0
 
 
 @dataclass(frozen=True)
 class Rival:
-    """Another effect in the place of a finding, and what the finding gains over it on left-out blocks."""
+    """Another effect in the place of a finding, and how many times as probable it is."""
 
     candidate: Candidate
-    lead: Gain
+    odds: float
 
 
-def explain(
-    prepared: Prepared,
-    comparison: Comparison,
-    terms: Terms,
-    candidates: Sequence[Candidate],
-    model: FittedModel,
-) -> tuple[Finding, ...]:
+@dataclass(frozen=True)
+class Weighed:
+    """A term, what it gains over none, and its rivals."""
+
+    term: Candidate
+    worth: Gain
+    rivals: tuple[Rival, ...]
+
+    @property
+    def probability(self) -> float:
+        """Of the term, against none and each of its rivals."""
+        total = odds(self.worth, 0.0) + sum(r.odds for r in self.rivals)
+        return min(1.0 / (1.0 + total), LARGEST_PROBABILITY)
+
+
+def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
+    """Compare every term of a fit with none and with others in its place, fitted and with refined shapes."""
+    found, counts = [], fit.rows.counts
+    for term in fit.terms:
+        rest = Fit(fit.rows, without(fit.terms, term))
+        own, rivals = judged(rest, term), []
+        for option in search.options(rest):
+            c = option.candidate
+            contains = c.place == term.place and set(term.labels) < set(c.labels)
+            if (c.effect.id, c.site) != (term.effect.id, term.site) and not contains:
+                more = complexity(rest, c) - complexity(rest, term)
+                freedom = 0.5 * more * math.log(max(counts.max(), 2))
+                rivals.append(Rival(c, odds(gain(option.errors, own.errors, counts), freedom)))
+        found.append(Weighed(term, own.worth, tuple(rivals)))
+    return tuple(found)
+
+
+def odds(lead: Gain, freedom: float) -> float:
+    """Return how many times as probable a model is as another that has a lead over it on left-out blocks.
+
+        o = exp(-F) max(exp(-G), min(exp(-t^2 / 2), exp(-R))),   t = G / std(G)
+
+    with F the cost of what the model is freer than the other. The ratio is that of the likelihoods, but never longer
+    than the blocks support: their scatter, or what is left of the lead without the best two of them (R). Correlated
+    noise and other physics left out make the likelihood overconfident.
+    """
+    scatter = min(math.exp(-0.5 * max(lead.t, 0.0) ** 2), math.exp(-max(lead.repeated, 0.0)))
+    return math.exp(min(-freedom, LONGEST)) * max(math.exp(min(-lead.total, LONGEST)), scatter)
+
+
+def explain(prepared: Prepared, weighed: Sequence[Weighed], model: FittedModel) -> tuple[Finding, ...]:
     """Describe each chosen term.
 
     Args:
         prepared: the data.
-        comparison: judged the terms.
-        terms: those chosen.
-        candidates: those that could have been.
-        model: the fit with all terms.
+        weighed: the terms as the search left them.
+        model: the fit with the same terms, in the same order, their shapes final.
 
     Returns:
         Findings, the largest gain first.
     """
-    comparison.set_noise(terms)
-    full = comparison.errors(terms)
     judging = prepared.judging
-    after = judge(judging, model.x).nmse
-    found = []
-    for term in terms:
-        rest = tuple(c for c in terms if c is not term)
-        worth = comparison.gain(comparison.errors(rest), full)
-        rivals = _rivals(comparison, term, rest, candidates, full)
+    after, found = judge(judging, model.x).nmse, []
+    for one, term in zip(weighed, model.proper_terms, strict=True):
+        if is_smooth(term):
+            continue
+        rest = [c for c in model.terms if c is not term]
         before = judge(judging, prepared.fit(rest, model.noise_variance).x).nmse
-        found.append(_finding(term, model, worth, rivals, before, after))
+        found.append(_finding(one, term, model, before, after))
     return tuple(sorted(found, key=lambda f: -f.log_evidence_gain))
 
 
-def _rivals(
-    comparison: Comparison, term: Candidate, rest: Terms, candidates: Sequence[Candidate], full: Tensor
-) -> list[Rival]:
-    """Return the best shape of every other effect at the joint in the term's place.
-
-    Effects that contain the term fit as well by construction and are no rivals.
-    """
-    best: dict[str, Rival] = {}
-    for candidate in candidates:
-        if candidate.joint != term.joint or candidate.effect.id == term.effect.id:
-            continue
-        changed = with_terms(rest, (candidate,))
-        if set(term.labels) <= set(candidate.labels):
-            continue
-        if comparison.share_left(term, changed) < NESTED_SHARE or not plausible(comparison, changed):
-            continue
-        lead = comparison.gain(comparison.errors(changed), full)
-        known = best.get(candidate.effect.id)
-        if known is None or lead.total < known.lead.total:
-            best[candidate.effect.id] = Rival(candidate, lead)
-    return list(best.values())
+def places(robot: RobotModel, site: Site) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the joints and the links of a site by name; none for the whole robot."""
+    joints = () if site.joint is None else (robot.joint_names[site.joint],)
+    return joints, () if site.body is None else (robot.body_names[site.body],)
 
 
-def indistinguishable(lead: Gain) -> bool:
-    """Say whether the lead over a rival is within chance."""
-    return lead.total < max(CLOSE_STD * lead.std, CLOSE_GAIN)
-
-
-def probability(worth: Gain, rivals: Sequence[Rival]) -> float:
-    """Return the probability of a term against none and against each rival, from its left-out leads G over them.
-
-        p = 1 / (1 + sum_r o_r),   o = max(exp(-G), exp(-t^2 / 2)),   t = G / std(G)
-
-    The odds are the likelihood ratio, but never longer than the scatter of the lead over the blocks supports:
-    correlated noise and other physics left out make the likelihood overconfident.
-    """
-    odds = 0.0
-    for lead in (worth, *(r.lead for r in rivals)):
-        odds += max(math.exp(-max(lead.total, 0.0)), math.exp(-0.5 * max(lead.t, 0.0) ** 2))
-    return min(1.0 / (1.0 + odds), LARGEST_PROBABILITY)
+def where(term: Candidate, columns: Columns, quantities: Mapping[str, Quantity]) -> Where:
+    """Return when and in which range of a signal a term acts."""
+    robot, window, region = columns.robot, term.site.window, None
+    bounds = term.effect.region({name: q.value for name, q in quantities.items()}, columns.scale(term.site))
+    if bounds is not None and term.site.joint is not None:
+        region = (Region(f"q_{robot.joint_names[term.site.joint]}", *bounds),)
+    if window is None:
+        return Where(region=region)
+    whole = math.isinf(window.start_s) and math.isinf(window.end_s)
+    return Where((window.recording,), None if whole else ((window.start_s, window.end_s),), region)
 
 
 def _finding(
-    term: Candidate,
-    model: FittedModel,
-    worth: Gain,
-    rivals: Sequence[Rival],
-    before: Mapping[str, float],
-    after: Mapping[str, float],
+    one: Weighed, term: Candidate, model: FittedModel, before: Mapping[str, float], after: Mapping[str, float]
 ) -> Finding:
     columns, robot = model.columns, model.columns.robot
-    joint, prismatic = robot.joint_names[term.joint], bool(robot.prismatic[term.joint])
+    joints, links = places(robot, term.site)
+    prismatic = term.site.joint is not None and bool(robot.prismatic[term.site.joint])
     quantities = {
         name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic), columns.urdf_value(term))
         for name, (value, std) in term_parameters(model, term).items()
     }
-    alike = tuple(Alternative(r.candidate.effect.id, (joint,)) for r in rivals if indistinguishable(r.lead))
+    alike = tuple(
+        Alternative(r.candidate.effect.id, *places(robot, r.candidate.site)) for r in one.rivals if r.odds > LEAST_ODDS
+    )
+    touched = joints if term.place is not None else tuple(robot.joint_names)
     return Finding(
         effect=term.effect.id,
-        joints=(joint,),
-        links=(),
-        probability=probability(worth, rivals),
-        log_evidence_gain=worth.total,
+        joints=joints,
+        links=links,
+        probability=one.probability,
+        log_evidence_gain=one.worth.total,
         parameters=quantities,
-        where=Where(),
-        indistinguishable_from=alike,
-        nmse_before={name: value for name, value in before.items() if name == joint},
-        nmse_after={name: value for name, value in after.items() if name == joint},
-        statement=finding_sentence(term.effect.id, joint, quantities, before, after, alike),
+        where=where(term, columns, quantities),
+        indistinguishable_from=tuple(dict.fromkeys(alike)),
+        nmse_before={name: value for name, value in before.items() if name in touched},
+        nmse_after={name: value for name, value in after.items() if name in touched},
+        statement=finding_sentence(term.effect.id, term.site.name(robot), quantities, before, after, alike),
     )

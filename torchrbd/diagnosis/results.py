@@ -62,17 +62,6 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Unexplained:
-    """What is left at a joint and depends on something, nameless; ``share`` is its part of the leftover's power."""
-
-    joints: tuple[str, ...]
-    depends_on: tuple[str, ...]
-    where: Where
-    share: float
-    statement: str
-
-
-@dataclass(frozen=True)
 class Curve:
     """A torque as a function of one signal, from the data alone: mean and standard deviation at values of it."""
 
@@ -80,6 +69,21 @@ class Curve:
     at: tuple[float, ...]
     torque: tuple[float, ...]
     std: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What is left at a joint and depends on something, nameless.
+
+    ``share`` is its part of what the named terms leave there, ``curve`` how it depends on the first signal.
+    """
+
+    joints: tuple[str, ...]
+    depends_on: tuple[str, ...]
+    where: Where
+    share: float
+    statement: str
+    curve: Curve | None = None
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from torch import Tensor
 from torchrbd.errors import RobotError
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
+from torchrbd.physics import Term
 from torchrbd.robot import FoldedLink, inertia_matrix, transform_inertia
 
 
@@ -17,7 +18,7 @@ def to_urdf(model: RigidBodyDynamics) -> bytes:
 
     Links fixed to a moving link keep their own inertia; the moving link takes the rest. If the rest is no physical
     body, the moving link takes all and the fixed ones lose theirs. Terms that URDF has no word for are named in a
-    comment at their joint.
+    comment at their joint, or at the end if they sit at none, with what they are in MJCF.
 
     Raises:
         RobotError: the robot was not made from a URDF.
@@ -33,6 +34,7 @@ def to_urdf(model: RigidBodyDynamics) -> bytes:
     for joint in root.findall("joint"):
         if joint.get("name") in robot.joint_names:
             _write_dynamics(joint, model, robot.joint_names.index(joint.get("name")))
+    root.extend(_comment(term) for term in model.terms if term.site.joint is None)
     etree.indent(root)
     return etree.tostring(root.getroottree(), xml_declaration=True, encoding="utf-8", pretty_print=True)
 
@@ -69,9 +71,23 @@ def _write_dynamics(joint: etree._Element, model: RigidBodyDynamics, index: int)
             for name, value in written.items():
                 values[name] = values.get(name, 0.0) + value
             if not written:
-                joint.append(etree.Comment(f" torchrbd: {term.extra_repr()}; URDF has no word for it "))
+                joint.append(_comment(term))
     if values:
         dynamics = joint.find("dynamics")
         dynamics = etree.SubElement(joint, "dynamics") if dynamics is None else dynamics
         for name, value in values.items():
             dynamics.set(name, repr(value))
+
+
+def _comment(term: Term) -> etree._Element:
+    words = [f"torchrbd: {term.extra_repr()}", "URDF has no word for it"]
+    for element, attributes in term.effect.mjcf(term.parameters_by_name()).items():
+        named = " ".join(f'{name}="{_numbers(value)}"' for name, value in attributes.items())
+        words.append(f"MJCF: <{element} {named}>")
+    if term.effect.export_note:
+        words.append(term.effect.export_note)
+    return etree.Comment(f" {'; '.join(words).replace('--', '- -')} ")
+
+
+def _numbers(value: float | tuple[float, ...] | str) -> str:
+    return value if isinstance(value, str) else " ".join(map(repr, value if isinstance(value, tuple) else (value,)))

@@ -31,6 +31,7 @@ from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.places import told_sites
 from torchrbd.inference.smoothing import smooth, smoothable
+from torchrbd.inference.stick_levels import stick_levels
 from torchrbd.physics import Effect, JointScale
 from torchrbd.recordings import Filtering, Recording, States, Survey, choose_cutoff, survey
 from torchrbd.robot import RobotModel
@@ -140,7 +141,8 @@ def prepare(
     surveys = [_told(one, noise) for one in found]
     filtering = Filtering(choose_cutoff(surveys) if settings.cutoff_hz is None else settings.cutoff_hz)
     sites, windows = told_sites(settings.told_effects(), robot, [r.name for r in opened])
-    columns = Columns(robot, effects, _scales(surveys, filtering), windows, sites=sites)
+    unloaded = [e for e in effects if not e.uses_load]
+    columns = Columns(robot, unloaded, _scales(surveys, filtering), windows, sites=sites)
     used, held = settings.used_joints(robot), settings.held_bodies(robot)
     payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
     reading = Reading(robot, opened, tuple(surveys), filtering, used, payload)
@@ -152,9 +154,13 @@ def prepare(
     prior = data_prior(statistics, held, settings.kappa)
     training = statistics.select(~held_out)
     rough = fit_model(training, prior)
-    if any(e.uses_load for e in columns.effects):
-        # The URDF's own load may be far off; what depends on it is built anew around a first fit.
-        columns = columns.around(rough.pi)
+    levels, loaded = stick_levels(training, prior), len(unloaded) < len(effects)
+    if loaded:
+        # The URDF's own load may be far off; what depends on it is built around a first fit.
+        scales = _with_loads(columns.scales, reading, rough.pi)
+        columns = Columns(robot, effects, scales, windows, rough.pi, sites=sites)
+    if loaded or bool(levels.any()):
+        columns = columns.sticking(levels)
         statistics = reading.statistics(columns, progress)
         prior, training = data_prior(statistics, held, settings.kappa), statistics.select(~held_out)
         rough = fit_model(training, prior)
@@ -233,7 +239,24 @@ def _scales(surveys: Sequence[Survey], filtering: Filtering) -> tuple[JointScale
     speed = torch.from_numpy(np.max([s.velocity_max for s in surveys], axis=0))
     low = torch.from_numpy(np.min([s.q_min for s in surveys], axis=0))
     high = torch.from_numpy(np.max([s.q_max for s in surveys], axis=0))
-    return joint_scales(speed, torch.stack(noise).amax(0), low, high)
+    # Of a joint whose temperature one recording lacks, none is known.
+    cold = np.min([s.temperature_min for s in surveys], axis=0)
+    warm = np.max([s.temperature_max for s in surveys], axis=0)
+    longest = max(s.segments[-1][1] for s in surveys)
+    return tuple(
+        replace(scale, duration_s=longest, temperature=None if np.isnan(c) else (float(c), float(w)))
+        for scale, c, w in zip(joint_scales(speed, torch.stack(noise).amax(0), low, high), cold, warm, strict=True)
+    )
+
+
+def _with_loads(scales: Sequence[JointScale], reading: Reading, pi: Tensor) -> tuple[JointScale, ...]:
+    """Return the scales with the largest torque that a rigid body with pi (n_params,) takes."""
+    most = torch.zeros(len(scales), dtype=torch.float64)
+    for k in range(len(reading.recordings)):
+        for states in reading.tiles(k):
+            load = reading.robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, pi)
+            most = torch.maximum(most, load.abs().amax(0))
+    return tuple(replace(scale, load_max=load) for scale, load in zip(scales, most.tolist(), strict=True))
 
 
 def _held_out(

@@ -15,7 +15,7 @@ from torch import Tensor
 from torchrbd.errors import OptionError
 from torchrbd.inference.data.payload import Payload
 from torchrbd.inference.shapes.places import ToldEffect
-from torchrbd.physics import Effect, effect, searched_effects
+from torchrbd.physics import Effect, effect, effects
 from torchrbd.robot import RobotModel
 
 ESTIMATORS = {
@@ -152,7 +152,7 @@ class Settings:
         """
         told = {one.effect.id: one.effect for one in self.told_effects()}
         excluded = {effect(name).id for name in self.exclude}
-        wanted = searched_effects() if self.effects is None else told
+        wanted = effects() if self.effects is None else told
         chosen = tuple(e for name, e in wanted.items() if name not in excluded)
         if not chosen:
             raise OptionError("no effect is left to look for; name others with 'effects' or exclude fewer")

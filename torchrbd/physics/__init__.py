@@ -1,14 +1,17 @@
 """What a rigid body leaves out: one file per effect, one contract, one registry."""
 
-from torchrbd.physics.base import Effect, JointEffect, Shape, Term
-from torchrbd.physics.registry import effect, effects, register, searched_effects
+from torchrbd.physics.base import CoefficientPrior, Curve, Effect, JointEffect, Mjcf, Shape, Term
+from torchrbd.physics.registry import effect, effects, register
 from torchrbd.physics.signals import JointScale, JointState, Signals, Site, Window
 
 __all__ = [
+    "CoefficientPrior",
+    "Curve",
     "Effect",
     "JointEffect",
     "JointScale",
     "JointState",
+    "Mjcf",
     "Shape",
     "Signals",
     "Site",
@@ -17,5 +20,4 @@ __all__ = [
     "effect",
     "effects",
     "register",
-    "searched_effects",
 ]

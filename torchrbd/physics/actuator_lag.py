@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, Signals, Site, Window
 from torchrbd.physics.time_delay import at_site, joints_and_all
 from torchrbd.robot import RobotModel
@@ -29,6 +29,8 @@ class ActuatorLag(Effect):
     complexity = 1
     whole_robot = True
     uses_load = True
+    prior = CoefficientPrior("An actuator follows, within hundredths of a second.", positive=(0,), std=(0.05,))
+    export_note = "of the actuator of one joint or, for the whole robot, of all"
     _LONGEST_S = 0.2
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
@@ -45,3 +47,6 @@ class ActuatorLag(Effect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return 0 <= parameters["time_constant"] <= self._LONGEST_S
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"general": {"dyntype": "filterexact", "dynprm": (parameters["time_constant"],)}}

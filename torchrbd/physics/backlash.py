@@ -28,7 +28,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.base import CoefficientPrior, Effect, Shape
 from torchrbd.physics.joint_elasticity import slope_along
 from torchrbd.physics.signals import JointScale, Signals, Site
 
@@ -46,10 +46,16 @@ class Backlash(Effect):
     complexity = 2
     whole_robot = True
     uses_load = True
-    _SMALLEST, _LARGEST, _GRID_POINTS, _MOST_APART = 2e-4, 2e-2, 5, 3.0
+    prior = CoefficientPrior("A play is not negative, and below a degree.", positive=(0,), std=(0.01,))
+    export_note = (
+        "a second joint on the axis, with range +-backlash/2, between the rotor (a body of its own) and the link"
+    )
+    _SMALLEST, _LARGEST, _GRID_POINTS, _MOST_APART = 2e-4, 2e-2, 6, 3.0
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        return tuple({"flight": float(b)} for b in np.geomspace(self._SMALLEST, self._LARGEST, self._GRID_POINTS))
+        # The time of flight, which is what they differ by, goes with the cube root.
+        roots = np.linspace(np.cbrt(self._SMALLEST), np.cbrt(self._LARGEST), self._GRID_POINTS)
+        return tuple({"flight": float(b)} for b in roots**3)
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, play, joint = signals.sequence(), shape["flight"], site.joint

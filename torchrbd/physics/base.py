@@ -14,14 +14,45 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
+import torch
 from torch import Tensor, nn
 
 from torchrbd.physics.signals import JointScale, JointState, Signals, Site, Window
 from torchrbd.robot import RobotModel
 
 Shape = Mapping[str, float]
+Mjcf = dict[str, dict[str, float | tuple[float, ...] | str]]
+"""MJCF elements and their attributes."""
+
+
+@dataclass(frozen=True)
+class CoefficientPrior:
+    """What is believed of an effect's coefficients before any data.
+
+    Attributes:
+        words: one sentence.
+        positive: indices of the coefficients that the physics keeps from being negative.
+        std: of each coefficient in its own unit, around zero; empty where it is enough that the torque that it makes
+            is no larger than the joint's.
+    """
+
+    words: str = "Of either sign, with a torque no larger than the joint's."
+    positive: tuple[int, ...] = ()
+    std: tuple[float, ...] = ()
+
+
+RESISTS = CoefficientPrior("It resists motion, with a torque no larger than the joint's.", positive=(0,))
+
+
+class Curve(NamedTuple):
+    """An effect as a function: y [the torque's unit] over x, the values of a signal."""
+
+    signal: str
+    x: Tensor
+    y: Tensor
 
 
 class Effect(ABC):
@@ -36,6 +67,9 @@ class Effect(ABC):
         dissipative: True if tau qd >= 0 for plausible parameters.
         whole_robot: True if one coefficient adds to the torque of several joints.
         uses_load: True if the features depend on the rigid body's torque, and so on the inertial parameters.
+        prior: what is believed of the coefficients.
+        needs: what a recording must hold beside positions and torques, in words.
+        export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
     """
 
     id: ClassVar[str]
@@ -46,6 +80,9 @@ class Effect(ABC):
     dissipative: ClassVar[bool] = False
     whole_robot: ClassVar[bool] = False
     uses_load: ClassVar[bool] = False
+    prior: ClassVar[CoefficientPrior] = CoefficientPrior()
+    needs: ClassVar[str] = ""
+    export_note: ClassVar[str] = ""
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         """Return where on a robot the effect may sit; ``windows`` are stretches of time in which it may act."""
@@ -75,9 +112,34 @@ class Effect(ABC):
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         """Say whether the physics allows these values (signs, order, ranges that the recording covers)."""
 
+    def region(self, parameters: Mapping[str, float], scale: JointScale) -> tuple[float, float] | None:
+        """Return the positions of its joint between which the effect acts [rad, m]; None if it acts everywhere."""
+        return None
+
     def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
         """Return what the term adds to the attributes of the URDF's <dynamics>; empty if URDF has no word for it."""
         return {}
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        """Return the MJCF elements and attributes that the term is; empty if MJCF has no word for it.
+
+        "joint" is the site's own, "body" what that joint moves (the base, for the whole robot), "general" or "dcmotor"
+        the joint's actuator, whose control is the recorded torque, "actuatorfrc" the sensor that records it, "fixed" a
+        tendon over the site's joints. Numbers add to those of other terms, a gain multiplies. Angles are in radians.
+        """
+        return {}
+
+    def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
+        """Return the function that shows the effect best, differentiable in w (K,).
+
+        Args:
+            coefficients, shape: as of a term.
+            scale: what the recordings cover at the joint on whose motion the effect depends.
+
+        Returns:
+            None if no signal of one joint tells the torque, or the range of that signal is not known.
+        """
+        return None
 
     def unit(self, parameter: str, *, prismatic: bool) -> str:
         """Return the SI unit of a physical parameter at a revolute or prismatic joint."""
@@ -85,10 +147,22 @@ class Effect(ABC):
 
 
 class JointEffect(Effect):
-    """An effect at one joint that depends on the motion of that joint alone."""
+    """An effect at one joint that depends on the signals of that joint alone.
+
+    ``drawn_over`` names the signal that its curve runs over, a field of ``JointState``.
+    """
+
+    drawn_over: ClassVar[str] = "qd"
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        return self.joint_features(signals.joint(site.joint), shape)
+        return self.joint_features(signals.joint(site.joint, load=self.uses_load), shape)
+
+    def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
+        state = scale.sweep(self.drawn_over)
+        if state is None or (self.uses_load and state.load is None):
+            return None
+        phi = torch.stack(list(self.joint_features(state, shape).values()))
+        return Curve(self.drawn_over, getattr(state, self.drawn_over), coefficients.to(phi) @ phi)
 
     @abstractmethod
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:

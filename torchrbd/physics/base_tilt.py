@@ -8,7 +8,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.base import CoefficientPrior, Effect, Mjcf, Shape
+from torchrbd.physics.mjcf import quaternion
 from torchrbd.physics.placed import telling
 from torchrbd.physics.signals import JointScale, Signals, Site, Window
 from torchrbd.robot import RobotModel
@@ -29,6 +30,8 @@ class BaseTilt(Effect):
     complexity = 2
     whole_robot = True
     uses_load = True
+    prior = CoefficientPrior("Bases are level to some hundredths of a rad.", std=(0.05, 0.05))
+    export_note = "of a base that stands upright: about x and y where gravity is along z"
     _LARGEST_RAD = 0.2
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
@@ -55,3 +58,6 @@ class BaseTilt(Effect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return max(map(abs, parameters.values())) <= self._LARGEST_RAD
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"body": {"quat": quaternion((parameters["tilt_x"], parameters["tilt_y"], 0.0))}}

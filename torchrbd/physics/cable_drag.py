@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import RESISTS, JointEffect, Shape
 from torchrbd.physics.signals import JointScale, JointState
 
 
@@ -22,9 +22,12 @@ class CableDrag(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"start": "{q}", "end": "{q}", "resistance": "{tau}"}
     complexity = 3
     dissipative = True
+    drawn_over = "q"
+    prior = RESISTS
+    export_note = "MJCF has no friction that depends on position"
     _EDGE = 0.1
     # Widths in parts of the range, and distances of windows in widths of what is narrower, the window or the rest.
-    _WIDTHS, _STEP = (0.12, 0.2, 0.35, 0.6), 0.25
+    _WIDTHS, _STEP = (0.15, 0.3, 0.6), 0.3
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
         span = scale.q_high - scale.q_low
@@ -58,3 +61,6 @@ class CableDrag(JointEffect):
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         start, end = parameters["start"], parameters["end"]
         return parameters["resistance"] >= 0 and start < end and start < scale.q_high and end > scale.q_low
+
+    def region(self, parameters: Mapping[str, float], scale: JointScale) -> tuple[float, float]:
+        return parameters["start"], parameters["end"]

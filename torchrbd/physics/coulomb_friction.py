@@ -11,7 +11,8 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import RESISTS, CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.physics.mjcf import affine
 from torchrbd.physics.signals import JointScale, JointState
 
 
@@ -24,6 +25,7 @@ class CoulombFriction(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}"}
     complexity = 1
     dissipative = True
+    prior = RESISTS
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"sign(qd)": state.direction()}
@@ -40,6 +42,9 @@ class CoulombFriction(JointEffect):
     def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
         return {"friction": parameters["coulomb"]}
 
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"joint": {"frictionloss": parameters["coulomb"]}}
+
 
 class AsymmetricCoulombFriction(JointEffect):
     """tau += c_plus for qd > 0, -c_minus for qd < 0, both >= 0."""
@@ -50,6 +55,8 @@ class AsymmetricCoulombFriction(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"coulomb_plus": "{tau}", "coulomb_minus": "{tau}"}
     complexity = 2
     dissipative = True
+    prior = CoefficientPrior("It resists motion in both directions, with a torque no larger than the joint's.", (0, 1))
+    export_note = "frictionloss is the mean of both directions; half their difference is a torque of the actuator"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         direction = state.direction()
@@ -63,3 +70,7 @@ class AsymmetricCoulombFriction(JointEffect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["coulomb_plus"] >= 0 and parameters["coulomb_minus"] >= 0
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        plus, minus = parameters["coulomb_plus"], parameters["coulomb_minus"]
+        return {"joint": {"frictionloss": 0.5 * (plus + minus)}, "general": affine(-0.5 * (plus - minus))}

@@ -13,6 +13,7 @@ tenth of its RMS over 3 rad, a thirtieth over 1.5 rad.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
@@ -20,7 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import CoefficientPrior, JointEffect, Shape
 from torchrbd.physics.signals import JointScale, JointState, Site, Window
 from torchrbd.robot import RobotModel
 
@@ -38,15 +39,31 @@ class Counterbalance(JointEffect):
         "crank_ratio": "1",
     }
     complexity = 4
-    _CRANK_RATIOS, _CENTRES = (0.35, 0.75), 12
+    drawn_over = "q"
+    prior = CoefficientPrior("The spring's stiffness is not negative; its preload may push or pull.", positive=(0,))
+    export_note = (
+        "a spatial tendon between a site on the crank and one at the cylinder's foot; where, motion cannot tell"
+    )
+    # Centres lie closer where the cylinder passes them in motion: the nearer the crank ratio is to one, the sharper the
+    # bend there.
+    _CRANK_RATIOS, _STEP, _INSIDE = (0.45, 0.75), 0.4, 0.5
+    # It carries weight: torques of many times the load, that cancel, are curvature of something else.
+    _MOST_LOADS = 5.0
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         """Return the revolute joints: a slide has no crank."""
         return tuple(Site(joint) for joint, slides in enumerate(robot.prismatic.tolist()) if not slides)
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        centres = np.linspace(-np.pi, np.pi, self._CENTRES, endpoint=False)
-        return tuple({"dead_centre": float(c), "crank_ratio": r} for r in self._CRANK_RATIOS for c in centres)
+        return tuple({"dead_centre": c, "crank_ratio": r} for r in self._CRANK_RATIOS for c in self._centres(scale, r))
+
+    def _centres(self, scale: JointScale, ratio: float) -> list[float]:
+        low, span, turn = scale.q_low, min(scale.q_high - scale.q_low, 2.0 * np.pi), 2.0 * np.pi
+        step = min(self._STEP, self._INSIDE * (1.0 - ratio) / ratio**0.5)
+        inside = np.linspace(low, low + span, round(span / step) + 1)
+        outside = np.linspace(low + span, low + turn, round((turn - span) / self._STEP) + 1)
+        centres = np.unique(np.concatenate((inside, outside)).round(9))[:-1]
+        return (np.remainder(centres + np.pi, turn) - np.pi).tolist()
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         centre, r = shape["dead_centre"], shape["crank_ratio"]
@@ -67,4 +84,6 @@ class Counterbalance(JointEffect):
         return (parameters["spring_torque"], parameters["force_torque"]), shape
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        return parameters["spring_torque"] >= 0 and 0 < parameters["crank_ratio"] < 1
+        spring, force = parameters["spring_torque"], abs(parameters["force_torque"])
+        most = math.inf if scale.load_max is None else self._MOST_LOADS * scale.load_max
+        return 0 <= spring <= most and force <= most and 0 < parameters["crank_ratio"] < 1

@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.physics.placed import telling
 from torchrbd.physics.signals import JointScale, Signals, Site, Window
 from torchrbd.robot import RobotModel
@@ -27,6 +27,7 @@ class EncoderOffset(Effect):
     complexity = 1
     whole_robot = True
     uses_load = True
+    prior = CoefficientPrior("Joints are zeroed to some hundredths of a rad or m.", std=(0.05,))
     _LARGEST = 0.2
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
@@ -45,3 +46,6 @@ class EncoderOffset(Effect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return abs(parameters["offset"]) <= self._LARGEST
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"joint": {"ref": parameters["offset"]}}

@@ -29,6 +29,7 @@ class ExternalWrench(Effect):
     }
     complexity = 6
     whole_robot = True
+    export_note = "a force is no part of a model: MuJoCo takes it as xfrc_applied, at the body's centre of mass"
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         return in_windows(telling(self, robot, tuple(Site(body=body) for body in range(robot.n_bodies))), windows)

@@ -10,7 +10,8 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.base import CoefficientPrior, Effect, Mjcf, Shape
+from torchrbd.physics.mjcf import quaternion
 from torchrbd.physics.placed import telling
 from torchrbd.physics.signals import JointScale, Signals, Site, Window
 from torchrbd.robot import RobotModel
@@ -31,6 +32,10 @@ class GeometryError(Effect):
     complexity = 6
     whole_robot = True
     uses_load = True
+    prior = CoefficientPrior(
+        "Descriptions are right to some centimetres and hundredths of a rad.", std=(*[0.02] * 3, *[0.05] * 3)
+    )
+    export_note = "pos adds to that of the joint's body, quat turns it from the left"
     _FURTHEST_M, _LARGEST_RAD = 0.1, 0.2
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
@@ -54,3 +59,7 @@ class GeometryError(Effect):
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         limits = {"m": self._FURTHEST_M, "rad": self._LARGEST_RAD}
         return all(abs(value) <= limits[self.units[name]] for name, value in parameters.items())
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        x, y, z, *turn = (parameters[name] for name in self.units)
+        return {"body": {"pos": (x, y, z), "quat": quaternion(turn)}}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import permutations
 from typing import ClassVar
@@ -9,7 +10,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.base import Curve, Effect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, Signals, Site, Window
 from torchrbd.robot import RobotModel
 
@@ -22,6 +23,7 @@ class JointCoupling(Effect):
     equation = "k q_other + tau_0"
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "offset": "{tau}"}
     complexity = 2
+    export_note = "a fixed tendon over both joints with these coefficients; it acts on both, and adds abs(k) at each"
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         """Return all ordered pairs of joints."""
@@ -40,3 +42,12 @@ class JointCoupling(Effect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return True
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        k, offset = parameters["stiffness"], parameters["offset"]
+        rest = -offset / abs(k) if k else 0.0
+        return {"fixed": {"stiffness": abs(k), "springlength": rest, "coef": (1.0, math.copysign(1.0, k))}}
+
+    def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
+        state = scale.sweep("q")
+        return state and Curve("q_other", state.q, coefficients[0] * state.q + coefficients[1])

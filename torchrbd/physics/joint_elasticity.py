@@ -6,9 +6,10 @@ the torque is that of the link's motion. To first order in the compliance 1/k
     tau += 1/k (A x + B dx/dt + M d2x/dt2),  x = -tau_load of the joint, all other joints as recorded
 
 with A, B, M the derivatives of the rigid body's torque with respect to the joint's q, qd, qdd. The error grows with
-1/k^2. Where the resonance sqrt(k / M) lies above the band of the data, what is left is small (1 % of the stiffness, .1
-% of the effect's power, for a pendulum); inside the band the link rings by itself, which is not contained, nor is
-damping beside the spring. What the motor's own inertia takes is rotor inertia, an effect of its own.
+1/k^2; a spring that yields by more than .2 rad or m is none that this could tell. Where the resonance sqrt(k / M) lies
+above the band of the data, what is left is small (1 % of the stiffness, .1 % of the effect's power, for a pendulum);
+inside the band the link rings by itself, which is not contained, nor is damping beside the spring. What the motor's own
+inertia takes is rotor inertia, an effect of its own.
 
 Source: Spong, "Modeling and control of elastic joint robots", ASME J. Dyn. Syst. Meas. Control 1987, for the model.
 """
@@ -21,7 +22,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.base import CoefficientPrior, Effect, Shape
 from torchrbd.physics.signals import JointScale, Signals, Site
 
 
@@ -35,6 +36,9 @@ class JointElasticity(Effect):
     complexity = 1
     whole_robot = True
     uses_load = True
+    prior = CoefficientPrior("A spring yields in the direction that it is loaded in.", positive=(0,))
+    export_note = "a second joint on the axis, with this stiffness, between the rotor (a body of its own) and the link"
+    _FURTHEST = 0.2
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         yielding = -signals.load[site.joint]
@@ -47,7 +51,8 @@ class JointElasticity(Effect):
         return (1.0 / parameters["stiffness"],), {}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        return parameters["stiffness"] > 0
+        stiffness = parameters["stiffness"]
+        return stiffness > 0 and (scale.load_max or 0.0) <= self._FURTHEST * stiffness
 
 
 def slope_along(signals: Signals, site: Site, shift: Tensor) -> Tensor:

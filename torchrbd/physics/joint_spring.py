@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, JointState
 
 
@@ -20,6 +20,9 @@ class JointSpring(JointEffect):
     equation = "k (q - q0)"
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
     complexity = 2
+    drawn_over = "q"
+    prior = CoefficientPrior("A spring pushes back.", positive=(0,))
+    export_note = "springs of one joint have one springref: it is that of their sum"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"q": state.q, "1": torch.ones_like(state.q)}
@@ -33,3 +36,6 @@ class JointSpring(JointEffect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["stiffness"] >= 0
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"joint": {"stiffness": parameters["stiffness"], "springref": parameters["rest_position"]}}

@@ -15,11 +15,11 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
-from torchrbd.physics.signals import JointScale, Signals, Site
+from torchrbd.physics.base import CoefficientPrior, JointEffect, Shape
+from torchrbd.physics.signals import JointScale, JointState
 
 
-class LoadDependentFriction(Effect):
+class LoadDependentFriction(JointEffect):
     """tau += k |load| sign(qd) with k >= 0."""
 
     id = "load_dependent_friction"
@@ -29,9 +29,15 @@ class LoadDependentFriction(Effect):
     complexity = 1
     dissipative = True
     uses_load = True
+    drawn_over = "load"
+    prior = CoefficientPrior(
+        "It resists motion; a gear loses some tenths of its load at most.", positive=(0,), std=(0.3,)
+    )
+    export_note = "MJCF has no friction that depends on the load"
 
-    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        return {"|load| sign(qd)": signals.load[site.joint].abs() * signals.joint(site.joint).direction()}
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        assert state.load is not None
+        return {"|load| sign(qd)": state.load.abs() * state.direction()}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"load_friction": coefficients[0]}

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, JointState
 
 
@@ -21,9 +21,13 @@ class OneSidedSpring(JointEffect):
     equation = "side k max(0, side (q - q_0)), side = +-1"
     units: ClassVar[Mapping[str, str]] = {"contact_position": "{q}", "side": "1", "stiffness": "{tau}/{q}"}
     complexity = 3
+    drawn_over = "q"
+    prior = CoefficientPrior("A spring pushes back.", positive=(0,))
+    export_note = "a fixed tendon over this joint alone, with coefficient one"
     # Parts of the range in which the spring acts: more, it is a joint spring. Ramps look alike at equal ratios of
     # their lengths.
     _SHORTEST, _LONGEST, _GRID_POINTS = 0.1, 0.8, 4
+    _FAR = 1e3
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
         span = scale.q_high - scale.q_low
@@ -51,3 +55,12 @@ class OneSidedSpring(JointEffect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["stiffness"] >= 0 and scale.q_low < parameters["contact_position"] < scale.q_high
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        contact, far = parameters["contact_position"], math.copysign(self._FAR, parameters["side"])
+        slack = tuple(sorted((contact - far, contact)))
+        return {"fixed": {"stiffness": parameters["stiffness"], "springlength": slack}}
+
+    def region(self, parameters: Mapping[str, float], scale: JointScale) -> tuple[float, float]:
+        contact = parameters["contact_position"]
+        return (contact, scale.q_high) if parameters["side"] > 0 else (scale.q_low, contact)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.physics.placed import in_windows, telling
 from torchrbd.physics.signals import JointScale, Signals, Site, Window
 from torchrbd.robot import PARAMETERS, RobotModel
@@ -33,6 +34,10 @@ class Payload(Effect):
     }
     complexity = 10
     whole_robot = True
+    prior = CoefficientPrior("A mass is not negative.", positive=(0,))
+    export_note = (
+        "the inertial of a body without joints that is added to the link; MJCF has no word for a part of the time"
+    )
     _FURTHEST_M = 1.0
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
@@ -58,3 +63,12 @@ class Payload(Effect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["mass"] > 0 and max(abs(parameters[axis]) for axis in "xyz") <= self._FURTHEST_M
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        m, *centre = (parameters[name] for name in ("mass", *"xyz"))
+        c = np.array(centre)
+        xx, xy, yy, xz, yz, zz = (parameters[name] for name in PARAMETERS[4:])
+        about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        central = about_origin - m * (c @ c * np.eye(3) - np.outer(c, c))
+        entries = tuple(float(central[at]) for at in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+        return {"inertial": {"mass": m, "pos": tuple(centre), "fullinertia": entries}}

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, JointState
 
 
@@ -30,6 +30,9 @@ class PositionDependentFriction(JointEffect):
     }
     complexity = 4
     dissipative = True
+    drawn_over = "q"
+    prior = CoefficientPrior("It resists motion; the region may be sticky or worn smooth.", positive=(0,))
+    export_note = "frictionloss is that outside of the region; MJCF has no friction that depends on position"
     # Widths in parts of the range (wider, it is curvature over all of it) and distances of centres in widths.
     _WIDTHS, _STEP = (0.08, 0.18, 0.4), 0.7
 
@@ -68,3 +71,10 @@ class PositionDependentFriction(JointEffect):
             and scale.q_low <= parameters["centre"] <= scale.q_high
             and 0 < parameters["width"] <= scale.q_high - scale.q_low
         )
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"joint": {"frictionloss": parameters["coulomb"]}}
+
+    def region(self, parameters: Mapping[str, float], scale: JointScale) -> tuple[float, float]:
+        centre, width = parameters["centre"], parameters["width"]
+        return centre - width, centre + width

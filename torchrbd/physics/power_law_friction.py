@@ -14,7 +14,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import RESISTS, JointEffect, Shape
 from torchrbd.physics.signals import JointScale, JointState
 
 
@@ -27,6 +27,8 @@ class PowerLawFriction(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"friction": "{tau} (s/{q})^a", "exponent": "1"}
     complexity = 2
     dissipative = True
+    prior = RESISTS
+    export_note = "MJCF has polynomials of speed, no powers"
     _EXPONENTS = (0.5, 1.5)
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:

@@ -16,6 +16,7 @@ Source: Dahl, "A solid friction model", Aerospace Corp. TOR-0158(3107-18)-1, 196
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -23,12 +24,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.base import RESISTS, Curve, JointEffect, Mjcf, Shape
 from torchrbd.physics.recurrence import recurrence
-from torchrbd.physics.signals import JointScale, Signals, Site
+from torchrbd.physics.signals import JointScale, JointState
 
 
-class PreslidingHysteresis(Effect):
+class PreslidingHysteresis(JointEffect):
     """tau += c z with c >= 0 and z the state of Dahl's model. It gives back what its spring holds: not dissipative."""
 
     id = "presliding_hysteresis"
@@ -36,8 +37,12 @@ class PreslidingHysteresis(Effect):
     equation = "c z, dz/dt = qd/d (1 - z sign(qd))"
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "distance": "{q}"}
     complexity = 2
+    prior = RESISTS
+    export_note = (
+        "<dcmotor> needs its other constants too; frictionloss of the same size is without the lag at reversals"
+    )
     # Parts of the range of motion. Shorter, it is Coulomb friction; longer, a spring that remembers beyond a tile.
-    _SHORTEST, _LONGEST, _GRID_POINTS = 2e-3, 0.1, 6
+    _SHORTEST, _LONGEST, _GRID_POINTS = 2e-3, 0.1, 4
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
         span = scale.q_high - scale.q_low
@@ -46,12 +51,11 @@ class PreslidingHysteresis(Effect):
         grid = np.geomspace(self._SHORTEST * span, self._LONGEST * span, self._GRID_POINTS)
         return tuple({"distance": float(d)} for d in grid)
 
-    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        signals.sequence()
-        joint, d = signals.joint(site.joint), shape["distance"]
-        moved = torch.diff(joint.q, dim=-1)
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        state.sequence()
+        d, moved = shape["distance"], torch.diff(state.q, dim=-1)
         exponent = -moved.abs() / d
-        z = recurrence(joint.direction()[..., 0], torch.exp(exponent), -torch.sign(moved) * torch.expm1(exponent))
+        z = recurrence(state.direction()[..., 0], torch.exp(exponent), -torch.sign(moved) * torch.expm1(exponent))
         return {f"dahl({d:.6g})": z}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
@@ -61,4 +65,15 @@ class PreslidingHysteresis(Effect):
         return (parameters["coulomb"],), {"distance": parameters["distance"]}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        return parameters["coulomb"] >= 0
+        return parameters["coulomb"] >= 0 and parameters["distance"] > 0
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        coulomb, bristle = parameters["coulomb"], parameters["coulomb"] / parameters["distance"]
+        return {"dcmotor": {"lugre": (bristle, 0.0, coulomb, coulomb, 1.0)}}
+
+    def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
+        """Return the loop of a motion to and fro in the middle of the range, long enough to slide at both ends."""
+        turn = torch.linspace(0.0, 3.0 * math.pi, 1500, dtype=torch.float64)
+        q = 0.5 * (scale.q_low + scale.q_high) + 4.0 * shape["distance"] * turn.cos()
+        (z,) = self.joint_features(JointState(q, -turn.sin(), -turn.cos(), scale.rest_width, t=turn), shape).values()
+        return Curve("q", q[500:], coefficients[0] * z[500:])

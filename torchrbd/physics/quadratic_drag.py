@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import RESISTS, JointEffect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, JointState
 
 
@@ -23,6 +23,8 @@ class QuadraticDrag(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"drag": "{tau} s^2/{q}^2"}
     complexity = 1
     dissipative = True
+    prior = RESISTS
+    export_note = "damping as a polynomial of speed needs a MuJoCo that reads three numbers there"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"qd |qd|": state.qd * state.qd.abs()}
@@ -35,3 +37,6 @@ class QuadraticDrag(JointEffect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["drag"] >= 0
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"joint": {"damping": (0.0, parameters["drag"], 0.0)}}

@@ -24,6 +24,7 @@ from torchrbd.physics.power_law_friction import PowerLawFriction
 from torchrbd.physics.presliding_hysteresis import PreslidingHysteresis
 from torchrbd.physics.quadratic_drag import QuadraticDrag
 from torchrbd.physics.rotor_inertia import RotorInertia
+from torchrbd.physics.smooth_torque import SMOOTH
 from torchrbd.physics.speed_dependent_loss import SpeedDependentLoss
 from torchrbd.physics.stribeck_friction import StribeckFriction
 from torchrbd.physics.thermal_viscosity import ThermalViscosity
@@ -37,14 +38,13 @@ from torchrbd.physics.velocity_coupling import VelocityCoupling
 from torchrbd.physics.viscous_friction import ViscousFriction
 
 _EFFECTS: dict[str, Effect] = {}
-_SEARCHED: set[str] = set()
+# Functions that follow no law: models may have them, nobody looks for them by name.
+_UNNAMED: dict[str, Effect] = {smooth.id: smooth for smooth in SMOOTH}
 
 
-def register(effect: Effect, *, searched: bool = True) -> Effect:
-    """Make an effect known to the report and the export under its ``id``, and to the search if ``searched``."""
+def register(effect: Effect) -> Effect:
+    """Make an effect known to the search, the report and the export under its ``id``."""
     _EFFECTS[effect.id] = effect
-    if searched:
-        _SEARCHED.add(effect.id)
     return effect
 
 
@@ -56,10 +56,6 @@ for _effect in (
     RotorInertia(),
     JointSpring(),
     TorqueOffset(),
-):
-    register(_effect)
-# The shapes and sites of these are too many to have columns for all at once: they are fitted where they are told.
-for _effect in (
     QuadraticDrag(),
     PowerLawFriction(),
     LoadDependentFriction(),
@@ -86,17 +82,12 @@ for _effect in (
     Payload(),
     ExternalWrench(),
 ):
-    register(_effect, searched=False)
+    register(_effect)
 
 
 def effects() -> dict[str, Effect]:
     """Return all known effects by id."""
     return dict(_EFFECTS)
-
-
-def searched_effects() -> dict[str, Effect]:
-    """Return by id the effects that a diagnosis looks for unless it is told what to look for."""
-    return {name: e for name, e in _EFFECTS.items() if name in _SEARCHED}
 
 
 def effect(identifier: str) -> Effect:
@@ -105,6 +96,8 @@ def effect(identifier: str) -> Effect:
     Raises:
         OptionError: no effect has this id.
     """
+    if identifier in _UNNAMED:
+        return _UNNAMED[identifier]
     if identifier not in _EFFECTS:
         raise OptionError(f"unknown effect '{identifier}'; known: {', '.join(sorted(_EFFECTS))}")
     return _EFFECTS[identifier]

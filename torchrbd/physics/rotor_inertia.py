@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, JointState
 
 
@@ -19,6 +19,8 @@ class RotorInertia(JointEffect):
     equation = "I_r qdd"
     units: ClassVar[Mapping[str, str]] = {"rotor_inertia": "{tau} s^2/{q}"}
     complexity = 1
+    drawn_over = "qdd"
+    prior = CoefficientPrior("An inertia is not negative.", positive=(0,))
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"qdd": state.qdd}
@@ -31,3 +33,6 @@ class RotorInertia(JointEffect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["rotor_inertia"] >= 0
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"joint": {"armature": parameters["rotor_inertia"]}}

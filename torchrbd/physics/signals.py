@@ -12,6 +12,9 @@ from torch import Tensor
 from torchrbd.errors import InputError
 from torchrbd.robot import RobotModel
 
+# Points of a curve.
+_SWEEP = 1000
+
 
 @dataclass(frozen=True)
 class Window:
@@ -47,20 +50,39 @@ class Site:
 
 @dataclass(frozen=True)
 class JointState:
-    """The signals of one joint; q, qd and qdd have one common shape.
+    """The signals of one joint; all but t have one common shape.
 
     ``rest_width`` is the speed [rad/s, m/s] below which the direction of motion is not told: sign(qd) is tanh(qd /
-    rest_width).
+    rest_width). ``load`` is given to effects that use it; ``temperature`` and ``t`` as in ``Signals``.
     """
 
     q: Tensor
     qd: Tensor
     qdd: Tensor
     rest_width: float
+    load: Tensor | None = None
+    temperature: Tensor | None = None
+    t: Tensor | None = None
 
     def direction(self) -> Tensor:
         """Return sign(qd), softened where the recording cannot tell it."""
         return torch.tanh(self.qd / self.rest_width)
+
+    def times(self) -> Tensor:
+        """Return t, of any shape that goes with the samples.
+
+        Raises:
+            InputError: there is none.
+        """
+        return _times(self.t)
+
+    def sequence(self) -> Tensor:
+        """Return t (N,).
+
+        Raises:
+            InputError: the samples are no sequence.
+        """
+        return _sequence(self.t)
 
 
 @dataclass(frozen=True)
@@ -71,12 +93,52 @@ class JointScale:
         speed_max: [rad/s, m/s].
         rest_width: see ``JointState``.
         q_low, q_high: [rad, m].
+        load_max: largest torque that the rigid body takes [N m, N]; None where it is not known.
+        duration_s: of the longest recording.
+        temperature: coldest and warmest [deg C]; None where not recorded.
     """
 
     speed_max: float
     rest_width: float
     q_low: float = -math.pi
     q_high: float = math.pi
+    load_max: float | None = None
+    duration_s: float = 300.0
+    temperature: tuple[float, float] | None = None
+
+    def sweep(self, signal: str) -> JointState | None:
+        """Return a joint in motion at its fastest while one of its signals runs through its range.
+
+        Positions stay in the middle, the load at its largest, the temperature at its lowest.
+
+        Args:
+            signal: a field of ``JointState``.
+
+        Returns:
+            (_SWEEP,) each; None if the range is not known.
+        """
+        middle, half = 0.5 * (self.q_low + self.q_high), 0.5 * (self.q_high - self.q_low)
+        fastest, load = self.speed_max, self.load_max
+        # The acceleration of a sine with this speed and range.
+        hardest = fastest**2 / half if half > 0 else fastest
+        ranges = {
+            "q": (self.q_low, self.q_high),
+            "qd": (-fastest, fastest),
+            "qdd": (-hardest, hardest),
+            "t": (0.0, self.duration_s),
+            **({} if load is None else {"load": (-load, load)}),
+            **({} if self.temperature is None else {"temperature": self.temperature}),
+        }
+        if signal not in ranges:
+            return None
+        still = {"q": middle, "qd": fastest, "qdd": 0.0, "t": 0.0, "load": load}
+        still["temperature"] = None if self.temperature is None else self.temperature[0]
+        at = {
+            name: torch.linspace(*(ranges[name] if name == signal else (value, value)), _SWEEP, dtype=torch.float64)
+            for name, value in still.items()
+            if value is not None
+        }
+        return JointState(**at, rest_width=self.rest_width)
 
 
 @dataclass(frozen=True)
@@ -88,7 +150,8 @@ class Signals:
         q, qd, qdd: (n, *batch) [rad, m] and per second, per second squared.
         rest_width: (n,) see ``JointState``.
         pi: (n_params,) inertial parameters that make the load; the robot's own if None.
-        t: (N,) times of the last dimension, evenly spaced [s]; None where the samples are no sequence.
+        t: (N,) times of the last dimension, evenly spaced [s]. Samples that are no sequence have none, or other shapes
+            that go with theirs: one time, or (1, N).
         recording: its name; None outside of recordings.
         temperature: (n, *batch) of the joints [deg C]; None where not recorded.
     """
@@ -103,10 +166,13 @@ class Signals:
     recording: str | None = None
     temperature: Tensor | None = None
 
-    def joint(self, joint: int | None) -> JointState:
-        """Return the signals of one joint."""
+    def joint(self, joint: int | None, *, load: bool = False) -> JointState:
+        """Return the signals of one joint, with its load or without."""
         assert joint is not None
-        return JointState(self.q[joint], self.qd[joint], self.qdd[joint], float(self.rest_width[joint]))
+        warm = None if self.temperature is None else self.temperature[joint]
+        carried = self.load[joint] if load else None
+        states = self.q[joint], self.qd[joint], self.qdd[joint]
+        return JointState(*states, float(self.rest_width[joint]), carried, warm, self.t)
 
     @cached_property
     def load(self) -> Tensor:
@@ -146,12 +212,7 @@ class Signals:
         Raises:
             InputError: the samples are no sequence.
         """
-        if self.t is None:
-            raise InputError(
-                "an effect with memory, or one that depends on time, needs a sequence: give t (N,), evenly spaced "
-                "seconds, with q, qd and qdd (*batch, N, n_dof)"
-            )
-        return self.t
+        return _sequence(self.t)
 
     def rate(self, x: Tensor) -> Tensor:
         """Return dx/dt (..., N) by central differences."""
@@ -164,5 +225,20 @@ class Signals:
             return torch.ones_like(self.q[0])
         if self.recording != window.recording:
             return torch.zeros_like(self.q[0])
-        t = self.sequence()
+        t = _times(self.t)
         return ((t >= window.start_s) & (t <= window.end_s)).to(self.q).expand_as(self.q[0])
+
+
+def _times(t: Tensor | None) -> Tensor:
+    if t is None:
+        raise InputError("an effect that depends on time needs t: one time, or (N,) those of the last dimension [s]")
+    return t
+
+
+def _sequence(t: Tensor | None) -> Tensor:
+    if t is None or t.ndim != 1:
+        raise InputError(
+            "an effect with memory needs a sequence: give t (N,), evenly spaced seconds, with q, qd and qdd "
+            "(*batch, N, n_dof); it has no forward dynamics"
+        )
+    return t

@@ -13,11 +13,11 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
-from torchrbd.physics.signals import JointScale, Signals, Site
+from torchrbd.physics.base import RESISTS, JointEffect, Shape
+from torchrbd.physics.signals import JointScale, JointState
 
 
-class SpeedDependentLoss(Effect):
+class SpeedDependentLoss(JointEffect):
     """tau += k |load| qd with k >= 0: viscous friction in proportion to the load."""
 
     id = "speed_dependent_loss"
@@ -27,9 +27,12 @@ class SpeedDependentLoss(Effect):
     complexity = 1
     dissipative = True
     uses_load = True
+    prior = RESISTS
+    export_note = "MJCF has no damping that depends on the load"
 
-    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        return {"|load| qd": signals.load[site.joint].abs() * signals.qd[site.joint]}
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        assert state.load is not None
+        return {"|load| qd": state.load.abs() * state.qd}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"loss": coefficients[0]}

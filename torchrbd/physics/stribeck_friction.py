@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, JointState
 
 
@@ -27,6 +27,8 @@ class StribeckFriction(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "static": "{tau}", "stribeck_speed": "{q}/s"}
     complexity = 3
     dissipative = True
+    prior = CoefficientPrior("It resists motion, and more at rest than in motion.", positive=(0, 1))
+    export_note = "frictionloss is friction in motion; what it is more at rest, only <dcmotor lugre> has a word for"
     # Slower, the bump hides in the softened sign; faster, it is curvature of the whole range.
     _SLOWEST_IN_REST_WIDTHS, _FASTEST_IN_SPEED_RANGE, _GRID_POINTS = 4.0, 0.4, 6
 
@@ -55,3 +57,6 @@ class StribeckFriction(JointEffect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["static"] >= parameters["coulomb"] >= 0
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"joint": {"frictionloss": parameters["coulomb"]}}

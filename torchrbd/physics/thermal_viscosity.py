@@ -19,14 +19,14 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
-from torchrbd.physics.signals import JointScale, Signals, Site
+from torchrbd.physics.base import CoefficientPrior, JointEffect, Shape
+from torchrbd.physics.signals import JointScale, JointState
 
 REFERENCE_TEMPERATURE = 40.0
 """Temperature [deg C] at which the effect is zero."""
 
 
-class ThermalViscosity(Effect):
+class ThermalViscosity(JointEffect):
     """tau += -s (T - T0) qd with s >= 0; s / d is the loss of viscosity per kelvin."""
 
     id = "thermal_viscosity"
@@ -34,11 +34,22 @@ class ThermalViscosity(Effect):
     equation = "-s (T - 40 deg C) qd"
     units: ClassVar[Mapping[str, str]] = {"viscous_per_kelvin": "{tau} s/({q} K)"}
     complexity = 1
+    drawn_over = "temperature"
+    needs = "a channel temperature_<joint> that changes"
+    prior = CoefficientPrior("Lubricants thin as they warm.", positive=(0,))
+    export_note = (
+        "MJCF has no temperature: add -s (T - 40) to the joint's damping at the temperature T that is simulated"
+    )
 
-    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        qd, temperature = signals.qd[site.joint], signals.temperature
-        warmer = torch.zeros_like(qd) if temperature is None else temperature[site.joint] - REFERENCE_TEMPERATURE
-        return {f"({REFERENCE_TEMPERATURE:.6g} - T) qd": -warmer * qd}
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        """Return none where no temperature is recorded, or it never changes: that is viscous friction."""
+        coldest, warmest = scale.temperature or (0.0, 0.0)
+        return ({},) if warmest > coldest else ()
+
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        T = state.temperature
+        warmer = torch.zeros_like(state.qd) if T is None else T - REFERENCE_TEMPERATURE
+        return {f"({REFERENCE_TEMPERATURE:.6g} - T) qd": -warmer * state.qd}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"viscous_per_kelvin": coefficients[0]}

@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, Signals, Site, Window
 from torchrbd.robot import RobotModel
 
@@ -31,7 +31,9 @@ class TimeDelay(Effect):
     complexity = 2
     whole_robot = True
     uses_load = True
-    _STEPS_S, _LARGEST_S, _MOST_APART = (-0.045, -0.025, -0.01, 0.01, 0.025, 0.045), 0.1, 3.0
+    prior = CoefficientPrior("Some samples of a field bus, early or late.", std=(0.02,))
+    export_note = "delays need a history: nsample = delay / timestep; of one joint or, for the whole robot, of all"
+    _STEPS_S, _LARGEST_S, _MOST_APART = (-0.08, -0.04, -0.015, 0.015, 0.04, 0.08), 0.1, 3.0
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         return joints_and_all(robot)
@@ -54,6 +56,10 @@ class TimeDelay(Effect):
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         delay, step = parameters["delay"], parameters["step"]
         return abs(delay) <= self._LARGEST_S and abs(step) / self._MOST_APART <= delay * math.copysign(1.0, step)
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        delay = parameters["delay"]
+        return {"actuatorfrc": {"delay": delay}} if delay > 0 else {"general": {"delay": -delay}}
 
 
 def joints_and_all(robot: RobotModel) -> tuple[Site, ...]:

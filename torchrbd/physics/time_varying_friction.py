@@ -13,11 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
-from torchrbd.physics.signals import JointScale, Signals, Site
+from torchrbd.physics.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.physics.signals import JointScale, JointState
 
 
-class TimeVaryingFriction(Effect):
+class TimeVaryingFriction(JointEffect):
     """tau += (c_end + (c_start - c_end) exp(-t/T)) sign(qd) with c_end, c_start >= 0; t from the recording's start."""
 
     id = "time_varying_friction"
@@ -30,17 +30,20 @@ class TimeVaryingFriction(Effect):
     }
     complexity = 3
     dissipative = True
-    # Seconds: a grease film that settles to a joint that warms through. Slower than the recording, it is a straight
+    drawn_over = "t"
+    prior = CoefficientPrior("It resists motion; with time it may rise or fall.", positive=(0,))
+    export_note = "frictionloss is what friction settles to; MJCF has no word for time"
+    # Parts of the longest recording: a grease film that settles to a joint that warms through. Slower, it is a straight
     # line in time, and all slower ones are alike.
-    _FASTEST_S, _SLOWEST_S, _GRID_POINTS = 2.0, 300.0, 4
+    _FASTEST, _SLOWEST, _GRID_POINTS, _PLAUSIBLE = 0.03, 1.0, 4, 10.0
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        grid = np.geomspace(self._FASTEST_S, self._SLOWEST_S, self._GRID_POINTS)
+        grid = scale.duration_s * np.geomspace(self._FASTEST, self._SLOWEST, self._GRID_POINTS)
         return tuple({"time_constant": float(v)} for v in grid)
 
-    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        direction, T = signals.joint(site.joint).direction(), shape["time_constant"]
-        decay = torch.exp(-signals.sequence() / T).to(direction)
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        direction, T = state.direction(), shape["time_constant"]
+        decay = torch.exp(-state.times() / T).to(direction)
         return {"sign(qd)": direction, f"sign(qd) exp(-t/{T:.6g})": direction * decay}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
@@ -56,4 +59,8 @@ class TimeVaryingFriction(Effect):
         return (end, start - end), {"time_constant": parameters["time_constant"]}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        return min(parameters["coulomb_end"], parameters["coulomb_start"]) >= 0 and parameters["time_constant"] > 0
+        friction, slowest = (parameters["coulomb_end"], parameters["coulomb_start"]), self._PLAUSIBLE * scale.duration_s
+        return min(friction) >= 0 and 0 < parameters["time_constant"] <= slowest
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"joint": {"frictionloss": parameters["coulomb_end"]}}

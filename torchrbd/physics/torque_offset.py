@@ -8,7 +8,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import JointEffect, Mjcf, Shape
+from torchrbd.physics.mjcf import affine
 from torchrbd.physics.signals import JointScale, JointState
 
 
@@ -20,6 +21,7 @@ class TorqueOffset(JointEffect):
     equation = "tau_0"
     units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}
     complexity = 1
+    drawn_over = "q"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"1": torch.ones_like(state.q)}
@@ -32,3 +34,6 @@ class TorqueOffset(JointEffect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return True
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"general": affine(-parameters["offset"])}

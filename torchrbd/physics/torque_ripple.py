@@ -13,10 +13,11 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import JointEffect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, JointState
 
 
@@ -28,9 +29,11 @@ class TorqueRipple(JointEffect):
     equation = "A sin(m q + phase)"
     units: ClassVar[Mapping[str, str]] = {"amplitude": "{tau}", "phase": "rad", "order": "1/{q}"}
     complexity = 3
+    drawn_over = "q"
+    export_note = "<dcmotor> needs its other constants too"
     # Whole orders, or half a cycle more over the range where that is coarser: closer ones look alike. Beyond them, the
     # orders of harmonic drives: faster ripple is mostly outside of the band that torques are compared in.
-    _STEPS, _GEAR_ORDERS = 40, (50, 60, 80, 100, 120, 160, 200)
+    _LARGEST_ORDER, _GEAR_ORDERS = 120.0, (160.0, 200.0)
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
         span = scale.q_high - scale.q_low
@@ -38,8 +41,8 @@ class TorqueRipple(JointEffect):
             return ()
         step = max(1.0, math.pi / span)
         lowest = step * math.ceil(2 * math.pi / span / step)
-        grid = [lowest + step * k for k in range(self._STEPS)]
-        return tuple({"order": float(m)} for m in (*grid, *(m for m in self._GEAR_ORDERS if m > grid[-1])))
+        grid = np.arange(lowest, self._LARGEST_ORDER, step).tolist()
+        return tuple({"order": float(m)} for m in (*grid, *self._GEAR_ORDERS))
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         order = shape["order"]
@@ -59,3 +62,6 @@ class TorqueRipple(JointEffect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["order"] * (scale.q_high - scale.q_low) >= 2 * math.pi
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"dcmotor": {"cogging": (parameters["amplitude"], parameters["order"], parameters["phase"] + math.pi)}}

@@ -10,17 +10,18 @@ the torque that the rigid body takes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
-from torchrbd.physics.signals import JointScale, Signals, Site
+from torchrbd.physics.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.physics.signals import JointScale, JointState
 
 
-class TorqueSaturation(Effect):
+class TorqueSaturation(JointEffect):
     """tau += slope sign(load) max(0, |load| - limit) with slope >= -1."""
 
     id = "torque_saturation"
@@ -29,15 +30,25 @@ class TorqueSaturation(Effect):
     units: ClassVar[Mapping[str, str]] = {"limit": "{tau}", "slope": "1"}
     complexity = 2
     uses_load = True
-    # From a desktop arm's wrist to a large arm's shoulder [N m, N]: a scale does not say how large the load is.
-    _LOWEST, _HIGHEST, _GRID_POINTS = 0.3, 300.0, 28
+    drawn_over = "load"
+    prior = CoefficientPrior("From a clipped reading to an actuator that gives half of what is asked.", std=(1.0,))
+    export_note = "a hard limit in place of a gradual one: of the actuator, or of the reading if the slope is negative"
+    # In parts of the largest load. Lower, it is a gain of the torque; higher, hardly ever met.
+    _LOWEST, _HIGHEST, _GRID_POINTS = 0.35, 0.88, 4
+    # Of a joint whose load is not known, from a desktop arm's wrist to a large arm's shoulder [N m, N].
+    _LEAST_LOAD, _MOST_LOAD, _MOST_POINTS = 0.3, 300.0, 28
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        return tuple({"limit": float(v)} for v in np.geomspace(self._LOWEST, self._HIGHEST, self._GRID_POINTS))
+        if scale.load_max is None:
+            grid = np.geomspace(self._LEAST_LOAD, self._MOST_LOAD, self._MOST_POINTS)
+        else:
+            grid = scale.load_max * np.linspace(self._LOWEST, self._HIGHEST, self._GRID_POINTS)
+        return tuple({"limit": float(v)} for v in grid if v > 0)
 
-    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        load, limit = signals.load[site.joint], shape["limit"]
-        return {f"load beyond {limit:.6g}": load - load.clamp(-limit, limit)}
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        assert state.load is not None
+        limit = shape["limit"]
+        return {f"load beyond {limit:.6g}": state.load - state.load.clamp(-limit, limit)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"limit": coefficients.new_tensor(shape["limit"]), "slope": coefficients[0]}
@@ -46,4 +57,11 @@ class TorqueSaturation(Effect):
         return (parameters["slope"],), {"limit": parameters["limit"]}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        return parameters["limit"] > 0 and parameters["slope"] >= -1
+        most = math.inf if scale.load_max is None else scale.load_max
+        return 0 < parameters["limit"] < most and parameters["slope"] >= -1
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        limit = parameters["limit"]
+        if parameters["slope"] < 0:
+            return {"actuatorfrc": {"cutoff": limit}}
+        return {"general": {"forcerange": (-limit, limit)}}

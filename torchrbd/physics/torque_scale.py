@@ -13,11 +13,11 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
-from torchrbd.physics.signals import JointScale, Signals, Site
+from torchrbd.physics.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.physics.signals import JointScale, JointState
 
 
-class TorqueScale(Effect):
+class TorqueScale(JointEffect):
     """tau += (g - 1) load with g > 0."""
 
     id = "torque_scale"
@@ -26,9 +26,13 @@ class TorqueScale(Effect):
     units: ClassVar[Mapping[str, str]] = {"gain": "1"}
     complexity = 1
     uses_load = True
+    drawn_over = "load"
+    prior = CoefficientPrior("Sensors and torque constants are right to some tenths.", std=(0.3,))
+    export_note = "friction was recorded with the same gain: divide the joint's by it"
 
-    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        return {"load": signals.load[site.joint]}
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        assert state.load is not None
+        return {"load": state.load}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"gain": 1.0 + coefficients[0]}
@@ -38,3 +42,6 @@ class TorqueScale(Effect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["gain"] > 0
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"general": {"gainprm": (1.0 / parameters["gain"],)}}

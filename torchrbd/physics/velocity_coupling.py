@@ -5,13 +5,14 @@ Where two motors drive q_1 + q_2 and q_1 - q_2 and their friction differs, each 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import permutations
 from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
+from torchrbd.physics.base import Curve, Effect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, Signals, Site, Window
 from torchrbd.robot import RobotModel
 
@@ -24,6 +25,7 @@ class VelocityCoupling(Effect):
     equation = "d qd_other"
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}
     complexity = 1
+    export_note = "a fixed tendon over both joints with these coefficients; it acts on both, and adds abs(d) at each"
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         """Return all ordered pairs of joints."""
@@ -41,3 +43,11 @@ class VelocityCoupling(Effect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return True
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        d = parameters["viscous"]
+        return {"fixed": {"damping": abs(d), "coef": (1.0, math.copysign(1.0, d))}}
+
+    def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
+        state = scale.sweep("qd")
+        return state and Curve("qd_other", state.qd, coefficients[0] * state.qd)

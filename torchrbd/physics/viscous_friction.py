@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import JointEffect, Shape
+from torchrbd.physics.base import RESISTS, JointEffect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, JointState
 
 
@@ -20,6 +20,7 @@ class ViscousFriction(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}
     complexity = 1
     dissipative = True
+    prior = RESISTS
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"qd": state.qd}
@@ -35,3 +36,6 @@ class ViscousFriction(JointEffect):
 
     def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
         return {"damping": parameters["viscous"]}
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"joint": {"damping": parameters["viscous"]}}

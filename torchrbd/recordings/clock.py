@@ -100,17 +100,25 @@ class Block:
         t: (K,) [s].
         x: (C, K) channels: q, tau, then qd if the recording has it.
         q_ref: (n, K) set-points, or None.
+        temperature: (m, K) of the joints that have one, or None.
     """
 
     segment: int
     t: np.ndarray
     x: np.ndarray
     q_ref: np.ndarray | None = None
+    temperature: np.ndarray | None = None
 
     @property
     def channels(self) -> np.ndarray:
-        """Return x and q_ref as one array."""
-        return self.x if self.q_ref is None else np.concatenate([self.x, self.q_ref])
+        """Return x, q_ref and temperature as one array."""
+        return np.concatenate([one for one in (self.x, self.q_ref, self.temperature) if one is not None])
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """Return where in the channels x and q_ref end."""
+        width = len(self.x)
+        return width, width + (0 if self.q_ref is None else len(self.q_ref))
 
 
 def clean_blocks(recording: Recording, clock: Clock, census: Census | None = None) -> Iterator[Block]:
@@ -118,10 +126,14 @@ def clean_blocks(recording: Recording, clock: Clock, census: Census | None = Non
     n = len(recording.joints)
     census = census if census is not None else Census(n)
     width = n * (2 + recording.has_velocity)
-    angles = np.r_[:n, width : width + n * recording.has_reference]
+    ends = width, width + n * recording.has_reference
+    angles = np.r_[:n, ends[0] : ends[1]]
+    warmth = np.full((int(recording.thermal.sum()), 1), np.nan)
     segment, latest, q_latest, turns = 0, -np.inf, None, np.zeros((len(angles), 1))
     for chunk in recording.chunks():
-        t, x = _channels(chunk)
+        t, x = _channels(chunk, recording.thermal)
+        x[ends[1] :] = _held(x[ends[1] :], warmth)
+        warmth = x[ends[1] :, -1:].copy()
         census.rows += len(t)
         complete = ~(np.isnan(t) | np.isnan(x[_required(recording, len(x))]).any(axis=0))
         census.incomplete += int(len(t) - complete.sum())
@@ -146,7 +158,7 @@ def clean_blocks(recording: Recording, clock: Clock, census: Census | None = Non
         for piece, (start, end) in enumerate(zip((0, *starts), (*starts, len(t)), strict=True)):
             segment += piece > 0
             if end > start:
-                yield _block(segment, t[start:end], x[:, start:end], width)
+                yield _block(segment, t[start:end], x[:, start:end], ends)
 
 
 def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = None) -> Iterator[Block]:
@@ -161,7 +173,7 @@ def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = N
             yield from held.advance(last=True)
             held = None
         if held is None:
-            held = _Resampler(block.segment, clock.dt, block.t[0], len(block.x))
+            held = _Resampler(block.segment, clock.dt, block.t[0], block.ends)
         held.append(block)
         yield from held.advance(last=False)
     if held is not None:
@@ -171,8 +183,8 @@ def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = N
 class _Resampler:
     """Interpolate one segment as its rows arrive."""
 
-    def __init__(self, segment: int, dt: float, start: float, width: int):
-        self.segment, self._dt, self._start, self._next, self._width = segment, dt, start, 0, width
+    def __init__(self, segment: int, dt: float, start: float, ends: tuple[int, int]):
+        self.segment, self._dt, self._start, self._next, self._ends = segment, dt, start, 0, ends
         self._t, self._x = np.empty(0), np.empty((0, 0))
 
     def append(self, block: Block) -> None:
@@ -195,12 +207,24 @@ class _Resampler:
         self._next += len(t)
         used = max(0, int(first[-1]))
         self._t, self._x = self._t[used:], self._x[:, used:]
-        yield _block(self.segment, t, np.asarray(x), self._width)
+        yield _block(self.segment, t, np.asarray(x), self._ends)
 
 
-def _block(segment: int, t: np.ndarray, channels: np.ndarray, width: int) -> Block:
-    """Split channels (C, K) into the first `width` and the set-points that may follow them."""
-    return Block(segment, t, channels[:width], channels[width:] if len(channels) > width else None)
+def _block(segment: int, t: np.ndarray, channels: np.ndarray, ends: tuple[int, int]) -> Block:
+    """Split channels (C, K) where x and the set-points end; temperatures may follow."""
+    x, q_ref, temperature = np.split(channels, ends)
+    return Block(segment, t, x, *(one if len(one) else None for one in (q_ref, temperature)))
+
+
+def _held(x: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return slow channels (m, K) that keep their last reading (m, 1) until the next; the first one holds before it."""
+    if not x.size:
+        return x
+    x = np.concatenate([before, x], axis=1)
+    known = ~np.isnan(x)
+    last = np.maximum.accumulate(np.where(known, np.arange(x.shape[1]), 0), axis=1)
+    last = np.maximum(last, known.argmax(axis=1)[:, None])
+    return np.take_along_axis(x, last, axis=1)[:, 1:]
 
 
 def _cubic_weights(nodes: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -213,8 +237,9 @@ def _cubic_weights(nodes: np.ndarray, t: np.ndarray) -> np.ndarray:
     return weights
 
 
-def _channels(chunk: Chunk) -> tuple[np.ndarray, np.ndarray]:
-    signals = (chunk.q, chunk.tau, chunk.qd, chunk.q_ref)
+def _channels(chunk: Chunk, thermal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    warmth = None if chunk.temperature is None else chunk.temperature[:, thermal]
+    signals = (chunk.q, chunk.tau, chunk.qd, chunk.q_ref, warmth)
     return chunk.t, np.concatenate([s for s in signals if s is not None], axis=1).T.copy()
 
 

@@ -13,7 +13,7 @@ import yaml
 
 from torchrbd.errors import RecordingError
 
-SIGNALS = ("q", "qd", "qdd", "tau", "q_ref")
+SIGNALS = ("q", "qd", "qdd", "tau", "q_ref", "temperature")
 _EVERY_JOINT = "*"
 _DEG = math.pi / 180
 _TURN = 2 * math.pi
@@ -26,6 +26,7 @@ _UNITS = {
     "tau": {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3, "N mm": 1e-3, "N": 1.0, "kN": 1e3},
 }
 _UNITS["q_ref"] = _UNITS["q"]
+_UNITS["temperature"] = {"degC": 1.0}
 _SIGNAL_KEYS = ("column", "unit", "sign", "scale", "offset", "gear_ratio")
 _CURRENT_KEYS = ("current", "unit", "torque_constant", "sign", "scale", "offset", "gear_ratio")
 
@@ -46,7 +47,8 @@ class Mapping:
     Attributes:
         file: where the mapping was read, for messages.
         time: the column of time.
-        joints: joint name, or "*" for every joint, to signal (q, qd, qdd, tau, q_ref) to its source.
+        joints: joint name, or "*" for every joint, to signal (q, qd, qdd, tau, q_ref, temperature) to
+            its source.
     """
 
     file: str = ""

@@ -12,7 +12,7 @@ import numpy as np
 
 from torchrbd.errors import RecordingError
 
-_NPZ_SIGNALS = ("q", "tau", "qd", "qdd", "q_ref")
+_NPZ_SIGNALS = ("q", "tau", "qd", "qdd", "q_ref", "temperature")
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class _Array:
 
 
 class NpzTable:
-    """Stream `t (N,)`, `q`, `tau` and optional `qd`, `qdd`, `q_ref` `(N, n)` with `joints (n,)` from an NPZ file.
+    """Stream `t (N,)`, `q`, `tau`, optional `qd`, `qdd`, `q_ref`, `temperature` `(N, n)` and `joints (n,)` of an NPZ.
 
     The arrays are decompressed row by row, so that the file never lies in memory as a whole.
     """

@@ -28,6 +28,7 @@ class Chunk:
         qd: (N, n) [rad/s or m/s], or None.
         qdd: (N, n) [rad/s^2 or m/s^2], or None.
         q_ref: (N, n) set-point [rad or m], or None.
+        temperature: (N, n) of the joints [deg C], or None; NaN where there is no reading.
     """
 
     t: np.ndarray
@@ -36,6 +37,7 @@ class Chunk:
     qd: np.ndarray | None = None
     qdd: np.ndarray | None = None
     q_ref: np.ndarray | None = None
+    temperature: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Recording:
         joints: the robot's joints, in its order.
         measured: (n,) bool, which joints have torque.
         has_velocity, has_acceleration, has_reference: whether every joint has a measured one, and a set-point.
+        thermal: (n,) bool, which joints have a temperature.
         time: the part that is used, seconds since the first row; None for all.
         notes: what was left aside on opening.
     """
@@ -59,6 +62,7 @@ class Recording:
     has_velocity: bool
     has_acceleration: bool
     has_reference: bool
+    thermal: np.ndarray
     time: tuple[float, float] | None
     notes: tuple[str, ...]
     _table: Table
@@ -74,15 +78,17 @@ class Recording:
         qd: np.ndarray | None = None,
         qdd: np.ndarray | None = None,
         q_ref: np.ndarray | None = None,
+        temperature: np.ndarray | None = None,
     ) -> Recording:
-        """Make a recording from arrays: t (N,) [s]; q, tau, qd, qdd, q_ref (N, n), columns in the order of `joints`.
+        """Make a recording from arrays: t (N,) [s]; all others (N, n), columns in the order of `joints`.
 
-        A column of tau or q_ref that is NaN throughout means that it was not recorded for that joint.
+        A column of tau, q_ref or temperature that is NaN throughout means that it was not recorded for that joint.
 
         Raises: RecordingError naming the array whose shape does not fit.
         """
         columns = {"t": np.asarray(t, dtype=np.float64)}
-        for signal, array in (("q", q), ("tau", tau), ("qd", qd), ("qdd", qdd), ("q_ref", q_ref)):
+        signals = {"q": q, "tau": tau, "qd": qd, "qdd": qdd, "q_ref": q_ref, "temperature": temperature}
+        for signal, array in signals.items():
             if array is None:
                 continue
             array = np.asarray(array, dtype=np.float64)
@@ -92,7 +98,7 @@ class Recording:
                     f"and joints {', '.join(joints)}"
                 )
             for index, joint in enumerate(joints):
-                if signal not in ("tau", "q_ref") or not np.isnan(array[:, index]).all():
+                if signal not in ("tau", "q_ref", "temperature") or not np.isnan(array[:, index]).all():
                     columns[f"{signal}_{joint}"] = array[:, index]
         return _connect(name, None, ArrayTable(columns), joints, Mapping(), None)
 
@@ -106,13 +112,21 @@ class Recording:
                 f"{self.path or self.name}: is of joints {', '.join(self.joints)}; expected {', '.join(joints)}"
             )
         order = [self.joints.index(joint) for joint in joints]
-        torques = dict(zip(compress(self.joints, self.measured), self._sources["tau"], strict=True))
         sources = dict(self._sources)
         for key in sources.keys() & {"q", *_OPTIONAL_SIGNALS}:
             sources[key] = tuple(sources[key][k] for k in order)
-        sources["tau"] = tuple(torques[joint] for joint in joints if joint in torques)
-        measured = self.measured[order]
-        return replace(self, joints=tuple(joints), measured=measured, time=time or self.time, _sources=sources)
+        for key, there in (("tau", self.measured), ("temperature", self.thermal)):
+            own = dict(zip(compress(self.joints, there), self._sources.get(key, ()), strict=True))
+            if own:
+                sources[key] = tuple(own[joint] for joint in joints if joint in own)
+        return replace(
+            self,
+            joints=tuple(joints),
+            measured=self.measured[order],
+            thermal=self.thermal[order],
+            time=time or self.time,
+            _sources=sources,
+        )
 
     def chunks(self, rows: int = 16384) -> Iterator[Chunk]:
         """Yield the rows in pieces of at most about `rows`.
@@ -149,6 +163,10 @@ class Recording:
         tau = np.full((len(t), len(self.joints)), np.nan)
         tau[:, self.measured] = values["tau"]
         optional = {key: values[key][keep] for key in _OPTIONAL_SIGNALS if key in values}
+        if self.thermal.any():
+            optional["temperature"] = np.full((len(t), len(self.joints)), np.nan)
+            optional["temperature"][:, self.thermal] = values["temperature"]
+            optional["temperature"] = optional["temperature"][keep]
         return Chunk(t[keep], values["q"][keep], tau[keep], **optional)
 
     def _check_finite(self, block: np.ndarray, columns: list[str], first_row: int) -> None:
@@ -206,7 +224,7 @@ def _connect(
     """Match the table's columns with the joints."""
     wanted = {
         key: [mapping.source(joint, index, key) for index, joint in enumerate(joints)]
-        for key in ("q", "tau", *_OPTIONAL_SIGNALS)
+        for key in ("q", "tau", *_OPTIONAL_SIGNALS, "temperature")
     }
     present = set(table.columns)
     place = str(path or name)
@@ -225,6 +243,9 @@ def _connect(
         )
     sources = {"t": (mapping.time,), "q": tuple(wanted["q"])}
     sources["tau"] = tuple(compress(wanted["tau"], measured))
+    thermal = np.array([source.column in present for source in wanted["temperature"]])
+    if thermal.any():
+        sources["temperature"] = tuple(compress(wanted["temperature"], thermal))
     notes = []
     if not measured.all():
         notes.append("no torque for " + ", ".join(compress(joints, ~measured)))
@@ -240,5 +261,16 @@ def _connect(
         notes.append("columns not used: " + ", ".join(ignored))
     velocity, acceleration, reference = (key in sources for key in _OPTIONAL_SIGNALS)
     return Recording(
-        name, path, tuple(joints), measured, velocity, acceleration, reference, time, tuple(notes), table, sources
+        name,
+        path,
+        tuple(joints),
+        measured,
+        velocity,
+        acceleration,
+        reference,
+        thermal,
+        time,
+        tuple(notes),
+        table,
+        sources,
     )

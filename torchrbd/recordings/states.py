@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.fft
@@ -32,6 +32,7 @@ class States:
         t_out: (M,) times of the outputs of `decimate` [s].
         recording: name of the recording.
         reference: set-points q_ref, qd_ref, qdd_ref (n, N) each, low-passed as q is; None where not recorded.
+        temperature: (n, N) of the joints [deg C], low-passed as q is, NaN for joints without; None where not recorded.
     """
 
     segment: int
@@ -46,11 +47,33 @@ class States:
     _stride: int
     recording: str
     reference: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None = None
+    temperature: torch.Tensor | None = None
 
     @property
     def dt_out(self) -> float:
         """Return the time between two outputs of `decimate` [s]."""
         return self._stride * self.dt
+
+    @property
+    def stride(self) -> int:
+        """Return how many samples lie between two outputs of `decimate`."""
+        return self._stride
+
+    def thinned(self, step: int) -> States:
+        """Return every `step`-th sample, with the same outputs; `step` divides `stride`. Torques are only thinned."""
+        half = self._kernel.shape[0] // 2
+        kernel = self._kernel[half % step :: step]
+        first = half % step
+        cut = {name: getattr(self, name)[..., first::step] for name in ("t", "q", "qd", "qdd", "tau")}
+        return replace(
+            self,
+            dt=step * self.dt,
+            _kernel=kernel / kernel.sum(),
+            _stride=self._stride // step,
+            reference=None if self.reference is None else tuple(x[..., first::step] for x in self.reference),
+            temperature=None if self.temperature is None else self.temperature[..., first::step],
+            **cut,
+        )
 
     def decimate(self, x: torch.Tensor) -> torch.Tensor:
         """Low-pass x (..., N) with the feature filter and keep every `stride`-th sample: (..., M). Differentiable."""
@@ -75,7 +98,7 @@ def tiles(recording: Recording, survey: Survey, filtering: Filtering, rows: int 
 
     Raises: RecordingError if no segment is long enough for the filters.
     """
-    cutter = _Cutter(recording.name, survey, filtering, rows)
+    cutter = _Cutter(recording, survey, filtering, rows)
     for block in uniform_blocks(recording, survey.clock):
         yield from cutter.push(block)
     yield from cutter.finish()
@@ -97,8 +120,9 @@ def skipped_segments(survey: Survey, filtering: Filtering) -> tuple[tuple[float,
 class _Cutter:
     """Hold the samples that the next tile needs, and cut tiles from them."""
 
-    def __init__(self, name: str, survey: Survey, filtering: Filtering, rows: int):
-        self._name, self._dt = name, survey.clock.dt
+    def __init__(self, recording: Recording, survey: Survey, filtering: Filtering, rows: int):
+        self._name, self._dt = recording.name, survey.clock.dt
+        self._thermal = torch.from_numpy(recording.thermal)
         self._use_velocity = torch.from_numpy(~np.isnan(survey.qd_noise_std))
         self._kernels = filtering.state_kernels(self._dt)
         self._feature_kernel = filtering.feature_kernel(self._dt)
@@ -110,14 +134,14 @@ class _Cutter:
         self.reach = filtering.reach(self._dt)
         self.produced = False
         self._segment, self._origin, self._index, self._x = -1, 0.0, 0, np.empty((0, 0))
-        self._width = 0
+        self._ends = 0, 0
 
     def push(self, block: Block) -> Iterator[States]:
         """Add samples; yield the full tiles that they complete."""
         if block.segment != self._segment:
             yield from self.finish()
             self._segment, self._origin, self._index, self._x = block.segment, float(block.t[0]), 0, block.channels
-            self._width = len(block.x)
+            self._ends = block.ends
         else:
             self._x = np.concatenate([self._x, block.channels], axis=1)
         while self._available() >= self._outputs:
@@ -138,13 +162,16 @@ class _Cutter:
         raw = torch.from_numpy(self._x[:, : length + 2 * half])
         q, qd, qdd = self._filter(raw[:n], self._kernels)
         if self._use_velocity.any():
-            measured = self._filter(raw[2 * n : self._width], self._kernels[:2])
+            measured = self._filter(raw[2 * n : self._ends[0]], self._kernels[:2])
             qd = torch.where(self._use_velocity[:, None], measured[0], qd)
             qdd = torch.where(self._use_velocity[:, None], measured[1], qdd)
-        reference = None
-        if len(raw) > self._width:
-            q_ref, qd_ref, qdd_ref = self._filter(raw[self._width :], self._kernels)
+        reference = temperature = None
+        if self._ends[1] > self._ends[0]:
+            q_ref, qd_ref, qdd_ref = self._filter(raw[self._ends[0] : self._ends[1]], self._kernels)
             reference = q_ref, qd_ref, qdd_ref
+        if self._thermal.any():
+            temperature = torch.full_like(q, torch.nan)
+            temperature[self._thermal] = self._filter(raw[self._ends[1] :], self._kernels[:1])[0]
         t = self._origin + self._dt * torch.arange(self._index + half, self._index + half + length, dtype=torch.float64)
         t_out = t[self._feature_half : length - self._feature_half : self._stride]
         tau = raw[n : 2 * n, half : half + length].clone()
@@ -152,7 +179,9 @@ class _Cutter:
         self._index += outputs * self._stride
         self.produced = True
         kernel, stride = self._feature_kernel, self._stride
-        return States(self._segment, self._dt, t, q, qd, qdd, tau, t_out, kernel, stride, self._name, reference)
+        return States(
+            self._segment, self._dt, t, q, qd, qdd, tau, t_out, kernel, stride, self._name, reference, temperature
+        )
 
     def _filter(self, x: torch.Tensor, kernels: torch.Tensor) -> torch.Tensor:
         """Convolve x (n, N) with each kernel (k, taps) where they overlap fully: (k, n, N - taps + 1)."""

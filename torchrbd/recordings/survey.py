@@ -35,6 +35,7 @@ class Survey:
         q_resolution: (n,) quantisation step, NaN if none is seen [rad or m].
         qd_noise_std: (n,) white noise of the measured velocity for joints whose measured velocity is used instead of
             the differentiated position; NaN for the others [rad/s or m/s].
+        temperature_min, temperature_max: (n,) [deg C], NaN where not recorded.
         cutoff_hz: the cut-off that suits this recording.
         constant_q, constant_tau: joints whose position or torque never changes.
         notes: for a person.
@@ -56,6 +57,8 @@ class Survey:
     q_noise_std: np.ndarray
     q_resolution: np.ndarray
     qd_noise_std: np.ndarray
+    temperature_min: np.ndarray
+    temperature_max: np.ndarray
     cutoff_hz: float
     constant_q: tuple[str, ...]
     constant_tau: tuple[str, ...]
@@ -76,12 +79,15 @@ def survey(recording: Recording) -> Survey:
     clock = Clock.of(recording)
     n = len(recording.joints)
     census, extent, spectrum = Census(n), _Extent(2 * n), Spectrum(clock.dt, n, recording.has_velocity)
+    warmth = _Extent(int(recording.thermal.sum()))
     segments: dict[int, tuple[float, float]] = {}
     for block in uniform_blocks(recording, clock, census):
         start, _ = segments.setdefault(block.segment, (float(block.t[0]), 0.0))
         segments[block.segment] = (start, float(block.t[-1]))
         extent.add(block.x[: 2 * n])
         spectrum.add(block)
+        if block.temperature is not None:
+            warmth.add(block.temperature)
     spectrum.close()
     lengths = [end - start for start, end in segments.values()]
     place = recording.path or recording.name
@@ -93,6 +99,8 @@ def survey(recording: Recording) -> Survey:
         raise RecordingError(f"{place}: nothing moves: the position of every joint is constant")
     cutoff_hz = spectrum.cutoff(q_moves, max(lengths))
     qd_noise_std = spectrum.qd_noise_std(cutoff_hz)
+    coldest, warmest = np.full((2, n), np.nan)
+    coldest[recording.thermal], warmest[recording.thermal] = warmth.low, warmth.high
     suspicions = _suspicions(recording, extent, spectrum, ~np.isnan(qd_noise_std))
     return Survey(
         name=recording.name,
@@ -111,6 +119,8 @@ def survey(recording: Recording) -> Survey:
         q_noise_std=np.fmax(spectrum.q_noise_std(), census.resolution / np.sqrt(12)),
         q_resolution=census.resolution,
         qd_noise_std=qd_noise_std,
+        temperature_min=coldest,
+        temperature_max=warmest,
         cutoff_hz=cutoff_hz,
         constant_q=tuple(compress(recording.joints, ~q_moves)),
         constant_tau=tuple(compress(recording.joints, ~tau_varies & recording.measured)),

@@ -122,7 +122,7 @@ def fit_rows(
         filters, scale = np.zeros_like(filters), scale.copy()
         for j, index in enumerate(columns.index):
             if len(index):
-                filters[j] = _filter(raw[:, j], index)
+                filters[j] = predictor(raw[:, j], index)
                 e = whitened(raw[:, j], index, filters[j], 1.0)
                 left = max(len(e) - float(np.sum(basis[j] ** 2)), 0.1 * len(e))
                 scale[j] = max(float(np.sqrt(np.sum(e**2) / left + (LEAST_NOISE * rms[j]) ** 2)), 1e-300)
@@ -175,7 +175,7 @@ def whitened(A: np.ndarray, index: np.ndarray, a: np.ndarray, scale: float) -> n
     return out / scale
 
 
-def _filter(r: np.ndarray, index: np.ndarray) -> np.ndarray:
+def predictor(r: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Return the predictor (ORDER,) of a leftover from its predecessors."""
     c = np.array([np.mean(r[index] * r[index - i]) for i in range(ORDER + 1)])
     c[0] = (1 + _FLOOR) * max(c[0], np.mean(r[index - ORDER] ** 2), 1e-300)

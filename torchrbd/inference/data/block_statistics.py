@@ -4,7 +4,8 @@
 
 One pass over the recordings builds them; afterwards nothing costs more than O(P^3), whatever their length. Blocks
 add, and leaving blocks out is subtraction. Samples are weighed so that ``counts`` are *independent* samples: torque
-band-limited at f_c has 2 f_c of them a second, however densely it is written.
+band-limited at f_c has 2 f_c of them a second, however densely it is written. Where a joint may stick they count less
+(``sticking.py``).
 """
 
 from __future__ import annotations
@@ -155,15 +156,14 @@ def block_statistics(
     blocks: dict[tuple[int, int], tuple[Block, list[Tensor], Tensor]] = {}
     for states in tiles:
         rows, torque = filtered_rows(columns, states)
-        weight = independent_rate_hz * states.dt_out
+        weights = independent_rate_hz * states.dt_out * columns.stick_weight(states) * measured.unsqueeze(1)
         number = (states.t_out / block_s).floor().long()
         for b in number.unique().tolist():
             here = number == b
+            w, tau = weights[:, here], torque[:, here]
             inside = [row[:, here] for row in rows]
-            moments = [weight * (a @ a.T) * float(m) for a, m in zip(inside, measured.tolist(), strict=True)]
-            tau = torque[:, here]
-            sums = weight * torch.stack((torch.ones_like(tau).sum(1), tau.sum(1), tau.square().sum(1)), -1)
-            sums = sums * measured.unsqueeze(-1)
+            moments = [(a * w_j) @ a.T for a, w_j in zip(inside, w, strict=True)]
+            sums = torch.stack((w.sum(1), (w * tau).sum(1), (w * tau.square()).sum(1)), -1)
             start, end = float(states.t_out[here][0]), float(states.t_out[here][-1])
             key = (states.segment, b)
             if key in blocks:

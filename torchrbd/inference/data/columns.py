@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError
+from torchrbd.inference.data.sticking import stick_weight, undetermined
 from torchrbd.physics import Effect, JointScale, Shape, Signals, Site, Window, effect
 from torchrbd.recordings import States
 from torchrbd.robot import RobotModel
@@ -60,9 +62,10 @@ class Columns:
         pi: (n_params,) inertial parameters whose torque is the load; the URDF's if None.
         sites: by an effect's id where it has columns; at all its sites if not told.
         candidates: all that has columns; if None, every effect at its sites with every shape of its grid.
+        stick_levels: (n_dof,) Coulomb friction in standard deviations of each torque's noise; none if not told.
 
     Attributes:
-        effects, scales, windows, pi, sites: as given.
+        effects, scales, windows, pi, sites, stick_levels: as given.
         n: length of x.
         labels: per joint, labels of its own features.
         shared: labels of the features that all joints have.
@@ -82,10 +85,12 @@ class Columns:
         *,
         sites: Mapping[str, Collection[Site]] | None = None,
         candidates: Iterable[Candidate] | None = None,
+        stick_levels: Tensor | None = None,
     ) -> None:
         self.robot, self.effects, self.scales, self.windows = robot, tuple(effects), tuple(scales), tuple(windows)
         self.pi, self._rest_width = pi, torch.tensor([s.rest_width for s in self.scales], dtype=torch.float64)
         self.sites = dict(sites or {})
+        self.stick_levels = torch.zeros(robot.n_dof, dtype=torch.float64) if stick_levels is None else stick_levels
         still = torch.zeros(3, robot.n_dof, 4, dtype=torch.float64)
         self._probe = replace(self.signals_at(*still), t=torch.arange(4, dtype=torch.float64))
         self.urdf_friction = tuple(
@@ -124,7 +129,7 @@ class Columns:
 
     def at_scales(self, scales: Sequence[JointScale]) -> Columns:
         """Return columns of the same effects for other scales."""
-        return Columns(self.robot, self.effects, scales, self.windows, self.pi, sites=self.sites)
+        return self._like(scales=scales)
 
     def around(self, pi: Tensor) -> Columns:
         """Return the same columns with the torque of pi (n_params,) as load."""
@@ -132,7 +137,15 @@ class Columns:
 
     def of_candidates(self, candidates: Iterable[Candidate], pi: Tensor | None) -> Columns:
         """Return columns of these candidates alone, with the torque of pi (n_params,) as load."""
-        return Columns(self.robot, self.effects, self.scales, self.windows, pi, sites=self.sites, candidates=candidates)
+        return self._like(pi=pi, candidates=candidates)
+
+    def sticking(self, levels: Tensor) -> Columns:
+        """Return the same columns for joints whose dry friction has these ``stick_levels`` (n_dof,)."""
+        return self._like(candidates=self.candidates, stick_levels=levels)
+
+    def _like(self, **other: Any) -> Columns:
+        kept = ("robot", "effects", "scales", "windows", "pi", "sites", "stick_levels")
+        return Columns(**({name: getattr(self, name) for name in kept} | other))
 
     def taken_from(self, other: Columns, x: Tensor) -> Tensor:
         """Return x (n,) with the inertial parameters and friction of another layout's x, other terms at zero."""
@@ -164,9 +177,15 @@ class Columns:
         attribute = URDF_FRICTION.get(candidate.effect.id)
         return float(getattr(self.robot, attribute)[candidate.joint]) if attribute else 0.0
 
+    def stick_weight(self, states: States) -> Tensor:
+        """Return what the samples of a tile count, (n_dof, M): less where a joint with dry friction may stick."""
+        unknown = states.decimate(undetermined(states.qd, self._rest_width))
+        return stick_weight(unknown, self.stick_levels)
+
     def signals(self, states: States) -> Signals:
         """Return the signals of a tile, time last."""
-        return replace(self.signals_at(states.q, states.qd, states.qdd), t=states.t, recording=states.recording)
+        signals = self.signals_at(states.q, states.qd, states.qdd)
+        return replace(signals, t=states.t, recording=states.recording, temperature=states.temperature)
 
     def signals_at(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Signals:
         """Return the signals of states (n_dof, N) that are no sequence."""
@@ -221,4 +240,5 @@ def joint_scales(speed_max: Tensor, velocity_noise: Tensor, low: Tensor, high: T
     """
     least = torch.full_like(speed_max, _LEAST_REST)
     rest = torch.maximum(torch.maximum(_REST_NOISE * velocity_noise, _REST_PART * speed_max), least)
-    return tuple(JointScale(*map(float, values)) for values in zip(speed_max, rest, low, high, strict=True))
+    values = zip(*(x.tolist() for x in (speed_max, rest, low, high)), strict=True)
+    return tuple(JointScale(speed, width, least_q, most_q) for speed, width, least_q, most_q in values)

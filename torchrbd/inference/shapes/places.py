@@ -117,7 +117,8 @@ def check_seen(told: Sequence[ToldEffect], columns: Columns) -> None:
         sites = one.sites(columns.robot, columns.windows)
         if not any((one.effect.id, site) in seen for site in sites):
             where = "any place" if one.place is None else one.place
+            needs = f"it needs {one.effect.needs}; " if one.effect.needs else ""
             raise OptionError(
                 f"'{one.effect.id}' cannot show at {where} in the range of these recordings; "
-                "record more motion there, or leave it out"
+                f"{needs}record more motion there, or leave it out"
             )

@@ -116,10 +116,13 @@ def refined(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) 
         terms: one candidate for every term; at which of its shapes does not matter.
         progress: told how far the work is.
     """
-    terms = tuple(terms)
     if not any(c.effect.uses_load or c.shape for c in terms):
-        return prepared, terms
-    terms = best_on_grid(prepared, terms)
+        return prepared, tuple(terms)
+    return refined_from(prepared, best_on_grid(prepared, terms), progress)
+
+
+def refined_from(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) -> tuple[Prepared, Terms]:
+    """Return the same, from shapes that are good already; ``prepared`` has columns for these at least."""
     now = _read(prepared, terms, _fitted(prepared, terms)[0], progress)
     best = [(c.shape, now.loss_of(k)) for k, c in enumerate(now.terms)]
     for _ in range(_MOST_PASSES):

@@ -1,0 +1,79 @@
+"""What the model has no name for: smooth terms, and what was located in the leftover of all terms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from torchrbd.diagnosis.results import Curve, Location, Region, Unexplained, Where
+from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.diagnosis.search.select import without
+from torchrbd.diagnosis.search.unnamed import depends_on, is_smooth
+from torchrbd.diagnosis.words import joined, number, percent
+from torchrbd.inference.data.columns import Candidate
+from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.inference.physical.terms import term_parameters
+
+# A function acts where it is above this part of its largest departure from its middle.
+_ACTS = 0.5
+
+
+def nameless(fit: Fit, model: FittedModel, left: Sequence[Location]) -> tuple[Unexplained, ...]:
+    """Return what is unexplained.
+
+    Args:
+        fit: of the search.
+        model: the fit with the same terms, in the same order.
+        left: what was located in the leftover of the model.
+    """
+    pairs = zip(fit.terms, model.proper_terms, strict=True)
+    found = [_described(fit, searched, model, term) for searched, term in pairs if is_smooth(term)]
+    known = {(x.joints, x.depends_on[:1]) for x in found}
+    rest = [Unexplained(x.joints, x.depends_on, x.where, max(x.share.values()), x.statement, x.curve) for x in left]
+    return (*found, *(x for x in rest if (x.joints, x.depends_on[:1]) not in known))
+
+
+def _described(fit: Fit, searched: Candidate, model: FittedModel, term: Candidate) -> Unexplained:
+    robot, joint = model.columns.robot, term.joint
+    name, unit = robot.joint_names[joint], "N" if bool(robot.prismatic[joint]) else "N m"
+    rest = Fit(fit.rows, without(fit.terms, searched))
+    share = 1.0 - float(fit.errors[:, joint].sum() / max(rest.errors[:, joint].sum(), 1e-300))
+    signals = depends_on(term, robot.joint_names)
+    curve = _curve(model, term, signals[0])
+    window, region = term.site.window, None
+    if curve is not None and signals[0] != "t":
+        region = (Region(signals[0], *_loud(np.array(curve.at), np.array(curve.torque))),)
+    where = Where(None if window is None else (window.recording,), None, region)
+    statement = (
+        f"{name}: no known effect explains {percent(max(share, 0.0))} of the power of what is left. "
+        f"It depends on {joined(signals)}"
+    )
+    if curve is not None:
+        least, most = min(curve.torque), max(curve.torque)
+        statement += f", as a torque from {number(least)} to {number(most)} {unit}"
+    if region:
+        statement += f", most of it where {signals[0]} is between {number(region[0].low)} and {number(region[0].high)}"
+    return Unexplained((name,), signals, where, max(share, 0.0), statement + ".", curve)
+
+
+def _curve(model: FittedModel, term: Candidate, signal: str) -> Curve | None:
+    """Return the function with its standard deviations at the knots; None if it is one of two signals."""
+    values = [pair for name, pair in term_parameters(model, term).items() if name.startswith("value_")]
+    if "own_low" in term.shape:
+        return None
+    at = np.linspace(term.shape["low"], term.shape["high"], len(values))
+    torque, std = zip(*values, strict=True)
+    return Curve(signal, tuple(at.tolist()), torque, std)
+
+
+def _loud(at: np.ndarray, torque: np.ndarray) -> tuple[float, float]:
+    """Return the interval around the largest departure from the median in which it stays above half of that."""
+    size = np.abs(torque - np.median(torque))
+    low = high = int(size.argmax())
+    while low > 0 and size[low - 1] > _ACTS * size.max():
+        low -= 1
+    while high < len(size) - 1 and size[high + 1] > _ACTS * size.max():
+        high += 1
+    step = 0.5 * (at[1] - at[0])
+    return max(at[low] - step, at[0]), min(at[high] + step, at[-1])

@@ -1,0 +1,272 @@
+"""Fits on whitened rows, and what adding columns to them gains, on the rows seen and on rows left out.
+
+With X the whitened columns of a model in prior coordinates (so that the prior is N(0, 1)), y the whitened torque and
+C the K columns of an addition,
+
+    H = X'X + 1 = L L',   V = L^-1 X'C,   S = C'C + 1 - V'V,   w = S^-1 C'(y - X x),   gain = 1/2 w'S w
+
+so that an addition costs O(N P K) and never a new factorisation. Leaving a fold out replaces each product by that of
+the other folds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import torch
+from scipy.linalg import cho_solve, solve_triangular
+
+from torchrbd.diagnosis.locate.residual import LEAST_NOISE, ORDER, Noise, predictor, whitened
+from torchrbd.diagnosis.rows.samples import Samples
+from torchrbd.inference.data.columns import Candidate
+from torchrbd.inference.physical.prior import TERM_WIDTH, Prior
+
+FOLDS, MOST_BLOCKS = 8, 64
+_ROUNDS = 3
+PEAK_WIDTH = 3.0
+
+Place = tuple[int | None, str]
+"""A column beside the rigid body's: the joint that has it (None: all joints share it), and its label."""
+
+
+class Rows:
+    """The samples, whitened by a noise model, joint after joint.
+
+    Args:
+        samples: the data.
+        prior: of the inertial parameters.
+        noise: filters (n, ORDER) and scale (n,).
+
+    Attributes:
+        X: (N, P) rigid body, in prior coordinates.
+        y: (N,) torque less that of the prior's mean.
+        parts: per joint, its slice of the N rows.
+        block: (N,) number of the block, of at most MOST_BLOCKS.
+        fold: (N,) number of the fold; runs of neighbouring blocks stay together.
+        joint: (N,).
+        counts: (n,) rows of each joint.
+    """
+
+    def __init__(self, samples: Samples, prior: Prior, noise: Noise) -> None:
+        self.samples, self.prior, self.noise = samples, prior, noise
+        n = len(samples.tau)
+        self.index = [_with_predecessors(samples, j) for j in range(n)]
+        ends = np.cumsum([0, *(len(i) for i in self.index)])
+        self.parts = [slice(a, b) for a, b in pairwise(ends.tolist())]
+        self.joint = np.repeat(np.arange(n), np.diff(ends))
+        inertial = prior.inertial.numpy()
+        self._scale = prior.scale.numpy()[np.ix_(inertial, inertial)]
+        self._inertial, mean = inertial, prior.mean.numpy()[: samples.rigid.shape[2]]
+        self.X = np.concatenate([self.white(samples.rigid[j][:, inertial].T, j) for j in range(n)], axis=1).T
+        self.X = self.X @ self._scale
+        self.y = np.concatenate([self.white(samples.tau[j] - samples.rigid[j] @ mean, j) for j in range(n)])
+        blocks = _coarse(samples.block)
+        self.block = np.concatenate([blocks[i] for i in self.index])
+        run = max(1, (int(blocks.max()) + 1) // (2 * FOLDS))
+        self.fold = (self.block // run) % FOLDS
+        self._rms = np.sqrt(np.mean(samples.tau**2, axis=1))
+        self.counts = np.diff(ends)
+        self._known: dict[Place, np.ndarray] = {}
+
+    def white(self, x: np.ndarray, joint: int) -> np.ndarray:
+        """Return signals (..., M) of a joint as its whitened rows see them, (..., m_j)."""
+        filters, scale = self.noise
+        return np.moveaxis(
+            whitened(
+                np.moveaxis(x * self.samples.weight[joint], -1, 0), self.index[joint], filters[joint], scale[joint]
+            ),
+            0,
+            -1,
+        )
+
+    def columns(self, candidate: Candidate) -> tuple[list[Place], np.ndarray]:
+        """Return places and whitened columns (N, K) of a candidate, in prior coordinates."""
+        places: list[Place] = [(candidate.place, label) for label in candidate.labels]
+        if not all(p in self._known for p in places):
+            for place, column in zip(
+                places, self.widened(candidate.place, self.samples.features(candidate)).T, strict=True
+            ):
+                self._known[place] = column
+        return places, np.stack([self._known[p] for p in places], axis=1)
+
+    def widened(self, place: int | None, features: np.ndarray) -> np.ndarray:
+        """Return features (K, M) of a joint, or (K, n, M) of all, as whitened columns (N, K) in prior coordinates."""
+        C = np.zeros((len(self.y), len(features)))
+        for j in range(len(self.parts)) if place is None else (place,):
+            C[self.parts[j]] = self.white(features[:, j] if place is None else features, j).T
+        return C * self.widths(place, features)
+
+    def widths(self, place: int | None, features: np.ndarray) -> np.ndarray:
+        """Return the prior standard deviations of the coefficients (K,) of features of a joint, or of all.
+
+        No torque is believed to have a root mean square, or a peak, beyond so many times the root mean square of its
+        joint's: what few samples see is bounded by the latter.
+        """
+        rms = self._rms if place is None else self._rms[place]
+        joints = rms > 0
+        size = np.maximum(np.sqrt(np.mean(features**2, axis=-1)) / TERM_WIDTH, np.abs(features).max(-1) / PEAK_WIDTH)
+        ratio = (size / np.where(joints, rms, 1.0) * joints).reshape(len(features), -1).max(1)
+        return np.where(ratio > 0, 1.0 / np.maximum(ratio, 1e-300), 0.0)
+
+    def pi(self, z: np.ndarray) -> np.ndarray:
+        """Return the inertial parameters (n_params,) of prior coordinates."""
+        pi = self.prior.mean.numpy()[: self.samples.rigid.shape[2]].copy()
+        pi[self._inertial] += self._scale @ z
+        return pi
+
+
+@dataclass(frozen=True)
+class Addition:
+    """What columns gain beside a fit: ``gain`` in log-likelihood units, coefficients w (K,) in prior coordinates."""
+
+    gain: float
+    w: np.ndarray
+
+
+class Fit:
+    """The fit of one set of terms.
+
+    Args:
+        rows: the data.
+        terms: of the model beside the rigid body.
+
+    Attributes:
+        places: of the terms' columns, in the order of the last columns of X.
+        X: (N, P + T).
+        x: coefficients (P + T,) in prior coordinates.
+        e: (N,) leftover.
+    """
+
+    def __init__(self, rows: Rows, terms: Sequence[Candidate]) -> None:
+        self.rows, self.terms = rows, tuple(terms)
+        columns: dict[Place, np.ndarray] = {}
+        for term in terms:
+            columns |= dict(zip((found := rows.columns(term))[0], found[1].T, strict=True))
+        self.places = list(columns)
+        self.X = np.concatenate((rows.X, np.array(list(columns.values())).reshape(-1, len(rows.y)).T), axis=1)
+        self._H, self._h = self.X.T @ self.X, self.X.T @ rows.y
+        self.L, self.x = _solved(self._H, self._h)
+        self.e = rows.y - self.X @ self.x
+
+    @property
+    def pi(self) -> torch.Tensor:
+        """Inertial parameters (n_params,)."""
+        return torch.from_numpy(self.rows.pi(self.x[: self.rows.X.shape[1]]))
+
+    @cached_property
+    def _folds(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Per fold: its rows, X and leftover there, and factor and leftover's image of the fit on the other folds."""
+        found = []
+        for f in range(FOLDS):
+            own = np.flatnonzero(self.rows.fold == f)
+            X, y = self.X[own], self.rows.y[own]
+            L, x = _solved(self._H - X.T @ X, self._h - X.T @ y)
+            found.append((own, X, y - X @ x, L, x))
+        return found
+
+    @cached_property
+    def errors(self) -> np.ndarray:
+        """Left-out squared errors by block and joint, (B, n)."""
+        e = np.empty_like(self.rows.y)
+        for own, _, left, *_ in self._folds:
+            e[own] = left
+        return self.by_block(e)
+
+    def addition(self, C: np.ndarray) -> Addition:
+        """Return what columns C (N, K) gain on the rows that they are fitted to."""
+        V = solve_triangular(self.L, self.X.T @ C, lower=True)
+        S = C.T @ C + np.eye(C.shape[1]) - V.T @ V
+        r = C.T @ self.e
+        w = np.linalg.solve(S, r)
+        return Addition(0.5 * float(w @ r), w)
+
+    def coefficients_with(self, C: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Return x (P + T,) of the fit beside columns C (N, K) with coefficients w."""
+        return self.x - cho_solve((self.L, True), self.X.T @ (C @ w))
+
+    def share_left(self, C: np.ndarray) -> float:
+        """Return the largest part (0 to 1) of a column of C (N, K) that the model cannot imitate."""
+        size = np.sqrt(np.maximum(self._H.diagonal(), 1e-300))
+        values, vectors = np.linalg.eigh(self._H / size / size[:, None])
+        kept = values > 1e-12 * values[-1]
+        cross = vectors[:, kept].T @ ((self.X.T @ C) / size[:, None])
+        total = (C**2).sum(0)
+        return float(((total - (cross**2 / values[kept, None]).sum(0)) / np.maximum(total, 1e-300)).max())
+
+    def errors_with(self, C: np.ndarray) -> np.ndarray:
+        """Return the left-out squared errors (B, n) of the fit with columns C (N, K) added."""
+        B, CC, Cy, eye = self.X.T @ C, C.T @ C, C.T @ self.rows.y, np.eye(C.shape[1])
+        e = np.empty_like(self.rows.y)
+        for own, X, left, L, x in self._folds:
+            C_f = C[own]
+            B_f = B - X.T @ C_f
+            V = solve_triangular(L, B_f, lower=True)
+            S = CC - C_f.T @ C_f + eye - V.T @ V
+            w = np.linalg.solve(S, Cy - C_f.T @ self.rows.y[own] - B_f.T @ x)
+            e[own] = left - C_f @ w + X @ solve_triangular(L, V @ w, lower=True, trans=1)
+        return self.by_block(e)
+
+    def by_block(self, e: np.ndarray) -> np.ndarray:
+        """Return the sums of squares of e (N,) by block and joint, (B, n)."""
+        n, B = len(self.rows.parts), int(self.rows.block.max()) + 1
+        return np.bincount(self.rows.block * n + self.rows.joint, e**2, B * n).reshape(B, n)
+
+    def leftover(self) -> np.ndarray:
+        """Return the leftover as it is, (n, M) [N m] or [N]."""
+        samples, rows = self.rows.samples, self.rows
+        left = samples.tau - samples.rigid @ self.pi.numpy()
+        value = dict(zip(self.places, self.x[rows.X.shape[1] :], strict=True))
+        done: set[Place] = set()
+        for term in self.terms:
+            features = samples.features(term)
+            for label, f, width in zip(term.labels, features, rows.widths(term.place, features), strict=True):
+                place = (term.place, label)
+                if place not in done:
+                    left[slice(None) if term.place is None else term.place] -= value[place] * width * f
+                    done.add(place)
+        return np.where(samples.measured, left, 0.0)
+
+    def noise(self) -> Noise:
+        """Return the noise that makes this leftover white."""
+        left, rows = self.leftover(), self.rows
+        filters, scale = np.zeros((len(left), ORDER)), np.ones(len(left))
+        Q = solve_triangular(self.L, self.X.T, lower=True)
+        for j, index in enumerate(rows.index):
+            if len(index):
+                weighted = left[j] * rows.samples.weight[j]
+                filters[j] = predictor(weighted, index)
+                e = whitened(weighted, index, filters[j], 1.0)
+                used = min(float((Q[:, rows.parts[j]] ** 2).sum()), 0.9 * len(e))
+                least = LEAST_NOISE * np.sqrt(np.mean(rows.samples.tau[j] ** 2))
+                scale[j] = max(float(np.sqrt(np.sum(e**2) / (len(e) - used) + least**2)), 1e-300)
+        return filters, scale
+
+
+def fitted(samples: Samples, prior: Prior, terms: Sequence[Candidate], noise: Noise | None = None) -> Fit:
+    """Fit terms, and whiten by what they leave, in turn."""
+    rms = np.sqrt(np.mean(samples.tau**2, axis=1))
+    noise = noise or (np.zeros((len(rms), ORDER)), np.where(rms > 0, 0.1 * rms, 1.0))
+    for _ in range(_ROUNDS):
+        noise = Fit(Rows(samples, prior, noise), terms).noise()
+    return Fit(Rows(samples, prior, noise), terms)
+
+
+def _solved(H: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    L = np.linalg.cholesky(H + np.eye(len(H)))
+    return L, cho_solve((L, True), h)
+
+
+def _with_predecessors(samples: Samples, joint: int) -> np.ndarray:
+    k = np.arange(ORDER, len(samples.run))
+    seen = samples.measured[joint]
+    return k[(samples.run[k] == samples.run[k - ORDER]) & seen[k] & seen[k - ORDER]]
+
+
+def _coarse(block: np.ndarray) -> np.ndarray:
+    """Number blocks anew, neighbours merged so that there are at most MOST_BLOCKS."""
+    number = np.unique(block, return_inverse=True)[1]
+    return number // int(np.ceil((number.max() + 1) / MOST_BLOCKS))

@@ -1,0 +1,192 @@
+"""Torques, regressor, states and the features of any candidate, band-limited alike and kept in memory.
+
+Block statistics serve what is known beforehand. A shape that is refined, or an interval of tenths of a second, needs
+rows: features are worked out when they are asked for. Long recordings are thinned: stretches that are spread over all
+of them are read here, the fit that follows reads everything.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchrbd.inference.data.columns import Candidate, Columns
+from torchrbd.inference.preparation import Prepared
+from torchrbd.physics import Signals
+from torchrbd.recordings import States
+
+# States that are kept at most, over all tiles, and how many a second of each: nonlinear features of a motion below the
+# cut-off need some more than the motion itself.
+MOST_STATES, LEAST_RATE_HZ, LEAST_RATE_CYCLES = 100_000, 100.0, 12.0
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A piece of a recording: states, what effects see of them, and which outputs count."""
+
+    states: States
+    signals: Signals
+    kept: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Samples:
+    """M band-limited samples of a robot with n joints; those in held-out blocks are not among them.
+
+    Attributes:
+        columns: of the robot; their ``pi`` makes the load.
+        tiles: where features come from.
+        recordings: names.
+        rigid: (n, M, n_params) regressor.
+        tau: (n, M) measured torque less what the URDF's friction takes; 0 where ``measured`` (n, M) is not.
+        q, qd, qdd, direction: (n, M) band-limited states, and sign(qd).
+        weight: (n, M) root of what a sample counts, 0 to 1: less where a joint may stick.
+        run: (M,) number of the uninterrupted run that a sample belongs to.
+        block: (M,) number of the block of statistics that it belongs to.
+        recording: (M,) index into ``recordings``.
+        t: (M,) seconds since that recording's start.
+        rise: how a step at time zero looks behind the filter that all torques passed: times (R,) [s] and heights (R,).
+    """
+
+    columns: Columns
+    tiles: tuple[Tile, ...]
+    recordings: tuple[str, ...]
+    rigid: np.ndarray
+    tau: np.ndarray
+    measured: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    direction: np.ndarray
+    weight: np.ndarray
+    run: np.ndarray
+    block: np.ndarray
+    recording: np.ndarray
+    t: np.ndarray
+    rise: tuple[np.ndarray, np.ndarray]
+    _known: dict[tuple[Any, ...], np.ndarray] = field(default_factory=dict)
+
+    def features(self, candidate: Candidate) -> np.ndarray:
+        """Return the features of a candidate, (K, M) at its joint, or (K, n, M) if it acts on the whole robot."""
+        key = candidate.effect, candidate.site, *candidate.shape.items()
+        if key not in self._known:
+            self._known[key] = self.evaluated(candidate)
+        return self._known[key]
+
+    def evaluated(self, candidate: Candidate) -> np.ndarray:
+        """Return the same without remembering it."""
+        parts = []
+        for tile in self.tiles:
+            found = torch.stack(list(candidate.features(tile.signals).values()))
+            parts.append(tile.states.decimate(found)[..., tile.kept].numpy())
+        return np.concatenate(parts, axis=-1)
+
+    @property
+    def seen(self) -> list[bool]:
+        """Which joints have a torque, (n,)."""
+        return [bool(m.any()) for m in self.measured]
+
+    @property
+    def load_parameters(self) -> np.ndarray:
+        """Inertial parameters (n_params,) that make the load."""
+        pi = self.columns.pi
+        return (self.columns.robot.pi if pi is None else pi).numpy()
+
+    def around(self, pi: torch.Tensor) -> Samples:
+        """Return the same samples with the torque of pi (n_params,) as load."""
+        columns = self.columns.of_candidates((), pi)
+        tiles = tuple(replace(tile, signals=columns.signals(tile.states)) for tile in self.tiles)
+        known = {key: f for key, f in self._known.items() if not key[0].uses_load}
+        return replace(self, columns=columns, tiles=tiles, _known=known)
+
+
+def read_samples(prepared: Prepared, pi: torch.Tensor) -> Samples:
+    """Stream the recordings once and keep what searching and locating need.
+
+    Args:
+        prepared: the data.
+        pi: (n_params,) inertial parameters whose torque is the load.
+    """
+    columns = prepared.columns.of_candidates((), pi)
+    friction = columns.reference()
+    friction[: prepared.robot.n_params] = 0.0
+    tiles: list[Tile] = []
+    parts: list[dict[str, np.ndarray]] = []
+    for k, states in _spread(prepared):
+        kept = ~prepared.kept_back(states.recording, states.t_out)
+        if not kept.any():
+            continue
+        measured = prepared.measured(k).unsqueeze(1)
+        known = columns.term_torque(columns.signals(states), friction)
+        tau = states.decimate(torch.where(measured, torch.nan_to_num(states.tau) - known, 0.0))
+        states = _thinned(states, prepared.filtering.cutoff_hz)
+        tile = Tile(states, columns.signals(states), kept)
+        tiles.append(tile)
+        outputs = {"tau": tau, "measured": measured.expand_as(tau), **_signals(columns, tile)}
+        outputs["weight"] = columns.stick_weight(states).sqrt()
+        part = {name: x[:, kept].numpy() for name, x in outputs.items()}
+        of = torch.tensor([k, states.segment, states.dt_out], dtype=torch.float64)
+        part["place"] = torch.cat((states.t_out[kept, None], of.expand(int(kept.sum()), 3)), 1).numpy()
+        parts.append(part)
+    joined = {name: np.concatenate([p[name] for p in parts], axis=int(name != "place")) for name in parts[0]}
+    t, recording, segment, dt = joined.pop("place").T
+    begins = (np.diff(t, prepend=-np.inf) > 1.5 * dt) | (np.diff(recording, prepend=-1) != 0)
+    begins |= (np.diff(segment, prepend=-1) != 0) | (np.diff(t, prepend=0.0) < 0)
+    places = np.stack((recording, np.floor(t / prepared.reading.block_s)), axis=1)
+    load = np.abs(joined["rigid"] @ pi.numpy()).max(1)
+    scales = [replace(s, load_max=float(most)) for s, most in zip(columns.scales, load, strict=True)]
+    return Samples(
+        columns=columns.at_scales(scales),
+        tiles=tuple(tiles),
+        recordings=tuple(r.name for r in prepared.recordings),
+        run=np.cumsum(begins),
+        block=np.unique(places, axis=0, return_inverse=True)[1].ravel(),
+        recording=recording.astype(int),
+        t=t,
+        rise=_rise(prepared),
+        **joined,  # type: ignore[arg-type]
+    )
+
+
+def _signals(columns: Columns, tile: Tile) -> dict[str, torch.Tensor]:
+    """Return what rows show of a tile, (n, M, ...)."""
+    states = tile.states
+    direction = torch.stack([tile.signals.joint(j).direction() for j in range(columns.robot.n_dof)])
+    Y = columns.robot.regressor_batch_last(states.q, states.qd, states.qdd)
+    plain = {"q": states.q, "qd": states.qd, "qdd": states.qdd, "direction": direction}
+    return {"rigid": states.decimate(Y).movedim(1, 2), **{name: states.decimate(x) for name, x in plain.items()}}
+
+
+def _spread(prepared: Prepared) -> Iterator[tuple[int, States]]:
+    """Yield every tile of all recordings, or some that are spread over them if they are long."""
+    coarse = [_coarseness(s.clock.dt, prepared.filtering.cutoff_hz) for s in prepared.reading.surveys]
+    total = sum(s.duration_s / (s.clock.dt * c) for s, c in zip(prepared.reading.surveys, coarse, strict=True))
+    step, number = max(1, round(total / MOST_STATES)), 0
+    for k in range(len(prepared.recordings)):
+        for states in prepared.tiles(k):
+            if number % step == 0:
+                yield k, states
+            number += 1
+
+
+def _coarseness(dt: float, cutoff_hz: float) -> int:
+    return max(1, math.floor(1.0 / (dt * max(LEAST_RATE_HZ, LEAST_RATE_CYCLES * cutoff_hz)) + 1e-6))
+
+
+def _thinned(states: States, cutoff_hz: float) -> States:
+    """Return states at a coarser clock that has the same outputs; without torque, which is noisy and needs them all."""
+    most = _coarseness(states.dt, cutoff_hz)
+    step = max(d for d in range(1, most + 1) if states.stride % d == 0)
+    return states.thinned(step)
+
+
+def _rise(prepared: Prepared) -> tuple[np.ndarray, np.ndarray]:
+    step = 0.02 / prepared.filtering.cutoff_hz
+    kernel = prepared.filtering.feature_kernel(step).numpy()
+    half = len(kernel) // 2
+    return step * (np.arange(-half, half + 2) - 0.5), np.concatenate(([0.0], np.cumsum(kernel)))

@@ -1,0 +1,145 @@
+"""What may be added to a model: all candidates screened at once, and the refinement of a shape."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize_scalar
+
+from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.diagnosis.rows.samples import Samples
+from torchrbd.inference.data.columns import Candidate, Columns
+from torchrbd.inference.shapes.slope import axes
+from torchrbd.physics import Effect, Window
+
+_EVALUATIONS, _SWEEPS, _CLOSE = 10, 2, 0.03
+
+
+@dataclass(frozen=True)
+class Screened:
+    """A candidate, what it gains beside a fit on the rows seen, and the same less the cost of its freedom."""
+
+    candidate: Candidate
+    gain: float
+    score: float
+
+
+class Grid:
+    """All candidates on one set of samples.
+
+    Args:
+        samples: the data.
+        candidates: what may be added.
+    """
+
+    def __init__(self, samples: Samples, candidates: Iterable[Candidate]) -> None:
+        self.samples, self.candidates = samples, tuple(candidates)
+        by_place: dict[int | None, list[Candidate]] = {}
+        for c in self.candidates:
+            by_place.setdefault(c.place, []).append(c)
+        self._groups = [_Group(place, own, samples) for place, own in by_place.items()]
+
+    def screened(self, fit: Fit) -> list[Screened]:
+        """Return the best shape of each effect at each place, best score first."""
+        best: dict[tuple[str, object], Screened] = {}
+        for group in self._groups:
+            for one in group.screened(fit):
+                key = one.candidate.effect.id, one.candidate.site
+                if key not in best or one.score > best[key].score:
+                    best[key] = one
+        return sorted(best.values(), key=lambda one: -one.score)
+
+
+class _Group:
+    """Candidates that add to the torque of one joint, or of all (None), their columns side by side."""
+
+    def __init__(self, place: int | None, candidates: Sequence[Candidate], samples: Samples) -> None:
+        self.place, self.candidates = place, candidates
+        self.columns: dict[str, int] = {}
+        features: list[np.ndarray] = []
+        for c in candidates:
+            for label, f in zip(c.labels, samples.features(c), strict=True):
+                if label not in self.columns and f.any():
+                    self.columns[label] = len(features)
+                    features.append(f)
+        self.features = np.array(features)
+
+    def screened(self, fit: Fit) -> Iterator[Screened]:
+        if not len(self.features):
+            return
+        rows = fit.rows
+        part = slice(None) if self.place is None else rows.parts[self.place]
+        C, X = rows.widened(self.place, self.features)[part], fit.X[part]
+        V = solve_triangular(fit.L, X.T @ C, lower=True)
+        S, r = C.T @ C - V.T @ V + np.eye(C.shape[1]), C.T @ fit.e[part]
+        known = {label for place, label in fit.places if place == self.place}
+        cost = 0.5 * np.log(max(rows.counts.max(), 2))
+        for c in self.candidates:
+            fresh = [self.columns[label] for label in c.labels if label in self.columns and label not in known]
+            if fresh:
+                own = r[fresh]
+                gain = 0.5 * float(own @ np.linalg.solve(S[np.ix_(fresh, fresh)], own))
+                yield Screened(c, gain, gain - cost * complexity(fit, c))
+
+
+def complexity(fit: Fit, candidate: Candidate) -> int:
+    """Return the coefficients and shape parameters that a candidate adds to a fit."""
+    known = set(fit.places)
+    return candidate.effect.complexity - sum((candidate.place, label) in known for label in candidate.labels)
+
+
+def candidates(
+    columns: Columns, effects: Iterable[Effect], measured: Sequence[bool], windows: Sequence[Window] = ()
+) -> Iterator[Candidate]:
+    """Yield effects at all their places with all shapes of their grids.
+
+    Args:
+        columns: of the robot.
+        effects: to look for.
+        measured: (n,) joints whose torque is known.
+        windows: stretches of time in which effects may act.
+    """
+    for effect in effects:
+        for site in effect.sites(columns.robot, windows):
+            if effect.whole_robot or measured[site.joint or 0]:
+                for shape in effect.shapes(columns.scale(site)):
+                    yield columns.candidate(effect, site, shape)
+
+
+def fresh_columns(fit: Fit, candidate: Candidate) -> np.ndarray:
+    """Return the columns (N, K) that a candidate has and a fit has not."""
+    places, C = fit.rows.columns(candidate)
+    known = set(fit.places)
+    return C[:, [k for k, place in enumerate(places) if place not in known]]
+
+
+def refined(fit: Fit, candidate: Candidate) -> Candidate:
+    """Return a candidate with the shape, between the neighbours on its grid, that gains most beside a fit."""
+    columns = fit.rows.samples.columns
+    grid = {name: axis for name, axis in axes(columns, candidate).items() if axis.reach > 0}
+    for _ in range(_SWEEPS if len(grid) > 1 else 1):
+        for name, axis in grid.items():
+            candidate = _along(fit, candidate, name, axis.limits(candidate.shape[name]))
+    return candidate
+
+
+def _along(fit: Fit, candidate: Candidate, name: str, bounds: tuple[float, float]) -> Candidate:
+    columns = fit.rows.samples.columns
+
+    def at(value: float) -> Candidate:
+        return columns.candidate(candidate.effect, candidate.site, {**candidate.shape, name: float(value)})
+
+    options = {"xatol": _CLOSE * (bounds[1] - bounds[0]), "maxiter": _EVALUATIONS}
+    found = minimize_scalar(lambda value: -_gain(fit, at(value)), bounds=bounds, method="bounded", options=options)
+    return at(found.x) if -found.fun > _gain(fit, candidate) else candidate
+
+
+def _gain(fit: Fit, candidate: Candidate) -> float:
+    """Return what a candidate gains beside a fit on the rows seen; nothing of it is remembered."""
+    known = set(fit.places)
+    fresh = [k for k, label in enumerate(candidate.labels) if (candidate.place, label) not in known]
+    features = fit.rows.samples.evaluated(candidate)[fresh]
+    return fit.addition(fit.rows.widened(candidate.place, features)).gain if fresh else 0.0

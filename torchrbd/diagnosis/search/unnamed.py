@@ -1,0 +1,58 @@
+"""Torque without a name: smooth functions of what the leftover may depend on, offered where names have ended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from torchrbd.diagnosis.rows.samples import Samples
+from torchrbd.inference.data.columns import Candidate
+from torchrbd.physics import Window
+from torchrbd.physics.smooth_torque import SMOOTH, SmoothTorque
+
+# Beyond these quantiles of a signal there are too few samples to tell a function.
+ENDS = (0.01, 0.99)
+
+
+def smooth_candidates(samples: Samples, measured: Sequence[bool]) -> Iterator[Candidate]:
+    """Yield functions of each signal, with knots over the range that the samples cover."""
+    columns = samples.columns
+    recordings = [(k, Window(samples.recordings[k])) for k in np.unique(samples.recording)]
+    load = np.stack([samples.rigid[j] @ samples.load_parameters for j in range(len(samples.tau))])
+    signals = {"q": samples.q, "qd": samples.qd, "qdd": samples.qdd, "load": load}
+    for effect in SMOOTH:
+        for site in effect.sites(columns.robot, [w for _, w in recordings]):
+            assert site.joint is not None
+            if not measured[site.joint]:
+                continue
+            if effect.signal == "t":
+                (k,) = (k for k, w in recordings if w == site.window)
+                v = samples.t[samples.recording == k]
+            else:
+                v = signals[effect.signal][site.other if site.other is not None else site.joint]
+            shape: dict[str, float] = dict(zip(("low", "high"), map(float, np.quantile(v, ENDS)), strict=True))
+            if effect.times_own:
+                own = map(float, np.quantile(signals[effect.signal][site.joint], ENDS))
+                shape |= dict(zip(("own_low", "own_high"), own, strict=True))
+            if shape["high"] > shape["low"] and shape.get("own_high", 1.0) > shape.get("own_low", 0.0):
+                yield columns.candidate(effect, site, shape)
+
+
+def is_smooth(candidate: Candidate) -> bool:
+    """Say whether a term is a function without a law."""
+    return isinstance(candidate.effect, SmoothTorque)
+
+
+def depends_on(candidate: Candidate, joint_names: Sequence[str]) -> tuple[str, ...]:
+    """Return the signals that a smooth term depends on, e.g. "q_joint2"."""
+    effect, site = candidate.effect, candidate.site
+    assert isinstance(effect, SmoothTorque)
+    assert site.joint is not None
+    if effect.signal == "t":
+        return ("t",)
+    name = "tau" if effect.signal == "load" else effect.signal
+    first = f"{name}_{joint_names[site.joint if site.other is None else site.other]}"
+    also = [f"qd_{joint_names[site.joint]}"] if effect.friction else []
+    own = [f"{name}_{joint_names[site.joint]}"] if effect.times_own else []
+    return (first, *also, *own)
