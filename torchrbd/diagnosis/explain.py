@@ -24,6 +24,8 @@ LARGEST_PROBABILITY = 0.999
 # An alternative is told of if it is so many times as probable as the finding.
 LEAST_ODDS = 0.05
 LONGEST = 50.0
+# Viscous and Coulomb friction and an offset are found on every robot: log of how much more often than anything else.
+PLAIN = 4.0
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,7 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
             if (c.effect.id, c.site) != (term.effect.id, term.site) and not contains:
                 more = complexity(rest, c) - complexity(rest, term)
                 freedom = 0.5 * more * math.log(max(counts.max(), 2))
+                freedom += PLAIN * ((term in search.background) - (c in search.background))
                 rivals.append(Rival(c, odds(gain(option.errors, own.errors, counts), freedom)))
         found.append(Weighed(term, own.worth, tuple(rivals)))
     return tuple(found)

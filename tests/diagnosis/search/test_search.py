@@ -1,0 +1,125 @@
+"""The search on simulated rows: screening against fits one by one, choices, and functions without a law."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from robot.random_robots import random_urdf
+from simulated import joint_names, record
+
+import torchrbd
+from torchrbd.diagnosis.rows.gain import Gain
+from torchrbd.diagnosis.rows.regression import Fit, fitted
+from torchrbd.diagnosis.rows.samples import read_samples
+from torchrbd.diagnosis.search.grid import Grid, candidates, complexity, fresh_columns, refined
+from torchrbd.diagnosis.search.select import BACKGROUND, Search, accepted, clearly_worse, judged, preferred
+from torchrbd.diagnosis.search.unnamed import smooth_candidates
+from torchrbd.inference.preparation import prepare
+from torchrbd.inference.settings import Settings
+from torchrbd.physics import Site, effect
+from torchrbd.robot import RobotModel
+
+EFFECTS = (*BACKGROUND, "stribeck_friction", "joint_spring", "quadratic_drag", "torque_ripple", "encoder_offset")
+
+
+def arm(seed: int) -> str:
+    return random_urdf(seed, 3, kinds=("revolute",), branching=0.0, massless=0.0)
+
+
+def at(urdf: str, joint: str, torque):
+    """Return what puts ``torque(q, qd)`` of a joint on that joint."""
+    k = joint_names(urdf).index(joint)
+
+    def extra(motion):
+        tau = np.zeros_like(motion.q)
+        tau[:, k] = torque(motion.q[:, k], motion.qd[:, k])
+        return tau
+
+    return extra
+
+
+def begun(seed: int, torque) -> tuple[Search, Fit]:
+    urdf = arm(seed)
+    recording = record(urdf, seed, duration_s=20.0, rate_hz=125.0, extra=at(urdf, "joint2", torque))
+    prepared = prepare(RobotModel.from_urdf(urdf), [recording], Settings.from_mapping({}, "test"), ())
+    samples = read_samples(prepared, prepared.fit().pi)
+    grid = Grid(samples, candidates(samples.columns, [effect(name) for name in EFFECTS], samples.seen))
+    search = Search(grid, prepared.prior)
+    return search, fitted(samples, prepared.prior, search.background)
+
+
+@pytest.fixture(scope="module")
+def dragged() -> tuple[Search, Fit]:
+    return begun(5, lambda q, qd: 0.4 * qd * np.abs(qd))
+
+
+def test_screening_is_fitting_one_by_one(dragged: tuple[Search, Fit]) -> None:
+    search, fit = dragged
+    for one in search.grid.screened(fit):
+        C = fresh_columns(fit, one.candidate)
+        assert one.gain == pytest.approx(fit.addition(C).gain, rel=1e-6, abs=1e-6)
+        assert one.score == pytest.approx(
+            one.gain - 0.5 * np.log(fit.rows.counts.max()) * complexity(fit, one.candidate)
+        )
+
+
+def test_what_acts_is_screened_first_and_chosen(dragged: tuple[Search, Fit]) -> None:
+    search, fit = dragged
+    first = search.grid.screened(fit)[0].candidate
+    assert (first.effect.id, first.joint) == ("quadratic_drag", 1)
+    chosen = [(c.effect.id, c.site.joint) for c in search.run().terms]
+    assert chosen == [("quadratic_drag", 1)]
+
+
+def test_a_shape_is_found_between_the_points_of_its_grid() -> None:
+    _, fit = begun(6, lambda q, qd: 0.5 * np.sin(11.37 * q))
+    near = fit.rows.samples.columns.candidate(effect("torque_ripple"), Site(1), {"order": 11.0})
+    found = refined(fit, near)
+    assert found.shape["order"] == pytest.approx(11.37, abs=0.05)
+    assert judged(fit, found).worth.total > judged(fit, near).worth.total
+
+
+def test_the_simpler_of_equals_is_preferred(dragged: tuple[Search, Fit]) -> None:
+    search, fit = dragged
+    columns = fit.rows.samples.columns
+    options = [
+        judged(fit, columns.candidate(effect("power_law_friction"), Site(1), {"exponent": 1.99})),
+        judged(fit, columns.candidate(effect("quadratic_drag"), Site(1), {})),
+    ]
+    assert preferred(fit, options).candidate.effect.id == "quadratic_drag"
+
+
+def test_one_lucky_block_is_not_accepted_and_a_rare_effect_is() -> None:
+    assert accepted(Gain(total=40.0, std=10.0, repeated=30.0))
+    assert accepted(Gain(total=100.0, std=60.0, repeated=40.0))
+    assert not accepted(Gain(total=100.0, std=60.0, repeated=5.0))
+    assert not accepted(Gain(total=10.0, std=1.0, repeated=9.0))
+    assert clearly_worse(Gain(20.0, 5.0, 15.0), 100.0)
+    assert not clearly_worse(Gain(2.0, 0.1, 1.9), 100.0)
+    assert not clearly_worse(Gain(20.0, 15.0, 1.0), 100.0)
+
+
+def test_smooth_functions_cover_what_the_samples_cover(dragged: tuple[Search, Fit]) -> None:
+    samples = dragged[1].rows.samples
+    found = list(smooth_candidates(samples, samples.seen))
+    assert {c.effect.signal for c in found} == {"q", "qd", "qdd", "load", "t"}
+    for c in found:
+        total = samples.features(c).sum(0)
+        plain = not c.effect.friction and not c.effect.times_own
+        assert not plain or np.abs(total - 1.0).max() < 1e-6
+
+
+def test_a_bump_is_unexplained_and_drawn_as_it_is() -> None:
+    urdf = arm(9)
+    bump = lambda q: 1.5 * np.exp(-(((q - q.mean()) / 0.25) ** 2))  # noqa: E731
+    recording = record(urdf, 9, duration_s=40.0, extra=at(urdf, "joint2", lambda q, qd: bump(q)))
+    (left,) = torchrbd.diagnose(urdf, recording).unexplained
+    assert (left.joints, left.depends_on) == (("joint2",), ("q_joint2",))
+    assert left.share > 0.5
+    assert left.curve is not None
+    height = np.ptp(left.curve.torque)
+    assert height == pytest.approx(1.5, rel=0.25)
+    (region,) = left.where.region
+    q = next(iter(recording.chunks(10**6))).q[:, 1]
+    assert region.low < q.mean() < region.high
+    assert region.high - region.low < 1.2
