@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 from robot.random_robots import random_states, random_urdf
@@ -9,6 +11,7 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from torchrbd.errors import InputError, PhysicalError
+from torchrbd.export import load_model, save_model
 from torchrbd.model import REST_WIDTH, RigidBodyDynamics
 from torchrbd.parameters import is_physical
 from torchrbd.physics import Signals, Site, Term, effect
@@ -171,6 +174,32 @@ def test_training_keeps_every_body_physical_and_learns(model: RigidBodyDynamics)
         losses.append(float(loss.detach()))
         assert is_physical(model.pi.detach().reshape(-1, 10), tolerance=0.0).all()
     assert losses[-1] < 0.8 * losses[0]
+
+
+def test_effects_on_torques_see_the_friction_of_other_terms(model: RigidBodyDynamics, tmp_path: Path) -> None:
+    """A late torque: that of the model without delay, shifted; so too from a file, and differentiable."""
+    robot, whole, t = model.robot, 3, 0.01 * torch.arange(40, dtype=torch.float64)
+    x = [v.cumsum(0) * 0.05 for v in states(robot, 40)]
+    friction = [term("viscous_friction", 0, 0.7), term("asymmetric_coulomb_friction", 1, 2.0, 1.0)]
+    friction += [term("torque_offset", 1, -0.5), term("coulomb_friction", 2, 1.5)]
+    w, shape = effect("time_delay").coefficients({"delay": whole * 0.01, "step": whole * 0.01})
+    late = Term(effect("time_delay"), Site(), torch.tensor(w, dtype=torch.float64), shape)
+    width = torch.full((robot.n_dof,), 0.3, dtype=torch.float64)
+    delayed = RigidBodyDynamics(robot, terms=[late, *friction], rest_width=width)
+    at_once = RigidBodyDynamics(robot, terms=friction, rest_width=width)
+    # Of uneven friction a constant is late, which is none: only its mean counts.
+    even = RigidBodyDynamics(robot, terms=[*friction[::3], term("coulomb_friction", 1, 1.5)], rest_width=width)
+    change = (even(*x)[:-whole] - even(*x)[whole:]).detach()
+    torch.testing.assert_close((delayed(*x, t=t) - at_once(*x))[whole:], change, rtol=1e-9, atol=1e-9)
+    save_model(delayed, tmp_path / "model.safetensors")
+    torch.testing.assert_close(load_model(tmp_path / "model.safetensors")(*x, t=t), delayed(*x, t=t))
+    names = [name for name, _ in delayed.named_parameters() if name != "raw_inertia"]
+    values = tuple(delayed.get_parameter(name).detach().clone().requires_grad_() for name in names)
+
+    def torque(*values: Tensor) -> Tensor:
+        return torch.func.functional_call(delayed, dict(zip(names, values, strict=True)), tuple(x), {"t": t})
+
+    assert gradcheck(torque, values)
 
 
 def test_state_dict_round_trip(model: RigidBodyDynamics) -> None:

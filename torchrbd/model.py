@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torchrbd.errors import PhysicalError
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, is_physical, to_log_cholesky
 from torchrbd.physics import Signals, Site, Term, effect
+from torchrbd.physics.plain_friction import plain_friction
 from torchrbd.robot import RobotModel
 
 REST_WIDTH = 1e-3
@@ -100,7 +101,8 @@ class RigidBodyDynamics(nn.Module):
         """Return what the terms add, (*batch, n_dof); arguments as in ``forward``."""
         q, qd, qdd = (x.movedim(-1, 0) for x in torch.broadcast_tensors(q, qd, qdd))
         warm = None if temperature is None else temperature.movedim(-1, 0)
-        signals = Signals(self.robot, q, qd, qdd, self.rest_width, self.pi, t, temperature=warm)
+        friction = plain_friction(self.robot.n_dof, ((t.effect.id, t.site.joint, t.coefficients) for t in self.terms))
+        signals = Signals(self.robot, q, qd, qdd, self.rest_width, self.pi, t, temperature=warm, friction=friction)
         torques = list(torch.zeros_like(signals.q).unbind(0))
         for term in self.terms:
             added = term(signals)

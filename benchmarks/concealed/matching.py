@@ -23,6 +23,8 @@ CONTAINS: Mapping[str, frozenset[str]] = {
 # c+ and c- for the two directions are their mean and an offset: whoever finds these two has found the friction.
 PARTS: Mapping[str, frozenset[str]] = {
     "asymmetric_coulomb_friction": frozenset({"coulomb_friction", "torque_offset"}),
+    # Viscosity that changes with temperature is some viscosity at the mean temperature.
+    "thermal_viscosity": frozenset({"viscous_friction"}),
 }
 RIGID_BODY = "rigid_body"
 
@@ -94,10 +96,14 @@ def _beside(finding: Json, truth: Json) -> Judgement:
     joints = truth["robot"]["joints"]
     for kind in ("background", "companions"):
         for e in truth.get(kind, ()):
-            part = finding["effect"] in PARTS.get(e["effect"], ()) and same_place(finding, e, joints)
-            if part or relation(finding, e, joints) is not None:
+            if _is_part(finding, e, joints) or relation(finding, e, joints) is not None:
                 return Judgement("background" if kind == "background" else "companion")
-    return Judgement("false")
+    parts = any(_is_part(finding, e, joints) for e in truth["effects"])
+    return Judgement("companion" if parts else "false")
+
+
+def _is_part(finding: Json, true: Json, joints: Sequence[str]) -> bool:
+    return finding["effect"] in PARTS.get(true["effect"], ()) and same_place(finding, true, joints)
 
 
 def covers(findings: Sequence[Json], true: Json, joints: Sequence[str]) -> bool:

@@ -9,8 +9,9 @@ import pytest
 from inference.problems import urdf_of
 from simulated import record, with_wrong_inertials
 
+from torchrbd.diagnosis.results import Alternative, Curve, Diagnosis, Finding, Quantity, Region, Unexplained, Where
 from torchrbd.export import write_parameters
-from torchrbd.export.json_files import write_comparison
+from torchrbd.export.json_files import write_comparison, write_diagnosis
 from torchrbd.inference import EstimatorComparison, Fit, Identification, identify
 from torchrbd.inference.comparison import EstimatorRow
 
@@ -65,3 +66,29 @@ def test_a_comparison_with_an_error_beyond_all_numbers_is_json(tmp_path: Path) -
     assert content["schema"] == 1
     assert content["condition"] is None
     assert content["rows"][0]["raw"] == {"nmse": {"a": None}, "rmse": {"a": None}}
+
+
+def test_diagnosis_keeps_its_keys_and_adds_curves(found: Identification, tmp_path: Path) -> None:
+    curve = Curve("q_a", (0.0, 1.0), (1.0, np.inf), (0.1, 0.2))
+    one = Finding(
+        "joint_coupling", ("a",), (), 0.9, 4.0, {"stiffness": Quantity(1.0, 0.1, "N m/rad")},
+        Where(None, ((0.0, 1.0),)),
+        (Alternative("payload", (), ("hand",)),), {"a": 0.2}, {"a": 0.1}, "x", ("q_b",), curve,
+    )  # fmt: skip
+    left = Unexplained(("a",), ("q_a",), Where(region=(Region("q_a", 0.0, 1.0),)), 0.4, "y", curve)
+    write_diagnosis(Diagnosis(found, "missing_physics", "z", (one, replace(one, curve=None)), (left,)), tmp_path / "d")
+    content = read(tmp_path / "d")
+    first, second = content["findings"]
+    assert first.keys() >= {
+        "effect", "joints", "links", "probability", "log_evidence_gain", "parameters", "where",
+        "indistinguishable_from", "nmse_before", "nmse_after", "statement",
+    }  # fmt: skip
+    assert first["parameters"]["stiffness"].keys() >= {"value", "std", "unit"}
+    assert first["where"] == {"recordings": None, "time_s": [[0.0, 1.0]], "region": None}
+    assert first["indistinguishable_from"] == [{"effect": "payload", "joints": [], "links": ["hand"], "depends_on": []}]
+    assert (first["depends_on"], second["curve"]) == (["q_b"], None)
+    (rest,) = content["unexplained"]
+    assert rest.keys() >= {"joints", "depends_on", "where", "share", "statement"}
+    assert rest["where"]["region"] == [{"signal": "q_a", "low": 0.0, "high": 1.0}]
+    for drawn in (first["curve"], rest["curve"]):
+        assert drawn == {"signal": "q_a", "at": [0.0, 1.0], "torque": [1.0, None], "std": [0.1, 0.2]}

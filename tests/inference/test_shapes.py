@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -37,6 +38,7 @@ from torchrbd.physics import (
     effects,
     registry,
 )
+from torchrbd.physics.plain_friction import plain_friction
 from torchrbd.physics.stribeck_friction import StribeckFriction
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
@@ -272,6 +274,42 @@ def test_several_shapes_and_the_load_at_once(arm: Truth, own_effects: None) -> N
     found = recovered(arm, terms, sum(added_by(t, arm) for t in terms))
     for term, values in zip(terms, found, strict=True):
         assert {k: v for k, (v, _) in values.items()} == pytest.approx(term.parameters_by_name(), rel=0.02)
+
+
+def dry(truth: Truth, part: float) -> list[Term]:
+    """Return viscous and Coulomb friction of so much of each joint's torque, of all of them."""
+    found = []
+    for joint, size in enumerate(truth.rigid.std(0)):
+        speed = float(truth.signals.qd[joint].std())
+        for name, w in (("viscous_friction", part * size / speed), ("coulomb_friction", part * size)):
+            found.append(Term(effects()[name], Site(joint), torch.tensor([w], dtype=torch.float64), {}))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        ("time_delay", {"delay": 0.021, "step": 0.021}),
+        pytest.param("actuator_lag", {"time_constant": 0.015}, marks=pytest.mark.slow),
+        pytest.param("torque_saturation", {"limit": 0.5, "slope": 0.8}, marks=pytest.mark.slow),
+    ],
+)
+def test_what_is_done_to_a_torque_is_done_to_its_friction(name: str, parameters: dict[str, float], arm: Truth) -> None:
+    """The effect and the friction of every joint within 2 %."""
+    friction, one = dry(arm, 0.2), effects()[name]
+    beside = plain_friction(4, [(t.effect.id, t.site.joint, t.coefficients) for t in friction])
+    at = replace(arm.signals, friction=beside.detach())
+    site = Site() if one.whole_robot else Site(1)
+    if "limit" in parameters:
+        parameters = {**parameters, "limit": parameters["limit"] * float(at.supplied[1].abs().max())}
+    w, shape = one.coefficients(parameters)
+    acting = Term(one, site, torch.tensor(w, dtype=torch.float64), shape)
+    with torch.no_grad():
+        done = acting(at).T.numpy() if one.whole_robot else np.outer(acting(at), np.eye(4)[1])
+    terms = [acting, *friction]
+    found = recovered(arm, terms, done + sum(added_by(t, arm) for t in friction))
+    for t, values in zip(terms, found, strict=True):
+        assert {k: v for k, (v, _) in values.items()} == pytest.approx(t.parameters_by_name(), rel=0.02), t
 
 
 def test_shape_and_its_std_are_those_of_nonlinear_least_squares(arm: Truth) -> None:

@@ -497,6 +497,8 @@ def test_saturation_is_sought_below_the_largest_load() -> None:
     np.testing.assert_allclose(limits, 40.0 * np.linspace(0.35, 0.88, 4))
     assert not TorqueSaturation().plausible({"limit": 41.0, "slope": 1.0}, known)
     assert TorqueSaturation().plausible({"limit": 41.0, "slope": 1.0}, unknown)
+    # The estimate of a reading that is clipped, with its error.
+    assert TorqueSaturation().plausible({"limit": 20.0, "slope": -1.02}, known)
     assert TorqueSaturation().shapes(JointScale(1.0, 0.01, load_max=0.0)) == ()
 
 

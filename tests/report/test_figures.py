@@ -6,11 +6,12 @@ import matplotlib
 import numpy as np
 import pytest
 
+from torchrbd.diagnosis.numbers import measure, number, unit
 from torchrbd.inference.results import TorqueSeries
 from torchrbd.report.excerpt import binned_mean, informative_stretch, telling_signal
 from torchrbd.report.figures import Units, decades, dependence_figure, error_figure
 from torchrbd.report.inline import canvas, inline, page_style
-from torchrbd.report.words import change, measure, number, percent, unit
+from torchrbd.report.words import change, percent
 
 
 def series(residual: np.ndarray, held_out: np.ndarray, signal: np.ndarray | None = None) -> TorqueSeries:

@@ -5,95 +5,17 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
+from report.fabricated import STATEMENT, curve, diagnosis, identification, with_friction
 
-from torchrbd.diagnosis.results import Alternative, Diagnosis, Finding, Quantity, Region, Unexplained, Where
-from torchrbd.diagnosis.words import number
-from torchrbd.inference.results import (
-    BaseParameterEstimate,
-    Fit,
-    Identification,
-    JointNoise,
-    ParameterEstimate,
-    TorqueSeries,
-)
+from torchrbd.diagnosis.numbers import number
+from torchrbd.diagnosis.results import Diagnosis, Location, Quantity, Where
 from torchrbd.inference.verdict import verdict_of
 from torchrbd.report import write_report
 from torchrbd.report.words import change
-
-STATEMENT = "This arm has Coulomb friction at joint2 that its URDF leaves out."
-
-
-def identification(
-    joints: tuple[str, ...],
-    *,
-    name: str = "arm",
-    unmeasured: int | None = None,
-    extended: bool = False,
-    doubts: tuple[str, ...] = (),
-):
-    """Fabricate two recordings, the second held out; the last joint is prismatic; friction at every joint."""
-    rng, n, m = np.random.default_rng(0), len(joints), 1200
-    t = np.tile(np.arange(m // 2) / 25, 2)
-    phase = rng.uniform(0, 6, n)
-    q, qd = np.sin(t[:, None] + phase), np.cos(t[:, None] + phase)
-    predicted = {"urdf": 9 * q, "rigid_body": 10 * q}
-    if extended:
-        predicted["extended"] = 10 * q + np.sign(qd)
-    measured = 10 * q + np.sign(qd) + 0.05 * rng.standard_normal(q.shape)
-    if unmeasured is not None:
-        measured[:, unmeasured] = np.nan
-    held_out = np.arange(m) >= m // 2
-    series = TorqueSeries(
-        joints, ("fit.csv", "hold.csv"), held_out.astype(int), t, held_out, q, qd, -q, measured, predicted
-    )
-    rmse = {k: dict(zip(joints, np.sqrt((series.residual(k)[held_out] ** 2).mean(0)), strict=True)) for k in predicted}
-    fits = {k: Fit({j: e**2 / 50 for j, e in errors.items()}, errors) for k, errors in rmse.items()}
-    parameters = (
-        ParameterEstimate("m_link1", "link1", "kg", 2.0, 2.1, 0.05, 0.1, "identified"),
-        ParameterEstimate("mcx_link1", "link1", "kg m", 0.0, 0.0, 0.1, 1.0, "not identifiable"),
-        ParameterEstimate("coulomb", joints[0], "N m", 0.0, 1.0, 0.0123, 0.0, "term"),
-    )
-    robot = SimpleNamespace(name=name, joint_names=joints, prismatic=[False] * (n - 1) + [True])
-    return Identification(
-        robot=cast(Any, robot),
-        recordings=("fit.csv",),
-        held_out="hold.csv",
-        cutoff_hz=5.0,
-        fits=fits,
-        verdict=verdict_of(fits, doubts),
-        parameters=parameters,
-        combinations=("Izz_link1 + Iyy_link2 = 0.30 ± 0.01 kg m^2",),
-        base=(BaseParameterEstimate("Izz_link1 + Iyy_link2", "kg m^2", 0.31, 0.3, 0.01, 0.02),),
-        base_combination=np.eye(1, 20),
-        base_covariance=np.eye(1),
-        covariance=np.eye(20),
-        noise=dict.fromkeys(joints, JointNoise(1e-4, 0.02, 0.05)),
-        states="filtered",
-        regime="position noise hardly matters; states are filtered",
-        series=series,
-        model=cast(Any, None),
-        posterior=None,
-        doubts=doubts,
-        notes=("Column 'mode' was ignored.",),
-    )
-
-
-def diagnosis(joints: tuple[str, ...], **options: Any) -> Diagnosis:
-    result = identification(joints, extended=True, **options)
-    joint = joints[min(1, len(joints) - 1)]
-    finding = Finding(
-        "coulomb_friction", (joint,), (), 0.983, 41.2, {"coulomb": Quantity(1.0, 0.0123, "N m")},
-        Where(("hold.csv",), ((4.0, 7.0),), None), (Alternative("stribeck_friction", (joint,)),),
-        {joint: 0.02}, {joint: 5e-5}, f"{joint} resists motion with 1.0 N m.",
-    )  # fmt: skip
-    region = Where(region=(Region(f"q_{joints[0]}", -0.1, 0.3),))
-    left = Unexplained((joint,), (f"q_{joints[0]}",), region, 0.42, "Something depends on a position.")
-    return Diagnosis(result, "missing_physics", STATEMENT, (finding,), (left,))
 
 
 def render(result: Any, folder: Path) -> str:
@@ -147,7 +69,7 @@ def test_finding_says_what_where_and_how_sure(tmp_path):
     text = " ".join(Text(render(diagnosis(("joint1", "joint2", "joint3")), tmp_path)).words)
     parts = """
         Coulomb friction at joint2 | 1.000 ± 0.024 N m | 98 % | c sign(qd) | 0.0200 → 5.00·10⁻⁵ | in hold.csv |
-        4 to 7 s | Stribeck friction at joint2 | joint2 resists motion with 1.0 N m. | Unexplained at joint2 | 42 % |
+        4.0 to 7.0 s | Stribeck friction | joint2 resists motion with 1.0 N m. | Unexplained at joint2 | 42 % |
         q_joint1 from −0.1 to 0.3 | where a finding holds | position of joint1 [rad]
     """
     for part in map(str.strip, parts.split("|")):
@@ -158,13 +80,13 @@ def test_finding_on_a_link_is_shown_at_the_joint_that_gains(tmp_path):
     result = diagnosis(("joint1", "joint2"))
     payload = replace(result.findings[0], effect="payload", joints=(), links=("tool",))
     page = render(replace(result, findings=(payload,), unexplained=()), tmp_path)
-    assert "Payload at tool" in page
-    assert "<b>joint2, held out</b>" in page
+    assert "Payload on tool" in page
+    assert "<b>joint2, hold.csv</b>" in page
 
 
 def test_finding_with_a_shared_probability_says_so_and_shows_the_state_of_its_equation(tmp_path):
     result = diagnosis(("joint1", "joint2"))
-    inertia = replace(result.findings[0], effect="rotor_inertia", probability=0.5)
+    inertia = replace(result.findings[0], effect="rotor_inertia", probability=0.5, where=Where())
     page = render(replace(result, findings=(inertia,), unexplained=()), tmp_path)
     assert "Something is missing here beyond doubt. The probability is shared" in page
     assert "residual of joint2 against acceleration" in page
@@ -290,7 +212,7 @@ def test_units_follow_the_joint(tmp_path):
 
 def test_parameters_show_interval_prior_share_and_status(tmp_path):
     text = " ".join(Text(render(identification(("joint1",)), tmp_path)).words)
-    for part in ("m_link1", "2.100 ± 0.098", "not identifiable", "1.000 ± 0.024", "Izz_link1 + Iyy_link2", "'mode'"):
+    for part in ("m_link1", "2.10 ± 0.10", "not identifiable", "1.000 ± 0.024", "Izz_link1 + Iyy_link2", "'mode'"):
         assert part in text
 
 
@@ -328,3 +250,87 @@ def test_consistent_robot_needs_no_findings(tmp_path):
     words = Text(render(result, tmp_path)).words
     assert words[:2] == ["✓ URDF consistent", "The URDF explains the data."]
     assert "Probability" not in words
+
+
+def test_friction_at_all_joints_is_one_table_behind_the_special_findings(tmp_path):
+    joints = tuple(f"joint{i + 1}" for i in range(7))
+    page = render(with_friction(diagnosis(joints)), tmp_path)
+    words = Text(page).words
+    assert re.findall(r'id="(finding-\d+|friction)"', page) == ["finding-1", "friction"]
+    assert words.index("Torque ripple at joint2") < words.index("Plain friction and offsets")
+    table = page.split('id="friction"')[1].split("</section>")[0]
+    assert table.count("<tr>") == 8
+    text = " ".join(Text(f"<body>{table[table.index('<table') :].split('</table>')[0]}</table></body>").words)
+    assert "viscous friction [N m s/rad] Coulomb friction [N m] could also be" in text
+    assert "joint1 0.50 ± 0.04 URDF 0.250 99 % 0.50 ± 0.04 URDF 0.250 99 % joint2" in tidy(text)
+    assert "joint7 0.50 ± 0.04 90 % 0.50 ± 0.04 90 % viscous friction: Stribeck friction at joint2;" in tidy(text)
+    assert "offset" not in text
+
+
+def test_little_friction_keeps_its_cards(tmp_path):
+    page = render(with_friction(diagnosis(("joint1",))), tmp_path)
+    assert re.findall(r'id="(finding-\d+|friction)"', page) == ["finding-1", "finding-2", "finding-3"]
+
+
+def test_cards_draw_curves_and_say_what_data_is(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    ripple = replace(result.findings[0], effect="torque_ripple", where=Where(), curve=curve("q_joint1"))
+    load = replace(ripple, effect="load_dependent_friction", curve=curve("load_joint2"))
+    drag = replace(ripple, effect="cable_drag", curve=curve("q_joint2"))
+    left = replace(result.unexplained[0], curve=curve("t"))
+    page = render(replace(result, findings=(ripple, load, drag), unexplained=(left,)), tmp_path)
+    text = " ".join(Text(page).words)
+    assert text.count("joint2: what it adds ± 95 %, dots: data") == 2
+    assert text.count("joint2: what it adds ± 95 % ") == 2
+    for label in ("position of joint1 [rad]", "torque of the rigid body [N]", "force against the motion [N]"):
+        assert label in text
+    labels = re.findall(r'aria-label="torque added at joint2 against ([^"]*)"', page)
+    assert labels == ["position of joint1", "torque of the rigid body", "position", "time"]
+
+
+def test_curve_of_a_signal_that_is_not_known_is_drawn(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    odd = replace(result.findings[0], curve=curve("voltage"))
+    assert "against voltage" in render(replace(result, findings=(odd,)), tmp_path)
+
+
+def test_what_was_located_in_the_last_leftover_is_shown_of_the_last_model(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    (left,) = result.unexplained
+    here = Location("extended", ("joint2",), (), Where(), (), "level", "", 9.0, {}, {}, None, None, left.statement)
+    alone = render(replace(result, findings=(), locations=(here,)), tmp_path)
+    both = render(replace(result, findings=()), tmp_path)
+    card = [page.split('class="panel card unnamed')[1].split("</section>")[0] for page in (alone, both)]
+    assert ["re-fitted rigid body" in c for c in card] == [False, True]
+
+
+def test_finding_in_a_stretch_of_time_shows_it_in_its_recording(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    load = replace(result.findings[0], effect="payload", joints=(), links=("tool",), where=Where(("fit.csv",), None))
+    text = " ".join(Text(render(replace(result, findings=(load,), unexplained=()), tmp_path)).words)
+    assert "joint2, fit.csv" in text
+    gone = replace(load, where=Where(("elsewhere.csv",), ((1.0, 2.0),)))
+    text = " ".join(Text(render(replace(result, findings=(gone,), unexplained=()), tmp_path)).words)
+    assert "joint2, held out" in text
+
+
+def test_many_quantities_are_a_list_and_a_pure_number_has_no_unit(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    many = {name: Quantity(0.1, 0.01, "1") for name in ("a", "b", "c", "d_e")}
+    listed = replace(result, findings=(replace(result.findings[0], parameters=many),))
+    text = " ".join(Text(render(listed, tmp_path)).words)
+    assert "c 0.100 ± 0.020 d e 0.100 ± 0.020 ± 95 %" in text
+
+
+def test_tilted_base_names_the_joints_that_change(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    worth = {"nmse_before": {"joint1": 0.02, "joint2": 0.5}, "nmse_after": {"joint1": 0.02, "joint2": 0.1}}
+    tilt = replace(result.findings[0], effect="base_tilt", joints=(), where=Where(), **worth)
+    text = " ".join(Text(render(replace(result, findings=(tilt,), unexplained=()), tmp_path)).words)
+    assert "Tilted base (whole robot)" in text
+    assert "nmse, joint2 0.500 → 0.100 (−80 %)" in text
+    assert "nmse, joint1" not in text
+
+
+def tidy(text: str) -> str:
+    return text.replace("\N{NO-BREAK SPACE}", " ")

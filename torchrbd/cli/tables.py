@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
 from torchrbd.diagnosis import Diagnosis
-from torchrbd.diagnosis.words import interval, number, words_of
+from torchrbd.diagnosis.numbers import number
+from torchrbd.diagnosis.words import named, place, values, when
 from torchrbd.inference import Identification
 from torchrbd.inference.comparison import EstimatorComparison
+from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
 from torchrbd.report.words import VERDICTS, headline, percent
 
 _COMPARISON_WORDS = (
@@ -19,21 +21,42 @@ _COMPARISON_WORDS = (
     "physical parameters with the nearest torques are taken, which 'identify --estimator' writes. * is within 1 % of "
     "the least error."
 )
+# A probability from which on the table of plain friction says none.
+SURE = 0.95
 _MODEL_WORDS = {"urdf": "URDF", "rigid_body": "re-fitted", "extended": "extended"}
 
 
 def print_diagnosis(result: Diagnosis) -> None:
     """Print verdict, findings and fits."""
     out = _headed(result, result.verdict)
-    if result.findings:
-        table = Table("joint", "missing", "95 % interval", "probability")
-        for f in result.findings:
-            values = "\n".join(f"{name.replace('_', ' ')} {interval(q)}" for name, q in f.parameters.items())
-            table.add_row(Text(", ".join(f.joints)), words_of(f.effect), values, percent(f.probability))
+    folded = plain_rows(result.findings, result.identification.series.joints)
+    in_table = {id(f) for row in folded for f in row.findings}
+    special = [f for f in result.findings if id(f) not in in_table]
+    if special:
+        table = Table(_whole("where"), Column("missing", overflow="fold"), "value ± 95 %", _right("probability"))
+        for f in special:
+            more = len(f.parameters) - len(values(f))
+            quantities = "\n".join([*values(f), *([f"{more} more in diagnosis.json"] if more else [])])
+            inside = "\n".join(filter(None, (place(f), when(f.where))))
+            table.add_row(Text(inside), Text(named(f)), Text(quantities), percent(f.probability))
         out.print(table)
+    if folded:
+        _print_plain(folded, out)
     for rest in result.unexplained:
         out.print(rest.statement, markup=False)
     _print_fits(result.identification, out)
+
+
+def _print_plain(rows: Sequence[PlainRow], out: Console) -> None:
+    """Print friction and offsets, a row per joint; what is less than certain with its probability."""
+    table = Table(_whole("± 95 %"), *(_right(title.replace(" [", "\n[")) for title in plain_titles(rows)))
+    for row in rows:
+        cells = (
+            words + (f" ({percent(f.probability)})" if f is not None and f.probability < SURE else "")
+            for words, f in zip(row.values, row.findings, strict=True)
+        )
+        table.add_row(Text(row.joint), *cells)
+    out.print(table)
 
 
 def print_identification(result: Identification) -> None:
@@ -52,10 +75,10 @@ def _print_fits(result: Identification, out: Console) -> None:
     """Print what is to be doubted, how well each model predicts held-out torque, the noise, and notes."""
     _print_doubts(result.doubts, out)
     _print_measure(result.held_out, result.cutoff_hz, out)
-    errors = Table("joint", *(_right(_MODEL_WORDS[name]) for name in result.fits))
+    errors = Table(_whole("joint"), *(_right(_MODEL_WORDS[name]) for name in result.fits))
     filtered = result.states == "filtered"
     titles = "position noise", f"torque from position noise{'' if filtered else ', if filtered'}", "torque left over"
-    noise = Table("standard deviation", *map(_right, titles))
+    noise = Table(_whole("standard deviation"), *map(_right, titles))
     prismatic = dict(zip(result.robot.joint_names, result.robot.prismatic.tolist(), strict=True))
     for joint in result.fits["urdf"].nmse:
         errors.add_row(Text(joint), *(number(fit.nmse[joint]) for fit in result.fits.values()))
@@ -73,6 +96,11 @@ def _print_fits(result: Identification, out: Console) -> None:
 
 def _right(title: str) -> Column:
     return Column(Text(title), justify="right")
+
+
+def _whole(title: str) -> Column:
+    """Return a column of names, which are not cut."""
+    return Column(Text(title), no_wrap=True)
 
 
 def _print_measure(held_out: str, cutoff_hz: float, out: Console) -> None:

@@ -15,13 +15,14 @@ from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import read_samples
-from torchrbd.diagnosis.search.grid import Grid, candidates
-from torchrbd.diagnosis.search.select import Search, Terms, accepted
+from torchrbd.diagnosis.search.select import BACKGROUND, INSIGNIFICANT, Search, Terms, accepted
 from torchrbd.diagnosis.words import verdict_statement
 from torchrbd.errors import OptionError
+from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.identify import Source, read_arguments, summarise
 from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.inference.physical.terms import term_parameters
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import WITH_INTERVALS
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined_from
@@ -57,24 +58,18 @@ def diagnose(
     effects = settings.chosen_effects()
     prepared = prepare(robot, sources, settings, (), progress)
     search = _search(prepared, prepared.fit().pi, effects, progress)
-    fit = search.run()
-    progress("weighing the findings", 0.0)
-    weighed = weigh(search, fit)
-    progress("fitting", 0.0)
-    prepared, extended = _extended(prepared, fit, progress)
+    prepared, fit, extended = _extended(prepared, search, progress)
     models = {"rigid_body": prepared.fit(), "extended": extended}
     identification = summarise(prepared, models, settings, progress)
-    findings = explain(prepared, weighed, extended)
+    progress("weighing the findings", 0.0)
+    findings = explain(prepared, weigh(search, fit), extended)
     progress("looking at what is left", 0.0)
-    locations, maps = locate(prepared, models["rigid_body"].pi)
-    left = locations
-    if fit.terms:
-        left, more = locate(prepared, extended.pi, extended.proper_terms, "extended")
-        locations, maps = (*locations, *left), (*maps, *more)
+    locations, maps = locate(search.start)
+    left, more = locate(fit, "extended")
     rest = nameless(fit, extended, left)
     verdict = _verdict(findings, rest, _refit_matters(fit))
     statement = verdict_statement(verdict, findings, rest, identification.fits)
-    return Diagnosis(identification, verdict, statement, findings, rest, locations, maps)
+    return Diagnosis(identification, verdict, statement, findings, rest, (*locations, *left), (*maps, *more))
 
 
 def _search(prepared: Prepared, pi: Tensor, effects: Sequence[Effect], progress: Progress) -> Search:
@@ -86,17 +81,36 @@ def _search(prepared: Prepared, pi: Tensor, effects: Sequence[Effect], progress:
         progress(f"searching for missing physics, {len(found)} terms{last}", 0.0)
 
     progress("searching for missing physics", 0.0)
-    samples = read_samples(prepared, pi)
-    return Search(Grid(samples, candidates(samples.columns, effects, samples.seen)), prepared.prior, tell)
+    return Search(read_samples(prepared, pi), effects, prepared.prior, tell)
 
 
-def _extended(prepared: Prepared, fit: Fit, progress: Progress) -> tuple[Prepared, FittedModel]:
-    """Fit the terms of a search to all that is not held out: physically valid, shapes as fine as the data tells."""
-    prepared = reread(prepared, prepared.columns.of_candidates(fit.terms, fit.pi), progress)
-    if not any(c.effect.uses_load or c.shape for c in fit.terms):
-        return prepared, prepared.fit(fit.terms)
-    prepared, terms = refined_from(prepared, fit.terms, progress)
-    return prepared, fit_with_shapes(prepared, terms)
+def _extended(prepared: Prepared, search: Search, progress: Progress) -> tuple[Prepared, Fit, FittedModel]:
+    """Search, and fit what was found to all that is not held out: physically valid, shapes as fine as the data tells.
+
+    Where a term has parameters that no physics allows then, the search goes on without it.
+    """
+    fit = search.run()
+    while True:
+        columns = fit.rows.samples.columns.of_candidates(fit.terms, fit.pi)
+        prepared = reread(prepared, columns, progress)
+        terms: Sequence[Candidate] = fit.terms
+        if any(c.effect.uses_load or c.shape for c in terms):
+            prepared, terms = refined_from(prepared, terms, progress)
+            model = fit_with_shapes(prepared, terms)
+        else:
+            model = prepared.fit(terms)
+        refuted = [c for c in terms if not _sound(model, c)]
+        if not refuted:
+            return prepared, fit, model
+        fit = search.without(fit, refuted)
+
+
+def _sound(model: FittedModel, term: Candidate) -> bool:
+    """Say whether the physics allows a term's parameters; plain friction within chance of zero is none."""
+    found = term_parameters(model, term)
+    chance = INSIGNIFICANT if term.effect.id in BACKGROUND else 0.0
+    values = {name: 0.0 if abs(value) < chance * std else value for name, (value, std) in found.items()}
+    return term.effect.plausible(values, model.columns.scale(term.site))
 
 
 def _refit_matters(fit: Fit) -> bool:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, Where
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.diagnosis.search.grid import complexity
-from torchrbd.diagnosis.search.select import Search, judged, without
+from torchrbd.diagnosis.search.grid import complexity, fresh_columns
+from torchrbd.diagnosis.search.select import Option, Search, judged, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.diagnosis.words import finding_sentence
 from torchrbd.inference.data.columns import Candidate, Columns
@@ -24,6 +25,8 @@ LARGEST_PROBABILITY = 0.999
 # An alternative is told of if it is so many times as probable as the finding.
 LEAST_ODDS = 0.05
 LONGEST = 50.0
+# Another effect competes with a term if it gains less than this part beside the term of what it gains without.
+COMPETES = 0.5
 # Viscous and Coulomb friction and an offset are found on every robot: log of how much more often than anything else.
 PLAIN = 4.0
 
@@ -59,14 +62,22 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
         own, rivals = judged(rest, term), []
         for option in search.options(rest):
             c = option.candidate
-            contains = c.place == term.place and set(term.labels) < set(c.labels)
-            if (c.effect.id, c.site) != (term.effect.id, term.site) and not contains:
+            if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, term, option):
                 more = complexity(rest, c) - complexity(rest, term)
                 freedom = 0.5 * more * math.log(max(counts.max(), 2))
                 freedom += PLAIN * ((term in search.background) - (c in search.background))
                 rivals.append(Rival(c, odds(gain(option.errors, own.errors, counts), freedom)))
         found.append(Weighed(term, own.worth, tuple(rivals)))
     return tuple(found)
+
+
+def _competes(fit: Fit, term: Candidate, option: Option) -> bool:
+    """Say whether an option explains what a term explains: it gains little beside it, and does not contain it."""
+    c = option.candidate
+    if c.place == term.place and set(term.labels) < set(c.labels):
+        return False
+    C = fresh_columns(fit, c)
+    return not C.shape[1] or judged(fit, c).worth.total < COMPETES * option.worth.total
 
 
 def odds(lead: Gain, freedom: float) -> float:
@@ -133,10 +144,12 @@ def _finding(
         for name, (value, std) in term_parameters(model, term).items()
     }
     alike = tuple(
-        Alternative(r.candidate.effect.id, *places(robot, r.candidate.site)) for r in one.rivals if r.odds > LEAST_ODDS
+        Alternative(r.candidate.effect.id, *places(robot, r.candidate.site), driven_by(r.candidate, robot))
+        for r in one.rivals
+        if r.odds > LEAST_ODDS
     )
     touched = joints if term.place is not None else tuple(robot.joint_names)
-    return Finding(
+    finding = Finding(
         effect=term.effect.id,
         joints=joints,
         links=links,
@@ -147,5 +160,8 @@ def _finding(
         indistinguishable_from=tuple(dict.fromkeys(alike)),
         nmse_before={name: value for name, value in before.items() if name in touched},
         nmse_after={name: value for name, value in after.items() if name in touched},
-        statement=finding_sentence(term.effect.id, term.site.name(robot), quantities, before, after, alike),
+        statement="",
+        depends_on=driven_by(term, robot),
+        curve=fitted_curve(model, term),
     )
+    return replace(finding, statement=finding_sentence(finding))

@@ -37,16 +37,31 @@ class Where:
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect that this data cannot tell from the finding."""
+    """An effect that this data cannot tell from the finding; ``depends_on`` as there."""
 
     effect: str
     joints: tuple[str, ...] = ()
     links: tuple[str, ...] = ()
+    depends_on: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A torque as a function of one signal: mean and standard deviation at values of it, in the order of drawing."""
+
+    signal: str
+    at: tuple[float, ...]
+    torque: tuple[float, ...]
+    std: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One named effect. ``statement`` is a sentence for a person."""
+    """One named effect; at no joint and no link if it acts on the whole robot.
+
+    ``depends_on`` are signals of other joints that it depends on, e.g. "q_joint2", ``curve`` is the function that shows
+    it best, ``statement`` a sentence for a person.
+    """
 
     effect: str
     joints: tuple[str, ...]
@@ -59,16 +74,8 @@ class Finding:
     nmse_before: dict[str, float]
     nmse_after: dict[str, float]
     statement: str
-
-
-@dataclass(frozen=True)
-class Curve:
-    """A torque as a function of one signal, from the data alone: mean and standard deviation at values of it."""
-
-    signal: str
-    at: tuple[float, ...]
-    torque: tuple[float, ...]
-    std: tuple[float, ...]
+    depends_on: tuple[str, ...] = ()
+    curve: Curve | None = None
 
 
 @dataclass(frozen=True)

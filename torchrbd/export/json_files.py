@@ -60,10 +60,16 @@ def write_parameters(result: Identification, path: Path) -> None:
 def write_diagnosis(result: Diagnosis, path: Path) -> None:
     """Write verdict, fits, findings and what is left unexplained.
 
+    findings: strongest first: list of effect, joints and links (none of either: the whole robot), probability,
+        log_evidence_gain, parameters by name (value, std, unit, urdf), where (recordings, time_s, region: null for
+        everywhere), indistinguishable_from (effect, joints, links, depends_on), nmse_before and nmse_after by joint,
+        statement, depends_on (signals of other joints), curve: the function that shows it best, or null.
+    unexplained: list of joints, depends_on, where, share, statement, curve.
+    curve: signal ("q_joint2", "t", ...), at, torque and std, lists of one length in the order of drawing.
     locations: where models and robot differ, named or not: list of model ("rigid_body", re-fitted, with friction and an
         offset at every joint, or "extended"), joints, links, where (as in findings), depends_on, form ("level",
         "friction", "load", "payload", "force"), course ("abrupt", "slow", ""), gain (log-likelihood), torque_rms and
-        share by joint, curve (signal, at, torque, std) or null, attack (force [N] in the base's axes, point [m] in the
+        share by joint, curve or null, attack (force [N] in the base's axes, point [m] in the
         link's frame, a standard deviation for each) or null, statement.
     leftover_maps: RMS of what a model leaves over the noise, by bins: list of model, signal ("t", "q", "qd"),
         recording, edges and level, a row per joint.

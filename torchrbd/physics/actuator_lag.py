@@ -14,17 +14,18 @@ from torchrbd.robot import RobotModel
 
 
 class ActuatorLag(Effect):
-    """tau += T d(tau_load)/dt: with T d(tau_acting)/dt + tau_acting = tau_command, the command runs ahead.
+    """tau += T d(tau_s)/dt: with T d(tau_acting)/dt + tau_acting = tau_command, the command runs ahead.
 
-    Exact for the load. Friction is not carried along, whose jumps at reversals would need pulses. A recorded torque
-    that comes late, behind a filter, looks like a negative lag to first order: that is a time delay.
+    The acting torque tau_s is all that is supplied, to the rigid body and to friction, whose jumps at reversals take
+    pulses of the command. A recorded torque that comes late, behind a filter, looks like a negative lag to first order:
+    that is a time delay.
 
     Either the actuator of one joint lags, or all alike.
     """
 
     id = "actuator_lag"
     words = "actuator lag"
-    equation = "T dtau_load/dt"
+    equation = "T dtau_s/dt"
     units: ClassVar[Mapping[str, str]] = {"time_constant": "s"}
     complexity = 1
     whole_robot = True
@@ -37,7 +38,7 @@ class ActuatorLag(Effect):
         return joints_and_all(robot)
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        return {f"dtau_load/dt {site.name(signals.robot)}": at_site(signals.rate(signals.load), site)}
+        return {f"dtau/dt {site.name(signals.robot)}": at_site(signals.rate(signals.supplied), site)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"time_constant": coefficients[0]}

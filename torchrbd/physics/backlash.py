@@ -12,7 +12,7 @@ The link's motion tells the torque: to first order in x
 
 with A, B, M the derivatives of the rigid body's torque with respect to the joint's q, qd, qdd. The time of flight grows
 with the cube root of the play, so that it matters for small play too: without it, what the torque does around its zeros
-is the wrong way round. Not contained: bouncing, friction of the link that holds it inside the play, torque that turns
+is the wrong way round. Not contained: bouncing, friction of the link, which holds it inside the play, torque that turns
 back before the flight has ended. Impacts are short: a torque sampled without an anti-aliasing filter misses them.
 
 Source: Nordin, Gutman, "Controlling mechanical systems with backlash: a survey", Automatica 2002, for the dead-zone

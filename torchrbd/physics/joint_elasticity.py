@@ -9,7 +9,7 @@ with A, B, M the derivatives of the rigid body's torque with respect to the join
 1/k^2; a spring that yields by more than .2 rad or m is none that this could tell. Where the resonance sqrt(k / M) lies
 above the band of the data, what is left is small (1 % of the stiffness, .1 % of the effect's power, for a pendulum);
 inside the band the link rings by itself, which is not contained, nor is damping beside the spring. What the motor's own
-inertia takes is rotor inertia, an effect of its own.
+inertia takes is rotor inertia, an effect of its own; its friction does not wind the spring, and the link's is left out.
 
 Source: Spong, "Modeling and control of elastic joint robots", ASME J. Dyn. Syst. Meas. Control 1987, for the model.
 """

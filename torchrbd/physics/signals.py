@@ -53,7 +53,8 @@ class JointState:
     """The signals of one joint; all but t have one common shape.
 
     ``rest_width`` is the speed [rad/s, m/s] below which the direction of motion is not told: sign(qd) is tanh(qd /
-    rest_width). ``load`` is given to effects that use it; ``temperature`` and ``t`` as in ``Signals``.
+    rest_width). ``load`` is given to effects that use it, with the ``friction`` beside it where there is any;
+    ``temperature`` and ``t`` as in ``Signals``.
     """
 
     q: Tensor
@@ -63,6 +64,13 @@ class JointState:
     load: Tensor | None = None
     temperature: Tensor | None = None
     t: Tensor | None = None
+    friction: Tensor | None = None
+
+    @property
+    def supplied(self) -> Tensor:
+        """Torque that the actuator supplies: load and friction."""
+        assert self.load is not None
+        return self.load if self.friction is None else self.load + self.friction
 
     def direction(self) -> Tensor:
         """Return sign(qd), softened where the recording cannot tell it."""
@@ -93,7 +101,7 @@ class JointScale:
         speed_max: [rad/s, m/s].
         rest_width: see ``JointState``.
         q_low, q_high: [rad, m].
-        load_max: largest torque that the rigid body takes [N m, N]; None where it is not known.
+        load_max: largest torque that the actuator supplies [N m, N]; None where it is not known.
         duration_s: of the longest recording.
         temperature: coldest and warmest [deg C]; None where not recorded.
     """
@@ -154,6 +162,8 @@ class Signals:
             that go with theirs: one time, or (1, N).
         recording: its name; None outside of recordings.
         temperature: (n, *batch) of the joints [deg C]; None where not recorded.
+        friction: (n, 3) viscous and Coulomb coefficient and offset of each joint that its actuator supplies beside the
+            load, see ``plain_friction``; none if None.
     """
 
     robot: RobotModel
@@ -165,19 +175,35 @@ class Signals:
     t: Tensor | None = None
     recording: str | None = None
     temperature: Tensor | None = None
+    friction: Tensor | None = None
 
     def joint(self, joint: int | None, *, load: bool = False) -> JointState:
         """Return the signals of one joint, with its load or without."""
         assert joint is not None
         warm = None if self.temperature is None else self.temperature[joint]
         carried = self.load[joint] if load else None
+        beside = None if carried is None or self.friction is None else self.friction_torque[joint]
         states = self.q[joint], self.qd[joint], self.qdd[joint]
-        return JointState(*states, float(self.rest_width[joint]), carried, warm, self.t)
+        return JointState(*states, float(self.rest_width[joint]), carried, warm, self.t, beside)
 
     @cached_property
     def load(self) -> Tensor:
         """Torque that the rigid body takes, (n, *batch) [N m] or [N]."""
         return self.robot.inverse_dynamics(*self._states, self._own_pi).movedim(-1, 0)
+
+    @cached_property
+    def friction_torque(self) -> Tensor:
+        """Torque that ``friction`` takes, (n, *batch) [N m] or [N]."""
+        if self.friction is None:
+            return torch.zeros_like(self.qd)
+        like = (-1, *[1] * (self.qd.ndim - 1))
+        viscous, coulomb, offset = (v.to(self.qd).reshape(like) for v in self.friction.unbind(1))
+        return viscous * self.qd + coulomb * torch.tanh(self.qd / self.rest_width.to(self.qd).reshape(like)) + offset
+
+    @property
+    def supplied(self) -> Tensor:
+        """Torque that the actuators supply to the rigid body and to friction, (n, *batch) [N m] or [N]."""
+        return self.load + self.friction_torque
 
     def load_slope(self, dq: Tensor, dqd: Tensor, dqdd: Tensor) -> Tensor:
         """Return d tau/dq dq + d tau/dqd dqd + d tau/dqdd dqdd of the load, (n, *batch); all arguments as q."""

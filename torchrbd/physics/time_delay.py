@@ -15,18 +15,18 @@ from torchrbd.robot import RobotModel
 
 
 class TimeDelay(Effect):
-    """tau += delay (tau_load(t - step) - tau_load(t)) / step: the torque comes later than the motion if delay > 0.
+    """tau += delay (tau_s(t - step) - tau_s(t)) / step: the torque comes later than the motion if delay > 0.
 
-    The delay multiplies the slope of the load, and is known well; the step is where the secant is taken, which only
-    the curvature tells. For a pure delay they are equal, and the term is exact. Friction is not delayed along with the
-    load: where it dominates, its pulses at reversals are missing.
+    The torque tau_s that is late is all that the actuator supplies, to the rigid body and to friction. The delay
+    multiplies its slope, and is known well; the step is where the secant is taken, which only the curvature tells. For
+    a pure delay they are equal, and the term is exact.
 
     Either the torque of one joint is late, or that of all.
     """
 
     id = "time_delay"
     words = "time delay of the torque"
-    equation = "delay (tau_load(t - step) - tau_load(t)) / step"
+    equation = "delay (tau_s(t - step) - tau_s(t)) / step"
     units: ClassVar[Mapping[str, str]] = {"delay": "s", "step": "s"}
     complexity = 2
     whole_robot = True
@@ -43,8 +43,8 @@ class TimeDelay(Effect):
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, step = signals.sequence(), shape["step"]
-        load = at_site(signals.load, site)
-        secant = (delayed(load, step / float(t[1] - t[0])) - load) / step
+        torque = at_site(signals.supplied, site)
+        secant = (delayed(torque, step / float(t[1] - t[0])) - torque) / step
         return {f"delayed({step:.6g}) {site.name(signals.robot)}": secant}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:

@@ -5,7 +5,7 @@
     slope = -1   recorded is clipped: a sensor or an amplifier's reading ends at the limit
 
 A command far beyond a hard limit cannot be told from the motion, which knows the limit but not the command. The load is
-the torque that the rigid body takes.
+the torque that the actuator supplies, to the rigid body and to friction.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ class TorqueSaturation(JointEffect):
     export_note = "a hard limit in place of a gradual one: of the actuator, or of the reading if the slope is negative"
     # In parts of the largest load. Lower, it is a gain of the torque; higher, hardly ever met.
     _LOWEST, _HIGHEST, _GRID_POINTS = 0.35, 0.88, 4
+    # A clipped reading is at the bound: its estimate lies beyond as often as not.
+    _LEAST_SLOPE = -1.1
     # Of a joint whose load is not known, from a desktop arm's wrist to a large arm's shoulder [N m, N].
     _LEAST_LOAD, _MOST_LOAD, _MOST_POINTS = 0.3, 300.0, 28
 
@@ -46,9 +48,8 @@ class TorqueSaturation(JointEffect):
         return tuple({"limit": float(v)} for v in grid if v > 0)
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
-        assert state.load is not None
-        limit = shape["limit"]
-        return {f"load beyond {limit:.6g}": state.load - state.load.clamp(-limit, limit)}
+        limit, load = shape["limit"], state.supplied
+        return {f"load beyond {limit:.6g}": load - load.clamp(-limit, limit)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"limit": coefficients.new_tensor(shape["limit"]), "slope": coefficients[0]}
@@ -58,7 +59,7 @@ class TorqueSaturation(JointEffect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         most = math.inf if scale.load_max is None else scale.load_max
-        return 0 < parameters["limit"] < most and parameters["slope"] >= -1
+        return 0 < parameters["limit"] < most and parameters["slope"] >= self._LEAST_SLOPE
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         limit = parameters["limit"]

@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torchrbd.diagnosis.words import power_of_ten
+from torchrbd.diagnosis.numbers import power_of_ten
+from torchrbd.diagnosis.results import Curve
 from torchrbd.inference.results import TorqueSeries
 from torchrbd.report.excerpt import Stretch, binned_mean, shown_rows, signal_words
-from torchrbd.report.inline import COLOURS, HELD_OUT, MARK, MEASURED, canvas
+from torchrbd.report.inline import COLOURS, HELD_OUT, MARK, MEASURED, SOFT, canvas
 
 MAX_LINE, MAX_DOTS = 1500, 1500  # points of one line, of one cloud
 
@@ -27,6 +28,11 @@ class Units:
     def of(self, signal: str) -> str:
         """Return the unit of q, qd or qdd."""
         return self.q + {"q": "", "qd": "/s", "qdd": "/s²"}[signal]
+
+
+def _small() -> tuple[Figure, Axes]:
+    figure = canvas(510, 250)
+    return figure, figure.subplots(gridspec_kw={"left": 0.13, "right": 0.985, "top": 0.98, "bottom": 0.175})
 
 
 def _zero_line(axes: Axes, label: str) -> None:
@@ -52,7 +58,7 @@ def time_figure(
     step = np.diff(t, prepend=t[0])
     measured[step > 5 * np.median(step)] = np.nan  # a gap in the recording is no straight line
     figure = canvas(1040, 404)
-    box = {"left": 0.065, "right": 0.997, "top": 0.985, "bottom": 0.105, "hspace": 0.12, "height_ratios": [1.6, 1]}
+    box = {"left": 0.065, "right": 0.988, "top": 0.985, "bottom": 0.105, "hspace": 0.12, "height_ratios": [1.6, 1]}
     upper, lower = figure.subplots(2, sharex=True, gridspec_kw=box)
     upper.plot(t, measured, color=MEASURED, linewidth=5)
     for model in models:
@@ -88,8 +94,7 @@ def dependence_figure(
     x = getattr(series, key)[rows, other]
     residual = {m: series.residual(m)[rows, joint] for m in compared}
     thin = slice(None, None, max(1, -(-len(rows) // MAX_DOTS)))
-    figure = canvas(510, 250)
-    axes = figure.subplots(gridspec_kw={"left": 0.13, "right": 0.99, "top": 0.98, "bottom": 0.175})
+    figure, axes = _small()
     size = np.clip(60 / np.sqrt(len(rows)), 2.5, 5.0)  # a few dots are drawn larger
     for model, y in residual.items():
         dots = {"markersize": size, "markeredgewidth": 0, "alpha": 0.3, "rasterized": True}
@@ -103,6 +108,52 @@ def dependence_figure(
     low, high = np.quantile(np.stack([*residual.values()]), [0.004, 0.996])
     margin = 0.08 * (high - low) or 1.0
     axes.set_ylim(min(low, 0.0) - margin, max(high, 0.0) + margin)
+    return figure
+
+
+def curve_figure(
+    curve: Curve, labels: tuple[str, str], colour: str, data: tuple[np.ndarray, np.ndarray] | None = None
+) -> Figure:
+    """Draw a torque as a function of one signal with its 95 % band, over binned means of what was measured of it.
+
+    Args:
+        curve: the function.
+        labels: of the signal and of the torque, with their units.
+        colour: of the line.
+        data: values of the signal and of the torque that all else in the model leaves, if they can be told.
+    """
+    x, y, margin = np.array(curve.at), np.array(curve.torque), 1.96 * np.array(curve.std)
+    figure, axes = _small()
+    if data is not None:
+        inside = (data[0] >= x.min()) & (data[0] <= x.max())
+        centre, mean, error, _ = binned_mean(*(v[inside] for v in data)) if inside.sum() > 1 else (np.zeros(0),) * 4
+        axes.errorbar(centre, mean, error, fmt="o", color=SOFT, markersize=4, linewidth=1, zorder=2)
+    axes.fill_between(x, y - margin, y + margin, color=colour, alpha=0.22, linewidth=0)
+    axes.plot(x, y, color=colour, linewidth=2.5)
+    _zero_line(axes, labels[1])
+    axes.set_xlabel(labels[0])
+    # A constant that another term may have as well makes a band beyond which the function would look flat.
+    seen = np.concatenate((y, [0.0]))
+    reach = np.ptp(seen) or 1.0
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(max(bottom, seen.min() - reach), min(top, seen.max() + reach))
+    return figure
+
+
+def residual_figure(
+    series: TorqueSeries, joint: int, rows: np.ndarray, unit: str, compared: Sequence[str], span: tuple[float, float]
+) -> Figure:
+    """Draw the residual of a joint against time on ``rows`` of one recording; ``span`` [s] is marked if it ends."""
+    rows = rows[:: max(1, -(-len(rows) // MAX_LINE))]
+    t = series.t[rows]
+    figure, axes = _small()
+    if np.isfinite(span).any():
+        axes.axvspan(max(span[0], t[0]), min(span[1], t[-1]), color=MARK, linewidth=0, zorder=1)
+    for model in compared:
+        axes.plot(t, series.residual(model)[rows, joint], color=COLOURS[model], linewidth=1.2)
+    _zero_line(axes, f"residual [{unit}]")
+    axes.set_xlabel("time [s]")
+    axes.set_xlim(t[0], max(t[-1], t[0] + 1e-3))
     return figure
 
 

@@ -14,7 +14,9 @@ from torchrbd.diagnosis.results import LeftoverMap, Location
 from torchrbd.diagnosis.words import number
 from torchrbd.report.inline import INK, canvas
 
-LOUDEST, FOUND = 10.0, "#d55e00"
+LOUDEST, FOUND, EMPTY = 10.0, "#d55e00", "#e4e7ea"
+# Pixels of a letter of a joint's name, of the ranges beside the rows; the most of the width that names may take.
+LETTER, RANGES, MOST_LABEL = 8.0, 130, 0.4
 AXES = {"t": "time [s]", "q": "position", "qd": "velocity"}
 
 
@@ -29,14 +31,17 @@ def map_figure(one: LeftoverMap, joints: Sequence[str], locations: Sequence[Loca
     """
     wide = one.signal == "t"
     figure = canvas(1040 if wide else 510, 64 + 24 * len(joints))
-    low, high = 46 / figure.bbox.height, 1 - 6 / figure.bbox.height
-    box = {"left": 0.09 if wide else 0.18, "right": 0.99 if wide else 0.8, "bottom": low, "top": high}
+    width, height = figure.bbox.width, figure.bbox.height
+    labels = min(12 + LETTER * max(map(len, joints)), MOST_LABEL * width)
+    box = {"left": labels / width, "right": 1 - (10 if wide else RANGES) / width, "bottom": 46 / height}
+    box["top"] = 1 - 6 / height
     axes = figure.subplots(gridspec_kw=box)
     axes.grid(visible=False)
     level = np.clip(np.array(one.level), 1.0, LOUDEST)
     norm = LogNorm(1.0, LOUDEST)
     for row, edges in enumerate(one.edges):
         x = np.array(edges) if wide else np.linspace(0.0, 1.0, len(edges))
+        axes.add_patch(Rectangle((x[0], row - 0.42), x[-1] - x[0], 0.84, facecolor=EMPTY, linewidth=0, zorder=0))
         axes.pcolormesh(x, [row - 0.42, row + 0.42], level[[row]], cmap="Blues", norm=norm, rasterized=True)
         for begin, end in _framed(one, joints[row], locations):
             if not wide:

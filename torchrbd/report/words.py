@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from torchrbd.diagnosis.results import Diagnosis, Where
-from torchrbd.diagnosis.words import MINUS, number
+from torchrbd.diagnosis.numbers import MINUS, number
+from torchrbd.diagnosis.results import Diagnosis
 from torchrbd.inference.results import Identification
 
 VERDICTS = {
@@ -37,23 +37,6 @@ def headline(result: Identification | Diagnosis) -> tuple[str, str]:
     return f"{subject} lowers the held-out torque error of {name} by {percent(1 - after / before)}: {numbers}.", rest
 
 
-def plain(value: float) -> str:
-    """Return a number in at most four digits, without trailing zeros and with a true minus sign."""
-    return f"{float(f'{value:.4g}') + 0.0:g}".replace("-", MINUS)
-
-
-def measure(value: float, spread: float) -> str:
-    """Return ``value ± spread`` with the digits that two significant ones of the spread leave; a dash if unknown."""
-    if math.isnan(spread):
-        return f"{number(value)} ± –"
-    if not (math.isfinite(spread) and spread > 0):
-        return number(value)
-    digits = 1 - math.floor(math.log10(spread))
-    if digits > 6:
-        return f"{number(value)} ± {number(spread)}"
-    return f"{value:.{max(0, digits)}f} ± {spread:.{max(0, digits)}f}".replace("-", MINUS)
-
-
 def percent(share: float) -> str:
     """Return a share in per cent; only certainty is 0 or 100, and a dash is what nobody knows."""
     if math.isnan(share):
@@ -74,23 +57,12 @@ def change(before: float, after: float) -> str:
     return f"{100 * (after / before - 1):+.0f} %".replace("+0 %", "±0 %").replace("-0 %", "±0 %").replace("-", MINUS)
 
 
-def unit(symbol: str) -> str:
-    """Return a unit with its powers raised, e.g. "kg m²"."""
-    return symbol.replace("^2", "²").replace("^3", "³")
-
-
 def tied(sentence: str) -> str:
-    """Return a sentence that breaks no line before a per-cent sign, after < or around ±."""
+    """Return a sentence that breaks no line before a per-cent sign or N m, after < or around ±."""
     return (
         sentence.replace(" %", "\N{NO-BREAK SPACE}%")
         .replace("< ", "<\N{NO-BREAK SPACE}")
+        .replace(" N m", "\N{NO-BREAK SPACE}N\N{NO-BREAK SPACE}m")
+        .replace("(± ", "(±\N{NO-BREAK SPACE}")
         .replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
     )
-
-
-def where_words(where: Where) -> str:
-    """Return in which recordings, when and in which region, or nothing for everywhere."""
-    parts = [] if where.recordings is None else ["in " + ", ".join(where.recordings)]
-    parts += [f"{low:g} to {high:g} s" for low, high in where.time_s or ()]
-    parts += [f"{r.signal} from {plain(r.low)} to {plain(r.high)}" for r in where.region or ()]
-    return "; ".join(parts)

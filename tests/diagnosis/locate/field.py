@@ -13,7 +13,14 @@ from scipy.signal import lfilter
 from simulated import inverse_dynamics, joint_names, multisine, with_wrong_inertials
 from vision_head.motion import Motion
 
+from torchrbd.diagnosis.rows.regression import Fit, fitted
+from torchrbd.diagnosis.rows.samples import read_samples
+from torchrbd.diagnosis.rows.weighing import weighed
+from torchrbd.inference.preparation import prepare
+from torchrbd.inference.settings import Settings
+from torchrbd.physics import Site, effect
 from torchrbd.recordings import Recording
+from torchrbd.robot import RobotModel
 
 RATE_HZ, DURATION_S, ENCODER_STEP = 125.0, 30.0, 2 * np.pi / 2**15
 NOISE, COLOUR_S, DRIFT = 0.03, 0.08, 0.02
@@ -52,6 +59,18 @@ Concealed = Callable[[np.random.Generator, str, Motion], tuple[np.ndarray, Truth
 
 def arm(seed: int) -> str:
     return random_urdf(seed, 5 + seed % 3, kinds=("revolute",), branching=0.0, massless=0.0)
+
+
+def background(one: Case, *recordings: Recording, **options: object) -> Fit:
+    """Fit rigid body, friction and an offset at every joint to recordings of a case, its own one by default."""
+    names = ("viscous_friction", "coulomb_friction", "torque_offset")
+    settings = Settings.from_mapping(options, "test")
+    robot = RobotModel.from_urdf(one.cad)
+    prepared = prepare(robot, recordings or [one.recording], settings, [effect(name) for name in names])
+    samples = read_samples(prepared, prepared.fit().pi)
+    joints = range(robot.n_dof)
+    terms = [samples.columns.candidate(effect(name), Site(j), {}) for name in names for j in joints]
+    return weighed(fitted(samples, prepared.prior, terms))
 
 
 def case(seed: int, concealed: Concealed | None = None, size: float = 0.08, *, duration_s: float = DURATION_S) -> Case:

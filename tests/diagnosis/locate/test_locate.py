@@ -6,19 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis.locate.field import CONCEALED, Case, case
+from diagnosis.locate.field import CONCEALED, Case, background, case
 
-from torchrbd.diagnosis import Location, Unexplained, Where
-from torchrbd.diagnosis.locate import locate, nameless
-from torchrbd.inference.preparation import prepare
-from torchrbd.inference.settings import Settings
-from torchrbd.robot import RobotModel
+from torchrbd.diagnosis import Location
+from torchrbd.diagnosis.locate import locate, stretches
 
 
 def located(one: Case, folder: Path) -> tuple[Location, ...]:
-    settings = Settings.from_mapping({"holdout": [str(one.holdout_file(folder))]}, "test")
-    prepared = prepare(RobotModel.from_urdf(one.cad), [one.recording], settings, ())
-    return locate(prepared, prepared.fit().pi)[0]
+    return locate(background(one, holdout=[str(one.holdout_file(folder))]))[0]
 
 
 def overlap(a: tuple[float, float], b: tuple[float, float]) -> float:
@@ -80,10 +75,7 @@ def test_a_push_is_located_on_its_link_with_force_and_point(tmp_path: Path) -> N
 def test_only_the_recording_that_holds_it_is_named(tmp_path: Path) -> None:
     one = case(55, CONCEALED["step"])
     assert one.truth is not None
-    prepared = prepare(
-        RobotModel.from_urdf(one.cad), [one.recording, one.holdout], Settings.from_mapping({}, "test"), ()
-    )
-    found, maps = locate(prepared, prepared.fit().pi)
+    found, maps = locate(background(one, one.recording, one.holdout))
     assert found[0].where.recordings == ("field",)
     assert found[0].joints == (f"joint{one.truth.joint + 1}",)
     assert {(m.signal, m.recording) for m in maps} == {("t", "field"), ("t", "other"), ("q", ""), ("qd", "")}
@@ -93,9 +85,7 @@ def test_the_map_is_loud_where_it_is(tmp_path: Path) -> None:
     one = case(51, CONCEALED["rubbing"])
     assert one.truth is not None
     assert one.truth.time_s is not None
-    settings = Settings.from_mapping({"holdout": [str(one.holdout_file(tmp_path))]}, "test")
-    prepared = prepare(RobotModel.from_urdf(one.cad), [one.recording], settings, ())
-    maps = locate(prepared, prepared.fit().pi)[1]
+    maps = locate(background(one, holdout=[str(one.holdout_file(tmp_path))]))[1]
     time = next(m for m in maps if m.signal == "t")
     centre = np.convolve(time.edges[one.truth.joint], [0.5, 0.5], "valid")
     inside = (centre > one.truth.time_s[0]) & (centre < one.truth.time_s[1])
@@ -105,14 +95,26 @@ def test_the_map_is_loud_where_it_is(tmp_path: Path) -> None:
     assert 0.7 < np.nanmean(others) < 1.5
 
 
-def test_what_a_learner_guesses_gives_way_to_what_is_located() -> None:
-    at = Where(time_s=((1.0, 2.0),))
-    found = Location(
-        "extended", ("a",), (), at, ("t",), "level", "abrupt", 20.0, {"a": 1.0}, {"a": 0.5}, None, None, "x"
-    )
-    guesses = [Unexplained((j,), ("q_a",), Where(), 0.2, "guess") for j in ("a", "b")]
-    left = nameless([found], guesses)
-    assert [(u.joints, u.statement, u.share) for u in left] == [(("a",), "x", 0.5), (("b",), "guess", 0.2)]
+@pytest.mark.parametrize("effect", ["rubbing", "payload"])
+def test_the_stretch_in_which_something_acts_is_offered_to_a_search(effect: str) -> None:
+    one = case(56, CONCEALED[effect])
+    assert one.truth is not None
+    assert one.truth.time_s is not None
+    offered = stretches(background(one, one.recording, one.holdout))
+    assert 1 <= len(offered) <= 4
+    assert {w.recording for w in offered} <= {"field", "other"}
+    mine = [(w.start_s, w.end_s) for w in offered if w.recording == "field"]
+    assert max(overlap(span, one.truth.time_s) for span in mine if np.isfinite(span).all()) > 0.8
+
+
+def test_nothing_is_located_in_some_seconds_of_nothing() -> None:
+    fit = background(case(57, duration_s=12.0))
+    assert locate(fit)[0] == ()
+    assert stretches(fit) == []
+
+
+def test_no_stretch_is_offered_where_nothing_is() -> None:
+    assert stretches(background(case(50))) == []
 
 
 @pytest.mark.slow

@@ -128,6 +128,26 @@ def test_features_of_the_load_are_built_anew_and_others_kept(samples: Samples) -
     assert heavier.features(plain) is before[1]
 
 
+def test_friction_is_seen_by_effects_on_the_torque(samples: Samples) -> None:
+    """Beside the load, band-limited alike, and in the range that limits are sought in."""
+    pi, friction = torch.from_numpy(samples.load_parameters), torch.zeros(4, 3, dtype=torch.float64)
+    friction[1] = torch.tensor([0.4, 2.0, -0.3])
+    rubbed = samples.around(pi, friction)
+    added = rubbed.supplied(pi, friction) - samples.supplied(pi, None)
+    expected = 0.4 * samples.qd[1] + 2.0 * samples.direction[1] - 0.3
+    np.testing.assert_allclose(added, np.eye(4)[1][:, None] * expected, atol=1e-9)
+    limit = 1e-9  # beyond which lies all
+    found, before = (
+        s.features(s.columns.candidate(effect("torque_saturation"), Site(1), {"limit": limit}))[0]
+        for s in (rubbed, samples)
+    )
+    np.testing.assert_allclose(found - before, expected, atol=2e-2)
+    scales = rubbed.columns.scales, samples.columns.scales
+    assert scales[0][1].load_max == pytest.approx(np.abs(rubbed.supplied(pi, friction)[1]).max())
+    assert scales[0][0].load_max == pytest.approx(scales[1][0].load_max)
+    assert torch.equal(samples.columns.around(pi, friction).sticking(torch.ones(4)).friction, friction)
+
+
 def test_weights_take_samples_away(fit: Fit, prepared: Prepared, samples: Samples) -> None:
     half = samples.t < np.median(samples.t)
     spoiled = replace(samples, tau=samples.tau + 5.0 * half, weight=np.where(half, 1e-6, 1.0) * samples.weight)

@@ -13,24 +13,23 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
-from torchrbd.diagnosis.locate.residual import Leftover
 from torchrbd.diagnosis.results import Attack
+from torchrbd.diagnosis.rows.regression import Fit
 
 # Prior widths: a point lies within so many metres of the link's frame, forces below so many newtons.
 _REACH, _FORCE = 1.0, 1e4
 
 
-def attack(leftover: Leftover, columns: dict[int, np.ndarray], form: str, gravity: np.ndarray) -> Attack:
+def attack(fit: Fit, columns: dict[int, np.ndarray], form: str, gravity: np.ndarray) -> Attack:
     """Return force and point of attack.
 
     Args:
-        leftover: without the part.
-        columns: its columns by joint, (M, 4) of a payload (mass, first moments) or (M, 12) of a force.
+        fit: without the part.
+        columns: its columns by joint, (4, M) of a payload (mass, first moments) or (12, M) of a force.
         form: "payload" or "force".
         gravity: (3,) [m/s^2].
     """
-    seen = {j: leftover.white(j, A) for j, A in columns.items() if len(leftover.e[j])}
-    G, _, u = leftover.equations(seen)
+    G, _, u = fit.equations(columns)
     values, vectors = np.linalg.eigh(G)
     kept = values > 1e-9 * values[-1]
     R = np.sqrt(values[kept])[:, None] * vectors[:, kept].T

@@ -2,106 +2,83 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-import torch
 
 from torchrbd.diagnosis.locate.attack import attack
-from torchrbd.diagnosis.locate.intervals import Clock
+from torchrbd.diagnosis.locate.clock import Clock
 from torchrbd.diagnosis.locate.maps import leftover_maps
-from torchrbd.diagnosis.locate.residual import Leftover
-from torchrbd.diagnosis.locate.rows import Rows, read_rows
-from torchrbd.diagnosis.locate.search import Part, coefficients, refit, search
+from torchrbd.diagnosis.locate.search import Part, Search, coefficients
 from torchrbd.diagnosis.locate.signals import Smooth, smooth
 from torchrbd.diagnosis.locate.words import sentence
-from torchrbd.diagnosis.results import Curve, LeftoverMap, Location, Region, Unexplained, Where
-from torchrbd.inference.data.columns import Candidate
-from torchrbd.inference.preparation import Prepared
+from torchrbd.diagnosis.results import Curve, LeftoverMap, Location, Region, Where
+from torchrbd.diagnosis.rows.regression import Fit, Rows
 
 # A joint is named with a body where the body's torque is this part of the noise, and a recording where the part gains
 # this much of what it gains in the best one.
 _FELT, _LOUD = 0.5, 0.2
 
 
-def locate(
-    prepared: Prepared, pi: torch.Tensor, terms: Sequence[Candidate] = (), model: str = "rigid_body"
-) -> tuple[tuple[Location, ...], tuple[LeftoverMap, ...]]:
-    """Locate what the re-fitted rigid body, friction, an offset and terms leave.
+def locate(fit: Fit, model: str = "rigid_body") -> tuple[tuple[Location, ...], tuple[LeftoverMap, ...]]:
+    """Locate what a fit leaves.
 
     Args:
-        prepared: the data; blocks that are held out are not looked at.
-        pi: (n_params,) inertial parameters whose torque is the load.
-        terms: of the model, beside friction and an offset at every joint.
+        fit: with its terms, samples (their weights included) and noise.
         model: its name.
 
     Returns:
         The locations, largest gain first, and maps of the leftover over time, position and velocity.
     """
-    rows = read_rows(prepared, pi, terms)
-    return locate_rows(rows, model)
-
-
-def locate_rows(rows: Rows, model: str = "rigid_body") -> tuple[tuple[Location, ...], tuple[LeftoverMap, ...]]:
-    """Locate what is left in rows that are already read; see ``locate``."""
-    parts, last = search(rows)
-    clock = Clock(rows)
+    search = Search(fit)
+    search.run()
+    rows, parts = search.fit.rows, search.parts
     # Sizes are those of a plain fit: one that expects drift leaves levels that mean nothing.
-    plain = (np.zeros_like(last.filters), last.scale)
-    quiet, found = refit(rows, parts, plain, 0), []
+    plain = Rows(rows.samples, rows.prior, (np.zeros_like(rows.noise[0]), rows.noise[1]))
+    quiet = search.beside(parts, plain).leftover()
+    found = []
     for part in parts:
         others = [p for p in parts if p is not part]
-        raw = refit(rows, others, plain, 0).raw
-        found.append(_location(clock, part, refit(rows, others, last.noise, 0), raw, quiet, model))
-    return tuple(sorted(found, key=lambda x: -x.gain)), leftover_maps(refit(rows, (), plain, 0), quiet, model)
+        left = search.beside(others, plain).leftover()
+        found.append(_location(search, part, search.beside(others), left, quiet, model))
+    left = _counted(search.beside((), plain).leftover(), rows)
+    maps = leftover_maps(search.scene, left, _std(_counted(quiet, rows)), model)
+    return tuple(sorted(found, key=lambda x: -x.gain)), maps
 
 
-def nameless(left: Sequence[Location], guessed: Sequence[Unexplained]) -> tuple[Unexplained, ...]:
-    """Return what is located in the leftover of the last model as unexplained.
-
-    Args:
-        left: locations in that leftover.
-        guessed: what a learner without physics predicts there; kept at joints where nothing is located, since it sees
-            what depends on several signals at once.
-    """
-    found = [Unexplained(x.joints, x.depends_on, x.where, max(x.share.values()), x.statement) for x in left]
-    located = {j for x in left for j in x.joints}
-    return (*found, *(u for u in guessed if not located & set(u.joints)))
-
-
-def _location(clock: Clock, part: Part, without: Leftover, raw: np.ndarray, quiet: Leftover, model: str) -> Location:
+def _location(search: Search, part: Part, without: Fit, left: np.ndarray, quiet: np.ndarray, model: str) -> Location:
     """Describe a part.
 
     Args:
-        clock: of the rows.
+        search: that found it.
         part: what was found.
-        without: what is left beside all other parts.
-        raw: the same of a plain fit, (M, n).
-        quiet: what is left beside all parts, of a plain fit.
+        without: the fit beside all other parts.
+        left: (n, M) what a plain one leaves.
+        quiet: (n, M) what a plain one leaves beside all parts.
         model: the model's name.
     """
-    robot, joints = clock.rows.robot, clock.rows.robot.joint_names
-    seen = [j for j in part.joints if len(without.e[j])]
+    scene, rows = search.scene, without.rows
+    robot, joints = scene.robot, scene.robot.joint_names
+    seen = [j for j in part.joints if j in scene.seen]
     # What the rest of the model would absorb of a part is not seen, and not counted.
-    visible = raw - quiet.raw
-    rms = {j: float(np.sqrt(np.nanmean(visible[:, j] ** 2))) for j in seen}
-    loudness = {j: rms[j] / max(float(quiet.raw_std[j]), 1e-300) for j in seen}
+    visible = left - quiet
+    rms = np.sqrt(np.mean(visible**2, axis=1, where=rows.samples.measured))
+    loudness = rms / np.maximum(_std(_counted(quiet, rows)), 1e-300)
     prominent = sorted(seen, key=lambda j: -loudness[j])
     felt = [j for j in prominent if loudness[j] > _FELT] or prominent[:1]
-    where, depends_on, curve = _where(clock, part, without), (), None
+    where, depends_on, curve = _where(search.clock, part, without), (), None
     if part.smooth is not None:
         depends_on = (part.smooth.signal.name,)
         if depends_on != ("t",):
-            curve = _curve(smooth(without, part.joints[0], part.smooth.signal))
+            curve = _curve(smooth(without, scene, part.joints[0], part.smooth.signal))
     elif part.stretch is not None:
         depends_on = ("t",)
     links, hit = (), None
     if part.body is not None:
         links = (robot.body_names[part.body],)
-        hit = attack(without, {j: part.columns[j] for j in seen}, part.form, robot.gravity.numpy())
+        hit = attack(without, _touched(search, part), part.form, robot.gravity.numpy())
     course = "abrupt" if part.stretch else "slow" if depends_on == ("t",) else ""
     unit = "N" if bool(robot.prismatic[felt[0]]) else "N m"
-    names = tuple(joints[j] for j in felt)
+    names, size = tuple(joints[j] for j in felt), float(rms[felt[0]])
+    share = _share(_counted(visible, rows), _counted(left, rows))
     return Location(
         model=model,
         joints=names,
@@ -111,15 +88,23 @@ def _location(clock: Clock, part: Part, without: Leftover, raw: np.ndarray, quie
         form=part.form,
         course=course,
         gain=part.gain,
-        torque_rms={joints[j]: rms[j] for j in felt},
-        share={joints[j]: _share(visible[:, j], raw[:, j]) for j in felt},
+        torque_rms={joints[j]: float(rms[j]) for j in felt},
+        share={joints[j]: float(share[j]) for j in felt},
         curve=curve,
         attack=hit,
-        statement=sentence(names, links, where, depends_on, part.form, course, rms[felt[0]], unit, hit),
+        statement=sentence(names, links, where, depends_on, part.form, course, size, unit, hit),
     )
 
 
-def _where(clock: Clock, part: Part, without: Leftover) -> Where:
+def _touched(search: Search, part: Part) -> dict[int, np.ndarray]:
+    """Return what a mass, or a force at a point, on the body of a part takes at each joint, (K, M)."""
+    scene = search.scene
+    held = scene.carried if part.form == "payload" else scene.held.reshape(*scene.held.shape[:2], 12, -1)
+    inside = 1.0 if part.stretch is None else search.clock.inside(part.stretch)
+    return {j: held[part.body, j] * inside for j in scene.seen}
+
+
+def _where(clock: Clock, part: Part, without: Fit) -> Where:
     """Return recordings, times and region of a part."""
     if part.stretch is not None:
         recording, span = clock.place(part.stretch)
@@ -128,30 +113,47 @@ def _where(clock: Clock, part: Part, without: Leftover) -> Where:
     if part.region is not None and part.smooth is not None:
         signal, v = part.smooth.signal.name, part.smooth.signal.v
         region = (Region(signal, max(part.region.low, float(v.min())), min(part.region.high, float(v.max()))),)
-    return Where(_recordings(clock.rows, part, without), None, region)
+    return Where(_recordings(part, without), None, region)
 
 
-def _share(visible: np.ndarray, left: np.ndarray) -> float:
-    """Return the part of a leftover's power that vanishes with a part."""
-    seen = np.isfinite(left)
-    before, after = np.var(left[seen]), np.var((left - visible)[seen])
-    return float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0 else 0.0
+def _counted(left: np.ndarray, rows: Rows) -> np.ndarray:
+    """Return a leftover (n, M) by what its samples count, NaN where nothing is measured."""
+    return np.where(rows.samples.measured, left * rows.samples.weight, np.nan)
 
 
-def _recordings(rows: Rows, part: Part, without: Leftover) -> tuple[str, ...] | None:
+def _std(left: np.ndarray) -> np.ndarray:
+    """Return standard deviations (n,); NaN for a joint without torque."""
+    count = np.isfinite(left).sum(1)
+    mean = np.nansum(left, 1) / np.maximum(count, 1)
+    power = np.nansum((left - mean[:, None]) ** 2, 1) / np.maximum(count, 1)
+    return np.where(count > 0, np.sqrt(power), np.nan)
+
+
+def _share(visible: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Return the part of a leftover's power that vanishes with a part, (n,)."""
+    before, after = _std(left) ** 2, _std(left - visible) ** 2
+    return np.clip(1.0 - after / np.where(before > 0, before, 1.0), 0.0, 1.0)
+
+
+def _recordings(part: Part, without: Fit) -> tuple[str, ...] | None:
     """Return the recordings in which a part is seen, or None if it is in all of them."""
-    seen = [j for j in part.joints if len(without.e[j])]
-    _, w = coefficients(without, {j: part.columns[j] for j in seen})
-    present = np.unique(rows.recording)
+    rows, samples = without.rows, without.rows.samples
+    columns = {j: A for j, A in part.columns.items() if rows.counts[j]}
+    _, w = coefficients(without, columns)
+    present = np.unique(samples.recording)
+    # As it stands beside the fit, which takes its part of it.
+    alone = np.zeros_like(without.e)
+    for j, A in columns.items():
+        alone[rows.parts[j]] = rows.white(w @ A, j)
+    f = without.projected(alone)
     gain = np.zeros(len(present))
-    for j in seen:
-        f = without.white(j, part.columns[j] @ w)
-        f = f - without.basis[j] @ (without.basis[j].T @ f)
-        of = np.searchsorted(present, rows.recording[without.index[j]])
-        total = np.bincount(of, without.e[j] * f - 0.5 * f**2, len(present))
+    for j in columns:
+        here = rows.parts[j]
+        of = np.searchsorted(present, samples.recording[rows.index[j]])
+        total = np.bincount(of, without.e[here] * f[here] - 0.5 * f[here] ** 2, len(present))
         gain += total / np.maximum(np.bincount(of, minlength=len(present)), 1)
     loud = gain > _LOUD * gain.max()
-    return None if loud.all() else tuple(rows.recordings[k] for k in present[loud])
+    return None if loud.all() else tuple(samples.recordings[k] for k in present[loud])
 
 
 def _curve(found: Smooth) -> Curve:

@@ -11,24 +11,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torchrbd.diagnosis.locate.intervals import Clock, Interval, signal_interval
-from torchrbd.diagnosis.locate.residual import Leftover, Noise, fit_rows, whitened
-from torchrbd.diagnosis.locate.rows import Rows
-from torchrbd.diagnosis.locate.signals import LEAST_SHARE, Signal, Smooth, form_columns, signals, smooth
+from torchrbd.diagnosis.locate.clock import Clock
+from torchrbd.diagnosis.locate.intervals import Interval, signal_interval
+from torchrbd.diagnosis.locate.scene import Scene
+from torchrbd.diagnosis.locate.signals import LEAST_SHARE, Bases, Signal, Smooth, form_columns, smooth
+from torchrbd.diagnosis.rows.regression import Extra, Fit, Rows
+from torchrbd.diagnosis.rows.whitening import LEAST_NOISE, Noise, whitened
 
-# In log-likelihood units, beyond the costs of freedom and search: on 30 recordings with coloured noise and drift and
-# nothing concealed the three largest were 9.6, 8.7 and 6.7.
-LEAST_GAIN = 15.0
+# In log-likelihood units, beyond the costs of freedom and search: on 40 simulated arms with nothing but friction, which
+# stick, coloured noise and drift, the three largest were 5.5, 4.8 and 4.0.
+LEAST_GAIN = 10.0
+# Less at first, and less than this part of the best, need not be looked at closer.
+LEAST_START, SHORT_OF_BEST, ROUNDS, SHARPENINGS = 4.0, 0.25, 1, 2
 # Rows that are needed for each coefficient of the model.
 LEAST_ROWS = 2
 # Torque sensors drift: a slow level must gain so much more.
 DRIFT_COST = 15.0
-MOST_PARTS, SHORTLIST, STRETCHES, REFINING_ROUNDS = 5, 6, 3, 2
+MOST_PARTS, SHORTLIST, STRETCHES = 5, 6, 3
 # A function is confined to an interval if one without freedom there, nothing elsewhere, gains this part as much.
 # An interval that holds this part of all samples is none.
 REGION_PART, MOST_OF_A_SIGNAL = 0.7, 0.9
 TIME_FORMS = ("level", "friction", "load")
-BODY_FORMS = ("payload", "force")
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Part:
         gain: log-likelihood units beyond those of its freedom and of the search.
         form: what acts there: "level", "friction", "load", "payload" or "force".
         cost: of its freedom and of the search, in the same units.
-        columns: (M, K) by joint; a body's coefficients are the same at all joints.
+        columns: (K, M) by joint; a body's coefficients are the same at all joints.
         smooth: the function of a signal, if that is what it is.
         stretch: the stretch of time, if it acts in one.
         body: on which it acts.
@@ -57,164 +60,211 @@ class Part:
     body: int | None = None
     region: Interval | None = None
 
-
-def search(rows: Rows) -> tuple[tuple[Part, ...], Leftover]:
-    """Return the parts of what rigid body and friction leave, in the order found, and what is left beside them."""
-    clock = Clock(rows)
-    leftover = fit_rows(rows)
-    parts: tuple[Part, ...] = ()
-    freedom = leftover.basis[0].shape[1]
-    for _ in range(MOST_PARTS if sum(map(len, leftover.e)) > LEAST_ROWS * freedom else 0):
-        clear = refit(rows, parts, _common_noise(leftover), 0)
-        found = _best(rows, leftover, parts, list(_candidates(clear, clock)))
-        if found is None or found[0].gain < LEAST_GAIN:
-            break
-        part, after = found
-        # What was found has coloured the noise: choose its place again with the noise that is left beside it.
-        joints = part.joints if part.body is None else tuple(range(len(leftover.e)))
-        clear = refit(rows, parts, after.noise, 0)
-        again = [p for p in _candidates(clear, clock, joints) if (p.body is None) == (part.body is None)]
-        part, leftover = _best(rows, leftover, parts, [part, *again]) or found
-        if part.smooth is not None and part.smooth.signal.name != "t":
-            clear = refit(rows, parts, leftover.noise, 0)
-            part = replace(part, region=_region(clear, part.joints[0], part.smooth.signal))
-        parts = (*parts, part)
-    return parts, leftover
+    @property
+    def extra(self) -> tuple[Extra, ...]:
+        """Return its columns for a fit."""
+        if self.body is not None:
+            return (Extra(None, np.stack(list(self.columns.values()), axis=1)),)
+        return tuple(Extra(j, A) for j, A in self.columns.items())
 
 
-def refit(rows: Rows, parts: Sequence[Part], noise: Noise, rounds: int = REFINING_ROUNDS) -> Leftover:
-    """Return what is left beside parts, the noise estimated anew in so many rounds."""
-    added: dict[int, np.ndarray] = {}
-    shared = []
-    for part in parts:
-        if part.body is None:
-            for j, A in part.columns.items():
-                added[j] = np.concatenate((added[j], A), axis=1) if j in added else A
-        else:
-            shared.append(np.stack([part.columns[j] for j in range(rows.q.shape[1])]))
-    return fit_rows(rows, added, shared, noise, rounds)
+class Search:
+    """The search for the parts of what a fit leaves.
+
+    Args:
+        fit: whose leftover is explained.
+
+    Attributes:
+        scene, clock: of its samples.
+        parts: in the order found.
+        fit: with these parts, whitened by what it leaves.
+    """
+
+    def __init__(self, fit: Fit) -> None:
+        self.scene, self.fit = Scene.of(fit), fit
+        self.clock = Clock(self.scene)
+        self.parts: tuple[Part, ...] = ()
+        self._bases = {j: Bases(self.scene, j) for j in self.scene.seen}
+
+    def run(self) -> None:
+        """Find part after part."""
+        for _ in range(MOST_PARTS if enough(self.fit) else 0):
+            found = self._best(list(self._candidates(self._clear())))
+            if found is None or found[0].gain < LEAST_GAIN:
+                break
+            part, after = found
+            # What was found has coloured the noise: choose its place again with the noise that is left beside it.
+            joints = part.joints if part.body is None else self.scene.seen
+            clear = Fit(after.rows, self.fit.terms, self.fit.extra)
+            again = [p for p in self._candidates(clear, joints) if (p.body is None) == (part.body is None)]
+            part, fit = self._best([part, *again]) or found
+            if part.smooth is not None and part.smooth.signal.name != "t":
+                region = self._region(Fit(fit.rows, self.fit.terms, self.fit.extra), part.joints[0], part.smooth.signal)
+                part = replace(part, region=region)
+            self.parts, self.fit = (*self.parts, part), fit
+
+    def beside(self, parts: Sequence[Part], rows: Rows | None = None) -> Fit:
+        """Return the fit of the terms and some parts, whitened as the last one if no rows are given."""
+        return Fit(rows or self.fit.rows, self.fit.terms, [e for part in parts for e in part.extra])
+
+    def _clear(self) -> Fit:
+        """Return the fit with the noise that serves to find candidates."""
+        rows = self.fit.rows
+        return Fit(Rows(rows.samples, rows.prior, common_noise(self.fit)), self.fit.terms, self.fit.extra)
+
+    def _best(self, candidates: Sequence[Part]) -> tuple[Part, Fit] | None:
+        """Return the part that fits best when the noise is estimated beside it, and the fit with it."""
+        ranked = sorted(candidates, key=lambda p: -p.gain)
+        ranked = [p for p in ranked if p.gain > max(LEAST_START, SHORT_OF_BEST * ranked[0].gain)]
+        firsts = {p.joints: p for p in reversed(ranked)}
+        best, before = None, log_likelihood(self.fit)
+        for part in {id(p): p for p in (*ranked[:SHORTLIST], *firsts.values())}.values():
+            rows, extra = self.fit.rows, (*self.fit.extra, *part.extra)
+            after = Fit(rows, self.fit.terms, extra)
+            for _ in range(ROUNDS):
+                after = Fit(Rows(rows.samples, rows.prior, after.noise()), self.fit.terms, extra)
+            gain = log_likelihood(after) - before - part.cost
+            if best is None or gain > best[0].gain:
+                best = replace(part, gain=gain), after
+        return best
+
+    def _region(self, fit: Fit, joint: int, signal: Signal) -> Interval | None:
+        """Return the interval outside which the function of a signal is not needed, if there is one."""
+        phi = form_columns(self.scene, joint, signal.form)
+        v = (signal.v - signal.v.mean()) / max(float(signal.v.std()), 1e-300)
+        powers = np.concatenate([phi * v**k for k in range(4)])
+        inside = [signal_interval(fit, joint, powers[: k * len(phi)], signal.v) for k in (1, 2, 3)]
+        best = max(inside, key=lambda o: o.gain)
+        everywhere = coefficients(fit, {joint: powers})[0] - _freedom(len(powers), fit.rows.counts[joint])
+        everything = best.inside(signal.v).mean() > MOST_OF_A_SIGNAL
+        if everything or best.gain <= max(REGION_PART * smooth(fit, self.scene, joint, signal).gain, everywhere):
+            return None
+        open_ended = best.low <= signal.v.min() or best.high >= signal.v.max()
+        hump = best is inside[2] and not open_ended
+        return _half_height(fit, joint, powers[: 3 * len(phi)], signal.v, best) if hump else best
+
+    def _candidates(self, fit: Fit, joints: Sequence[int] | None = None) -> Iterator[Part]:
+        """Yield what may explain the leftover of joints, of all by default."""
+        stretches, counts = [], fit.rows.counts
+        for j in self.scene.seen if joints is None else joints:
+            for one in self._bases[j].smooths(fit):
+                if one.gain > 0 and len(one.columns):
+                    signal = one.signal
+                    drift = DRIFT_COST if (signal.name, signal.form) == ("t", "level") else 0.0
+                    cost = _freedom(len(one.columns), counts[j]) + drift
+                    yield Part((j,), one.gain - drift, signal.form, cost, {j: one.columns}, smooth=one)
+            for form in TIME_FORMS:
+                phi = form_columns(self.scene, j, form)
+                if not len(phi):
+                    continue
+                stretch = self.clock.scan(fit, {j: phi})
+                stretches.append(stretch)
+                if stretch.gain > 0:
+                    cost = _freedom(len(phi), counts[j]) + np.log(self.clock.fine.count)
+                    acting = {j: phi * self.clock.inside(stretch)}
+                    yield Part((j,), stretch.gain, form, cost, acting, stretch=stretch)
+        if joints is None or len(joints) > 1:
+            yield from self._bodies(fit, sorted(stretches, key=lambda s: -s.gain)[:STRETCHES])
+
+    def _bodies(self, fit: Fit, stretches: Sequence[Interval]) -> Iterator[Part]:
+        """Yield the body that a mass, a force at a point, or a force and a moment explain best in a stretch of time."""
+        scene, seen = self.scene, self.scene.seen
+        point = scene.held.reshape(*scene.held.shape[:2], 12, -1)
+        mass = float(scene.robot.pi[::10].sum())
+        # Nothing on an arm weighs more than the arm.
+        kinds = ("payload", scene.carried, mass), ("force", point, 9.81 * mass), ("force", scene.pressed, 9.81 * mass)
+        several = (
+            self.clock.scan(fit, {j: f[scene.outermost, j] for j in seen}) for f in (scene.carried, scene.pressed)
+        )
+        stretches = [s for s in (*stretches, *several) if np.isfinite(s.gain)]
+        for form, features, heaviest in kinds:
+            # A load that is always there is the link's own.
+            offered = [*stretches, None] if form == "force" else stretches
+            options = [(*one, s) for s in offered for one in each_body(fit, features * self._inside(s), seen)]
+            if not options:
+                continue
+            gain, body, w, stretch = max(options, key=lambda option: option[0])
+            cost = _freedom(len(w), sum(fit.rows.counts)) + np.log(self.clock.fine.count * len(features))
+            if gain <= cost or np.abs(w[: 1 if form == "payload" else 3]).max() > heaviest:
+                continue
+            phi = features[body]
+            for _ in range(SHARPENINGS):
+                if stretch is None:
+                    break
+                mixture = {j: (w @ phi[j])[None] for j in seen}
+                stretch = self.clock.sharpened(fit, mixture, replace(stretch, gain=-np.inf))
+                gain, w = coefficients(fit, {j: phi[j] * self.clock.inside(stretch) for j in seen})
+            acting = {j: f * self._inside(stretch) for j, f in enumerate(phi)}
+            joints = tuple(j for j, f in acting.items() if f.any())
+            yield Part(joints, gain - cost, form, cost, acting, stretch=stretch, body=body)
+
+    def _inside(self, stretch: Interval | None) -> np.ndarray | float:
+        return 1.0 if stretch is None else self.clock.inside(stretch)
 
 
-def _common_noise(leftover: Leftover) -> Noise:
+def enough(fit: Fit) -> bool:
+    """Say whether there are enough rows for the coefficients that a fit has."""
+    return len(fit.e) > LEAST_ROWS * fit.X.shape[1]
+
+
+def each_body(fit: Fit, features: np.ndarray, seen: Sequence[int]) -> Iterator[tuple[float, int, np.ndarray]]:
+    """Yield gain, body and coefficients (K,) of the features of each body, (n_bodies, n, K, M), at joints."""
+    n_bodies, _, K, M = features.shape
+    G, alone, u = fit.equations({j: features[:, j].reshape(-1, M) for j in seen})
+    for body in range(n_bodies):
+        at = slice(body * K, (body + 1) * K)
+        gain, w = _told(G[at, at], alone.diagonal()[at], u[at])
+        yield gain, body, w
+
+
+def common_noise(fit: Fit) -> Noise:
     """Return each joint's noise with the colour that most joints share: what hides in one has coloured its own.
 
-    It serves to find candidates; what they are worth is judged with the joint's own noise, estimated beside them.
+    It serves to find candidates; what these are worth is judged with the joint's own noise, estimated beside them.
     """
-    seen = [j for j, e in enumerate(leftover.e) if len(e)]
-    filters, scale = leftover.filters.copy(), leftover.scale.copy()
-    common = np.median(leftover.filters[seen], axis=0)
+    rows, left = fit.rows, fit.leftover()
+    seen = np.flatnonzero(rows.counts)
+    filters, scale = rows.noise[0].copy(), rows.noise[1].copy()
+    common = np.median(filters[seen], axis=0)
     for j in seen:
-        e = whitened(np.nan_to_num(leftover.raw[:, j]), leftover.index[j], common, 1.0)
-        own = whitened(np.nan_to_num(leftover.raw[:, j]), leftover.index[j], filters[j], 1.0)
+        weighted = left[j] * rows.samples.weight[j]
+        e, own = (whitened(weighted, rows.index[j], a, 1.0) for a in (common, filters[j]))
         scale[j] *= np.sqrt(np.mean(e**2) / max(float(np.mean(own**2)), 1e-300))
         filters[j] = common
     return filters, scale
 
 
-def _best(
-    rows: Rows, leftover: Leftover, parts: tuple[Part, ...], candidates: Sequence[Part]
-) -> tuple[Part, Leftover] | None:
-    """Return the part that fits best when the noise is estimated beside it, and what it leaves."""
-    ranked = sorted(candidates, key=lambda p: -p.gain)
-    firsts = {p.joints: p for p in reversed(ranked)}
-    best = None
-    for part in {id(p): p for p in (*ranked[:SHORTLIST], *firsts.values())}.values():
-        after = refit(rows, (*parts, part), leftover.noise)
-        gain = after.log_likelihood - leftover.log_likelihood - part.cost
-        if best is None or gain > best[0].gain:
-            best = replace(part, gain=gain), after
-    return best
+def log_likelihood(fit: Fit) -> float:
+    """Return that of a fit, up to a constant: - sum_j m_j / 2 log(RSS_j / m_j)."""
+    total, least = 0.0, LEAST_NOISE**2 * np.mean(fit.rows.samples.tau**2, axis=1)
+    for j, (part, count) in enumerate(zip(fit.rows.parts, fit.rows.counts, strict=True)):
+        if count > 0:
+            variance = fit.rows.noise[1][j] ** 2 * float(np.sum(fit.e[part] ** 2)) / count + least[j]
+            total -= 0.5 * count * float(np.log(max(variance, 1e-300)))
+    return total
 
 
-def _region(leftover: Leftover, joint: int, signal: Signal) -> Interval | None:
-    """Return the interval outside which the function of a signal is not needed, if there is one."""
-    phi = form_columns(leftover.rows, joint, signal.form)
-    v = (signal.v - signal.v.mean()) / max(float(signal.v.std()), 1e-300)
-    powers = np.concatenate([phi * v[:, None] ** k for k in range(4)], axis=1)
-    inside = [signal_interval(leftover, joint, powers[:, : k * phi.shape[1]], signal.v) for k in (1, 2, 3)]
-    best = max(inside, key=lambda o: o.gain)
-    everywhere = coefficients(leftover, {joint: powers})[0] - _freedom(powers.shape[1], len(leftover.e[joint]))
-    everything = best.inside(signal.v).mean() > MOST_OF_A_SIGNAL
-    if everything or best.gain <= max(REGION_PART * smooth(leftover, joint, signal).gain, everywhere):
-        return None
-    return _half_height(leftover, joint, powers[:, : 3 * phi.shape[1]], signal.v, best) if best is inside[2] else best
+def coefficients(fit: Fit, phi: Mapping[int, np.ndarray]) -> tuple[float, np.ndarray]:
+    """Return gain and coefficients (K,) of features (K, M) that joints share."""
+    G, alone, u = fit.equations(phi)
+    return _told(G, alone.diagonal(), u)
 
 
-def _half_height(leftover: Leftover, joint: int, phi: np.ndarray, v: np.ndarray, region: Interval) -> Interval:
+def _told(G: np.ndarray, alone: np.ndarray, u: np.ndarray) -> tuple[float, np.ndarray]:
+    size = np.sqrt(np.maximum(alone, 1e-300))
+    w = np.linalg.solve(G / size / size[:, None] + LEAST_SHARE * np.eye(len(u)), u / size)
+    return 0.5 * float(w @ (u / size)), w / size
+
+
+def _half_height(fit: Fit, joint: int, phi: np.ndarray, v: np.ndarray, region: Interval) -> Interval:
     """Return where a hump within a region is higher than half of its peak."""
     here = region.inside(v) > 0
-    _, w = coefficients(leftover, {joint: phi * here[:, None]})
+    _, w = coefficients(fit, {joint: phi * here})
     order = np.flatnonzero(here)[np.argsort(v[here])]
-    height = np.abs((phi @ w)[order])
+    height = np.abs((w @ phi)[order])
     high = np.flatnonzero(height > 0.5 * height.max())
     return replace(region, low=float(v[order[high[0]]]), high=float(v[order[high[-1]]]))
 
 
-def _candidates(leftover: Leftover, clock: Clock, joints: Sequence[int] | None = None) -> Iterator[Part]:
-    """Yield what may explain the leftover of joints, of all by default."""
-    rows, stretches = leftover.rows, []
-    for j in range(rows.q.shape[1]) if joints is None else joints:
-        if not len(leftover.e[j]):
-            continue
-        for signal in signals(rows, j):
-            one = smooth(leftover, j, signal)
-            if one.gain > 0 and one.columns.shape[1]:
-                drift = DRIFT_COST if (signal.name, signal.form) == ("t", "level") else 0.0
-                cost = _freedom(one.columns.shape[1], len(leftover.e[j])) + drift
-                yield Part((j,), one.gain - drift, signal.form, cost, {j: one.columns}, smooth=one)
-        for form in TIME_FORMS:
-            phi = form_columns(rows, j, form)
-            if not phi.shape[1]:
-                continue
-            stretch = clock.scan(leftover, {j: phi})
-            stretches.append(stretch)
-            if stretch.gain > 0:
-                columns = {j: phi * clock.inside(stretch)}
-                cost = _freedom(phi.shape[1], len(leftover.e[j])) + np.log(clock.fine.count)
-                yield Part((j,), stretch.gain, form, cost, columns, stretch=stretch)
-    yield from _bodies(leftover, clock, sorted(stretches, key=lambda s: -s.gain)[:STRETCHES])
-
-
-def _freedom(K: int, m: int) -> float:
+def _freedom(K: int, m: float) -> float:
     return 0.5 * K * np.log(max(m, 2))
-
-
-def _bodies(leftover: Leftover, clock: Clock, stretches: Sequence[Interval]) -> Iterator[Part]:
-    """Yield the body that a payload or a force explains best in each of some stretches of time."""
-    rows = leftover.rows
-    n = rows.q.shape[1]
-    seen = [j for j in range(n) if len(leftover.e[j])]
-    m = sum(len(leftover.e[j]) for j in seen)
-    mass = float(rows.robot.pi[::10].sum())
-    # Nothing on an arm weighs more than the arm.
-    heaviest = {"payload": mass, "force": 9.81 * mass}
-    for form in BODY_FORMS:
-        columns = rows.carried if form == "payload" else rows.held.reshape(*rows.held.shape[:3], -1)
-        options = []
-        # A load that is always there is the link's own.
-        for stretch in (*stretches, None) if form == "force" else stretches:
-            inside = 1.0 if stretch is None else clock.inside(stretch)
-            for body in range(columns.shape[2]):
-                gain, w = coefficients(leftover, {j: columns[j, :, body] * inside for j in seen})
-                options.append((gain, body, stretch, w))
-        gain, body, stretch, w = max(options, key=lambda option: option[0])
-        cost = _freedom(len(w), m) + np.log(clock.fine.count * columns.shape[2])
-        size = np.abs(w[:1] if form == "payload" else w[:3]).max()
-        if gain <= cost or size > heaviest[form]:
-            continue
-        phi = {j: columns[j, :, body] for j in range(n)}
-        for _ in range(2 if stretch is not None else 0):
-            stretch = clock.scan(leftover, {j: phi[j] @ w[:, None] for j in seen})
-            gain, w = coefficients(leftover, {j: phi[j] * clock.inside(stretch) for j in seen})
-        inside = 1.0 if stretch is None else clock.inside(stretch)
-        acting = {j: phi[j] * inside for j in range(n)}
-        joints = tuple(j for j in range(n) if phi[j].any())
-        yield Part(joints, gain - cost, form, cost, acting, stretch=stretch, body=body)
-
-
-def coefficients(leftover: Leftover, phi: Mapping[int, np.ndarray]) -> tuple[float, np.ndarray]:
-    """Return gain and coefficients (K,) of features that joints share."""
-    G, alone, u = leftover.equations({j: leftover.white(j, A) for j, A in phi.items()})
-    size = np.sqrt(np.maximum(alone.diagonal(), 1e-300))
-    w = np.linalg.solve(G / size / size[:, None] + LEAST_SHARE * np.eye(len(u)), u / size)
-    return 0.5 * float(w @ (u / size)), w / size

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from torchrbd.diagnosis.locate.residual import Leftover
-from torchrbd.diagnosis.locate.rows import Rows
+from torchrbd.diagnosis.locate.scene import Scene
+from torchrbd.diagnosis.rows.regression import Fit
 
 # A direction of which less than this is left beside the fit is the fit's.
 LEAST_SHARE = 1e-4
@@ -41,18 +42,17 @@ class Signal:
     v: np.ndarray
     knots: int = KNOTS
 
-    def columns(self, rows: Rows, joint: int) -> np.ndarray:
-        """Return the basis of g(v) phi, (M, K)."""
-        B = waves(rows, self.v) if self.name == "t" else hats(self.v, self.knots)
-        phi = form_columns(rows, joint, self.form)
-        return (B[:, :, None] * phi[:, None, :]).reshape(len(B), -1)
+    def columns(self, scene: Scene, joint: int) -> np.ndarray:
+        """Return the basis of g(v) phi, (K, M)."""
+        B = waves(scene) if self.name == "t" else hats(self.v, self.knots)
+        return (B[:, None] * form_columns(scene, joint, self.form)).reshape(-1, len(self.v))
 
 
 @dataclass(frozen=True)
 class Smooth:
     """The best smooth function of a signal: ``gain`` is its log evidence; (v, mean, std) is the function at its knots.
 
-    ``columns`` (M, K) are the directions of it that the data tells.
+    ``columns`` (K, M) are the directions of it that the data tells.
     """
 
     signal: Signal
@@ -64,14 +64,9 @@ class Smooth:
 
 
 def hats(v: np.ndarray, knots: int) -> np.ndarray:
-    """Return piecewise linear functions with as many samples between two knots as between others, (M, K)."""
+    """Return piecewise linear functions with as many samples between two knots as between others, (K, M)."""
     at = knots_of(v, knots)
-    i = np.clip(np.searchsorted(at, v, side="right") - 1, 0, max(len(at) - 2, 0))
-    B = np.zeros((len(v), len(at)))
-    if len(at) > 1:
-        part = (v - at[i]) / (at[i + 1] - at[i])
-        B[np.arange(len(v)), i], B[np.arange(len(v)), i + 1] = 1 - part, part
-    return B
+    return np.stack([np.interp(v, at, one) for one in np.eye(len(at))])
 
 
 def knots_of(v: np.ndarray, knots: int) -> np.ndarray:
@@ -79,56 +74,82 @@ def knots_of(v: np.ndarray, knots: int) -> np.ndarray:
     return np.unique(np.quantile(v, np.linspace(0, 1, knots)))
 
 
-def waves(rows: Rows, t: np.ndarray) -> np.ndarray:
-    """Return slow cosines of time, those of each recording apart, (M, K)."""
-    parts, present = [], np.unique(rows.recording)
+def waves(scene: Scene) -> np.ndarray:
+    """Return slow cosines of time, those of each recording apart, (K, M)."""
+    t, recording = scene.samples.t, scene.samples.recording
+    parts, present = [], np.unique(recording)
     count = max(1, min(WAVES, MOST_WAVES // len(present)))
     for k in present:
-        here = rows.recording == k
+        here = recording == k
         length = max(np.ptp(t[here]), 1e-9)
-        phase = np.pi * (t - t[here].min())[:, None] / length * np.arange(1, count + 1)
-        parts.append(np.cos(phase) * here[:, None])
-    return np.concatenate(parts, axis=1)
+        phase = np.pi * (t - t[here].min()) / length * np.arange(1, count + 1)[:, None]
+        parts.append(np.cos(phase) * here)
+    return np.concatenate(parts)
 
 
-def form_columns(rows: Rows, joint: int, form: str) -> np.ndarray:
-    """Return what multiplies a function of a signal, (M, K)."""
+def form_columns(scene: Scene, joint: int, form: str) -> np.ndarray:
+    """Return what multiplies a function of a signal, (K, M)."""
     if form == "level":
-        return np.ones((len(rows.t), 1))
+        return np.ones((1, len(scene.samples.t)))
     if form == "friction":
-        return rows.direction[:, [joint]]
-    held = rows.held[joint, :, rows.last_body(joint), :, 2]
-    return held[:, np.abs(held).max(0) > 0]
+        return scene.samples.direction[[joint]]
+    held = scene.held[scene.last_body(joint), joint, :, 2]
+    return held[np.abs(held).max(1) > 0]
 
 
-def signals(rows: Rows, joint: int) -> Iterator[Signal]:
+def signals(scene: Scene, joint: int) -> Iterator[Signal]:
     """Yield what the leftover of a joint may depend on."""
-    names, j = rows.robot.joint_names, joint
+    names, j, samples = scene.robot.joint_names, joint, scene.samples
     for form in ("level", "friction"):
-        yield Signal(f"q_{names[j]}", form, rows.q[:, j])
-        yield Signal(f"load_{names[j]}", form, rows.load[:, j])
+        yield Signal(f"q_{names[j]}", form, samples.q[j])
+        yield Signal(f"load_{names[j]}", form, scene.load[j])
         for i, name in enumerate(names):
             if i != j:
-                yield Signal(f"q_{name}", form, rows.q[:, i])
+                yield Signal(f"q_{name}", form, samples.q[i])
                 if form == "level":
-                    yield Signal(f"q_{name}", form, rows.q[:, i], FEW_KNOTS)
-                if form == "level":
-                    yield Signal(f"qd_{name}", form, rows.qd[:, i])
-        yield Signal("t", form, rows.t)
-    yield Signal(f"q_{names[j]}", "level", rows.q[:, j], FINE_KNOTS)
-    yield Signal(f"q_{names[j]}", "level", rows.q[:, j], FEW_KNOTS)
-    yield Signal(f"qd_{names[j]}", "level", rows.qd[:, j])
-    yield Signal(f"qdd_{names[j]}", "level", rows.qdd[:, j])
-    yield Signal(f"load_rate_{names[j]}", "level", rows.load_rate[:, j], 2)
-    if form_columns(rows, joint, "load").shape[1]:
-        yield Signal("t", "load", rows.t)
+                    yield Signal(f"q_{name}", form, samples.q[i], FEW_KNOTS)
+                    yield Signal(f"qd_{name}", form, samples.qd[i])
+        yield Signal("t", form, samples.t)
+    yield Signal(f"q_{names[j]}", "level", samples.q[j], FINE_KNOTS)
+    yield Signal(f"q_{names[j]}", "level", samples.q[j], FEW_KNOTS)
+    yield Signal(f"qd_{names[j]}", "level", samples.qd[j])
+    yield Signal(f"qdd_{names[j]}", "level", samples.qdd[j])
+    yield Signal(f"load_rate_{names[j]}", "level", scene.load_rate[j], 2)
+    if form_columns(scene, joint, "load").shape[0]:
+        yield Signal("t", "load", samples.t)
 
 
-def smooth(leftover: Leftover, joint: int, signal: Signal) -> Smooth:
+class Bases:
+    """The bases of all that the leftover of a joint may depend on, side by side, so that one product serves them all.
+
+    Args:
+        scene: the samples.
+        joint: the joint.
+    """
+
+    def __init__(self, scene: Scene, joint: int) -> None:
+        self.joint, self.signals = joint, tuple(signals(scene, joint))
+        parts = [s.columns(scene, joint) for s in self.signals]
+        ends = np.cumsum([0, *map(len, parts)])
+        self._slices = [slice(a, b) for a, b in pairwise(ends.tolist())]
+        self._features = np.concatenate(parts)
+
+    def smooths(self, fit: Fit) -> Iterator[Smooth]:
+        """Yield the best function of each signal."""
+        G, alone, u = fit.equations({self.joint: self._features})
+        for signal, at in zip(self.signals, self._slices, strict=True):
+            yield _smooth(signal, self._features[at], G[at, at], alone.diagonal()[at], u[at])
+
+
+def smooth(fit: Fit, scene: Scene, joint: int, signal: Signal) -> Smooth:
     """Fit the function of a signal that has the largest evidence."""
-    B = signal.columns(leftover.rows, joint)
-    G, alone, u = leftover.equations({joint: leftover.white(joint, B)})
-    size = np.sqrt(np.maximum(alone.diagonal(), 1e-300))
+    B = signal.columns(scene, joint)
+    G, alone, u = fit.equations({joint: B})
+    return _smooth(signal, B, G, alone.diagonal(), u)
+
+
+def _smooth(signal: Signal, B: np.ndarray, G: np.ndarray, alone: np.ndarray, u: np.ndarray) -> Smooth:
+    size = np.sqrt(np.maximum(alone, 1e-300))
     g, V = np.linalg.eigh(G / size / size[:, None])
     free = g > LEAST_SHARE
     g, V = g[free], V[:, free]
@@ -140,4 +161,5 @@ def smooth(leftover: Leftover, joint: int, signal: Signal) -> Smooth:
     prior = _THETA[best] / (1 + _THETA[best] * g)
     T = V / size[:, None]
     w, std = T @ (prior * z), np.sqrt((T**2 * prior).sum(1))
-    return Smooth(signal, max(0.0, float(evidence[best])), B @ T[:, told], knots_of(signal.v, signal.knots), w, std)
+    gain = max(0.0, float(evidence[best]))
+    return Smooth(signal, gain, T[:, told].T @ B, knots_of(signal.v, signal.knots), w, std)

@@ -11,7 +11,7 @@ the other folds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -20,14 +20,16 @@ import numpy as np
 import torch
 from scipy.linalg import cho_solve, solve_triangular
 
-from torchrbd.diagnosis.locate.residual import LEAST_NOISE, ORDER, Noise, predictor, whitened
 from torchrbd.diagnosis.rows.samples import Samples
+from torchrbd.diagnosis.rows.whitening import LEAST_NOISE, ORDER, Noise, predictor, relief, whitened
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.prior import TERM_WIDTH, Prior
 
-FOLDS, MOST_BLOCKS = 8, 64
+FOLDS, MOST_BLOCKS, LEAST_RECORDINGS = 8, 64, 4
 _ROUNDS = 3
 PEAK_WIDTH = 3.0
+# Directions of the scaled columns below this are told by rounding alone.
+LEAST_DIRECTION = 1e-12
 
 Place = tuple[int | None, str]
 """A column beside the rigid body's: the joint that has it (None: all joints share it), and its label."""
@@ -46,9 +48,9 @@ class Rows:
         y: (N,) torque less that of the prior's mean.
         parts: per joint, its slice of the N rows.
         block: (N,) number of the block, of at most MOST_BLOCKS.
-        fold: (N,) number of the fold; runs of neighbouring blocks stay together.
+        fold: (N,) number of the fold: recordings stay together where there are enough of them, else runs of blocks.
         joint: (N,).
-        counts: (n,) rows of each joint.
+        counts: (n,) rows of each joint, by what they count.
     """
 
     def __init__(self, samples: Samples, prior: Prior, noise: Noise) -> None:
@@ -58,6 +60,7 @@ class Rows:
         ends = np.cumsum([0, *(len(i) for i in self.index)])
         self.parts = [slice(a, b) for a, b in pairwise(ends.tolist())]
         self.joint = np.repeat(np.arange(n), np.diff(ends))
+        self._relief = [relief(samples.weight[j], i, noise[0][j]) for j, i in enumerate(self.index)]
         inertial = prior.inertial.numpy()
         self._scale = prior.scale.numpy()[np.ix_(inertial, inertial)]
         self._inertial, mean = inertial, prior.mean.numpy()[: samples.rigid.shape[2]]
@@ -66,22 +69,16 @@ class Rows:
         self.y = np.concatenate([self.white(samples.tau[j] - samples.rigid[j] @ mean, j) for j in range(n)])
         blocks = _coarse(samples.block)
         self.block = np.concatenate([blocks[i] for i in self.index])
-        run = max(1, (int(blocks.max()) + 1) // (2 * FOLDS))
-        self.fold = (self.block // run) % FOLDS
+        self.fold = _folds(samples, blocks)[np.concatenate(self.index)]
         self._rms = np.sqrt(np.mean(samples.tau**2, axis=1))
-        self.counts = np.diff(ends)
+        self.counts = np.array([float((samples.weight[j, i] ** 2).sum()) for j, i in enumerate(self.index)])
         self._known: dict[Place, np.ndarray] = {}
 
     def white(self, x: np.ndarray, joint: int) -> np.ndarray:
         """Return signals (..., M) of a joint as its whitened rows see them, (..., m_j)."""
         filters, scale = self.noise
-        return np.moveaxis(
-            whitened(
-                np.moveaxis(x * self.samples.weight[joint], -1, 0), self.index[joint], filters[joint], scale[joint]
-            ),
-            0,
-            -1,
-        )
+        e = whitened(x * self.samples.weight[joint], self.index[joint], filters[joint], scale[joint])
+        return e * self._relief[joint]
 
     def columns(self, candidate: Candidate) -> tuple[list[Place], np.ndarray]:
         """Return places and whitened columns (N, K) of a candidate, in prior coordinates."""
@@ -127,12 +124,21 @@ class Addition:
     w: np.ndarray
 
 
+@dataclass(frozen=True)
+class Extra:
+    """Features without a name: (K, M) at a joint, or (K, n, M) at all if ``place`` is None."""
+
+    place: int | None
+    features: np.ndarray
+
+
 class Fit:
     """The fit of one set of terms.
 
     Args:
         rows: the data.
         terms: of the model beside the rigid body.
+        extra: further features.
 
     Attributes:
         places: of the terms' columns, in the order of the last columns of X.
@@ -141,11 +147,13 @@ class Fit:
         e: (N,) leftover.
     """
 
-    def __init__(self, rows: Rows, terms: Sequence[Candidate]) -> None:
-        self.rows, self.terms = rows, tuple(terms)
+    def __init__(self, rows: Rows, terms: Sequence[Candidate], extra: Sequence[Extra] = ()) -> None:
+        self.rows, self.terms, self.extra = rows, tuple(terms), tuple(extra)
         columns: dict[Place, np.ndarray] = {}
         for term in terms:
             columns |= dict(zip((found := rows.columns(term))[0], found[1].T, strict=True))
+        for number, one in enumerate(extra):
+            columns |= dict(zip(_places(number, one), rows.widened(one.place, one.features).T, strict=True))
         self.places = list(columns)
         self.X = np.concatenate((rows.X, np.array(list(columns.values())).reshape(-1, len(rows.y)).T), axis=1)
         self._H, self._h = self.X.T @ self.X, self.X.T @ rows.y
@@ -161,7 +169,7 @@ class Fit:
     def _folds(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
         """Per fold: its rows, X and leftover there, and factor and leftover's image of the fit on the other folds."""
         found = []
-        for f in range(FOLDS):
+        for f in np.unique(self.rows.fold):
             own = np.flatnonzero(self.rows.fold == f)
             X, y = self.X[own], self.rows.y[own]
             L, x = _solved(self._H - X.T @ X, self._h - X.T @ y)
@@ -188,14 +196,28 @@ class Fit:
         """Return x (P + T,) of the fit beside columns C (N, K) with coefficients w."""
         return self.x - cho_solve((self.L, True), self.X.T @ (C @ w))
 
-    def share_left(self, C: np.ndarray) -> float:
-        """Return the largest part (0 to 1) of a column of C (N, K) that the model cannot imitate."""
+    @cached_property
+    def _directions(self) -> np.ndarray:
+        """T (P + T, R) with orthonormal columns X T, whatever the prior."""
         size = np.sqrt(np.maximum(self._H.diagonal(), 1e-300))
         values, vectors = np.linalg.eigh(self._H / size / size[:, None])
-        kept = values > 1e-12 * values[-1]
-        cross = vectors[:, kept].T @ ((self.X.T @ C) / size[:, None])
+        kept = values > LEAST_DIRECTION * values[-1]
+        return vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
+
+    def std(self, k: int) -> float:
+        """Return the standard deviation of coefficient k, in prior coordinates."""
+        unit = np.zeros(len(self.x))
+        unit[k] = 1.0
+        return float(np.linalg.norm(solve_triangular(self.L, unit, lower=True)))
+
+    def share_left(self, C: np.ndarray) -> float:
+        """Return the largest part (0 to 1) of a column of C (N, K) that the model cannot imitate, however free it is.
+
+        The prior is left out: what an inertial parameter of any size can imitate, the data cannot tell from it.
+        """
+        cross = self._directions.T @ (self.X.T @ C)
         total = (C**2).sum(0)
-        return float(((total - (cross**2 / values[kept, None]).sum(0)) / np.maximum(total, 1e-300)).max())
+        return float(((total - (cross**2).sum(0)) / np.maximum(total, 1e-300)).max())
 
     def errors_with(self, C: np.ndarray) -> np.ndarray:
         """Return the left-out squared errors (B, n) of the fit with columns C (N, K) added."""
@@ -215,6 +237,23 @@ class Fit:
         n, B = len(self.rows.parts), int(self.rows.block.max()) + 1
         return np.bincount(self.rows.block * n + self.rows.joint, e**2, B * n).reshape(B, n)
 
+    def equations(self, features: Mapping[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what the data says of coefficients that features (K, M) at some joints share.
+
+        Returns:
+            Gram (K, K) beside the fit, the same without it, and score (K,).
+        """
+        rows = self.rows
+        white = {j: rows.white(A, j) for j, A in features.items()}
+        cross = np.sum([self.X[rows.parts[j]].T @ A.T for j, A in white.items()], axis=0)
+        V = solve_triangular(self.L, cross, lower=True, check_finite=False)
+        alone = np.sum([A @ A.T for A in white.values()], axis=0)
+        return alone - V.T @ V, alone, np.sum([A @ self.e[rows.parts[j]] for j, A in white.items()], axis=0)
+
+    def projected(self, C: np.ndarray) -> np.ndarray:
+        """Return what the model cannot imitate of whitened columns C (N, ...)."""
+        return C - self.X @ cho_solve((self.L, True), self.X.T @ C)
+
     def leftover(self) -> np.ndarray:
         """Return the leftover as it is, (n, M) [N m] or [N]."""
         samples, rows = self.rows.samples, self.rows
@@ -228,6 +267,9 @@ class Fit:
                 if place not in done:
                     left[slice(None) if term.place is None else term.place] -= value[place] * width * f
                     done.add(place)
+        for number, one in enumerate(self.extra):
+            w = rows.widths(one.place, one.features) * [value[place] for place in _places(number, one)]
+            left[slice(None) if one.place is None else one.place] -= np.tensordot(w, one.features, 1)
         return np.where(samples.measured, left, 0.0)
 
     def noise(self) -> Noise:
@@ -239,20 +281,32 @@ class Fit:
             if len(index):
                 weighted = left[j] * rows.samples.weight[j]
                 filters[j] = predictor(weighted, index)
-                e = whitened(weighted, index, filters[j], 1.0)
-                used = min(float((Q[:, rows.parts[j]] ** 2).sum()), 0.9 * len(e))
+                e = whitened(weighted, index, filters[j], 1.0) * relief(rows.samples.weight[j], index, filters[j])
+                used = min(float((Q[:, rows.parts[j]] ** 2).sum()), 0.9 * rows.counts[j])
                 least = LEAST_NOISE * np.sqrt(np.mean(rows.samples.tau[j] ** 2))
-                scale[j] = max(float(np.sqrt(np.sum(e**2) / (len(e) - used) + least**2)), 1e-300)
+                scale[j] = max(float(np.sqrt(np.sum(e**2) / (rows.counts[j] - used) + least**2)), 1e-300)
         return filters, scale
 
 
-def fitted(samples: Samples, prior: Prior, terms: Sequence[Candidate], noise: Noise | None = None) -> Fit:
-    """Fit terms, and whiten by what they leave, in turn."""
+def fitted(
+    samples: Samples,
+    prior: Prior,
+    terms: Sequence[Candidate],
+    noise: Noise | None = None,
+    extra: Sequence[Extra] = (),
+    rounds: int = _ROUNDS,
+) -> Fit:
+    """Fit terms and further features, and whiten by what they leave, in turn."""
     rms = np.sqrt(np.mean(samples.tau**2, axis=1))
     noise = noise or (np.zeros((len(rms), ORDER)), np.where(rms > 0, 0.1 * rms, 1.0))
-    for _ in range(_ROUNDS):
-        noise = Fit(Rows(samples, prior, noise), terms).noise()
-    return Fit(Rows(samples, prior, noise), terms)
+    fit = Fit(Rows(samples, prior, noise), terms, extra)
+    for _ in range(rounds):
+        fit = Fit(Rows(samples, prior, fit.noise()), terms, extra)
+    return fit
+
+
+def _places(number: int, extra: Extra) -> list[Place]:
+    return [(extra.place, f"extra {number} {k}") for k in range(len(extra.features))]
 
 
 def _solved(H: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -264,6 +318,15 @@ def _with_predecessors(samples: Samples, joint: int) -> np.ndarray:
     k = np.arange(ORDER, len(samples.run))
     seen = samples.measured[joint]
     return k[(samples.run[k] == samples.run[k - ORDER]) & seen[k] & seen[k - ORDER]]
+
+
+def _folds(samples: Samples, block: np.ndarray) -> np.ndarray:
+    """Number the folds, (M,). What shows in one recording only shall not be taken for the robot's."""
+    recording = np.unique(samples.recording, return_inverse=True)[1]
+    if recording.max() + 1 >= LEAST_RECORDINGS:
+        return recording % FOLDS
+    run = max(1, (int(block.max()) + 1) // (2 * FOLDS))
+    return (block // run) % FOLDS
 
 
 def _coarse(block: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.ndimage import minimum_filter1d
 
 from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.preparation import Prepared
@@ -39,7 +40,7 @@ class Samples:
     """M band-limited samples of a robot with n joints; those in held-out blocks are not among them.
 
     Attributes:
-        columns: of the robot; their ``pi`` makes the load.
+        columns: of the robot; their ``pi`` makes the load, their ``friction`` stands beside it.
         tiles: where features come from.
         recordings: names.
         rigid: (n, M, n_params) regressor.
@@ -97,9 +98,26 @@ class Samples:
         pi = self.columns.pi
         return (self.columns.robot.pi if pi is None else pi).numpy()
 
-    def around(self, pi: torch.Tensor) -> Samples:
-        """Return the same samples with the torque of pi (n_params,) as load."""
-        columns = self.columns.of_candidates((), pi)
+    def supplied(self, pi: torch.Tensor, friction: torch.Tensor | None) -> np.ndarray:
+        """Return the torque (n, M) of a rigid body with pi (n_params,) and of friction (n, 3)."""
+        load = self.rigid @ pi.numpy()
+        if friction is None:
+            return load
+        viscous, coulomb, offset = friction.T.numpy()[..., None]
+        return load + viscous * self.qd + coulomb * self.direction + offset
+
+    def sticking(self, levels: torch.Tensor) -> Samples:
+        """Return the same samples weighed for joints whose dry friction has these levels (n,), see ``Columns``."""
+        columns = self.columns.sticking(levels)
+        # The filter's trace of a stick crosses zero beside it, that of the friction in it elsewhere.
+        parts = [minimum_filter1d(columns.stick_weight(tile.states).sqrt(), 3)[:, tile.kept] for tile in self.tiles]
+        return replace(self, columns=columns, weight=np.concatenate(parts, axis=1))
+
+    def around(self, pi: torch.Tensor, friction: torch.Tensor | None = None) -> Samples:
+        """Return the same samples with the torque of pi (n_params,) as load, and friction (n, 3) beside it."""
+        columns = self.columns.of_candidates((), pi, friction)
+        most = np.abs(self.supplied(pi, friction)).max(1)
+        columns = columns.at_scales([replace(s, load_max=float(v)) for s, v in zip(columns.scales, most, strict=True)])
         tiles = tuple(replace(tile, signals=columns.signals(tile.states)) for tile in self.tiles)
         known = {key: f for key, f in self._known.items() if not key[0].uses_load}
         return replace(self, columns=columns, tiles=tiles, _known=known)

@@ -103,7 +103,7 @@ def candidates(
         windows: stretches of time in which effects may act.
     """
     for effect in effects:
-        for site in effect.sites(columns.robot, windows):
+        for site in columns.sites.get(effect.id, effect.sites(columns.robot, windows)):
             if effect.whole_robot or measured[site.joint or 0]:
                 for shape in effect.shapes(columns.scale(site)):
                     yield columns.candidate(effect, site, shape)

@@ -9,25 +9,35 @@ that they beat clearly: its law is not the one that acts there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
+from torchrbd.diagnosis.locate import stretches
 from torchrbd.diagnosis.rows.gain import Gain, gain
-from torchrbd.diagnosis.rows.regression import Fit, fitted
-from torchrbd.diagnosis.search.grid import Grid, complexity, fresh_columns, refined
+from torchrbd.diagnosis.rows.regression import Fit, Rows, fitted
+from torchrbd.diagnosis.rows.samples import Samples
+from torchrbd.diagnosis.rows.weighing import weighed
+from torchrbd.diagnosis.rows.whitening import Noise
+from torchrbd.diagnosis.search.grid import Grid, candidates, complexity, fresh_columns, refined
 from torchrbd.diagnosis.search.unnamed import is_smooth, smooth_candidates
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.prior import Prior
+from torchrbd.physics import Effect, Site, Window, effect
+from torchrbd.physics.plain_friction import SEEN_BY
+from torchrbd.robot import RobotModel
 
 LEAST_GAIN, LEAST_T, LEAST_REPEATED = 12.5, 2.5, 20.0
 CLOSE_STD, CLOSE_GAIN, CLOSE_PART, CLOSE_REPEATED = 2.0, 3.0, 0.003, 6.0
-LOAD_CHANGE = 0.01
-BEATEN_GAIN, BEATEN_PART, MOST_UNNAMED = 10.0, 0.15, 4
+LOAD_CHANGE, INSIGNIFICANT = 0.01, 3.0
+# A candidate of whose torque less than this is left beside the model's is the model's.
+LEAST_SHARE = 1e-4
+BEATEN_GAIN, BEATEN_PART, MOST_UNNAMED, MOST_WINDOWED = 10.0, 0.15, 4, 3
 MOST_TERMS, SHORTLIST, SHORT_OF_BEST = 12, 10, 0.5
 BACKGROUND = ("viscous_friction", "coulomb_friction", "torque_offset")
+UNEVEN, PARTS_OF_UNEVEN = "asymmetric_coulomb_friction", ("coulomb_friction", "torque_offset")
 
 Terms = tuple[Candidate, ...]
 
@@ -62,17 +72,23 @@ def _certain(lead: Gain) -> bool:
 
 
 def plausible(fit: Fit, candidate: Candidate) -> bool:
-    """Say whether the physics allows what a candidate's parameters would be beside a fit."""
+    """Say whether the physics allows what a candidate's parameters are in a fit, or would be beside it.
+
+    Plain friction within chance of zero counts as none: what a URDF has too much is as often negative as positive.
+    """
     rows, columns = fit.rows, fit.rows.samples.columns
-    known = {place: k for k, place in enumerate(fit.places)}
-    C = fresh_columns(fit, candidate)
-    w = fit.addition(C).w
-    x, new = fit.coefficients_with(C, w)[rows.X.shape[1] :], iter(w)
+    known = {place: len(fit.x) - len(fit.places) + k for k, place in enumerate(fit.places)}
+    C, x, new = fresh_columns(fit, candidate), fit.x, iter(())
+    if C.shape[1]:
+        w = fit.addition(C).w
+        x, new = fit.coefficients_with(C, w), iter(w)
     places = [(candidate.place, label) for label in candidate.labels]
     widths = rows.widths(candidate.place, rows.samples.features(candidate))
     values = [(x[known[p]] if p in known else next(new)) * width for p, width in zip(places, widths, strict=True)]
-    if candidate.place is not None:
+    if candidate.effect.id in BACKGROUND:
         values[0] += columns.urdf_value(candidate)
+        if places[0] in known and abs(values[0]) < INSIGNIFICANT * fit.std(known[places[0]]) * widths[0]:
+            values[0] = 0.0
     parameters = candidate.effect.parameters(torch.tensor(values, dtype=torch.float64), candidate.shape)
     return candidate.effect.plausible({k: float(v) for k, v in parameters.items()}, columns.scale(candidate.site))
 
@@ -95,20 +111,49 @@ class Search:
     """The search for the terms of one robot's model.
 
     Args:
-        grid: the data, and what may be added.
+        samples: the data.
+        effects: what may be added.
         prior: of the inertial parameters.
         report: told of the terms after each step.
+
+    Attributes:
+        background: friction and offset of every joint.
+        start: the fit with nothing but those.
     """
 
-    def __init__(self, grid: Grid, prior: Prior, report: Callable[[Terms], None] = lambda _: None) -> None:
-        self.grid, self.prior, self.report = grid, prior, report
+    def __init__(
+        self,
+        samples: Samples,
+        effects: Iterable[Effect],
+        prior: Prior,
+        report: Callable[[Terms], None] = lambda _: None,
+    ) -> None:
+        self.effects, self.prior, self.report = tuple(effects), prior, report
         self._smooth: Grid | None = None
-        self.background: Terms = tuple(c for c in grid.candidates if c.effect.id in BACKGROUND)
+        columns = samples.columns
+        self.background: Terms = tuple(
+            columns.candidate(effect(name), Site(joint), {})
+            for joint in np.flatnonzero(samples.seen).tolist()
+            for name in BACKGROUND
+        )
+        self.start = weighed(fitted(samples, prior, self.background))
+        self.grid = Grid(self.start.rows.samples, candidates(columns, self.effects, samples.seen))
 
     def run(self) -> Fit:
         """Return the fit with the chosen terms."""
-        fit = self.loaded(fitted(self.grid.samples, self.prior, self.background))
-        fit = self.challenged(self.named(fit))
+        return self._completed(self.loaded(self.start))
+
+    def without(self, fit: Fit, refuted: Sequence[Candidate]) -> Fit:
+        """Return a fit that does without some effects at their places, whatever may be chosen instead."""
+        gone = set(_names(tuple(refuted)))
+        self.grid = Grid(fit.rows.samples, [c for c in self.grid.candidates if (c.effect.id, c.site) not in gone])
+        self.background = tuple(c for c in self.background if (c.effect.id, c.site) not in gone)
+        kept = tuple(c for c in fit.terms if (c.effect.id, c.site) not in gone)
+        return self._completed(fitted(fit.rows.samples, self.prior, self._restored(kept), fit.rows.noise))
+
+    def _completed(self, fit: Fit) -> Fit:
+        """Add names, then functions without one, and drop what is not needed."""
+        fit = self.challenged(self.windowed(self.named(fit)))
         for _ in range(MOST_UNNAMED):
             smooth = self.smooth(fit)
             if smooth is None:
@@ -132,6 +177,25 @@ class Search:
             visited.add(frozenset(_names(fit.terms)))
             self.report(fit.terms)
         return fit
+
+    def windowed(self, fit: Fit) -> Fit:
+        """Add loads and forces that act for a time, where the leftover shows when."""
+        timed = [e for e in self.effects if e.sites(self.robot, (Window(""),)) and not e.sites(self.robot)]
+        for _ in range(MOST_WINDOWED if timed else 0):
+            samples = fit.rows.samples
+            grid = Grid(samples, candidates(samples.columns, timed, samples.seen, stretches(fit)))
+            options = [o for o in self.options(fit, grid) if accepted(o.worth)]
+            if not options:
+                break
+            terms = (*fit.terms, preferred(fit, options).candidate)
+            fit = self.named(self.settled(fitted(samples, self.prior, terms, fit.rows.noise)))
+            self.report(fit.terms)
+        return fit
+
+    @property
+    def robot(self) -> RobotModel:
+        """The robot."""
+        return self.start.rows.samples.columns.robot
 
     def smooth(self, fit: Fit, joint: int | None = None) -> Option | None:
         """Return the smooth function that the leftover of a joint, or of any, follows most; None without one."""
@@ -160,20 +224,23 @@ class Search:
         return fit
 
     def loaded(self, fit: Fit) -> Fit:
-        """Return a fit whose features see the load that it has found."""
+        """Return a fit whose features see the load and the friction that it has found."""
         samples = fit.rows.samples
         pi = samples.columns.pi if samples.columns.pi is not None else fit.rows.prior.reference[: len(fit.pi)]
-        change = np.sqrt(np.mean((samples.rigid @ (fit.pi - pi).numpy()) ** 2, axis=1))
+        friction = _friction(fit)
+        fresh = friction if samples.columns.friction is None else friction - samples.columns.friction
+        change = np.sqrt(np.mean(samples.supplied(fit.pi - pi, fresh) ** 2, axis=1))
         if not (change > LOAD_CHANGE * np.sqrt(np.mean(samples.tau**2, axis=1))).any():
             return fit
-        self.grid = Grid(samples.around(fit.pi), self.grid.candidates)
+        self.grid = Grid(samples.around(fit.pi, friction), self.grid.candidates)
         return fitted(self.grid.samples, self.prior, fit.terms, fit.rows.noise)
 
-    def options(self, fit: Fit) -> list[Option]:
-        """Return what may be added to a fit, shapes refined."""
-        ranked = [one for one in self.grid.screened(fit) if one.score > 0]
+    def options(self, fit: Fit, grid: Grid | None = None) -> list[Option]:
+        """Return what of a grid may be added to a fit, shapes refined."""
+        ranked = [one for one in (grid or self.grid).screened(fit) if one.score > 0]
         short = [one for one in ranked if one.score > SHORT_OF_BEST * ranked[0].score][:SHORTLIST]
-        found = [refined(fit, one.candidate) for one in short]
+        told = [one for one in short if fit.share_left(fresh_columns(fit, one.candidate)) > LEAST_SHARE]
+        found = [refined(fit, one.candidate) for one in told]
         return [judged(fit, c) for c in found if plausible(fit, c)]
 
     def acceptable(self, fit: Fit) -> list[Option]:
@@ -190,7 +257,7 @@ class Search:
             if term in self.background or term not in fit.terms:
                 continue
             rest = Fit(fit.rows, self._restored(without(fit.terms, term)))
-            if is_smooth(term):
+            if is_smooth(term) or term.site.window is not None:
                 fit = fit if accepted(judged(rest, term).worth) else rest
                 continue
             options = [o for o in (*self.options(rest), judged(rest, refined(rest, term))) if accepted(o.worth)]
@@ -204,15 +271,83 @@ class Search:
         return (*missing, *terms)
 
     def pruned(self, fit: Fit) -> Fit:
-        """Drop terms, one at a time, that the left-out blocks do not accept."""
+        """Drop terms, one at a time, that the left-out blocks do not accept or the physics does not allow.
+
+        Friction at every joint is not asked for what it explains beyond drift: it stays where the errors as they are
+        tell it, coloured though they be.
+        """
+        plain = Rows(fit.rows.samples, self.prior, _uncoloured(fit))
         while fit.terms:
-            rest = {c: Fit(fit.rows, without(fit.terms, c)) for c in fit.terms}
-            worth = {c: gain(r.errors, fit.errors, fit.rows.counts) for c, r in rest.items()}
-            idle = [c for c in fit.terms if not accepted(worth[c])]
+            rest = {c: self._adapted(fit, without(fit.terms, c), c.place) for c in fit.terms}
+            worth = {c: _lost(fit, r) for c, r in rest.items()}
+            sound = [c for c in fit.terms if self._allowed(c) and plausible(fit, c)]
+            idle = [c for c in fit.terms if c not in sound or not accepted(worth[c])]
+            normal = [c for c in idle if c in self.background and c in sound]
+            if normal:
+                raw = Fit(plain, fit.terms)
+                idle = [c for c in idle if c not in normal or not accepted(_lost(raw, rest[c]))]
             if not idle:
                 break
-            fit = rest[min(idle, key=lambda c: worth[c].total)]
-        return fit
+            fit = Fit(fit.rows, rest[min(idle, key=lambda c: worth[c].total)])
+        return self.joined(fit)
+
+    def _allowed(self, term: Candidate) -> bool:
+        """Say whether the user lets a term be found; the background stands in the way of others even if not."""
+        sites = self.start.rows.samples.columns.sites
+        known = is_smooth(term) or term.effect.id in {e.id for e in self.effects}
+        return known and term.site in sites.get(term.effect.id, (term.site,))
+
+    def _adapted(self, fit: Fit, terms: Terms, place: int | None) -> Terms:
+        """Return terms with the shapes that fit best at a joint, now that one is missing there."""
+        for term in terms:
+            if term.place == place and term.shape and not is_smooth(term):
+                changed = refined(Fit(fit.rows, without(terms, term)), term)
+                terms = tuple(changed if c is term else c for c in terms)
+        return terms
+
+    def joined(self, fit: Fit) -> Fit:
+        """Return a fit in which Coulomb friction and an offset smaller than it are friction that is uneven.
+
+        In motion the two say the same; friction that depends on the direction is the more common.
+        """
+        terms = fit.terms
+        for uneven in self.grid.candidates:
+            if uneven.effect.id != UNEVEN:
+                continue
+            parts = [c for c in terms if c.place == uneven.place and c.effect.id in PARTS_OF_UNEVEN]
+            if len(parts) == len(PARTS_OF_UNEVEN):
+                joined = (*(c for c in terms if c not in parts), uneven)
+                terms = joined if plausible(Fit(fit.rows, joined), uneven) else terms
+        return Fit(fit.rows, terms)
+
+
+def _friction(fit: Fit) -> torch.Tensor:
+    """Return the friction (n, 3) of a fit's terms and of the URDF at joints with a term that sees it, elsewhere zero.
+
+    There it is no evidence: sticking joints, too, turn their friction around some milliseconds off the reversal.
+    """
+    rows = fit.rows
+    columns = rows.samples.columns.of_candidates(fit.terms, None)
+    value, x = dict(zip(fit.places, fit.x[rows.X.shape[1] :], strict=True)), columns.reference()
+    for term in fit.terms:
+        widths = rows.widths(term.place, rows.samples.features(term))
+        for label, width in zip(term.labels, widths, strict=True):
+            x[columns.index(term.place, label)] += value.pop((term.place, label), 0.0) * width
+    seen = [c.site.joint for c in fit.terms if c.effect.id in SEEN_BY]
+    where = [None in seen or joint in seen for joint in range(len(rows.parts))]
+    return columns.friction_of(fit.terms, x) * torch.tensor(where).unsqueeze(1)
+
+
+def _lost(fit: Fit, terms: Terms) -> Gain:
+    """Return what a fit gains over that of other terms on the same rows."""
+    return gain(Fit(fit.rows, terms).errors, fit.errors, fit.rows.counts)
+
+
+def _uncoloured(fit: Fit) -> Noise:
+    """Return noise without colour, as large as what a fit leaves."""
+    left, weight = fit.leftover(), fit.rows.samples.weight
+    scale = np.sqrt(((left * weight) ** 2).sum(1) / np.maximum((weight**2).sum(1), 1e-300))
+    return np.zeros_like(fit.rows.noise[0]), np.where(scale > 0, scale, 1.0)
 
 
 def without(terms: Terms, left_out: Candidate) -> Terms:

@@ -18,6 +18,7 @@ from torch import Tensor
 from torchrbd.errors import InputError
 from torchrbd.inference.data.sticking import stick_weight, undetermined
 from torchrbd.physics import Effect, JointScale, Shape, Signals, Site, Window, effect
+from torchrbd.physics.plain_friction import plain_friction
 from torchrbd.recordings import States
 from torchrbd.robot import RobotModel
 
@@ -60,12 +61,13 @@ class Columns:
         scales: per joint, what the recordings cover.
         windows: stretches of time in which effects may act.
         pi: (n_params,) inertial parameters whose torque is the load; the URDF's if None.
+        friction: (n_dof, 3) what actuators supply beside the load, see ``Signals``; nothing if None.
         sites: by an effect's id where it has columns; at all its sites if not told.
         candidates: all that has columns; if None, every effect at its sites with every shape of its grid.
         stick_levels: (n_dof,) Coulomb friction in standard deviations of each torque's noise; none if not told.
 
     Attributes:
-        effects, scales, windows, pi, sites, stick_levels: as given.
+        effects, scales, windows, pi, friction, sites, stick_levels: as given.
         n: length of x.
         labels: per joint, labels of its own features.
         shared: labels of the features that all joints have.
@@ -83,12 +85,14 @@ class Columns:
         windows: Sequence[Window] = (),
         pi: Tensor | None = None,
         *,
+        friction: Tensor | None = None,
         sites: Mapping[str, Collection[Site]] | None = None,
         candidates: Iterable[Candidate] | None = None,
         stick_levels: Tensor | None = None,
     ) -> None:
         self.robot, self.effects, self.scales, self.windows = robot, tuple(effects), tuple(scales), tuple(windows)
-        self.pi, self._rest_width = pi, torch.tensor([s.rest_width for s in self.scales], dtype=torch.float64)
+        self.pi, self.friction = pi, friction
+        self._rest_width = torch.tensor([s.rest_width for s in self.scales], dtype=torch.float64)
         self.sites = dict(sites or {})
         self.stick_levels = torch.zeros(robot.n_dof, dtype=torch.float64) if stick_levels is None else stick_levels
         still = torch.zeros(3, robot.n_dof, 4, dtype=torch.float64)
@@ -131,20 +135,22 @@ class Columns:
         """Return columns of the same effects for other scales."""
         return self._like(scales=scales)
 
-    def around(self, pi: Tensor) -> Columns:
-        """Return the same columns with the torque of pi (n_params,) as load."""
-        return self.of_candidates(self.candidates, pi)
+    def around(self, pi: Tensor, friction: Tensor | None = None) -> Columns:
+        """Return the same columns with the torque of pi (n_params,) as load, and friction (n_dof, 3) beside it."""
+        return self.of_candidates(self.candidates, pi, friction)
 
-    def of_candidates(self, candidates: Iterable[Candidate], pi: Tensor | None) -> Columns:
-        """Return columns of these candidates alone, with the torque of pi (n_params,) as load."""
-        return self._like(pi=pi, candidates=candidates)
+    def of_candidates(
+        self, candidates: Iterable[Candidate], pi: Tensor | None, friction: Tensor | None = None
+    ) -> Columns:
+        """Return columns of these candidates alone, with the torque of pi and friction as in ``around``."""
+        return self._like(pi=pi, friction=friction, candidates=candidates)
 
     def sticking(self, levels: Tensor) -> Columns:
         """Return the same columns for joints whose dry friction has these ``stick_levels`` (n_dof,)."""
         return self._like(candidates=self.candidates, stick_levels=levels)
 
     def _like(self, **other: Any) -> Columns:
-        kept = ("robot", "effects", "scales", "windows", "pi", "sites", "stick_levels")
+        kept = ("robot", "effects", "scales", "windows", "pi", "friction", "sites", "stick_levels")
         return Columns(**({name: getattr(self, name) for name in kept} | other))
 
     def taken_from(self, other: Columns, x: Tensor) -> Tensor:
@@ -177,6 +183,17 @@ class Columns:
         attribute = URDF_FRICTION.get(candidate.effect.id)
         return float(getattr(self.robot, attribute)[candidate.joint]) if attribute else 0.0
 
+    def friction_of(self, terms: Iterable[Candidate], x: Tensor) -> Tensor:
+        """Return the friction (n_dof, 3) of a model with coefficients x (n,): of its terms, else of the URDF."""
+        found: list[tuple[str, int | None, Tensor]] = []
+        counted: set[int] = set()
+        for c in (*terms, *self.urdf_friction):
+            # A column that two terms share counts once.
+            index = self.of(c)
+            found.append((c.effect.id, c.place, torch.stack([x[k] * float(k not in counted) for k in index])))
+            counted.update(index)
+        return plain_friction(self.robot.n_dof, found)
+
     def stick_weight(self, states: States) -> Tensor:
         """Return what the samples of a tile count, (n_dof, M): less where a joint with dry friction may stick."""
         unknown = states.decimate(undetermined(states.qd, self._rest_width))
@@ -189,7 +206,7 @@ class Columns:
 
     def signals_at(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Signals:
         """Return the signals of states (n_dof, N) that are no sequence."""
-        return Signals(self.robot, q, qd, qdd, self._rest_width, self.pi)
+        return Signals(self.robot, q, qd, qdd, self._rest_width, self.pi, friction=self.friction)
 
     def evaluated(self, signals: Signals, candidates: Iterable[Candidate]) -> dict[int, Tensor]:
         """Return the features of candidates by their place in x, (N,) each, or (n_dof, N) where all joints share it.

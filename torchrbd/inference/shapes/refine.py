@@ -1,8 +1,8 @@
-"""Refine the shapes of terms, and the load that features are built from, by further passes over the data.
+"""Refine the shapes of terms, and the torques that features are built from, by further passes over the data.
 
 From the best point of the grid on, every pass linearises the terms in their shapes (``slope.py``) and takes the
 Gauss-Newton steps of all shapes at once, none further than to the next value on the grid. A term that fits its joint
-worse than before goes half the way back. The load is that of the last fit.
+worse than before goes half the way back. The load, and the friction beside it, is that of the last fit.
 
 Source: Golub, Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
 separate", SIAM J. Numerical Analysis 1973, for the profile (variable projection) problem; solved here in the full
@@ -20,7 +20,7 @@ from scipy.optimize import lsq_linear
 from torch import Tensor
 
 from torchrbd.inference.data.block_statistics import assemble
-from torchrbd.inference.data.columns import Candidate
+from torchrbd.inference.data.columns import URDF_FRICTION, Candidate
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.map_fit import noise_variance, scaled_equations, solve
@@ -35,8 +35,10 @@ _MOST_PASSES = 12
 _SETTLED_STD, _SETTLED_GRID = 0.05, 5e-4
 # Log-likelihood units that a term may lose in a step: less is chance.
 _WORSE = 0.1
-# Change of the load between passes, as part of the torque.
+# Change of load and friction between passes, as part of the torque.
 _SETTLED_LOAD = 1e-4
+
+Carried = tuple[Tensor, Tensor]
 
 
 @dataclass(frozen=True)
@@ -93,17 +95,28 @@ class _Pass:
             shapes[k][name] = float(value + step)
         return list(shapes), settled
 
+    @property
+    def carried(self) -> Carried:
+        """Inertial parameters (n_params,) and friction (n_dof, 3) of this fit."""
+        return _carried(self.prepared, self.terms, self.x)
+
     def load_settled(self) -> bool:
-        """Say whether the load of this fit is the one that features were built from."""
+        """Say whether load and friction of this fit are those that features were built from."""
         columns, training = self.prepared.columns, self.prepared.training
         if columns.pi is None:
             return True
-        change = self.x[: self.prepared.robot.n_params] - columns.pi
-        changes = [
-            change[own] @ moments[: len(own), : len(own)] @ change[own]
-            for own, moments in zip(columns.inertial, training.total(), strict=True)
-        ]
-        return bool((torch.stack(changes) <= _SETTLED_LOAD**2 * training.torque[..., 2].sum(0)).all())
+        (pi, friction), change = self.carried, torch.zeros_like(self.x)
+        change[: len(pi)] = pi - columns.pi
+        if columns.friction is not None:
+            friction = friction - columns.friction
+        for c in columns.urdf_friction:
+            change[columns.of(c)] = friction[c.joint, list(URDF_FRICTION).index(c.effect.id)]
+        changes = []
+        for own, moments in zip(columns.of_joint, training.total(), strict=True):
+            changes.append(change[own] @ moments[:-1, :-1] @ change[own])
+        count, _, square = training.torque.sum(0).unbind(-1)
+        size = torch.stack(changes).clamp_min(0.0).sqrt() + friction[:, 2].abs() * count.sqrt()
+        return bool((size <= _SETTLED_LOAD * square.sqrt()).all())
 
 
 def refined(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) -> tuple[Prepared, Terms]:
@@ -123,7 +136,7 @@ def refined(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) 
 
 def refined_from(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) -> tuple[Prepared, Terms]:
     """Return the same, from shapes that are good already; ``prepared`` has columns for these at least."""
-    now = _read(prepared, terms, _fitted(prepared, terms)[0], progress)
+    now = _read(prepared, terms, _carried(prepared, terms, _fitted(prepared, terms)[0]), progress)
     best = [(c.shape, now.loss_of(k)) for k, c in enumerate(now.terms)]
     for _ in range(_MOST_PASSES):
         shapes, settled = now.next_shapes()
@@ -134,15 +147,17 @@ def refined_from(prepared: Prepared, terms: Sequence[Candidate], progress: Progr
                 best[k] = (term.shape, now.loss_of(k))
         if all(settled) and now.load_settled():
             return _finished(now, progress)
-        now = _read(now.prepared, now.moved(shapes), now.x, progress)
-    return _finished(_read(now.prepared, now.moved([shape for shape, _ in best]), now.x, progress), progress)
+        now = _read(now.prepared, now.moved(shapes), now.carried, progress)
+    return _finished(_read(now.prepared, now.moved([shape for shape, _ in best]), now.carried, progress), progress)
 
 
 def _finished(last: _Pass, progress: Progress) -> tuple[Prepared, Terms]:
     """Return the data read once more with columns of the terms and of their slopes at the fitted coefficients."""
     columns = last.prepared.columns
     around = [s for c in last.terms for s in slopes(columns, c, last.x[columns.of(c)])]
-    prepared = reread(last.prepared, columns.of_candidates((*last.terms, *around), columns.pi), progress)
+    prepared = reread(
+        last.prepared, columns.of_candidates((*last.terms, *around), columns.pi, columns.friction), progress
+    )
     return with_input_noise(prepared, last.terms), last.terms
 
 
@@ -156,14 +171,18 @@ def fit_with_shapes(prepared: Prepared, terms: Sequence[Candidate]) -> FittedMod
     return replace(known, x=fitted.x, converged=fitted.converged)
 
 
-def _read(prepared: Prepared, terms: Sequence[Candidate], x: Tensor, progress: Progress) -> _Pass:
-    """Read the data with columns of terms and of the slopes of their features; x gives the load."""
+def _carried(prepared: Prepared, terms: Sequence[Candidate], x: Tensor) -> Carried:
+    return x[: prepared.robot.n_params], prepared.columns.friction_of(terms, x)
+
+
+def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, progress: Progress) -> _Pass:
+    """Read the data with columns of terms and of the slopes of their features, built from what a fit has carried."""
     columns, terms = prepared.columns, tuple(terms)
     by_term = [feature_slopes(columns, c) for c in terms]
     around = tuple((k, name) for k, own in enumerate(by_term) for name in own)
-    pi = x[: prepared.robot.n_params] if any(c.effect.uses_load for c in terms) else None
+    pi, friction = carried if any(c.effect.uses_load for c in terms) else (None, None)
     every = [s for own in by_term for parts in own.values() for s in parts]
-    prepared = reread(prepared, columns.of_candidates((*terms, *every), pi), progress)
+    prepared = reread(prepared, columns.of_candidates((*terms, *every), pi, friction), progress)
     columns = prepared.columns
     x, loss, noise = _fitted(prepared, terms)
     slope = torch.zeros(columns.n, len(around), dtype=torch.float64)

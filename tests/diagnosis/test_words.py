@@ -1,0 +1,198 @@
+"""Sentences that name every kind of place, and numbers with the digits that their spread leaves."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from torchrbd.diagnosis.numbers import joined, measure, percent, unit, with_unit
+from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, Unexplained, Where
+from torchrbd.diagnosis.words import all_or_some, alternatives, finding_sentence, verdict_statement, when
+from torchrbd.inference.results import Fit
+
+JOINTS = tuple(f"joint{k}" for k in range(1, 8))
+
+
+def finding(effect: str, *joints: str, links: tuple[str, ...] = (), **changes: Any) -> Finding:
+    quantities = {"size": Quantity(1.635, 0.004, "N m")}
+    plain = Finding(effect, joints, links, 0.99, 50.0, quantities, Where(), (), {}, {}, "")
+    return replace(plain, **changes)
+
+
+def statement(*findings: Finding, rest: tuple[Unexplained, ...] = ()) -> str:
+    fit = Fit(dict.fromkeys(JOINTS, 0.1), {})
+    return verdict_statement("missing_physics", findings, rest, dict.fromkeys(("urdf", "rigid_body", "extended"), fit))
+
+
+def everywhere(effect: str, *but: str) -> list[Finding]:
+    return [finding(effect, j) for j in reversed(JOINTS) if j not in but]
+
+
+@pytest.mark.parametrize(
+    ("value", "spread", "words"),
+    [
+        (1.635, 0.008, "1.635 ± 0.008"),
+        (2.41, 0.021, "2.410 ± 0.021"),
+        (2.1, 0.098, "2.10 ± 0.10"),
+        (12345.6, 1234.0, "12300 ± 1200"),
+        (-1e-4, 0.02, "0.000 ± 0.020"),
+        (0.04, 12.0, "0 ± 12"),
+        (3e-9, 1e-10, "3.00·10⁻⁹ ± 1.00·10⁻¹⁰"),
+        (1.0, 0.0, "1.00"),
+        (2.1, math.nan, "2.10 ± –"),
+    ],
+)
+def test_digits_follow_the_spread(value: float, spread: float, words: str) -> None:
+    assert measure(value, spread) == words
+
+
+def test_small_words() -> None:
+    assert [percent(x) for x in (1e-9, 0.00024, 0.123, 3.64, math.nan)] == [
+        "< 0.001 %",
+        "0.024 %",
+        "12 %",
+        "364 %",
+        "–",
+    ]
+    assert [unit("N m s^2/rad"), with_unit("0.1", "1"), with_unit("0.1", "m/s^2")] == ["kg m²", "0.1", "0.1 m/s²"]
+    assert [joined([]), joined(["a"]), joined(["a", "b", "a", "c"], "or")] == ["", "a", "a, b or c"]
+
+
+def test_all_joints_are_not_listed() -> None:
+    assert all_or_some(JOINTS[::-1], JOINTS) == "all joints"
+    assert all_or_some(JOINTS[1:], JOINTS) == "all joints but joint1"
+    assert all_or_some(JOINTS[2:], JOINTS) == "all joints but joint1 and joint2"
+    assert all_or_some(("joint3", "joint2"), JOINTS) == "joint2 and joint3"
+    assert all_or_some(("joint1",), ("joint1",)) == "joint1"
+    assert all_or_some(("joint1",), ("joint1", "joint2")) == "joint1"
+
+
+def test_special_effects_come_before_the_friction_that_all_robots_have() -> None:
+    ripple = finding("torque_ripple", "joint2", log_evidence_gain=1.0)
+    told = statement(
+        *everywhere("coulomb_friction"), *everywhere("viscous_friction"), ripple,
+        *everywhere("torque_offset", *JOINTS[2:]),
+    )  # fmt: skip
+    assert told.startswith(
+        "The URDF leaves out torque ripple at joint2. It also leaves out viscous and Coulomb friction at all joints "
+        "and a constant torque offset at joint1 and joint2. The unpredicted part"
+    )
+
+
+def test_friction_alone_is_the_first_sentence() -> None:
+    told = statement(*everywhere("viscous_friction", "joint4"), finding("coulomb_friction", "joint1"))
+    assert told.startswith(
+        "The URDF leaves out viscous friction at all joints but joint4 and Coulomb friction at joint1. The unpredicted"
+    )
+
+
+def test_what_the_urdf_has_is_called_wrong() -> None:
+    other = {"viscous": Quantity(0.8, 0.1, "N m s/rad", urdf=0.3)}
+    damped = finding("viscous_friction", "joint1", parameters=other)
+    geometry = finding("geometry_error", "joint3")
+    told = statement(damped, geometry, finding("coulomb_friction", "joint1"))
+    assert told.startswith(
+        "The URDF has the wrong geometry (joint origin or axis) at joint3. It also leaves out Coulomb friction at "
+        "joint1 and has the wrong viscous friction at joint1. "
+    )
+    assert "0.80 ± 0.20 N m s/rad (the URDF says 0.300)" in finding_sentence(damped)
+
+
+def test_every_kind_of_place_is_named_in_the_verdict() -> None:
+    load = Where(("load.csv",), ((2.0, 8.0),))
+    coupled = finding("joint_coupling", "joint3", depends_on=("q_joint1",))
+    told = statement(
+        finding("payload", links=("hand",), where=load),
+        finding("external_wrench", links=("link2",), where=Where(("b.csv",))),
+        coupled,
+        finding("base_tilt"),
+        finding("time_delay"),
+        rest=(Unexplained(("joint6", "joint5"), (), Where(), 0.1, ""),),
+    )
+    assert told.startswith(
+        "The URDF leaves out a payload on hand (in load.csv, 2.0 to 8.0 s), "
+        "an external force or moment on link2 (in b.csv), a coupling to joint1's position at joint3, "
+        "a tilted base and a time delay of the torque. "
+    )
+    assert told.endswith("Something is left unexplained at joint5 and joint6.")
+
+
+def test_a_verdict_of_many_findings_stays_a_sentence() -> None:
+    names = ("backlash", "joint_spring", "torque_ripple", "cable_drag", "actuator_lag", "torque_scale", "rotor_inertia")
+    told = statement(*(finding(name, f"joint{k + 1}") for k, name in enumerate(names)))
+    assert "a joint spring at joint2" in told
+    assert "actuator lag at joint5 and 2 more. " in told
+
+
+def test_unlikely_findings_stay_out_of_the_verdict() -> None:
+    told = statement(finding("backlash", "joint1"), finding("joint_spring", "joint2", probability=0.2))
+    assert "backlash at joint1." in told
+    assert "spring" not in told
+
+
+@pytest.mark.parametrize(
+    ("one", "begin"),
+    [
+        (finding("coulomb_friction", "joint1", parameters={"coulomb": Quantity(1.2, 0.01, "N m")}),
+         "joint1: Coulomb friction, 1.200 ± 0.020 N m (± 95 %)."),
+        (finding("velocity_coupling", "joint2", depends_on=("qd_joint4",)),
+         "joint2: coupling to joint4's velocity, size 1.635 ± 0.008 N m (± 95 %)."),
+        (finding("payload", links=("hand",), where=Where(("a.csv",), ((2.0, 8.04),))),
+         "hand: payload (in a.csv, 2.0 to 8.0 s), size"),
+        (finding("base_tilt"), "Whole robot: tilted base, size"),
+        (finding("cable_drag", "joint1", where=Where(region=(Region("q_joint1", -0.1234, 0.5),))),
+         "joint1: cable drag over a range of positions (q_joint1 from −0.123 to 0.5), size"),
+        (finding("third_party_effect", "joint1", depends_on=("q_joint2",)),
+         "joint1: third party effect that depends on q_joint2, size"),
+    ],
+)  # fmt: skip
+def test_a_sentence_begins_with_place_and_name(one: Finding, begin: str) -> None:
+    assert finding_sentence(one).startswith(begin)
+
+
+def test_a_sentence_holds_the_first_few_of_many_quantities() -> None:
+    ten = {f"p_{k}": Quantity(float(k), 0.0, "kg") for k in range(10)}
+    assert finding_sentence(finding("payload", links=("hand",), parameters=ten)) == (
+        "hand: payload, p 0 0 kg, p 1 1.00 kg, p 2 2.00 kg, p 3 3.00 kg."
+    )
+
+
+def test_a_sentence_does_not_say_a_region_twice() -> None:
+    ends = {"start": Quantity(0.1, 0.01, "rad"), "end": Quantity(0.5, 0.01, "rad")}
+    drag = finding("cable_drag", "joint1", parameters=ends, where=Where(region=(Region("q_joint1", 0.1, 0.5),)))
+    assert "from" not in finding_sentence(drag)
+
+
+def test_a_sentence_says_what_it_is_worth_where_it_is_worth_most() -> None:
+    worth: dict[str, Any] = {
+        "nmse_before": {"joint1": 0.02, "joint2": 0.5},
+        "nmse_after": {"joint1": 0.02, "joint2": 0.1},
+    }
+    assert finding_sentence(finding("base_tilt", **worth)).endswith(
+        "Without it 50 % of the torque variance of joint2 on held-out time stays unpredicted, with it 10 %."
+    )
+    assert finding_sentence(finding("backlash", "joint1", **worth)).endswith(
+        "Held-out time does not show it: 2 % of the torque variance stays unpredicted with and without it."
+    )
+
+
+def test_alternatives_say_their_place_where_it_is_another() -> None:
+    others = (
+        Alternative("joint_coupling", ("joint1",), (), ("q_joint2",)),
+        Alternative("joint_coupling", ("joint1",), (), ("q_joint3",)),
+        Alternative("backlash", ("joint2",)), Alternative("base_tilt"), Alternative("payload", (), ("hand",)),
+        Alternative("backlash", ("joint2",)),
+    )  # fmt: skip
+    one = finding("joint_spring", "joint1", indistinguishable_from=others)
+    assert alternatives(one) == [
+        "coupling to joint2's position", "coupling to joint3's position", "backlash at joint2",
+        "tilted base on the whole robot", "payload on hand",
+    ]  # fmt: skip
+    assert finding_sentence(one).endswith("backlash at joint2, tilted base on the whole robot or payload on hand.")
+
+
+def test_when_tells_open_ends_and_units() -> None:
+    assert when(Where()) == ""
+    spans = Where(None, ((-math.inf, 3.0), (7.25, math.inf)), (Region("q_joint1", -1.0, 2.0),))
+    assert when(spans, {"q_joint1": "rad"}) == "until 3.0 s, from 7.2 s on, q_joint1 from −1 to 2 rad"

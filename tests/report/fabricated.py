@@ -1,0 +1,115 @@
+"""Results of a made-up robot: two recordings, the second held out; friction at every joint."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+
+from torchrbd.diagnosis.results import Alternative, Curve, Diagnosis, Finding, Quantity, Region, Unexplained, Where
+from torchrbd.inference.results import (
+    BaseParameterEstimate,
+    Fit,
+    Identification,
+    JointNoise,
+    ParameterEstimate,
+    TorqueSeries,
+)
+from torchrbd.inference.verdict import verdict_of
+
+STATEMENT = "This arm has Coulomb friction at joint2 that its URDF leaves out."
+
+
+def identification(
+    joints: tuple[str, ...],
+    *,
+    name: str = "arm",
+    unmeasured: int | None = None,
+    extended: bool = False,
+    doubts: tuple[str, ...] = (),
+):
+    """Fabricate two recordings, the second held out; the last joint is prismatic; friction at every joint."""
+    rng, n, m = np.random.default_rng(0), len(joints), 1200
+    t = np.tile(np.arange(m // 2) / 25, 2)
+    phase = rng.uniform(0, 6, n)
+    q, qd = np.sin(t[:, None] + phase), np.cos(t[:, None] + phase)
+    predicted = {"urdf": 9 * q, "rigid_body": 10 * q}
+    if extended:
+        predicted["extended"] = 10 * q + np.sign(qd)
+    measured = 10 * q + np.sign(qd) + 0.05 * rng.standard_normal(q.shape)
+    if unmeasured is not None:
+        measured[:, unmeasured] = np.nan
+    held_out = np.arange(m) >= m // 2
+    series = TorqueSeries(
+        joints, ("fit.csv", "hold.csv"), held_out.astype(int), t, held_out, q, qd, -q, measured, predicted
+    )
+    rmse = {k: dict(zip(joints, np.sqrt((series.residual(k)[held_out] ** 2).mean(0)), strict=True)) for k in predicted}
+    fits = {k: Fit({j: e**2 / 50 for j, e in errors.items()}, errors) for k, errors in rmse.items()}
+    parameters = (
+        ParameterEstimate("m_link1", "link1", "kg", 2.0, 2.1, 0.05, 0.1, "identified"),
+        ParameterEstimate("mcx_link1", "link1", "kg m", 0.0, 0.0, 0.1, 1.0, "not identifiable"),
+        ParameterEstimate("coulomb", joints[0], "N m", 0.0, 1.0, 0.0123, 0.0, "term"),
+    )
+    robot = SimpleNamespace(name=name, joint_names=joints, prismatic=np.arange(n) == n - 1)
+    return Identification(
+        robot=cast(Any, robot),
+        recordings=("fit.csv",),
+        held_out="hold.csv",
+        cutoff_hz=5.0,
+        fits=fits,
+        verdict=verdict_of(fits, doubts),
+        parameters=parameters,
+        combinations=("Izz_link1 + Iyy_link2 = 0.30 ± 0.01 kg m^2",),
+        base=(BaseParameterEstimate("Izz_link1 + Iyy_link2", "kg m^2", 0.31, 0.3, 0.01, 0.02),),
+        base_combination=np.eye(1, 20),
+        base_covariance=np.eye(1),
+        covariance=np.eye(20),
+        noise=dict.fromkeys(joints, JointNoise(1e-4, 0.02, 0.05)),
+        states="filtered",
+        regime="position noise hardly matters; states are filtered",
+        series=series,
+        model=cast(Any, None),
+        posterior=None,
+        doubts=doubts,
+        notes=("Column 'mode' was ignored.",),
+    )
+
+
+def diagnosis(joints: tuple[str, ...], **options: Any) -> Diagnosis:
+    result = identification(joints, extended=True, **options)
+    joint = joints[min(1, len(joints) - 1)]
+    finding = Finding(
+        "coulomb_friction", (joint,), (), 0.983, 41.2, {"coulomb": Quantity(1.0, 0.0123, "N m")},
+        Where(("hold.csv",), ((4.0, 7.0),), None), (Alternative("stribeck_friction", (joint,)),),
+        {joint: 0.02}, {joint: 5e-5}, f"{joint} resists motion with 1.0 N m.",
+    )  # fmt: skip
+    region = Where(region=(Region(f"q_{joints[0]}", -0.1, 0.3),))
+    left = Unexplained((joint,), (f"q_{joints[0]}",), region, 0.42, "Something depends on a position.")
+    return Diagnosis(result, "missing_physics", STATEMENT, (finding,), (left,))
+
+
+def with_friction(result: Diagnosis) -> Diagnosis:
+    """Add viscous and Coulomb friction at every joint, after what was found; the last one could be something else."""
+    (first,) = result.findings
+    names = result.identification.series.joints
+    plain = [
+        replace(
+            first,
+            effect=effect,
+            joints=(joint,),
+            parameters={effect.partition("_")[0]: Quantity(0.5, 0.02, unit, urdf=0.25 if joint == names[0] else 0.0)},
+            where=Where(),
+            indistinguishable_from=first.indistinguishable_from if joint == names[-1] else (),
+            probability=0.9 if joint == names[-1] else 0.99,
+        )
+        for effect, unit in (("viscous_friction", "N m s/rad"), ("coulomb_friction", "N m"))
+        for joint in names
+    ]
+    special = replace(first, effect="torque_ripple", curve=curve(f"q_{first.joints[0]}"))
+    return replace(result, findings=(*plain, special))
+
+
+def curve(signal: str) -> Curve:
+    """Return a parabola from -1 to 1 with a band."""
+    x = np.linspace(-1.0, 1.0, 50)
+    return Curve(signal, tuple(x), tuple(x**2), (0.1,) * 50)

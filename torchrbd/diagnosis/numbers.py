@@ -1,0 +1,77 @@
+"""Numbers as a person reads them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+MINUS = "\N{MINUS SIGN}"
+# A spread that begins with this or more is told by one digit; a second would say nothing of the value.
+_ONE_DIGIT = 3.55
+_KNOWN = {"1": "", "N m s^2/rad": "kg m^2", "N s^2/m": "kg"}
+_LEAST_PERCENT = 1e-5
+
+
+def number(value: float) -> str:
+    """Return three significant digits, or a dash where there is no number."""
+    if not math.isfinite(value):
+        return "–"
+    if value == 0 or 1e-4 <= abs(value) < 1e3:
+        return (f"{value:#.3g}" if value else "0").rstrip(".").replace("-", MINUS)
+    if 1e3 <= abs(value) < 1e6:
+        return f"{value:.0f}".replace("-", MINUS)
+    mantissa, exponent = f"{value:.2e}".split("e")
+    return f"{mantissa}·{power_of_ten(int(exponent))}".replace("-", MINUS)
+
+
+def power_of_ten(exponent: int) -> str:
+    """Return e.g. "10⁻⁵"."""
+    return "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def plain(value: float, digits: int = 4) -> str:
+    """Return a number in at most so many digits, without trailing zeros and with a true minus sign."""
+    return f"{float(f'{value:.{digits}g}') + 0.0:g}".replace("-", MINUS)
+
+
+def measure(value: float, spread: float) -> str:
+    """Return ``value ± spread`` with the digits that the spread leaves; a dash if it is unknown.
+
+    The spread has two significant digits from 10 to 35 and one from 36 to 95.
+    """
+    if math.isnan(spread):
+        return f"{number(value)} ± –"
+    if not (math.isfinite(spread) and spread > 0):
+        return number(value)
+    exponent = math.floor(math.log10(spread))
+    lead = spread / 10.0**exponent
+    digits = 1 - exponent - (lead >= _ONE_DIGIT)
+    if digits > 6:
+        return f"{number(value)} ± {number(spread)}"
+    shown = (f"{round(v, digits) + 0.0:.{max(0, digits)}f}" for v in (value, spread))
+    return " ± ".join(shown).replace("-", MINUS)
+
+
+def percent(part: float) -> str:
+    """Return a part of one in per cent, two significant digits."""
+    if not math.isfinite(part):
+        return "–"
+    if 0 < part < _LEAST_PERCENT:
+        return f"< {100 * _LEAST_PERCENT:g} %"
+    return f"{100 * part:.2g} %" if part < 0.995 else f"{100 * part:.0f} %"
+
+
+def unit(symbol: str) -> str:
+    """Return a unit as one reads it, e.g. "kg m²", and nothing for a pure number."""
+    return _KNOWN.get(symbol, symbol).replace("^2", "²").replace("^3", "³")
+
+
+def with_unit(words: str, symbol: str) -> str:
+    """Return words and a unit behind them."""
+    return f"{words} {unit(symbol)}".rstrip()
+
+
+def joined(words: Iterable[str], last: str = "and") -> str:
+    """Return "a, b and c", every word once; nothing for none."""
+    *first, end = dict.fromkeys(words) or ("",)
+    return f"{', '.join(first)} {last} {end}" if first else end

@@ -1,0 +1,34 @@
+"""How much samples count where joints may stick, by the noise that rows show.
+
+Beforehand the noise is told from blocks, and where a joint sticks in most of them their torque errs by friction that
+motion does not tell: the noise seems larger than it is, and the joint's friction smaller against it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from torchrbd.diagnosis.rows.regression import Fit, fitted
+from torchrbd.diagnosis.rows.whitening import autocovariance
+
+_ROUNDS = 2
+
+
+def weighed(fit: Fit) -> Fit:
+    """Return a fit of the same terms, samples weighed by the Coulomb friction and the noise that it shows."""
+    for number in range(_ROUNDS):
+        samples, rows = fit.rows.samples, fit.rows
+        levels = samples.columns.stick_levels.clone()
+        value = dict(zip(fit.places, fit.x[rows.X.shape[1] :], strict=True))
+        for term in fit.terms:
+            if term.effect.id == "coulomb_friction" and rows.counts[term.joint]:
+                (width,), j = rows.widths(term.place, samples.features(term)), term.joint
+                filters, scale = rows.noise[0][j], rows.noise[1][j]
+                level = abs(value[term.place, term.labels[0]] * width) / np.sqrt(autocovariance(filters, scale)[0])
+                # Joints whose friction the first fit is not sure of have none.
+                levels[j] = level if levels[j] > 0 else 0.0
+        if number and torch.allclose(levels, samples.columns.stick_levels, rtol=0.1):
+            break
+        fit = fitted(samples.sticking(levels), rows.prior, fit.terms, rows.noise, fit.extra, rounds=2)
+    return fit

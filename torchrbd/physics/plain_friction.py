@@ -1,0 +1,44 @@
+"""Friction of each joint that terms plainly say: what an actuator supplies beside the rigid body's torque.
+
+    viscous qd + coulomb sign(qd) + offset
+
+What a sensor or an actuator does to a torque it does to all of it. Only parts that are linear in these three count, so
+that no effect that sees them is among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import torch
+from torch import Tensor
+
+_COULOMB_AND_MORE = ((0.0, 1.0, 0.0), (0.0, 0.0, 0.0))
+# By effect: what each of its coefficients adds to (viscous, coulomb, offset).
+PARTS: dict[str, tuple[tuple[float, float, float], ...]] = {
+    "viscous_friction": ((1.0, 0.0, 0.0),),
+    "coulomb_friction": ((0.0, 1.0, 0.0),),
+    "torque_offset": ((0.0, 0.0, 1.0),),
+    "asymmetric_coulomb_friction": ((0.0, 0.5, 0.5), (0.0, 0.5, -0.5)),
+    # These contain Coulomb friction, and stand in its place.
+    "stribeck_friction": _COULOMB_AND_MORE,
+    "time_varying_friction": _COULOMB_AND_MORE,
+    "position_dependent_friction": _COULOMB_AND_MORE,
+}
+# Effects whose features depend on it.
+SEEN_BY = frozenset({"torque_saturation", "time_delay", "actuator_lag"})
+
+
+def plain_friction(n_dof: int, terms: Iterable[tuple[str, int | None, Tensor]]) -> Tensor:
+    """Return the sums of viscous and Coulomb coefficients and offsets of each joint, (n_dof, 3), differentiable in w.
+
+    Args:
+        n_dof: number of joints.
+        terms: effect, joint and coefficients w (K,) of each; others than those of ``PARTS`` do not count.
+    """
+    total = torch.zeros(n_dof, 3, dtype=torch.float64)
+    for effect, joint, w in terms:
+        if effect in PARTS and joint is not None:
+            parts = torch.tensor(PARTS[effect], dtype=total.dtype, device=w.device)
+            total = total.to(w.device).index_add(0, torch.tensor([joint], device=w.device), (w.to(parts) @ parts)[None])
+    return total
