@@ -516,8 +516,8 @@ def test_time_constants_go_with_the_recordings_length() -> None:
 
 def test_a_spring_that_yields_further_than_it_can_tell_is_not_plausible() -> None:
     scale = JointScale(1.0, 0.01, load_max=40.0)
-    assert JointElasticity().plausible({"stiffness": 1000.0}, scale)
-    assert not JointElasticity().plausible({"stiffness": 100.0}, scale)
+    assert JointElasticity().plausible({"stiffness": 1000.0, "bandwidth": 6.0}, scale)
+    assert not JointElasticity().plausible({"stiffness": 100.0, "bandwidth": 6.0}, scale)
 
 
 def test_centres_of_a_counterbalance_cover_the_turn_and_are_closer_in_the_range_of_motion() -> None:

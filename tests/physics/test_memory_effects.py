@@ -228,7 +228,7 @@ class TestTwoMasses:
         t, q, errors = np.arange(0, 8, 0.005), motion(11, 0.6), []
         for stiffness in (600.0, 1200.0):
             torque = two_masses(q, t, 0.0, stiffness, damping=0.03 * 2 * (stiffness * INERTIA) ** 0.5)
-            w, share = self.explained(JointElasticity(), {}, q, t, torque)
+            w, share = self.explained(JointElasticity(), {"bandwidth": 48.0}, q, t, torque)
             errors.append(abs(1 / w / stiffness - 1))
             assert share > 0.97
         assert errors[0] < 0.1
@@ -278,7 +278,7 @@ def test_memory_needs_a_sequence(effect: Effect) -> None:
 
 def test_what_is_not_plausible() -> None:
     assert not PreslidingHysteresis().plausible({"coulomb": -1.0, "distance": 0.1}, SCALE)
-    assert not JointElasticity().plausible({"stiffness": -100.0}, SCALE)
+    assert not JointElasticity().plausible({"stiffness": -100.0, "bandwidth": 6.0}, SCALE)
     assert Backlash().plausible({"backlash": 0.003, "flight": 0.002}, SCALE)
     assert not Backlash().plausible({"backlash": -0.003, "flight": 0.002}, SCALE)
     assert not Backlash().plausible({"backlash": 0.0003, "flight": 0.02}, SCALE)

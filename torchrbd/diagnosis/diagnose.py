@@ -65,7 +65,8 @@ def diagnose(
     findings = explain(prepared, weigh(search, fit), extended)
     progress("looking at what is left", 0.0)
     locations, maps = locate(search.start)
-    left, more = locate(fit, "extended")
+    # Plain friction that is too little to be found shall not be located as unexplained either.
+    left, more = locate(search.with_background(fit), "extended")
     rest = nameless(fit, extended, left)
     verdict = _verdict(findings, rest, _refit_matters(fit))
     statement = verdict_statement(verdict, findings, rest, identification.fits)

@@ -27,6 +27,8 @@ LEAST_ODDS = 0.05
 LONGEST = 50.0
 # Another effect competes with a term if it gains less than this part beside the term of what it gains without.
 COMPETES = 0.5
+# A term of which less than this is left beside another effect is a case of that one, which says no other thing.
+CONTAINED = 1e-3
 # Viscous and Coulomb friction and an offset are found on every robot: log of how much more often than anything else.
 PLAIN = 4.0
 
@@ -62,7 +64,7 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
         own, rivals = judged(rest, term), []
         for option in search.options(rest):
             c = option.candidate
-            if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, term, option):
+            if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, rest, term, option):
                 more = complexity(rest, c) - complexity(rest, term)
                 freedom = 0.5 * more * math.log(max(counts.max(), 2))
                 freedom += PLAIN * ((term in search.background) - (c in search.background))
@@ -71,13 +73,13 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
     return tuple(found)
 
 
-def _competes(fit: Fit, term: Candidate, option: Option) -> bool:
+def _competes(fit: Fit, rest: Fit, term: Candidate, option: Option) -> bool:
     """Say whether an option explains what a term explains: it gains little beside it, and does not contain it."""
-    c = option.candidate
-    if c.place == term.place and set(term.labels) < set(c.labels):
+    C = fresh_columns(fit, option.candidate)
+    if C.shape[1] and judged(fit, option.candidate).worth.total > COMPETES * option.worth.total:
         return False
-    C = fresh_columns(fit, c)
-    return not C.shape[1] or judged(fit, c).worth.total < COMPETES * option.worth.total
+    instead = Fit(fit.rows, (*rest.terms, option.candidate))
+    return instead.share_left(fit.rows.columns(term)[1]) > CONTAINED
 
 
 def odds(lead: Gain, freedom: float) -> float:

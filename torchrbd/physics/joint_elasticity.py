@@ -11,6 +11,9 @@ above the band of the data, what is left is small (1 % of the stiffness, .1 % of
 inside the band the link rings by itself, which is not contained, nor is damping beside the spring. What the motor's own
 inertia takes is rotor inertia, an effect of its own; its friction does not wind the spring, and the link's is left out.
 
+The load comes from accelerations, and is differentiated twice more: what noise there is in the positions would drown
+the motion. So x is seen below a bandwidth, with the response exp(-(f/b)^2 / 2), that the data chooses as a shape.
+
 Source: Spong, "Modeling and control of elastic joint robots", ASME J. Dyn. Syst. Meas. Control 1987, for the model.
 """
 
@@ -32,27 +35,40 @@ class JointElasticity(Effect):
     id = "joint_elasticity"
     words = "joint elasticity"
     equation = "tau_load(q - tau_load/k) - tau_load(q)"
-    units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}"}
-    complexity = 1
+    units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "bandwidth": "Hz"}
+    complexity = 2
     whole_robot = True
     uses_load = True
     prior = CoefficientPrior("A spring yields in the direction that it is loaded in.", positive=(0,))
     export_note = "a second joint on the axis, with this stiffness, between the rotor (a body of its own) and the link"
-    _FURTHEST = 0.2
+    _FURTHEST, _BANDWIDTHS_HZ = 0.2, (1.5, 3.0, 6.0, 12.0, 48.0)
+
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        return tuple({"bandwidth": hz} for hz in self._BANDWIDTHS_HZ)
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        yielding = -signals.load[site.joint]
-        return {f"elastic {site.name(signals.robot)}": slope_along(signals, site, yielding)}
+        t, band = signals.sequence(), shape["bandwidth"]
+        yielding = below(-signals.load[site.joint], float(t[1] - t[0]), band)
+        return {f"elastic({band:.6g} Hz) {site.name(signals.robot)}": slope_along(signals, site, yielding)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        return {"stiffness": 1.0 / coefficients[0]}
+        return {"stiffness": 1.0 / coefficients[0], "bandwidth": coefficients.new_tensor(shape["bandwidth"])}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        return (1.0 / parameters["stiffness"],), {}
+        return (1.0 / parameters["stiffness"],), {"bandwidth": parameters["bandwidth"]}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         stiffness = parameters["stiffness"]
         return stiffness > 0 and (scale.load_max or 0.0) <= self._FURTHEST * stiffness
+
+
+def below(x: Tensor, dt: float, hz: float) -> Tensor:
+    """Return what of x (..., N) at intervals dt [s] lies below a frequency [Hz]; mirrored through its ends."""
+    first, last = x[..., :1], x[..., -1:]
+    longer = torch.cat((2 * first - x.flip(-1)[..., :-1], x, 2 * last - x.flip(-1)[..., 1:]), -1)
+    f = torch.fft.rfftfreq(longer.shape[-1], dt, dtype=x.dtype, device=x.device)
+    spectrum = torch.fft.rfft(longer) * torch.exp(-0.5 * (f / hz) ** 2)
+    return torch.fft.irfft(spectrum, longer.shape[-1])[..., x.shape[-1] - 1 : 2 * x.shape[-1] - 1]
 
 
 def slope_along(signals: Signals, site: Site, shift: Tensor) -> Tensor:

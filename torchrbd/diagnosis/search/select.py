@@ -29,12 +29,14 @@ from torchrbd.physics import Effect, Site, Window, effect
 from torchrbd.physics.plain_friction import SEEN_BY
 from torchrbd.robot import RobotModel
 
-LEAST_GAIN, LEAST_T, LEAST_REPEATED = 12.5, 2.5, 20.0
+# Over 46 development cases of the concealed benchmark with nothing but friction, the best of some 2500 candidates and
+# smooth functions gained 19.8 with t 2.7, 15.5 (1.7), 14.1 (2.2), 13.0 (2.0); without the best two blocks 10.1, 7.8.
+LEAST_GAIN, LEAST_T, LEAST_REPEATED = 15.0, 2.8, 10.5
 CLOSE_STD, CLOSE_GAIN, CLOSE_PART, CLOSE_REPEATED = 2.0, 3.0, 0.003, 6.0
 LOAD_CHANGE, INSIGNIFICANT = 0.01, 3.0
 # A candidate of whose torque less than this is left beside the model's is the model's.
 LEAST_SHARE = 1e-4
-BEATEN_GAIN, BEATEN_PART, MOST_UNNAMED, MOST_WINDOWED = 10.0, 0.15, 4, 3
+BEATEN_GAIN, BEATEN_PART, MOST_UNNAMED, MOST_WINDOWED = 10.0, 0.25, 4, 3
 MOST_TERMS, SHORTLIST, SHORT_OF_BEST = 12, 10, 0.5
 BACKGROUND = ("viscous_friction", "coulomb_friction", "torque_offset")
 UNEVEN, PARTS_OF_UNEVEN = "asymmetric_coulomb_friction", ("coulomb_friction", "torque_offset")
@@ -263,6 +265,10 @@ class Search:
             options = [o for o in (*self.options(rest), judged(rest, refined(rest, term))) if accepted(o.worth)]
             fit = Fit(fit.rows, with_term(rest.terms, preferred(rest, options).candidate)) if options else rest
         return fitted(fit.rows.samples, self.prior, fit.terms, fit.rows.noise)
+
+    def with_background(self, fit: Fit) -> Fit:
+        """Return a fit with plain friction and an offset at every joint again."""
+        return Fit(fit.rows, self._restored(fit.terms))
 
     def _restored(self, terms: Terms) -> Terms:
         """Return terms with the background that another term had contained."""
