@@ -34,6 +34,8 @@ from torchrbd.robot import RobotModel
 LEAST_GAIN, LEAST_T, LEAST_REPEATED = 15.0, 2.8, 10.5
 CLOSE_STD, CLOSE_GAIN, CLOSE_PART, CLOSE_REPEATED = 2.0, 3.0, 0.003, 6.0
 LOAD_CHANGE, INSIGNIFICANT = 0.01, 3.0
+# Parts of a joint's torque, RMS, that are nobody's business.
+LEAST_TORQUE = 0.01
 # A candidate of whose torque less than this is left beside the model's is the model's.
 LEAST_SHARE = 1e-4
 BEATEN_GAIN, BEATEN_PART, MOST_UNNAMED, MOST_WINDOWED = 10.0, 0.25, 4, 3
@@ -73,10 +75,11 @@ def _certain(lead: Gain) -> bool:
     return lead.t > CLOSE_STD or lead.repeated > CLOSE_REPEATED
 
 
-def plausible(fit: Fit, candidate: Candidate) -> bool:
-    """Say whether the physics allows what a candidate's parameters are in a fit, or would be beside it.
+def coefficients(fit: Fit, candidate: Candidate) -> list[float]:
+    """Return what a candidate's coefficients are in a fit, or would be beside it.
 
-    Plain friction within chance of zero counts as none: what a URDF has too much is as often negative as positive.
+    Plain friction counts with what the URDF has of it; within chance of zero it is none: what a URDF has too much is as
+    often negative as positive.
     """
     rows, columns = fit.rows, fit.rows.samples.columns
     known = {place: len(fit.x) - len(fit.places) + k for k, place in enumerate(fit.places)}
@@ -91,8 +94,24 @@ def plausible(fit: Fit, candidate: Candidate) -> bool:
         values[0] += columns.urdf_value(candidate)
         if places[0] in known and abs(values[0]) < INSIGNIFICANT * fit.std(known[places[0]]) * widths[0]:
             values[0] = 0.0
-    parameters = candidate.effect.parameters(torch.tensor(values, dtype=torch.float64), candidate.shape)
-    return candidate.effect.plausible({k: float(v) for k, v in parameters.items()}, columns.scale(candidate.site))
+    return [float(v) for v in values]
+
+
+def plausible(fit: Fit, candidate: Candidate) -> bool:
+    """Say whether the physics allows what a candidate's parameters are in a fit, or would be beside it."""
+    w = torch.tensor(coefficients(fit, candidate), dtype=torch.float64)
+    values = {k: float(v) for k, v in candidate.effect.parameters(w, candidate.shape).items()}
+    return candidate.effect.plausible(values, fit.rows.samples.columns.scale(candidate.site))
+
+
+def matters(fit: Fit, candidate: Candidate) -> bool:
+    """Say whether a candidate's torque, where it acts, is more than a trifle of the torque of a joint."""
+    samples = fit.rows.samples
+    torque = np.tensordot(coefficients(fit, candidate), samples.features(candidate), 1)
+    joints = slice(None) if candidate.place is None else slice(candidate.place, candidate.place + 1)
+    power, acts = np.atleast_2d(torque) ** 2, (np.atleast_2d(torque) != 0).sum(1)
+    rms = np.sqrt(np.mean(samples.tau[joints] ** 2, axis=1))
+    return bool((np.sqrt(power.sum(1) / np.maximum(acts, 1)) > LEAST_TORQUE * np.where(rms > 0, rms, np.inf)).any())
 
 
 def preferred(fit: Fit, options: Sequence[Option]) -> Option:
@@ -243,7 +262,7 @@ class Search:
         short = [one for one in ranked if one.score > SHORT_OF_BEST * ranked[0].score][:SHORTLIST]
         told = [one for one in short if fit.share_left(fresh_columns(fit, one.candidate)) > LEAST_SHARE]
         found = [refined(fit, one.candidate) for one in told]
-        return [judged(fit, c) for c in found if plausible(fit, c)]
+        return [judged(fit, c) for c in found if plausible(fit, c) and matters(fit, c)]
 
     def acceptable(self, fit: Fit) -> list[Option]:
         """Return the additions that are accepted, the one to prefer first."""
