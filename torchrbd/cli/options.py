@@ -100,7 +100,7 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_requ
         type=Path,
         metavar="RECORDING",
         help="CSV, Parquet or NPZ with columns t [s], q_<joint> [rad, m], tau_<joint> [N m, N], "
-        "optionally qd_<joint>, q_ref_<joint>",
+        "optionally qd_<joint>, q_ref_<joint>, temperature_<joint> [degC]",
     )
     sub.add_argument(
         "-o", "--output", type=Path, required=output_required, metavar="DIR", help="folder for the results"

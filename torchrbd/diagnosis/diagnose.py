@@ -15,7 +15,8 @@ from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import read_samples
-from torchrbd.diagnosis.search.select import BACKGROUND, INSIGNIFICANT, Search, Terms, accepted
+from torchrbd.diagnosis.search.options import BACKGROUND, INSIGNIFICANT, accepted
+from torchrbd.diagnosis.search.select import Search, Terms
 from torchrbd.diagnosis.words import verdict_statement
 from torchrbd.errors import OptionError
 from torchrbd.inference.data.columns import Candidate

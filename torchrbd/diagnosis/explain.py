@@ -11,7 +11,8 @@ from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, W
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import complexity, fresh_columns
-from torchrbd.diagnosis.search.select import Option, Search, judged, without
+from torchrbd.diagnosis.search.options import Option, judged
+from torchrbd.diagnosis.search.select import Search, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.diagnosis.words import finding_sentence
 from torchrbd.inference.data.columns import Candidate, Columns

@@ -16,7 +16,8 @@ from torchrbd.diagnosis.locate.intervals import best_interval, signal_interval
 from torchrbd.diagnosis.locate.maps import leftover_maps
 from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.locate.signals import Bases, Signal, smooth
-from torchrbd.diagnosis.rows.regression import Extra, Fit, Rows, fitted
+from torchrbd.diagnosis.rows.regression import Extra, Fit, fitted
+from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.report.inline import inline, page_style
 from torchrbd.report.maps import map_figure
 

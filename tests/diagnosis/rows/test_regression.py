@@ -11,8 +11,9 @@ from robot.random_robots import random_urdf
 from simulated import record
 
 from torchrbd.diagnosis.rows.gain import gain
-from torchrbd.diagnosis.rows.regression import FOLDS, Fit, fitted
+from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples, read_samples
+from torchrbd.diagnosis.rows.white_rows import FOLDS
 from torchrbd.inference.data.block_statistics import filtered_rows
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings

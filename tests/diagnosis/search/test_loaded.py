@@ -11,7 +11,8 @@ from simulated import joint_names, record
 
 from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
-from torchrbd.diagnosis.search.select import BACKGROUND, Search
+from torchrbd.diagnosis.search.options import BACKGROUND
+from torchrbd.diagnosis.search.select import Search
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.physics import Site, effect

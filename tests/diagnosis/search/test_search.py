@@ -12,7 +12,8 @@ from torchrbd.diagnosis.rows.gain import Gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.grid import complexity, fresh_columns, refined
-from torchrbd.diagnosis.search.select import BACKGROUND, Search, accepted, clearly_worse, judged, preferred
+from torchrbd.diagnosis.search.options import BACKGROUND, accepted, clearly_worse, judged, preferred
+from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.unnamed import smooth_candidates
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings

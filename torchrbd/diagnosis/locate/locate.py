@@ -11,7 +11,8 @@ from torchrbd.diagnosis.locate.search import Part, Search, coefficients
 from torchrbd.diagnosis.locate.signals import Smooth, smooth
 from torchrbd.diagnosis.locate.words import sentence
 from torchrbd.diagnosis.results import Curve, LeftoverMap, Location, Region, Where
-from torchrbd.diagnosis.rows.regression import Fit, Rows
+from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.diagnosis.rows.white_rows import Rows
 
 # A joint is named with a body where the body's torque is this part of the noise, and a recording where the part gains
 # this much of what it gains in the best one.

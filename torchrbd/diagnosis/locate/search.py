@@ -15,7 +15,8 @@ from torchrbd.diagnosis.locate.clock import Clock
 from torchrbd.diagnosis.locate.intervals import Interval, signal_interval
 from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.locate.signals import LEAST_SHARE, Bases, Signal, Smooth, form_columns, smooth
-from torchrbd.diagnosis.rows.regression import Extra, Fit, Rows
+from torchrbd.diagnosis.rows.regression import Extra, Fit
+from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.rows.whitening import LEAST_NOISE, Noise, whitened
 
 # In log-likelihood units, beyond the costs of freedom and search: on 40 simulated arms with nothing but friction, which

@@ -12,7 +12,8 @@ from torchrbd.diagnosis.locate.intervals import Interval, gains
 from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.locate.search import coefficients, common_noise, each_body, enough
 from torchrbd.diagnosis.locate.signals import form_columns
-from torchrbd.diagnosis.rows.regression import Fit, Rows
+from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.physics import Window
 
 # Stretches that overlap more, over their union, are one.

@@ -14,106 +14,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 import torch
 from scipy.linalg import cho_solve, solve_triangular
 
 from torchrbd.diagnosis.rows.samples import Samples
+from torchrbd.diagnosis.rows.white_rows import Place, Rows
 from torchrbd.diagnosis.rows.whitening import LEAST_NOISE, ORDER, Noise, predictor, relief, whitened
 from torchrbd.inference.data.columns import Candidate
-from torchrbd.inference.physical.prior import TERM_WIDTH, Prior
+from torchrbd.inference.physical.prior import Prior
 
-FOLDS, MOST_BLOCKS, LEAST_RECORDINGS = 8, 64, 4
 _ROUNDS = 3
-PEAK_WIDTH = 3.0
 # Directions of the scaled columns below this are told by rounding alone.
 LEAST_DIRECTION = 1e-12
-
-Place = tuple[int | None, str]
-"""A column beside the rigid body's: the joint that has it (None: all joints share it), and its label."""
-
-
-class Rows:
-    """The samples, whitened by a noise model, joint after joint.
-
-    Args:
-        samples: the data.
-        prior: of the inertial parameters.
-        noise: filters (n, ORDER) and scale (n,).
-
-    Attributes:
-        X: (N, P) rigid body, in prior coordinates.
-        y: (N,) torque less that of the prior's mean.
-        parts: per joint, its slice of the N rows.
-        block: (N,) number of the block, of at most MOST_BLOCKS.
-        fold: (N,) number of the fold: recordings stay together where there are enough of them, else runs of blocks.
-        joint: (N,).
-        counts: (n,) rows of each joint, by what they count.
-    """
-
-    def __init__(self, samples: Samples, prior: Prior, noise: Noise) -> None:
-        self.samples, self.prior, self.noise = samples, prior, noise
-        n = len(samples.tau)
-        self.index = [_with_predecessors(samples, j) for j in range(n)]
-        ends = np.cumsum([0, *(len(i) for i in self.index)])
-        self.parts = [slice(a, b) for a, b in pairwise(ends.tolist())]
-        self.joint = np.repeat(np.arange(n), np.diff(ends))
-        self._relief = [relief(samples.weight[j], i, noise[0][j]) for j, i in enumerate(self.index)]
-        inertial = prior.inertial.numpy()
-        self._scale = prior.scale.numpy()[np.ix_(inertial, inertial)]
-        self._inertial, mean = inertial, prior.mean.numpy()[: samples.rigid.shape[2]]
-        self.X = np.concatenate([self.white(samples.rigid[j][:, inertial].T, j) for j in range(n)], axis=1).T
-        self.X = self.X @ self._scale
-        self.y = np.concatenate([self.white(samples.tau[j] - samples.rigid[j] @ mean, j) for j in range(n)])
-        blocks = _coarse(samples.block)
-        self.block = np.concatenate([blocks[i] for i in self.index])
-        self.fold = _folds(samples, blocks)[np.concatenate(self.index)]
-        self._rms = np.sqrt(np.mean(samples.tau**2, axis=1))
-        self.counts = np.array([float((samples.weight[j, i] ** 2).sum()) for j, i in enumerate(self.index)])
-        self._known: dict[Place, np.ndarray] = {}
-
-    def white(self, x: np.ndarray, joint: int) -> np.ndarray:
-        """Return signals (..., M) of a joint as its whitened rows see them, (..., m_j)."""
-        filters, scale = self.noise
-        e = whitened(x * self.samples.weight[joint], self.index[joint], filters[joint], scale[joint])
-        return e * self._relief[joint]
-
-    def columns(self, candidate: Candidate) -> tuple[list[Place], np.ndarray]:
-        """Return places and whitened columns (N, K) of a candidate, in prior coordinates."""
-        places: list[Place] = [(candidate.place, label) for label in candidate.labels]
-        if not all(p in self._known for p in places):
-            for place, column in zip(
-                places, self.widened(candidate.place, self.samples.features(candidate)).T, strict=True
-            ):
-                self._known[place] = column
-        return places, np.stack([self._known[p] for p in places], axis=1)
-
-    def widened(self, place: int | None, features: np.ndarray) -> np.ndarray:
-        """Return features (K, M) of a joint, or (K, n, M) of all, as whitened columns (N, K) in prior coordinates."""
-        C = np.zeros((len(self.y), len(features)))
-        for j in range(len(self.parts)) if place is None else (place,):
-            C[self.parts[j]] = self.white(features[:, j] if place is None else features, j).T
-        return C * self.widths(place, features)
-
-    def widths(self, place: int | None, features: np.ndarray) -> np.ndarray:
-        """Return the prior standard deviations of the coefficients (K,) of features of a joint, or of all.
-
-        No torque is believed to have a root mean square, or a peak, beyond so many times the root mean square of its
-        joint's: what few samples see is bounded by the latter.
-        """
-        rms = self._rms if place is None else self._rms[place]
-        joints = rms > 0
-        size = np.maximum(np.sqrt(np.mean(features**2, axis=-1)) / TERM_WIDTH, np.abs(features).max(-1) / PEAK_WIDTH)
-        ratio = (size / np.where(joints, rms, 1.0) * joints).reshape(len(features), -1).max(1)
-        return np.where(ratio > 0, 1.0 / np.maximum(ratio, 1e-300), 0.0)
-
-    def pi(self, z: np.ndarray) -> np.ndarray:
-        """Return the inertial parameters (n_params,) of prior coordinates."""
-        pi = self.prior.mean.numpy()[: self.samples.rigid.shape[2]].copy()
-        pi[self._inertial] += self._scale @ z
-        return pi
 
 
 @dataclass(frozen=True)
@@ -312,24 +226,3 @@ def _places(number: int, extra: Extra) -> list[Place]:
 def _solved(H: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     L = np.linalg.cholesky(H + np.eye(len(H)))
     return L, cho_solve((L, True), h)
-
-
-def _with_predecessors(samples: Samples, joint: int) -> np.ndarray:
-    k = np.arange(ORDER, len(samples.run))
-    seen = samples.measured[joint]
-    return k[(samples.run[k] == samples.run[k - ORDER]) & seen[k] & seen[k - ORDER]]
-
-
-def _folds(samples: Samples, block: np.ndarray) -> np.ndarray:
-    """Number the folds, (M,). What shows in one recording only shall not be taken for the robot's."""
-    recording = np.unique(samples.recording, return_inverse=True)[1]
-    if recording.max() + 1 >= LEAST_RECORDINGS:
-        return recording % FOLDS
-    run = max(1, (int(block.max()) + 1) // (2 * FOLDS))
-    return (block // run) % FOLDS
-
-
-def _coarse(block: np.ndarray) -> np.ndarray:
-    """Number blocks anew, neighbours merged so that there are at most MOST_BLOCKS."""
-    number = np.unique(block, return_inverse=True)[1]
-    return number // int(np.ceil((number.max() + 1) / MOST_BLOCKS))

@@ -10,18 +10,28 @@ that they beat clearly: its law is not the one that acts there.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from torchrbd.diagnosis.locate import stretches
 from torchrbd.diagnosis.rows.gain import Gain, gain
-from torchrbd.diagnosis.rows.regression import Fit, Rows, fitted
+from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.weighing import weighed
+from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.rows.whitening import Noise
-from torchrbd.diagnosis.search.grid import Grid, candidates, complexity, fresh_columns, refined
+from torchrbd.diagnosis.search.grid import Grid, candidates, fresh_columns, refined
+from torchrbd.diagnosis.search.options import (
+    BACKGROUND,
+    Option,
+    accepted,
+    certain,
+    judged,
+    matters,
+    plausible,
+    preferred,
+)
 from torchrbd.diagnosis.search.unnamed import is_smooth, smooth_candidates
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.prior import Prior
@@ -29,103 +39,18 @@ from torchrbd.physics import Effect, Site, Window, effect
 from torchrbd.physics.plain_friction import SEEN_BY
 from torchrbd.robot import RobotModel
 
-# Over 46 development cases of the concealed benchmark with nothing but friction, the best of some 2500 candidates and
-# smooth functions gained 19.8 with t 2.7, 15.5 (1.7), 14.1 (2.2), 13.0 (2.0); without the best two blocks 10.1, 7.8.
-LEAST_GAIN, LEAST_T, LEAST_REPEATED = 15.0, 2.8, 10.5
-CLOSE_STD, CLOSE_GAIN, CLOSE_PART, CLOSE_REPEATED = 2.0, 3.0, 0.003, 6.0
-LOAD_CHANGE, INSIGNIFICANT = 0.01, 3.0
-# Parts of a joint's torque, RMS, that are nobody's business.
-LEAST_TORQUE = 0.01
+# Change of the load, in parts of a joint's torque, from which on features are built anew.
+LOAD_CHANGE = 0.01
 # A candidate of whose torque less than this is left beside the model's is the model's.
 LEAST_SHARE = 1e-4
-BEATEN_GAIN, BEATEN_PART, MOST_UNNAMED, MOST_WINDOWED = 10.0, 0.25, 4, 3
+# A smooth function takes the place of a name if it gains so much more, in units and in parts of its own gain.
+BEATEN_GAIN, BEATEN_PART = 10.0, 0.25
+MOST_UNNAMED, MOST_WINDOWED = 4, 3
+# Candidates are fitted on left-out blocks if they are among so many, and score this part of the best one.
 MOST_TERMS, SHORTLIST, SHORT_OF_BEST = 12, 10, 0.5
-BACKGROUND = ("viscous_friction", "coulomb_friction", "torque_offset")
 UNEVEN, PARTS_OF_UNEVEN = "asymmetric_coulomb_friction", ("coulomb_friction", "torque_offset")
 
 Terms = tuple[Candidate, ...]
-
-
-@dataclass(frozen=True)
-class Option:
-    """A candidate beside a fit: left-out errors (B, n) with it, and what it gains over the fit without."""
-
-    candidate: Candidate
-    errors: np.ndarray
-    worth: Gain
-
-
-def judged(fit: Fit, candidate: Candidate) -> Option:
-    """Return a candidate with its left-out errors beside a fit."""
-    errors = fit.errors_with(fresh_columns(fit, candidate))
-    return Option(candidate, errors, gain(fit.errors, errors, fit.rows.counts))
-
-
-def accepted(worth: Gain) -> bool:
-    """Say whether a gain is enough, and no accident of a few blocks."""
-    return worth.total > LEAST_GAIN and (worth.t > LEAST_T or worth.repeated > LEAST_REPEATED)
-
-
-def clearly_worse(lead: Gain, best: float) -> bool:
-    """Say whether a model is worse than the best one, whose gain is ``best``, beyond chance and triviality."""
-    return _certain(lead) and lead.total > max(CLOSE_GAIN, CLOSE_PART * best)
-
-
-def _certain(lead: Gain) -> bool:
-    return lead.t > CLOSE_STD or lead.repeated > CLOSE_REPEATED
-
-
-def coefficients(fit: Fit, candidate: Candidate) -> list[float]:
-    """Return what a candidate's coefficients are in a fit, or would be beside it.
-
-    Plain friction counts with what the URDF has of it; within chance of zero it is none: what a URDF has too much is as
-    often negative as positive.
-    """
-    rows, columns = fit.rows, fit.rows.samples.columns
-    known = {place: len(fit.x) - len(fit.places) + k for k, place in enumerate(fit.places)}
-    C, x, new = fresh_columns(fit, candidate), fit.x, iter(())
-    if C.shape[1]:
-        w = fit.addition(C).w
-        x, new = fit.coefficients_with(C, w), iter(w)
-    places = [(candidate.place, label) for label in candidate.labels]
-    widths = rows.widths(candidate.place, rows.samples.features(candidate))
-    values = [(x[known[p]] if p in known else next(new)) * width for p, width in zip(places, widths, strict=True)]
-    if candidate.effect.id in BACKGROUND:
-        values[0] += columns.urdf_value(candidate)
-        if places[0] in known and abs(values[0]) < INSIGNIFICANT * fit.std(known[places[0]]) * widths[0]:
-            values[0] = 0.0
-    return [float(v) for v in values]
-
-
-def plausible(fit: Fit, candidate: Candidate) -> bool:
-    """Say whether the physics allows what a candidate's parameters are in a fit, or would be beside it."""
-    w = torch.tensor(coefficients(fit, candidate), dtype=torch.float64)
-    values = {k: float(v) for k, v in candidate.effect.parameters(w, candidate.shape).items()}
-    return candidate.effect.plausible(values, fit.rows.samples.columns.scale(candidate.site))
-
-
-def matters(fit: Fit, candidate: Candidate) -> bool:
-    """Say whether a candidate's torque, where it acts, is more than a trifle of the torque of a joint."""
-    samples = fit.rows.samples
-    torque = np.tensordot(coefficients(fit, candidate), samples.features(candidate), 1)
-    joints = slice(None) if candidate.place is None else slice(candidate.place, candidate.place + 1)
-    power, acts = np.atleast_2d(torque) ** 2, (np.atleast_2d(torque) != 0).sum(1)
-    rms = np.sqrt(np.mean(samples.tau[joints] ** 2, axis=1))
-    return bool((np.sqrt(power.sum(1) / np.maximum(acts, 1)) > LEAST_TORQUE * np.where(rms > 0, rms, np.inf)).any())
-
-
-def preferred(fit: Fit, options: Sequence[Option]) -> Option:
-    """Return the simplest of the options that are not clearly worse than the best."""
-    best = max(options, key=lambda o: o.worth.total)
-    counts = fit.rows.counts
-    rivals = [o for o in options if not clearly_worse(gain(o.errors, best.errors, counts), best.worth.total)]
-    return min(rivals, key=lambda o: (complexity(fit, o.candidate), -o.worth.total))
-
-
-def with_term(terms: Terms, added: Candidate) -> Terms:
-    """Add a term; it takes the place of those whose features it contains."""
-    own = set(added.labels)
-    return (*(c for c in terms if c.place != added.place or not set(c.labels) <= own), added)
 
 
 class Search:
@@ -151,6 +76,7 @@ class Search:
     ) -> None:
         self.effects, self.prior, self.report = tuple(effects), prior, report
         self._smooth: Grid | None = None
+        self._refuted: set[tuple[object, ...]] = set()
         columns = samples.columns
         self.background: Terms = tuple(
             columns.candidate(effect(name), Site(joint), {})
@@ -166,11 +92,14 @@ class Search:
 
     def without(self, fit: Fit, refuted: Sequence[Candidate]) -> Fit:
         """Return a fit that does without some effects at their places, whatever may be chosen instead."""
-        gone = set(_names(tuple(refuted)))
-        self.grid = Grid(fit.rows.samples, [c for c in self.grid.candidates if (c.effect.id, c.site) not in gone])
-        self.background = tuple(c for c in self.background if (c.effect.id, c.site) not in gone)
-        kept = tuple(c for c in fit.terms if (c.effect.id, c.site) not in gone)
+        self._refuted |= {_place(c) for c in refuted}
+        self.grid = Grid(fit.rows.samples, self._possible(self.grid.candidates))
+        self.background = self._possible(self.background)
+        kept = self._possible(fit.terms)
         return self._completed(fitted(fit.rows.samples, self.prior, self._restored(kept), fit.rows.noise))
+
+    def _possible(self, terms: Iterable[Candidate]) -> Terms:
+        return tuple(c for c in terms if _place(c) not in self._refuted)
 
     def _completed(self, fit: Fit) -> Fit:
         """Add names, then functions without one, and drop what is not needed."""
@@ -204,7 +133,8 @@ class Search:
         timed = [e for e in self.effects if e.sites(self.robot, (Window(""),)) and not e.sites(self.robot)]
         for _ in range(MOST_WINDOWED if timed else 0):
             samples = fit.rows.samples
-            grid = Grid(samples, candidates(samples.columns, timed, samples.seen, stretches(fit)))
+            offered = candidates(samples.columns, timed, samples.seen, stretches(fit))
+            grid = Grid(samples, self._possible(offered))
             options = [o for o in self.options(fit, grid) if accepted(o.worth)]
             if not options:
                 break
@@ -240,7 +170,7 @@ class Search:
             own, smooth = judged(rest, term), self.smooth(rest, term.place)
             if smooth is not None:
                 lead = gain(own.errors, smooth.errors, fit.rows.counts)
-                if _certain(lead) and lead.total > max(BEATEN_GAIN, BEATEN_PART * smooth.worth.total):
+                if certain(lead) and lead.total > max(BEATEN_GAIN, BEATEN_PART * smooth.worth.total):
                     fit = self.settled(Fit(fit.rows, (*rest.terms, smooth.candidate)))
         return fit
 
@@ -375,6 +305,12 @@ def _uncoloured(fit: Fit) -> Noise:
     return np.zeros_like(fit.rows.noise[0]), np.where(scale > 0, scale, 1.0)
 
 
+def with_term(terms: Terms, added: Candidate) -> Terms:
+    """Add a term; it takes the place of those whose features it contains."""
+    own = set(added.labels)
+    return (*(c for c in terms if c.place != added.place or not set(c.labels) <= own), added)
+
+
 def without(terms: Terms, left_out: Candidate) -> Terms:
     """Return the other terms."""
     return tuple(c for c in terms if c is not left_out)
@@ -382,3 +318,8 @@ def without(terms: Terms, left_out: Candidate) -> Terms:
 
 def _names(terms: Terms) -> list[tuple[str, object]]:
     return [(c.effect.id, c.site) for c in terms]
+
+
+def _place(term: Candidate) -> tuple[object, ...]:
+    """Return an effect and its place, whenever it acts."""
+    return term.effect.id, term.site.joint, term.site.other, term.site.body
