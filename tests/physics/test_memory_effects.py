@@ -282,3 +282,12 @@ def test_what_is_not_plausible() -> None:
     assert Backlash().plausible({"backlash": 0.003, "flight": 0.002}, SCALE)
     assert not Backlash().plausible({"backlash": -0.003, "flight": 0.002}, SCALE)
     assert not Backlash().plausible({"backlash": 0.0003, "flight": 0.02}, SCALE)
+
+
+def test_a_link_without_inertia_crosses_its_play_at_once() -> None:
+    """A fit that is not physical may say so of a link."""
+    load = torch.sin(torch.linspace(0.0, 20.0, 400, dtype=torch.float64))
+    for inertia in (torch.zeros_like(load), -torch.ones_like(load), torch.linspace(-1.0, 1.0, 400).double()):
+        x = deviation(load, inertia, 0.01, 0.02)
+        assert torch.isfinite(x).all()
+        assert x.abs().max() <= 0.01

@@ -32,6 +32,9 @@ from torchrbd.physics.base import CoefficientPrior, Effect, Shape
 from torchrbd.physics.joint_elasticity import slope_along
 from torchrbd.physics.signals import JointScale, Signals, Site
 
+# Of the largest inertia of a motion.
+_LEAST_INERTIA = 1e-6
+
 
 class Backlash(Effect):
     """tau = tau_load(q + x), x from side to side of the play, linear in its width b.
@@ -87,7 +90,9 @@ def deviation(load: Tensor, inertia: Tensor, dt: float, play: float) -> Tensor:
     turned = torch.diff(side, dim=-1, prepend=side[..., :1]) != 0
     left = torch.where(turned, sample, 0).cummax(-1).values
     # In double: the flight is a small difference of integrals over the whole sequence.
-    pull = (-load / inertia.clamp_min(torch.finfo(load.dtype).tiny)).double()
+    # Parameters that no body has may leave an inertia of nothing or less: such a link is over at once.
+    least = _LEAST_INERTIA * inertia.abs().max() + torch.finfo(load.dtype).eps
+    pull = (-load / torch.maximum(inertia, least)).double()
     speed = torch.cumulative_trapezoid(pull, dx=dt, dim=-1)
     speed = torch.nn.functional.pad(speed, (1, 0))
     way = torch.nn.functional.pad(torch.cumulative_trapezoid(speed, dx=dt, dim=-1), (1, 0))

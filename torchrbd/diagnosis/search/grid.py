@@ -62,7 +62,7 @@ class _Group:
         features: list[np.ndarray] = []
         for c in candidates:
             for label, f in zip(c.labels, samples.features(c), strict=True):
-                if label not in self.columns and f.any():
+                if label not in self.columns and f.any() and np.isfinite(f).all():
                     self.columns[label] = len(features)
                     features.append(f)
         self.features = np.array(features)
