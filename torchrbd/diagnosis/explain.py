@@ -107,14 +107,15 @@ def explain(prepared: Prepared, weighed: Sequence[Weighed], model: FittedModel) 
     Returns:
         Findings, the largest gain first.
     """
-    judging = prepared.judging
+    judging, reading = prepared.judging, prepared.reading
+    ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
     after, found = judge(judging, model.x).nmse, []
     for one, term in zip(weighed, model.proper_terms, strict=True):
         if is_smooth(term):
             continue
         rest = [c for c in model.terms if c is not term]
         before = judge(judging, prepared.fit(rest, model.noise_variance).x).nmse
-        found.append(_finding(one, term, model, before, after))
+        found.append(_finding(one, term, model, before, after, ends_s))
     return tuple(sorted(found, key=lambda f: -f.log_evidence_gain))
 
 
@@ -124,8 +125,8 @@ def places(robot: RobotModel, site: Site) -> tuple[tuple[str, ...], tuple[str, .
     return joints, () if site.body is None else (robot.body_names[site.body],)
 
 
-def where(term: Candidate, columns: Columns, quantities: Mapping[str, Quantity]) -> Where:
-    """Return when and in which range of a signal a term acts."""
+def where(term: Candidate, columns: Columns, quantities: Mapping[str, Quantity], ends_s: Mapping[str, float]) -> Where:
+    """Return when and in which range of a signal a term acts; ``ends_s`` are the lengths of the recordings."""
     robot, window, region = columns.robot, term.site.window, None
     bounds = term.effect.region({name: q.value for name, q in quantities.items()}, columns.scale(term.site))
     if bounds is not None and term.site.joint is not None:
@@ -133,11 +134,17 @@ def where(term: Candidate, columns: Columns, quantities: Mapping[str, Quantity])
     if window is None:
         return Where(region=region)
     whole = math.isinf(window.start_s) and math.isinf(window.end_s)
-    return Where((window.recording,), None if whole else ((window.start_s, window.end_s),), region)
+    span = round(max(window.start_s, 0.0), 2), round(min(window.end_s, ends_s[window.recording]), 2)
+    return Where((window.recording,), None if whole else (span,), region)
 
 
 def _finding(
-    one: Weighed, term: Candidate, model: FittedModel, before: Mapping[str, float], after: Mapping[str, float]
+    one: Weighed,
+    term: Candidate,
+    model: FittedModel,
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+    ends_s: Mapping[str, float],
 ) -> Finding:
     columns, robot = model.columns, model.columns.robot
     joints, links = places(robot, term.site)
@@ -159,7 +166,7 @@ def _finding(
         probability=one.probability,
         log_evidence_gain=one.worth.total,
         parameters=quantities,
-        where=where(term, columns, quantities),
+        where=where(term, columns, quantities, ends_s),
         indistinguishable_from=tuple(dict.fromkeys(alike)),
         nmse_before={name: value for name, value in before.items() if name in touched},
         nmse_after={name: value for name, value in after.items() if name in touched},

@@ -24,6 +24,8 @@ from torchrbd.diagnosis.rows.whitening import Noise
 from torchrbd.diagnosis.search.grid import Grid, candidates, fresh_columns, refined
 from torchrbd.diagnosis.search.options import (
     BACKGROUND,
+    LEAST_GAIN,
+    LEAST_WINDOWED_GAIN,
     Option,
     accepted,
     certain,
@@ -135,7 +137,7 @@ class Search:
             samples = fit.rows.samples
             offered = candidates(samples.columns, timed, samples.seen, stretches(fit))
             grid = Grid(samples, self._possible(offered))
-            options = [o for o in self.options(fit, grid) if accepted(o.worth)]
+            options = [o for o in self.options(fit, grid) if accepted(o.worth, LEAST_WINDOWED_GAIN)]
             if not options:
                 break
             terms = (*fit.terms, preferred(fit, options).candidate)
@@ -209,7 +211,8 @@ class Search:
                 continue
             rest = Fit(fit.rows, self._restored(without(fit.terms, term)))
             if is_smooth(term) or term.site.window is not None:
-                fit = fit if accepted(judged(rest, term).worth) else rest
+                least = LEAST_GAIN if term.site.window is None or is_smooth(term) else LEAST_WINDOWED_GAIN
+                fit = fit if accepted(judged(rest, term).worth, least) else rest
                 continue
             options = [o for o in (*self.options(rest), judged(rest, refined(rest, term))) if accepted(o.worth)]
             fit = Fit(fit.rows, with_term(rest.terms, preferred(rest, options).candidate)) if options else rest
