@@ -13,7 +13,7 @@ from scipy.signal import cont2discrete, lfilter
 from torch.autograd import gradcheck
 
 from torchrbd.physics import Signals, Site, Term, effect, effects
-from torchrbd.physics.plain_friction import PARTS, SEEN_BY, plain_friction
+from torchrbd.physics.plain_friction import PARTS, plain_friction
 
 VISCOUS, COULOMB, OFFSET, WIDTH = 1.5, 3.0, 0.7, 0.05
 FRICTION = torch.tensor([[0.3, 1.0, -0.4], [0.0, 2.0, 0.1], [0.7, 0.0, 0.0]], dtype=torch.float64)
@@ -70,7 +70,7 @@ def test_supplied_is_load_and_friction_at_every_joint() -> None:
 
 
 @pytest.mark.parametrize("name", effects())
-def test_effects_that_see_friction_are_those_listed(name: str) -> None:
+def test_effects_that_see_friction_say_so(name: str) -> None:
     one, at = effect(name), signals(*states(40))
     site, shape = site_of(one), dict(one.shapes(SCALE)[0])
     if "limit" in shape:
@@ -78,11 +78,11 @@ def test_effects_that_see_friction_are_those_listed(name: str) -> None:
     before = one.features(at, site, shape).values()
     after = one.features(replace(at, friction=FRICTION), site, shape).values()
     seen = not all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
-    assert seen == (name in SEEN_BY)
+    assert seen == one.sees_friction
     assert not seen or one.uses_load
 
 
-@pytest.mark.parametrize("name", sorted(SEEN_BY))
+@pytest.mark.parametrize("name", [name for name, one in effects().items() if one.sees_friction])
 def test_gradients_by_friction_and_states(name: str) -> None:
     one, x = effect(name), tuple(v.requires_grad_() for v in states(6))
     site, shape = site_of(one), {k: 0.8 if k == "limit" else 0.013 for k in one.shapes(SCALE)[0]}

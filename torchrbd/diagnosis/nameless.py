@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from torchrbd.diagnosis.results import Curve, Location, Region, Unexplained, Where
+from torchrbd.diagnosis.curves import fitted_curve
+from torchrbd.diagnosis.results import Location, Region, Unexplained, Where
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.select import without
 from torchrbd.diagnosis.search.unnamed import depends_on, is_smooth
 from torchrbd.diagnosis.words import joined, number, percent
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.physical.terms import term_parameters
 
 # A function acts where it is above this part of its largest departure from its middle.
 _ACTS = 0.5
@@ -40,7 +40,7 @@ def _described(fit: Fit, searched: Candidate, model: FittedModel, term: Candidat
     rest = Fit(fit.rows, without(fit.terms, searched))
     share = 1.0 - float(fit.errors[:, joint].sum() / max(rest.errors[:, joint].sum(), 1e-300))
     signals = depends_on(term, robot.joint_names)
-    curve = _curve(model, term, signals[0])
+    curve = fitted_curve(model, term)
     window, region = term.site.window, None
     if curve is not None and signals[0] != "t":
         region = (Region(signals[0], *_loud(np.array(curve.at), np.array(curve.torque))),)
@@ -57,16 +57,6 @@ def _described(fit: Fit, searched: Candidate, model: FittedModel, term: Candidat
     return Unexplained((name,), signals, where, max(share, 0.0), statement + ".", curve)
 
 
-def _curve(model: FittedModel, term: Candidate, signal: str) -> Curve | None:
-    """Return the function with its standard deviations at the knots; None if it is one of two signals."""
-    values = [pair for name, pair in term_parameters(model, term).items() if name.startswith("value_")]
-    if "own_low" in term.shape:
-        return None
-    at = np.linspace(term.shape["low"], term.shape["high"], len(values))
-    torque, std = zip(*values, strict=True)
-    return Curve(signal, tuple(at.tolist()), torque, std)
-
-
 def _loud(at: np.ndarray, torque: np.ndarray) -> tuple[float, float]:
     """Return the interval around the largest departure from the median in which it stays above half of that."""
     size = np.abs(torque - np.median(torque))
@@ -75,5 +65,4 @@ def _loud(at: np.ndarray, torque: np.ndarray) -> tuple[float, float]:
         low -= 1
     while high < len(size) - 1 and size[high + 1] > _ACTS * size.max():
         high += 1
-    step = 0.5 * (at[1] - at[0])
-    return max(at[low] - step, at[0]), min(at[high] + step, at[-1])
+    return float(at[low]), float(at[high])

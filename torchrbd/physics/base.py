@@ -67,6 +67,7 @@ class Effect(ABC):
         dissipative: True if tau qd >= 0 for plausible parameters.
         whole_robot: True if one coefficient adds to the torque of several joints.
         uses_load: True if the features depend on the rigid body's torque, and so on the inertial parameters.
+        sees_friction: True if the features depend on the plain friction beside that torque (``Signals.supplied``).
         prior: what is believed of the coefficients.
         needs: what a recording must hold beside positions and torques, in words.
         export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
@@ -80,6 +81,7 @@ class Effect(ABC):
     dissipative: ClassVar[bool] = False
     whole_robot: ClassVar[bool] = False
     uses_load: ClassVar[bool] = False
+    sees_friction: ClassVar[bool] = False
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
     needs: ClassVar[str] = ""
     export_note: ClassVar[str] = ""

@@ -25,8 +25,6 @@ PARTS: dict[str, tuple[tuple[float, float, float], ...]] = {
     "time_varying_friction": _COULOMB_AND_MORE,
     "position_dependent_friction": _COULOMB_AND_MORE,
 }
-# Effects whose features depend on it.
-SEEN_BY = frozenset({"torque_saturation", "time_delay", "actuator_lag"})
 
 
 def plain_friction(n_dof: int, terms: Iterable[tuple[str, int | None, Tensor]]) -> Tensor:

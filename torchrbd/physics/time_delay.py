@@ -31,6 +31,7 @@ class TimeDelay(Effect):
     complexity = 2
     whole_robot = True
     uses_load = True
+    sees_friction = True
     prior = CoefficientPrior("Some samples of a field bus, early or late.", std=(0.02,))
     export_note = "delays need a history: nsample = delay / timestep; of one joint or, for the whole robot, of all"
     _STEPS_S, _LARGEST_S, _MOST_APART = (-0.08, -0.04, -0.015, 0.015, 0.04, 0.08), 0.1, 3.0

@@ -30,6 +30,7 @@ class TorqueSaturation(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"limit": "{tau}", "slope": "1"}
     complexity = 2
     uses_load = True
+    sees_friction = True
     drawn_over = "load"
     prior = CoefficientPrior("From a clipped reading to an actuator that gives half of what is asked.", std=(1.0,))
     export_note = "a hard limit in place of a gradual one: of the actuator, or of the reading if the slope is negative"

@@ -124,14 +124,14 @@ def test_a_torque_that_the_model_can_imitate_has_nothing_left(fit: Fit) -> None:
 def test_features_of_the_load_are_built_anew_and_others_kept(samples: Samples) -> None:
     loaded, plain = added(samples, "load_dependent_friction", 1), added(samples, "viscous_friction", 1)
     before = samples.features(loaded), samples.features(plain)
-    heavier = samples.around(2.0 * torch.from_numpy(samples.load_parameters))
+    heavier = samples.around(2.0 * samples.load_parameters)
     np.testing.assert_allclose(heavier.features(loaded), 2.0 * before[0], rtol=1e-9)
     assert heavier.features(plain) is before[1]
 
 
 def test_friction_is_seen_by_effects_on_the_torque(samples: Samples) -> None:
     """Beside the load, band-limited alike, and in the range that limits are sought in."""
-    pi, friction = torch.from_numpy(samples.load_parameters), torch.zeros(4, 3, dtype=torch.float64)
+    pi, friction = samples.load_parameters, torch.zeros(4, 3, dtype=torch.float64)
     friction[1] = torch.tensor([0.4, 2.0, -0.3])
     rubbed = samples.around(pi, friction)
     added = rubbed.supplied(pi, friction) - samples.supplied(pi, None)

@@ -168,6 +168,12 @@ class Fit:
         """Return what the model cannot imitate of whitened columns C (N, ...)."""
         return C - self.X @ cho_solve((self.L, True), self.X.T @ C)
 
+    def coefficients(self, term: Candidate) -> np.ndarray:
+        """Return the coefficients w (K,) of a term in their own units."""
+        first = self.rows.X.shape[1]
+        z = self.x[[first + self.places.index((term.place, label)) for label in term.labels]]
+        return z * self.rows.widths(term.place, self.rows.samples.features(term))
+
     def leftover(self) -> np.ndarray:
         """Return the leftover as it is, (n, M) [N m] or [N]."""
         samples, rows = self.rows.samples, self.rows
@@ -175,11 +181,10 @@ class Fit:
         value = dict(zip(self.places, self.x[rows.X.shape[1] :], strict=True))
         done: set[Place] = set()
         for term in self.terms:
-            features = samples.features(term)
-            for label, f, width in zip(term.labels, features, rows.widths(term.place, features), strict=True):
+            for label, f, w in zip(term.labels, samples.features(term), self.coefficients(term), strict=True):
                 place = (term.place, label)
                 if place not in done:
-                    left[slice(None) if term.place is None else term.place] -= value[place] * width * f
+                    left[slice(None) if term.place is None else term.place] -= w * f
                     done.add(place)
         for number, one in enumerate(self.extra):
             w = rows.widths(one.place, one.features) * [value[place] for place in _places(number, one)]

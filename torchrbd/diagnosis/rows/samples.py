@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.ndimage import minimum_filter1d
 
 from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.preparation import Prepared
@@ -93,10 +92,10 @@ class Samples:
         return [bool(m.any()) for m in self.measured]
 
     @property
-    def load_parameters(self) -> np.ndarray:
+    def load_parameters(self) -> torch.Tensor:
         """Inertial parameters (n_params,) that make the load."""
         pi = self.columns.pi
-        return (self.columns.robot.pi if pi is None else pi).numpy()
+        return self.columns.robot.pi if pi is None else pi
 
     def supplied(self, pi: torch.Tensor, friction: torch.Tensor | None) -> np.ndarray:
         """Return the torque (n, M) of a rigid body with pi (n_params,) and of friction (n, 3)."""
@@ -109,8 +108,7 @@ class Samples:
     def sticking(self, levels: torch.Tensor) -> Samples:
         """Return the same samples weighed for joints whose dry friction has these levels (n,), see ``Columns``."""
         columns = self.columns.sticking(levels)
-        # The filter's trace of a stick crosses zero beside it, that of the friction in it elsewhere.
-        parts = [minimum_filter1d(columns.stick_weight(tile.states).sqrt(), 3)[:, tile.kept] for tile in self.tiles]
+        parts = [columns.stick_weight(tile.states).sqrt()[:, tile.kept].numpy() for tile in self.tiles]
         return replace(self, columns=columns, weight=np.concatenate(parts, axis=1))
 
     def around(self, pi: torch.Tensor, friction: torch.Tensor | None = None) -> Samples:

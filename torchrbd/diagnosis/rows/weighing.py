@@ -20,12 +20,11 @@ def weighed(fit: Fit) -> Fit:
     for number in range(_ROUNDS):
         samples, rows = fit.rows.samples, fit.rows
         levels = samples.columns.stick_levels.clone()
-        value = dict(zip(fit.places, fit.x[rows.X.shape[1] :], strict=True))
         for term in fit.terms:
             if term.effect.id == "coulomb_friction" and rows.counts[term.joint]:
-                (width,), j = rows.widths(term.place, samples.features(term)), term.joint
+                (coulomb,), j = fit.coefficients(term), term.joint
                 filters, scale = rows.noise[0][j], rows.noise[1][j]
-                level = abs(value[term.place, term.labels[0]] * width) / np.sqrt(autocovariance(filters, scale)[0])
+                level = abs(coulomb) / np.sqrt(autocovariance(filters, scale)[0])
                 # Joints whose friction the first fit is not sure of have none.
                 levels[j] = level if levels[j] > 0 else 0.0
         if number and torch.allclose(levels, samples.columns.stick_levels, rtol=0.1):

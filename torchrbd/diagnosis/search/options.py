@@ -12,6 +12,7 @@ from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import complexity, fresh_columns
 from torchrbd.inference.data.columns import Candidate
+from torchrbd.physics.smooth_torque import SmoothTorque
 
 # Over 46 development cases of the concealed benchmark with nothing but friction, the best of some 2500 candidates and
 # smooth functions gained 19.8 with t 2.7, 15.5 (1.7), 14.1 (2.2), 13.0 (2.0); without the best two blocks 10.1, 7.8.
@@ -44,6 +45,12 @@ def judged(fit: Fit, candidate: Candidate) -> Option:
     return Option(candidate, errors, gain(fit.errors, errors, fit.rows.counts))
 
 
+def least_gain(candidate: Candidate) -> float:
+    """Return the gain that a candidate needs: more for an effect at a time that the leftover itself has shown."""
+    timed = candidate.site.window is not None and not isinstance(candidate.effect, SmoothTorque)
+    return LEAST_WINDOWED_GAIN if timed else LEAST_GAIN
+
+
 def accepted(worth: Gain, least: float = LEAST_GAIN) -> bool:
     """Say whether a gain is enough, and no accident of a few blocks."""
     return worth.total > least and (worth.t > LEAST_T or worth.repeated > LEAST_REPEATED)
@@ -57,6 +64,11 @@ def clearly_worse(lead: Gain, best: float) -> bool:
 def certain(lead: Gain) -> bool:
     """Say whether a lead is no chance."""
     return lead.t > CLOSE_STD or lead.repeated > CLOSE_REPEATED
+
+
+def takes(option: Option) -> bool:
+    """Say whether an option is accepted."""
+    return accepted(option.worth, least_gain(option.candidate))
 
 
 def coefficients(fit: Fit, candidate: Candidate) -> list[float]:

@@ -24,21 +24,20 @@ from torchrbd.diagnosis.rows.whitening import Noise
 from torchrbd.diagnosis.search.grid import Grid, candidates, fresh_columns, refined
 from torchrbd.diagnosis.search.options import (
     BACKGROUND,
-    LEAST_GAIN,
-    LEAST_WINDOWED_GAIN,
     Option,
     accepted,
     certain,
     judged,
+    least_gain,
     matters,
     plausible,
     preferred,
+    takes,
 )
 from torchrbd.diagnosis.search.unnamed import is_smooth, smooth_candidates
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.prior import Prior
 from torchrbd.physics import Effect, Site, Window, effect
-from torchrbd.physics.plain_friction import SEEN_BY
 from torchrbd.robot import RobotModel
 
 # Change of the load, in parts of a joint's torque, from which on features are built anew.
@@ -137,7 +136,7 @@ class Search:
             samples = fit.rows.samples
             offered = candidates(samples.columns, timed, samples.seen, stretches(fit))
             grid = Grid(samples, self._possible(offered))
-            options = [o for o in self.options(fit, grid) if accepted(o.worth, LEAST_WINDOWED_GAIN)]
+            options = [o for o in self.options(fit, grid) if takes(o)]
             if not options:
                 break
             terms = (*fit.terms, preferred(fit, options).candidate)
@@ -155,7 +154,7 @@ class Search:
         ranked = [one.candidate for one in self._smooth_grid(fit).screened(fit) if one.score > 0]
         offered = [c for c in ranked if joint in (None, c.place)][:SHORTLIST]
         options = [judged(fit, c) for c in offered]
-        return max((o for o in options if accepted(o.worth)), key=lambda o: o.worth.total, default=None)
+        return max((o for o in options if takes(o)), key=lambda o: o.worth.total, default=None)
 
     def _smooth_grid(self, fit: Fit) -> Grid:
         samples = fit.rows.samples
@@ -179,10 +178,9 @@ class Search:
     def loaded(self, fit: Fit) -> Fit:
         """Return a fit whose features see the load and the friction that it has found."""
         samples = fit.rows.samples
-        pi = samples.columns.pi if samples.columns.pi is not None else fit.rows.prior.reference[: len(fit.pi)]
         friction = _friction(fit)
         fresh = friction if samples.columns.friction is None else friction - samples.columns.friction
-        change = np.sqrt(np.mean(samples.supplied(fit.pi - pi, fresh) ** 2, axis=1))
+        change = np.sqrt(np.mean(samples.supplied(fit.pi - samples.load_parameters, fresh) ** 2, axis=1))
         if not (change > LOAD_CHANGE * np.sqrt(np.mean(samples.tau**2, axis=1))).any():
             return fit
         self.grid = Grid(samples.around(fit.pi, friction), self.grid.candidates)
@@ -198,7 +196,7 @@ class Search:
 
     def acceptable(self, fit: Fit) -> list[Option]:
         """Return the additions that are accepted, the one to prefer first."""
-        options = [o for o in self.options(fit) if accepted(o.worth)]
+        options = [o for o in self.options(fit) if takes(o)]
         if not options:
             return []
         first = preferred(fit, options)
@@ -211,10 +209,9 @@ class Search:
                 continue
             rest = Fit(fit.rows, self._restored(without(fit.terms, term)))
             if is_smooth(term) or term.site.window is not None:
-                least = LEAST_GAIN if term.site.window is None or is_smooth(term) else LEAST_WINDOWED_GAIN
-                fit = fit if accepted(judged(rest, term).worth, least) else rest
+                fit = fit if takes(judged(rest, term)) else rest
                 continue
-            options = [o for o in (*self.options(rest), judged(rest, refined(rest, term))) if accepted(o.worth)]
+            options = [o for o in (*self.options(rest), judged(rest, refined(rest, term))) if takes(o)]
             fit = Fit(fit.rows, with_term(rest.terms, preferred(rest, options).candidate)) if options else rest
         return fitted(fit.rows.samples, self.prior, fit.terms, fit.rows.noise)
 
@@ -239,7 +236,7 @@ class Search:
             rest = {c: self._adapted(fit, without(fit.terms, c), c.place) for c in fit.terms}
             worth = {c: _lost(fit, r) for c, r in rest.items()}
             sound = [c for c in fit.terms if self._allowed(c) and plausible(fit, c)]
-            idle = [c for c in fit.terms if c not in sound or not accepted(worth[c])]
+            idle = [c for c in fit.terms if c not in sound or not accepted(worth[c], least_gain(c))]
             normal = [c for c in idle if c in self.background and c in sound]
             if normal:
                 raw = Fit(plain, fit.terms)
@@ -286,12 +283,12 @@ def _friction(fit: Fit) -> torch.Tensor:
     """
     rows = fit.rows
     columns = rows.samples.columns.of_candidates(fit.terms, None)
-    value, x = dict(zip(fit.places, fit.x[rows.X.shape[1] :], strict=True)), columns.reference()
+    known = columns.reference()
+    x = known.clone()
     for term in fit.terms:
-        widths = rows.widths(term.place, rows.samples.features(term))
-        for label, width in zip(term.labels, widths, strict=True):
-            x[columns.index(term.place, label)] += value.pop((term.place, label), 0.0) * width
-    seen = [c.site.joint for c in fit.terms if c.effect.id in SEEN_BY]
+        index = columns.of(term)
+        x[index] = known[index] + torch.from_numpy(fit.coefficients(term))
+    seen = [c.site.joint for c in fit.terms if c.effect.sees_friction]
     where = [None in seen or joint in seen for joint in range(len(rows.parts))]
     return columns.friction_of(fit.terms, x) * torch.tensor(where).unsqueeze(1)
 

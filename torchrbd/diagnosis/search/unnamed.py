@@ -19,7 +19,7 @@ def smooth_candidates(samples: Samples, measured: Sequence[bool]) -> Iterator[Ca
     """Yield functions of each signal, with knots over the range that the samples cover."""
     columns = samples.columns
     recordings = [(k, Window(samples.recordings[k])) for k in np.unique(samples.recording)]
-    load = np.stack([samples.rigid[j] @ samples.load_parameters for j in range(len(samples.tau))])
+    load = samples.supplied(samples.load_parameters, None)
     signals = {"q": samples.q, "qd": samples.qd, "qdd": samples.qdd, "load": load}
     for effect in SMOOTH:
         for site in effect.sites(columns.robot, [w for _, w in recordings]):

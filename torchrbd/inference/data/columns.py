@@ -196,7 +196,9 @@ class Columns:
 
     def stick_weight(self, states: States) -> Tensor:
         """Return what the samples of a tile count, (n_dof, M): less where a joint with dry friction may stick."""
-        unknown = states.decimate(undetermined(states.qd, self._rest_width))
+        unknown = states.decimate(undetermined(states.qd, self._rest_width)).abs()
+        # The filter's trace of a stick crosses zero beside it, that of the friction in it elsewhere.
+        unknown = torch.nn.functional.max_pool1d(unknown, 3, stride=1, padding=1)
         return stick_weight(unknown, self.stick_levels)
 
     def signals(self, states: States) -> Signals:
