@@ -1,23 +1,22 @@
-"""The figures of the README that come from real robots; each recording is left out in turn and judged.
+"""Recordings of real robots, and diagnoses of them with each recording left out in turn.
 
-    TORCHRBD_DATA=/path/to/recordings python examples/real_recordings.py
-
-TORCHRBD_DATA names a folder with ``kuka_kr300`` and ``dfki_double_pendulum``: robot URDFs and recordings as CSV with
-the columns ``t, q_<joint>, tau_<joint>``, from github.com/JonasWeigand/Robot_Identification (MIT) and
-github.com/dfki-ric-underactuated-lab/double_pendulum (BSD-3-Clause).
+The environment variable TORCHRBD_DATA names a folder with ``kuka_kr300``, ``dfki_double_pendulum`` and
+``dfki_pendulum``: robot URDFs and recordings as CSV with the columns ``t, q_<joint>, tau_<joint>``, from
+github.com/JonasWeigand/Robot_Identification (MIT), github.com/dfki-ric-underactuated-lab/double_pendulum and
+.../torque_limited_simple_pendulum (BSD-3-Clause).
 """
 
 from __future__ import annotations
 
 import os
 import re
-import sys
+import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+from scipy.interpolate import CubicSpline
 
 import torchrbd
 from torchrbd import Diagnosis
@@ -49,7 +48,7 @@ class LeftOut:
         return np.mean(np.concatenate(errors) ** 2, axis=0) / np.var(np.concatenate(torques), axis=0)
 
 
-def left_out_in_turn(urdf: str | Path, recordings: list[Path], **options) -> LeftOut:
+def left_out_in_turn(urdf: str | Path, recordings: Sequence[Path], **options) -> LeftOut:
     """Diagnose as often as there are recordings, each time with one of them held out."""
     return LeftOut(
         {
@@ -62,7 +61,45 @@ def left_out_in_turn(urdf: str | Path, recordings: list[Path], **options) -> Lef
 def kuka(folder: Path) -> LeftOut:
     """Diagnose the KUKA KR300, its URDF as published: no friction, no counterbalance."""
     arm = folder / "kuka_kr300"
-    return left_out_in_turn(arm / "robot.urdf", [arm / f"{name}.csv" for name in "ABC"])
+    with tempfile.TemporaryDirectory() as into:
+        return left_out_in_turn(arm / "robot.urdf", with_link_encoders(arm, Path(into)))
+
+
+def with_link_encoders(arm: Path, into: Path) -> list[Path]:
+    """Write the KR300's recordings with the encoders behind its gears, which lie in files of their own, beside."""
+    written = []
+    for name in "ABC":
+        (columns, rows), (more, link) = (table(arm / f"{kind}{name}.csv") for kind in ("", "link_encoder_"))
+        both = np.column_stack((rows, CubicSpline(link[:, 0], link[:, 1:])(rows[:, 0])))
+        written.append(into / f"{name}.csv")
+        np.savetxt(written[-1], both, "%.10g", ",", header=",".join((*columns, *more[1:])), comments="")
+    return written
+
+
+def table(path: Path) -> tuple[list[str], np.ndarray]:
+    """Return the columns' names and the rows of a CSV file."""
+    with path.open() as stream:
+        columns = stream.readline().strip().split(",")
+    return columns, np.loadtxt(path, delimiter=",", skiprows=1)
+
+
+def slopes_on_torque(arm: Path) -> dict[str, tuple[float, float]]:
+    """Return the least and largest torque over encoder difference [N m/rad] of three recordings, with nothing else."""
+    found: dict[str, list[float]] = {}
+    with tempfile.TemporaryDirectory() as into:
+        for path in with_link_encoders(arm, Path(into)):
+            columns, rows = table(path)
+            of = dict(zip(columns, rows.T, strict=True))
+            for joint in (name.removeprefix("q_link_") for name in columns if name.startswith("q_link_")):
+                tau, e = of[f"tau_{joint}"], of[f"q_{joint}"] - of[f"q_link_{joint}"]
+                found.setdefault(joint, []).append(float(np.var(tau) / np.cov(tau, e, bias=True)[0, 1]))
+    return {joint: (min(values), max(values)) for joint, values in found.items()}
+
+
+def recordings_of(folder: Path, design: str) -> list[Path]:
+    """Return recordings of the double pendulum of one design, those with friction compensation left out."""
+    pattern = "A_20220812_*.csv" if design == "A" else "C_20220914_??.csv"
+    return sorted(p for p in (folder / "dfki_double_pendulum").glob(pattern) if "compensated" not in p.name)
 
 
 def double_pendulum(folder: Path, design: str) -> LeftOut:
@@ -73,10 +110,9 @@ def double_pendulum(folder: Path, design: str) -> LeftOut:
         design: "A" starts from the right link lengths and wrong inertials (masses times 0.6, centres of mass times
             1.5); "C" from the URDF of another pendulum, whose links have other lengths.
     """
-    pendulum = folder / "dfki_double_pendulum"
-    recordings = sorted(p for p in pendulum.glob("A_20220812_*.csv") if "compensated" not in p.name)
-    urdf = (pendulum / f"robot_{design}.urdf").read_text()
-    return left_out_in_turn(spoiled(urdf) if design == "A" else urdf, recordings, cutoff_hz=PENDULUM_CUTOFF_HZ)
+    urdf = (folder / "dfki_double_pendulum" / f"robot_{design}.urdf").read_text()
+    start = spoiled(urdf) if design == "A" else urdf
+    return left_out_in_turn(start, recordings_of(folder, "A"), cutoff_hz=PENDULUM_CUTOFF_HZ)
 
 
 def spoiled(urdf: str) -> str:
@@ -91,39 +127,3 @@ def first_moments(diagnosis: Diagnosis, link_length: float) -> dict[str, float]:
     forearm = abs(value["mcz_lower"])
     arm = abs(value["mcz_upper"]) + link_length * value["m_lower"] + forearm
     return dict(zip(PUBLISHED_FIRST_MOMENTS, (arm, forearm), strict=True))
-
-
-def show(title: str, result: LeftOut, out: Console) -> None:
-    """Print errors, findings and what is left unexplained."""
-    first = next(iter(result.diagnoses.values())).identification
-    table = Table(
-        "model", *first.series.joints, "mean", title=f"{title}: held-out nmse, up to {first.cutoff_hz:.3g} Hz"
-    )
-    for model in ("urdf", "rigid_body", "extended"):
-        nmse = result.nmse(model)
-        table.add_row(model.replace("_", " "), *(f"{v:.3f}" for v in nmse), f"{nmse.mean():.4f}")
-    out.print(table)
-    for name, diagnosis in result.diagnoses.items():
-        out.print(f"{name} held out ({diagnosis.verdict}): {diagnosis.statement}", markup=False)
-
-
-def main() -> int:
-    """Print everything."""
-    out = Console(width=120, highlight=False)
-    folder = data_folder()
-    if folder is None:
-        out.print("Set TORCHRBD_DATA to the folder of the recordings; see the head of this file for their sources.")
-        return 2
-    show("KUKA KR300", kuka(folder), out)
-    for design, words in (("A", "right lengths, wrong inertials"), ("C", "wrong lengths")):
-        result = double_pendulum(folder, design)
-        show(f"Double pendulum, URDF with {words}", result, out)
-        moments = [first_moments(d, LINK_LENGTH[design]) for d in result.diagnoses.values()]
-        for name, published in PUBLISHED_FIRST_MOMENTS.items():
-            values = [m[name] for m in moments]
-            out.print(f"first moment, {name}: {min(values):.3f} to {max(values):.3f} kg m, published {published:.3f}")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

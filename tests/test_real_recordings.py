@@ -30,15 +30,39 @@ def check_kuka(diagnosis: Diagnosis) -> None:
     assert joints_with_friction(diagnosis) == {f"A{k}" for k in range(1, 7)}
 
 
-def test_kuka_one_split(folder: Path) -> None:
+def check_gears(diagnosis: Diagnosis) -> None:
+    """The second encoders are read 3 ms late, and tell of springs three and more times as stiff as without that."""
+    assert [d.joint for d in diagnosis.deflections] == ["A1", "A2", "A3"]
+    springs = [d for d in diagnosis.deflections if d.stiffness is not None]
+    assert len(springs) >= 2
+    for d in diagnosis.deflections:
+        assert d.delay.value == pytest.approx(3e-3, abs=2e-4)
+        assert d.stiffness_at_least > 4e6
+    for d in springs:
+        assert d.nmse_after < 1.2 * d.nmse_before
+    named = [f.joints[0] for f in diagnosis.findings if f.effect == "joint_elasticity"]
+    assert sorted(named) == [d.joint for d in springs]
+
+
+def test_kuka_one_split(folder: Path, tmp_path: Path) -> None:
     arm = folder / "kuka_kr300"
-    check_kuka(torchrbd.diagnose(arm / "robot.urdf", [arm / "A.csv", arm / "B.csv"], holdout=[arm / "C.csv"]))
+    *recordings, judged = real.with_link_encoders(arm, tmp_path)
+    diagnosis = torchrbd.diagnose(arm / "robot.urdf", recordings, holdout=[judged])
+    check_kuka(diagnosis)
+    check_gears(diagnosis)
+
+
+def test_kuka_encoders_against_torque(folder: Path) -> None:
+    """What a regression on torque alone says, which takes the delay for a spring."""
+    for least, most in real.slopes_on_torque(folder / "kuka_kr300").values():
+        assert 1e6 < least < most < 4e6
 
 
 @pytest.mark.slow
 def test_kuka_all_splits(folder: Path) -> None:
     for diagnosis in real.kuka(folder).diagnoses.values():
         check_kuka(diagnosis)
+        check_gears(diagnosis)
 
 
 @pytest.mark.slow

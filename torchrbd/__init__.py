@@ -5,7 +5,7 @@ diagnosis = torchrbd.diagnose("robot.urdf", ["recording.csv"])
 model = diagnosis.identification.model          # an nn.Module: tau = model(q, qd, qdd)
 """
 
-from torchrbd.diagnosis import Diagnosis, Finding, diagnose
+from torchrbd.diagnosis import Comparison, Diagnosis, Finding, compare, diagnose
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.export import load_model, save_model, to_urdf
 from torchrbd.inference import EstimatorComparison, Identification, Settings, compare_estimators, identify
@@ -18,6 +18,7 @@ from torchrbd.robot import RobotModel
 __version__ = "0.1.0"
 
 __all__ = [
+    "Comparison",
     "Diagnosis",
     "EstimatorComparison",
     "Finding",
@@ -32,6 +33,7 @@ __all__ = [
     "RobotModel",
     "Settings",
     "TorchRBDError",
+    "compare",
     "compare_estimators",
     "diagnose",
     "effects",

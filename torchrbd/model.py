@@ -80,7 +80,13 @@ class RigidBodyDynamics(nn.Module):
         return (self.constant_pi + trained).flatten()
 
     def forward(
-        self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None = None, temperature: Tensor | None = None
+        self,
+        q: Tensor,
+        qd: Tensor,
+        qdd: Tensor,
+        t: Tensor | None = None,
+        temperature: Tensor | None = None,
+        recording: str | None = None,
     ) -> Tensor:
         """Return the torque that the actuators must supply.
 
@@ -89,20 +95,30 @@ class RigidBodyDynamics(nn.Module):
             t: (N,) evenly spaced times of the last batch dimension [s], or one time; only effects with memory or that
                 depend on time need it.
             temperature: (*batch, n_dof) of the joints [deg C]; without it thermal effects are zero.
+            recording: the one in whose condition the robot is; without it, what acts in some only is zero.
 
         Returns:
             (*batch, n_dof), [N m] or [N].
         """
-        return self.robot.inverse_dynamics(q, qd, qdd, self.pi.to(q)) + self.term_torque(q, qd, qdd, t, temperature)
+        added = self.term_torque(q, qd, qdd, t, temperature, recording)
+        return self.robot.inverse_dynamics(q, qd, qdd, self.pi.to(q)) + added
 
     def term_torque(
-        self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None = None, temperature: Tensor | None = None
+        self,
+        q: Tensor,
+        qd: Tensor,
+        qdd: Tensor,
+        t: Tensor | None = None,
+        temperature: Tensor | None = None,
+        recording: str | None = None,
     ) -> Tensor:
         """Return what the terms add, (*batch, n_dof); arguments as in ``forward``."""
         q, qd, qdd = (x.movedim(-1, 0) for x in torch.broadcast_tensors(q, qd, qdd))
         warm = None if temperature is None else temperature.movedim(-1, 0)
-        friction = plain_friction(self.robot.n_dof, ((t.effect.id, t.site.joint, t.coefficients) for t in self.terms))
-        signals = Signals(self.robot, q, qd, qdd, self.rest_width, self.pi, t, temperature=warm, friction=friction)
+        plain = ((term.effect.id, term.site.joint, term.coefficients) for term in self.terms if term.site.always)
+        friction = plain_friction(self.robot.n_dof, plain)
+        known = (self.rest_width, self.pi, t, recording, warm, friction)
+        signals = Signals(self.robot, q, qd, qdd, *known)
         torques = list(torch.zeros_like(signals.q).unbind(0))
         for term in self.terms:
             added = term(signals)
@@ -112,7 +128,13 @@ class RigidBodyDynamics(nn.Module):
         return torch.stack(torques, -1)
 
     def forward_dynamics(
-        self, q: Tensor, qd: Tensor, tau: Tensor, t: Tensor | None = None, temperature: Tensor | None = None
+        self,
+        q: Tensor,
+        qd: Tensor,
+        tau: Tensor,
+        t: Tensor | None = None,
+        temperature: Tensor | None = None,
+        recording: str | None = None,
     ) -> Tensor:
         """Return the acceleration qdd (*batch, n_dof) that a torque causes.
 
@@ -123,7 +145,7 @@ class RigidBodyDynamics(nn.Module):
         Args:
             q, qd, tau: (*batch, n_dof).
             t: (N,) times of the last batch dimension, or one time [s]; only effects that depend on time need it.
-            temperature: as in ``forward``.
+            temperature, recording: as in ``forward``.
 
         Raises:
             InputError: a term has memory: its torque is not one of the present state.
@@ -133,7 +155,7 @@ class RigidBodyDynamics(nn.Module):
         unit = torch.eye(self.robot.n_dof, dtype=q.dtype, device=q.device)
         tries = torch.cat((torch.zeros_like(unit[:1]), unit)).reshape(-1, *[1] * (q.ndim - 1), len(unit))
         instants = t.unsqueeze(0) if t is not None and t.ndim else t
-        still, *moved = self.term_torque(q, qd, tries, instants, temperature)
+        still, *moved = self.term_torque(q, qd, tries, instants, temperature, recording)
         mass = self.robot.mass_matrix(q, self.pi.to(q)) + torch.stack([one - still for one in moved], -1)
         factor, info = torch.linalg.cholesky_ex(mass)
         if bool((info != 0).any()):

@@ -140,9 +140,11 @@ def score_injected(truth: Json, diagnosis: Json, baseline: Json, seconds: float)
 def _effect_score(true: Json, diagnosis: Json, truth: Json, named: tuple[Json, Judgement] | None) -> EffectScore:
     finding, judgement = named or (None, None)
     own, links = set(true["joints"]), set(true["links"])
-    left = [u for u in diagnosis.get("unexplained", ()) if own & set(u["joints"])]
+    # What acts on a link shows at the joints that it moves.
+    felt = own or {j for j, size in (true.get("size_by_joint") or {}).items() if size > LEAST_SIZE}
+    left = [u for u in diagnosis.get("unexplained", ()) if felt & set(u["joints"])]
     at_joint = [f for f in diagnosis.get("findings", ()) if own & set(f["joints"]) and f is not finding]
-    placed = [x for x in _located(diagnosis) if own & set(x["joints"]) or links & set(x["links"])]
+    placed = [x for x in _located(diagnosis) if felt & set(x["joints"]) or links & set(x["links"])]
     unnamed = [*left, *_not_background(at_joint, truth)]
     reports = [*([finding] if finding is not None else unnamed), *placed]
     same = any(a["effect"] == RIGID_BODY for a in true.get("indistinguishable", ()))

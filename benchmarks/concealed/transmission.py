@@ -43,9 +43,10 @@ class ActuatorLag(Effect):
         self._acting = now.load.copy()
 
     def drive(self, now: Now, acting: np.ndarray) -> None:
-        joints = self._joints(len(acting))
-        self._acting += -np.expm1(-now.h / self.strength) * (acting - self._acting)
-        acting[joints] = self._acting[joints]
+        joints, before = self._joints(len(acting)), self._acting
+        self._acting = before - np.expm1(-now.h / self.strength) * (acting - before)
+        # The mean over the step: with its end alone the lag would be half a step shorter.
+        acting[joints] = 0.5 * (before + self._acting)[joints]
 
     def parameters(self, x: Motion) -> dict[str, float]:
         return {"time_constant": self.strength}

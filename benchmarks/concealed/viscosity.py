@@ -101,8 +101,10 @@ class ThermalViscosity(Wet):
         return self.strength * np.exp(-self.per_kelvin * (x.temperature[..., self.joint] - 40.0))
 
     def parameters(self, x: Motion) -> dict[str, float]:
-        """Return the slope of the rate at the mean temperature: what a line through it shows."""
-        return {"viscous_per_kelvin": self.per_kelvin * float(np.mean(self.rate(x)))}
+        """Return what the rate falls per kelvin along the line through it that errs least in torque."""
+        speed = np.abs(x.qd[:, self.joint])
+        slope, _ = np.polyfit(x.temperature[:, self.joint], self.rate(x), 1, w=speed)
+        return {"viscous_per_kelvin": -float(slope)}
 
     def depends_on(self, robot: Robot) -> list[str]:
         return [f"{signal}_{robot.joints[self.joint]}" for signal in ("temperature", "qd")]

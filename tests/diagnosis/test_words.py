@@ -112,7 +112,7 @@ def test_every_kind_of_place_is_named_in_the_verdict() -> None:
     )
     assert told.startswith(
         "The URDF leaves out a payload on hand (in load.csv, 2.0 to 8.0 s), "
-        "an external force or moment on link2 (in b.csv), a coupling to joint1's position at joint3, "
+        "an external force or moment on link2 (only in b.csv), a coupling to joint1's position at joint3, "
         "a tilted base and a time delay of the torque. "
     )
     assert told.endswith("Something is left unexplained at joint5 and joint6.")
@@ -149,6 +149,13 @@ def test_unlikely_findings_stay_out_of_the_verdict() -> None:
 )  # fmt: skip
 def test_a_sentence_begins_with_place_and_name(one: Finding, begin: str) -> None:
     assert finding_sentence(one).startswith(begin)
+
+
+def test_a_sentence_tells_recordings_and_whether_it_comes_on_top() -> None:
+    one = finding("coulomb_friction", "joint1", where=Where(("a.csv", "b.csv")))
+    begin = "joint1: Coulomb friction (only in a.csv and b.csv), size 1.635 ± 0.008 N m (± 95 %)"
+    assert finding_sentence(one).startswith(f"{begin}.")
+    assert finding_sentence(one, more=True).startswith(f"{begin}, on top of that of all recordings.")
 
 
 def test_a_sentence_holds_the_first_few_of_many_quantities() -> None:

@@ -26,12 +26,14 @@ def read_row(tmp_path, mapping, header, row, joints):
 
 
 def test_motor_drive(tmp_path):
-    header = "stamp,motor_angle,motor_speed,motor_current,rail,force"
+    header = "stamp,motor_angle,motor_speed,motor_current,output_angle,rail,force"
     mapping = read_mapping(CONFIGS / "mapping_motor_drive.yaml")
-    chunk = read_row(tmp_path, mapping, header, "5,9000,60,1500,250,2", ["joint1", "joint2"])
+    chunk = read_row(tmp_path, mapping, header, "5,9000,60,1500,-60,250,2", ["joint1", "joint2"])
     assert chunk.q[0] == pytest.approx([-np.pi / 2 + 0.5236, 0.25])
     assert chunk.tau[0] == pytest.approx([-1.5 * 0.12 * 100, 2 * 0.98 * 1000])
     assert chunk.qd is None
+    assert chunk.q_link is not None
+    assert chunk.q_link[0] == pytest.approx([-np.pi / 3, np.nan], nan_ok=True)
     assert mapping.source("joint1", 0, "qd").scale == pytest.approx(-2 * np.pi / 60 / 100)
     assert mapping.time.scale == 1e-6
 
@@ -87,7 +89,7 @@ def test_short_form_and_precedence(tmp_path):
         ("joints: {a: {q: {column: x, scale: big}}}", "joints.a.q.scale: expected a number, got 'big'"),
         ("joints: {a: {tau: {current: x}}}", "joints.a.tau: a current needs its torque_constant"),
         ("joints: {a: {q: {current: x}}}", "joints.a.q: unknown key 'current'"),
-        ("joints: {a: 3}", "joints.a: expected q or qd or qdd or tau or q_ref or temperature, got 3"),
+        ("joints: {a: 3}", "joints.a: expected q or qd or qdd or tau or q_ref or q_link or temperature, got 3"),
         ("joints: [a]", r"joints: expected one key for each joint, got \['a'\]"),
         ("joints: {1: {}}", "the key 1 must be text"),
         ("time: {column: t, unit: h}", "time.unit: unknown unit 'h'; valid units are s, ms, us, ns"),

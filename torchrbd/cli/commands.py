@@ -15,13 +15,13 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from torchrbd.cli.options import parser, settings_of
-from torchrbd.cli.tables import print_comparison, print_diagnosis, print_identification
-from torchrbd.diagnosis import Diagnosis, diagnose
+from torchrbd.cli.tables import print_changes, print_comparison, print_diagnosis, print_identification
+from torchrbd.diagnosis import Diagnosis, compare, diagnose
 from torchrbd.errors import OptionError, TorchRBDError
-from torchrbd.export import save_model, to_urdf, write_diagnosis, write_parameters
+from torchrbd.export import save_model, to_urdf, write_changes, write_diagnosis, write_parameters
 from torchrbd.export.json_files import write_comparison
 from torchrbd.inference import EstimatorComparison, Identification, compare_estimators, identify
-from torchrbd.report import write_report
+from torchrbd.report import write_changes_report, write_report
 
 Result = TypeVar("Result", Identification, Diagnosis, EstimatorComparison)
 
@@ -67,6 +67,21 @@ def _demo(options: argparse.Namespace) -> None:
 
 
 def _compare(options: argparse.Namespace) -> None:
+    """Say what changed between two diagnoses, and write it if a folder is given."""
+    result, folder = compare(options.before, options.after), options.output
+    print_changes(result)
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_changes(result, folder / "comparison.json")
+        write_changes_report(result, folder / "comparison.html")
+        _say(f"wrote comparison.json and comparison.html to {folder}")
+
+
+def _say(words: str) -> None:
+    Console(highlight=False, soft_wrap=True).print(words, markup=False)
+
+
+def _compare_estimators(options: argparse.Namespace) -> None:
     _run(partial(compare_estimators, estimators=options.estimators), print_comparison, options)
 
 
@@ -110,6 +125,7 @@ def _write(result: Identification | Diagnosis | EstimatorComparison, folder: Pat
 _RUNS = {
     "identify": partial(_run, identify, print_identification),
     "diagnose": partial(_run, diagnose, print_diagnosis),
-    "compare-estimators": _compare,
+    "compare": _compare,
+    "compare-estimators": _compare_estimators,
     "demo": _demo,
 }

@@ -61,6 +61,18 @@ def parser(runs: Mapping[str, Callable[[argparse.Namespace], None]]) -> argparse
     sub.epilog = _list_of(ESTIMATORS)
     sub = command("diagnose", "Find, name and model what the URDF leaves out.")
     _add_shared(sub, "effects that the search may use (default: all)")
+    sub.add_argument(
+        "--simulated",
+        nargs="+",
+        action="extend",
+        type=Path,
+        metavar="SIM",
+        help="recordings of a simulator with the same commands, one for each RECORDING and then for each --holdout, in "
+        "their order: what differs from the simulation is located and named, in place of what differs from the URDF. "
+        "Where the simulator has other inertials than the URDF, the difference shows up as inertial parameters",
+    )
+    sub = command("compare", "Say what changed between two diagnoses of one robot, and how certain that is.")
+    _add_compare(sub)
     sub = command(
         "compare-estimators",
         "Estimate the parameters with many methods and judge each on held-out data.",
@@ -82,6 +94,17 @@ def parser(runs: Mapping[str, Callable[[argparse.Namespace], None]]) -> argparse
     return top
 
 
+def _add_compare(sub: argparse.ArgumentParser) -> None:
+    for name, words in (("before", "the first"), ("after", "the second")):
+        sub.add_argument(
+            name,
+            type=Path,
+            metavar=name.upper(),
+            help=f"folder that 'diagnose -o' wrote, or its diagnosis.json: {words}",
+        )
+    sub.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder for comparison.json and comparison.html")
+
+
 def _list_of(estimators: Iterable[str]) -> str:
     margin = " " * 15
     lines = (textwrap.fill(f"  {name:<13}{ESTIMATORS[name]}", 78, subsequent_indent=margin) for name in estimators)
@@ -100,7 +123,7 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_requ
         type=Path,
         metavar="RECORDING",
         help="CSV, Parquet or NPZ with columns t [s], q_<joint> [rad, m], tau_<joint> [N m, N], "
-        "optionally qd_<joint>, q_ref_<joint>, temperature_<joint> [degC]",
+        "optionally qd_<joint>, q_ref_<joint>, q_link_<joint> (encoder behind the gear), temperature_<joint> [degC]",
     )
     sub.add_argument(
         "-o", "--output", type=Path, required=output_required, metavar="DIR", help="folder for the results"

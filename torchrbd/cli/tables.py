@@ -8,13 +8,15 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from torchrbd.diagnosis import Diagnosis
-from torchrbd.diagnosis.numbers import number
+from torchrbd.diagnosis import Comparison, Diagnosis
+from torchrbd.diagnosis.compare_words import certainty, signed
+from torchrbd.diagnosis.numbers import number, unit
 from torchrbd.diagnosis.words import named, place, values, when
 from torchrbd.inference import Identification
 from torchrbd.inference.comparison import EstimatorComparison
 from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
-from torchrbd.report.words import VERDICTS, headline, percent
+from torchrbd.report.changes import shown, title
+from torchrbd.report.words import badge, headline, model_words, percent
 
 _COMPARISON_WORDS = (
     "physical? says whether every link has a mass and an inertia that a real body can have; where one has not, the "
@@ -23,12 +25,12 @@ _COMPARISON_WORDS = (
 )
 # A probability from which on the table of plain friction says none.
 SURE = 0.95
-_MODEL_WORDS = {"urdf": "URDF", "rigid_body": "re-fitted", "extended": "extended"}
+_MODEL_WORDS = {"rigid_body": "re-fitted", "extended": "extended"}
 
 
 def print_diagnosis(result: Diagnosis) -> None:
     """Print verdict, findings and fits."""
-    out = _headed(result, result.verdict)
+    out = _headed(result)
     folded = plain_rows(result.findings, result.identification.series.joints)
     in_table = {id(f) for row in folded for f in row.findings}
     special = [f for f in result.findings if id(f) not in in_table]
@@ -42,9 +44,9 @@ def print_diagnosis(result: Diagnosis) -> None:
         out.print(table)
     if folded:
         _print_plain(folded, out)
-    for rest in result.unexplained:
-        out.print(rest.statement, markup=False)
-    _print_fits(result.identification, out)
+    for statement in (*(d.statement for d in result.deflections), *(rest.statement for rest in result.unexplained)):
+        out.print(statement, markup=False)
+    _print_fits(result.identification, out, model_words(result))
 
 
 def _print_plain(rows: Sequence[PlainRow], out: Console) -> None:
@@ -61,21 +63,22 @@ def _print_plain(rows: Sequence[PlainRow], out: Console) -> None:
 
 def print_identification(result: Identification) -> None:
     """Print verdict and fits."""
-    _print_fits(result, _headed(result, result.verdict))
+    _print_fits(result, _headed(result))
 
 
-def _headed(result: Identification | Diagnosis, verdict: str) -> Console:
+def _headed(result: Identification | Diagnosis) -> Console:
     """Print the verdict and its sentence as the report has them, and return where to print the rest."""
     out = Console(highlight=False)
-    out.print(Text.assemble((f"{VERDICTS[verdict][2:]}:", "bold"), " ", " ".join(filter(None, headline(result)))))
+    out.print(Text.assemble((f"{badge(result)[2:]}:", "bold"), " ", " ".join(filter(None, headline(result)))))
     return out
 
 
-def _print_fits(result: Identification, out: Console) -> None:
+def _print_fits(result: Identification, out: Console, model: str = "URDF") -> None:
     """Print what is to be doubted, how well each model predicts held-out torque, the noise, and notes."""
     _print_doubts(result.doubts, out)
     _print_measure(result.held_out, result.cutoff_hz, out)
-    errors = Table(_whole("joint"), *(_right(_MODEL_WORDS[name]) for name in result.fits))
+    words = {"urdf": model, **_MODEL_WORDS}
+    errors = Table(_whole("joint"), *(_right(words[name]) for name in result.fits))
     filtered = result.states == "filtered"
     titles = "position noise", f"torque from position noise{'' if filtered else ', if filtered'}", "torque left over"
     noise = Table(_whole("standard deviation"), *map(_right, titles))
@@ -119,6 +122,26 @@ def _print_doubts(doubts: Iterable[str], out: Console) -> None:
 def _print_notes(notes: Iterable[str], out: Console) -> None:
     for note in notes:
         out.print(f"note: {note}", markup=False)
+
+
+def print_changes(result: Comparison) -> None:
+    """Print what changed between two diagnoses, a row per parameter, what is certain first."""
+    out = Console(highlight=False)
+    out.print(Text.assemble((f"{result.robot}:", "bold"), " ", result.statement))
+    titles = "before", "after", "difference\n± 95 %", "unit", "changed?"
+    table = Table("what", Column("parameter", overflow="fold"), *map(_right, titles))
+    for change in result.changes:
+        for row, (name, d) in enumerate(shown(change)):
+            told = next(q for q in (d.after, d.before) if q is not None)
+            values = ("–" if q is None else number(q.value) for q in (d.before, d.after))
+            difference = signed(d), unit(told.unit), certainty(d.probability)
+            table.add_row(Text(title(change) if row == 0 else ""), Text(name.replace("_", " ")), *values, *difference)
+    if table.row_count:
+        out.print(table)
+    for change in result.changes:
+        if change.verdict != "changed" and not shown(change):
+            out.print(change.statement, markup=False)
+    _print_notes(result.notes, out)
 
 
 def print_comparison(result: EstimatorComparison) -> None:

@@ -1,13 +1,17 @@
 """Diagnosis: what the rigid body leaves out, where, and how sure that is."""
 
+from torchrbd.diagnosis.compare import compare
+from torchrbd.diagnosis.compare_results import Change, Comparison, Difference
 from torchrbd.diagnosis.diagnose import diagnose
 from torchrbd.diagnosis.results import (
     Alternative,
     Attack,
     Curve,
+    Deflection,
     Diagnosis,
     Finding,
     LeftoverMap,
+    Limit,
     Location,
     Quantity,
     Region,
@@ -18,14 +22,20 @@ from torchrbd.diagnosis.results import (
 __all__ = [
     "Alternative",
     "Attack",
+    "Change",
+    "Comparison",
     "Curve",
+    "Deflection",
     "Diagnosis",
+    "Difference",
     "Finding",
     "LeftoverMap",
+    "Limit",
     "Location",
     "Quantity",
     "Region",
     "Unexplained",
     "Where",
+    "compare",
     "diagnose",
 ]

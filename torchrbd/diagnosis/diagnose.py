@@ -8,7 +8,10 @@ from typing import Any
 
 from torch import Tensor
 
+from torchrbd.diagnosis.beside import fit_beside, plain_beside
+from torchrbd.diagnosis.deflection import deflections
 from torchrbd.diagnosis.explain import explain, weigh
+from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
 from torchrbd.diagnosis.nameless import nameless
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
@@ -17,6 +20,7 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.options import BACKGROUND, INSIGNIFICANT, accepted
 from torchrbd.diagnosis.search.select import Search, Terms
+from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.words import verdict_statement
 from torchrbd.errors import OptionError
 from torchrbd.inference.data.columns import Candidate
@@ -26,7 +30,7 @@ from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.terms import term_parameters
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import WITH_INTERVALS
-from torchrbd.inference.shapes.refine import fit_with_shapes, refined_from
+from torchrbd.inference.shapes.refine import refined_from
 from torchrbd.inference.shapes.reread import reread
 from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
@@ -63,15 +67,20 @@ def diagnose(
     models = {"rigid_body": prepared.fit(), "extended": extended}
     identification = summarise(prepared, models, settings, progress)
     progress("weighing the findings", 0.0)
-    findings = explain(prepared, weigh(search, fit), extended)
+    springs = deflections(prepared, extended)
+    findings = with_springs(explain(prepared, weigh(search, fit), extended), springs)
     progress("looking at what is left", 0.0)
     locations, maps = locate(search.start)
     # Plain friction that is too little to be found shall not be located as unexplained either.
     left, more = locate(search.with_background(fit), "extended")
     rest = nameless(fit, extended, left)
     verdict = _verdict(findings, rest, _refit_matters(fit))
-    statement = verdict_statement(verdict, findings, rest, identification.fits)
-    return Diagnosis(identification, verdict, statement, findings, rest, (*locations, *left), (*maps, *more))
+    simulated = tuple(one.name for one in prepared.reading.simulated)
+    model = "simulation" if simulated else "URDF"
+    statement = verdict_statement(verdict, findings, rest, identification.fits, model)
+    absent = limits(search, fit)
+    where = (*locations, *left), (*maps, *more)
+    return Diagnosis(identification, verdict, statement, findings, rest, *where, absent, springs, simulated)
 
 
 def _search(prepared: Prepared, pi: Tensor, effects: Sequence[Effect], progress: Progress) -> Search:
@@ -89,19 +98,20 @@ def _search(prepared: Prepared, pi: Tensor, effects: Sequence[Effect], progress:
 def _extended(prepared: Prepared, search: Search, progress: Progress) -> tuple[Prepared, Fit, FittedModel]:
     """Search, and fit what was found to all that is not held out: physically valid, shapes as fine as the data tells.
 
+    Plain friction that was too little to be found is fitted beside it.
+
     Where a term has parameters that no physics allows then, the search goes on without it.
     """
     fit = search.run()
     while True:
-        columns = fit.rows.samples.columns.of_candidates(fit.terms, fit.pi)
+        terms: Terms = (*fit.terms, *plain_beside(search, fit))
+        columns = fit.rows.samples.columns.of_candidates(terms, fit.pi)
         prepared = reread(prepared, columns, progress)
-        terms: Sequence[Candidate] = fit.terms
         if any(c.effect.uses_load or c.shape for c in terms):
             prepared, terms = refined_from(prepared, terms, progress)
-            model = fit_with_shapes(prepared, terms)
-        else:
-            model = prepared.fit(terms)
-        refuted = [c for c in terms if not _sound(model, c)]
+        found = terms[: len(fit.terms)]
+        model = fit_beside(prepared, found, terms[len(found) :])
+        refuted = [c for c in found if not _sound(model, c)]
         if not refuted:
             return prepared, fit, model
         fit = search.without(fit, refuted)

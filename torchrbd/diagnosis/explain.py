@@ -11,7 +11,7 @@ from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, W
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import complexity, fresh_columns
-from torchrbd.diagnosis.search.options import Option, judged
+from torchrbd.diagnosis.search.options import BACKGROUND, Option, judged
 from torchrbd.diagnosis.search.select import Search, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.diagnosis.words import finding_sentence
@@ -63,12 +63,12 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
     for term in fit.terms:
         rest = Fit(fit.rows, without(fit.terms, term))
         own, rivals = judged(rest, term), []
-        for option in search.options(rest):
+        for option in search.rivals(rest, term):
             c = option.candidate
             if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, rest, term, option):
                 more = complexity(rest, c) - complexity(rest, term)
                 freedom = 0.5 * more * math.log(max(counts.max(), 2))
-                freedom += PLAIN * ((term in search.background) - (c in search.background))
+                freedom += PLAIN * ((term.effect.id in BACKGROUND) - (c.effect.id in BACKGROUND))
                 rivals.append(Rival(c, odds(gain(option.errors, own.errors, counts), freedom)))
         found.append(Weighed(term, own.worth, tuple(rivals)))
     return tuple(found)
@@ -110,7 +110,7 @@ def explain(prepared: Prepared, weighed: Sequence[Weighed], model: FittedModel) 
     judging, reading = prepared.judging, prepared.reading
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
     after, found = judge(judging, model.x).nmse, []
-    for one, term in zip(weighed, model.proper_terms, strict=True):
+    for one, term in zip(weighed, model.proper_terms, strict=False):
         if is_smooth(term):
             continue
         rest = [c for c in model.terms if c is not term]
@@ -132,7 +132,7 @@ def where(term: Candidate, columns: Columns, quantities: Mapping[str, Quantity],
     if bounds is not None and term.site.joint is not None:
         region = (Region(f"q_{robot.joint_names[term.site.joint]}", *bounds),)
     if window is None:
-        return Where(region=region)
+        return Where(term.site.recordings, region=region)
     whole = math.isinf(window.start_s) and math.isinf(window.end_s)
     span = round(max(window.start_s, 0.0), 2), round(min(window.end_s, ends_s[window.recording]), 2)
     return Where((window.recording,), None if whole else (span,), region)
@@ -174,4 +174,8 @@ def _finding(
         depends_on=driven_by(term, robot),
         curve=fitted_curve(model, term),
     )
-    return replace(finding, statement=finding_sentence(finding))
+    everywhere = replace(term.site, recordings=None)
+    more = term.site.recordings is not None and any(
+        (c.effect, c.site) == (term.effect, everywhere) for c in model.proper_terms
+    )
+    return replace(finding, statement=finding_sentence(finding, more=more))

@@ -27,7 +27,7 @@ def nameless(fit: Fit, model: FittedModel, left: Sequence[Location]) -> tuple[Un
         model: the fit with the same terms, in the same order.
         left: what was located in the leftover of the model.
     """
-    pairs = zip(fit.terms, model.proper_terms, strict=True)
+    pairs = zip(fit.terms, model.proper_terms, strict=False)
     found = [_described(fit, searched, model, term) for searched, term in pairs if is_smooth(term)]
     known = {(x.joints, x.depends_on[:1]) for x in found}
     rest = [Unexplained(x.joints, x.depends_on, x.where, max(x.share.values()), x.statement, x.curve) for x in left]

@@ -162,12 +162,105 @@ class LeftoverMap:
 
 
 @dataclass(frozen=True)
+class Limit:
+    """An effect that was looked for and not found: how large it would be beside what was, in its best shape.
+
+    It would have been found some six ``std`` or more away from ``none``, see ``search/options.py``.
+
+    Attributes:
+        effect, joints, links, depends_on: as of a ``Finding``.
+        parameter: the first of its parameters that the data tell.
+        value, std: of that parameter.
+        none: what it is if the effect is not there: zero, one for a gain, Coulomb friction for a static friction.
+        unit: SI unit.
+        shape: its nonlinear parameters, at which this holds.
+    """
+
+    effect: str
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+    depends_on: tuple[str, ...]
+    parameter: str
+    value: float
+    std: float
+    none: float
+    unit: str
+    shape: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Deflection:
+    """What the encoder behind one joint's gear shows.
+
+    Attributes:
+        joint: which.
+        stiffness: of the spring between motor and link, None if none is seen.
+        stiffness_at_least: lower end of its one-sided interval.
+        lost_motion: by what the link stays behind when the motor turns back.
+        delay: how much later than the motor's the link's encoder is read.
+        inertial_share: part of the load, as far as nothing else imitates it, that follows the joint's own acceleration
+            while the model has no rotor inertia there: what of it is the rotor's winds no spring.
+        rms: of the deflection, less its mean in each recording.
+        probability, log_evidence_gain: of the spring, from left-out blocks of the deflection.
+        nmse_before, nmse_after: part of the deflection's variance that stays unpredicted on held-out time, without and
+            with the spring; NaN if nothing is held out.
+        load, deflection, deflection_std: means over parts of the range of the load [N m, N], and of the deflection
+            there [rad, m], without delay, lost motion and errors of the encoders, with its scatter.
+        statement: a sentence for a person.
+    """
+
+    joint: str
+    stiffness: Quantity | None
+    stiffness_at_least: float
+    lost_motion: Quantity
+    delay: Quantity
+    inertial_share: float
+    rms: float
+    probability: float
+    log_evidence_gain: float
+    nmse_before: float
+    nmse_after: float
+    load: tuple[float, ...]
+    deflection: tuple[float, ...]
+    deflection_std: tuple[float, ...]
+    statement: str
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """A ratio with the ends of its interval of 95 %."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What the extended model is worth at one joint, on torque that no fit and no choice has seen.
+
+    Attributes:
+        joint: which.
+        over: by model to compare with, the part of its squared error that the extended model leaves.
+        memory_s: by model, how long its errors stay alike: their integrated autocorrelation time.
+        white_s: the same of white noise below the cut-off.
+    """
+
+    joint: str
+    over: dict[str, Ratio]
+    memory_s: dict[str, float]
+    white_s: float
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """Verdict, findings strongest first, and the identification they belong to.
 
     ``verdict`` is "consistent" (the URDF as given explains the data), "parameters" (a rigid body with other parameters
     does), "missing_physics" (named effects are needed) or "unexplained" (something is left that no known effect
-    explains). ``locations`` say where models and robot differ, named or not; ``maps`` draw the same.
+    explains). ``locations`` say where models and robot differ, named or not; ``maps`` draw the same. ``limits`` say how
+    large what was not found could be, ``deflections`` what encoders behind the gears show. ``simulated`` names the
+    recordings of a simulator that stood for the URDF. ``proofs`` say what the extended model is worth on held-out torque.
     """
 
     identification: Identification
@@ -177,3 +270,7 @@ class Diagnosis:
     unexplained: tuple[Unexplained, ...] = field(default=())
     locations: tuple[Location, ...] = field(default=())
     maps: tuple[LeftoverMap, ...] = field(default=())
+    limits: tuple[Limit, ...] = field(default=())
+    deflections: tuple[Deflection, ...] = field(default=())
+    simulated: tuple[str, ...] = field(default=())
+    proofs: tuple[Proof, ...] = field(default=())

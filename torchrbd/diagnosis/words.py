@@ -67,13 +67,15 @@ def place(item: Finding) -> str:
 
 
 def when(where: Where, units: Mapping[str, str] | None = None) -> str:
-    """Return in which recordings, when and in which region, "in load.csv, 2.0 to 8.0 s"; nothing for everywhere.
+    """Return in which recordings, when and in which region; nothing for everywhere.
+
+    E.g. "only in load.csv", "in load.csv, 2.0 to 8.0 s".
 
     Args:
         where: the place.
         units: of signals, where they are known.
     """
-    parts = [] if where.recordings is None else [f"in {joined(where.recordings)}"]
+    parts = [] if where.recordings is None else [f"{'' if where.time_s else 'only '}in {joined(where.recordings)}"]
     parts += [_span(low, high) for low, high in where.time_s or ()]
     parts += [
         with_unit(f"{r.signal} from {plain(r.low, 3)} to {plain(r.high, 3)}", (units or {}).get(r.signal, ""))
@@ -100,8 +102,13 @@ def values(finding: Finding) -> list[str]:
     return found if len(found) <= _MOST_VALUES else found[:_FEW_VALUES]
 
 
-def finding_sentence(finding: Finding) -> str:
-    """Say what was found, how large it is, what it is worth on held-out time, and what else it could be."""
+def finding_sentence(finding: Finding, *, more: bool = False) -> str:
+    """Say what was found, how large it is, what it is worth on held-out time, and what else it could be.
+
+    Args:
+        finding: what was found.
+        more: whether it comes on top of the same effect in all recordings.
+    """
     quantities, where = finding.parameters.items(), finding.where
     if any(q.value in (r.low, r.high) for _, q in quantities for r in where.region or ()):
         where = Where(where.recordings, where.time_s)
@@ -112,7 +119,8 @@ def finding_sentence(finding: Finding) -> str:
     certain = " (± 95 %)" if any(q.std > 0 for _, q in quantities) else ""
     subject = place(finding) if finding.joints or finding.links else "Whole robot"
     sentence = f"{subject}: {named(finding)}{f' ({inside})' if inside else ''}"
-    sentence += f", {', '.join(told)}{certain}." if told else "."
+    sentence += f", {', '.join(told)}{certain}" if told else ""
+    sentence += ", on top of that of all recordings." if more else "."
     return " ".join(filter(None, (sentence, _worth(finding), _alike(finding))))
 
 
@@ -157,19 +165,23 @@ def alternatives(finding: Finding) -> list[str]:
 
 
 def verdict_statement(
-    verdict: str, findings: Sequence[Finding], rest: Sequence[Unexplained], fits: Mapping[str, Fit]
+    verdict: str,
+    findings: Sequence[Finding],
+    rest: Sequence[Unexplained],
+    fits: Mapping[str, Fit],
+    model: str = "URDF",
 ) -> str:
-    """Say the verdict in one or two sentences."""
+    """Say the verdict in one or two sentences; ``model`` is what the recordings are compared with."""
     urdf, rigid, extended = (percent(fits[name].mean_nmse) for name in ("urdf", "rigid_body", "extended"))
     everywhere = [j for j, nmse in fits["urdf"].nmse.items() if math.isfinite(nmse)]
     open_end = ""
     if rest:
         open_end = f" Something is left unexplained{at([j for u in rest for j in u.joints], (), everywhere)}."
     if verdict == "consistent":
-        return "The URDF as given explains the recordings: nothing is missing that this data could show."
+        return f"The {model} as given explains the recordings: nothing is missing that this data could show."
     if verdict == "parameters":
         return (
-            "A rigid body explains the recordings, but not with the URDF's inertial parameters. "
+            f"A rigid body explains the recordings, but not with the {model}'s inertial parameters. "
             f"Re-fitted ones lower the unpredicted part of the torque variance on held-out time from {urdf} to {rigid}."
         )
     if verdict == "unexplained":
@@ -180,8 +192,8 @@ def verdict_statement(
     usual = _told(plain_ones, everywhere)
     first, second = (special, f" It also {usual}." if usual else "") if special else (usual, "")
     return (
-        f"The URDF {first}.{second} The unpredicted part of the torque variance on held-out time is {urdf} with the "
-        f"URDF, {rigid} with a re-fitted rigid body and {extended} with what was found.{open_end}"
+        f"The {model} {first}.{second} The unpredicted part of the torque variance on held-out time is {urdf} with the "
+        f"{model}, {rigid} with a re-fitted rigid body and {extended} with what was found.{open_end}"
     )
 
 

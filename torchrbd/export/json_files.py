@@ -1,4 +1,4 @@
-"""parameters.json, diagnosis.json and estimators.json, which other tools read: keys are added, never renamed."""
+"""parameters.json, diagnosis.json and the rest of what other tools read: keys are added, never renamed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from torchrbd.diagnosis import Diagnosis
+from torchrbd.diagnosis import Comparison, Diagnosis
 from torchrbd.inference import EstimatorComparison, Identification
 
 SCHEMA = 1
@@ -73,6 +73,15 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
         link's frame, a standard deviation for each) or null, statement.
     leftover_maps: RMS of what a model leaves over the noise, by bins: list of model, signal ("t", "q", "qd"),
         recording, edges and level, a row per joint.
+    limits: what was looked for and not found: list of effect, joints, links, depends_on, and of the first parameter
+        that the data tell: parameter (name), value and std beside what was found, none (what it is if the effect is not
+        there), unit, and shape, the nonlinear parameters at which this holds. Effects that act for a time only, and
+        those that the model imitates, are not among them.
+    deflections: what encoders behind the gears show: list of joint, stiffness (value, std, unit) or null, the stiffness
+        that it has at least, lost_motion, delay, inertial_share of the load, rms of the deflection, probability and
+        log_evidence_gain of the spring, nmse_before and nmse_after of the deflection on held-out time, load, deflection
+        and deflection_std (lists of one length), statement.
+    simulated: recordings of a simulator that stood for the URDF, in the order of the recordings; empty without.
     """
     _write(
         path,
@@ -84,12 +93,29 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
             "unexplained": [asdict(u) for u in result.unexplained],
             "locations": [asdict(x) for x in result.locations],
             "leftover_maps": [asdict(m) for m in result.maps],
+            "limits": [asdict(x) for x in result.limits],
+            "deflections": [asdict(x) for x in result.deflections],
+            "simulated": list(result.simulated),
         },
     )
 
 
 def write_comparison(result: EstimatorComparison, path: Path) -> None:
     """Write the errors of every estimator; "raw" of its parameters as found, "physical" of those made physical."""
+    _write(path, {"schema": SCHEMA, **asdict(result)})
+
+
+def write_changes(result: Comparison, path: Path) -> None:
+    """Write what changed between two diagnoses.
+
+    before, after: what they are called, a path.
+    statement: in a sentence or two.
+    changes: most certain first: list of kind ("finding", "inertia", "unexplained"), effect, joints, links, depends_on,
+        found ("both", "before", "after": in which of the two), verdict ("changed", "unchanged", "open"), probability
+        of a change (null where nobody knows), parameters by name (before and after: value, std, unit, urdf;
+        difference, std, probability), statement.
+    notes: what else to know of the two.
+    """
     _write(path, {"schema": SCHEMA, **asdict(result)})
 
 

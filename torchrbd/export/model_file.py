@@ -68,5 +68,9 @@ def load_model(path: str | Path) -> RigidBodyDynamics:
 
 
 def _site(content: dict[str, Any]) -> Site:
-    window = content.pop("window")
-    return Site(**content, window=None if window is None else Window(**window))
+    window, recordings = content.pop("window"), content.pop("recordings", None)
+    return Site(
+        **content,
+        window=None if window is None else Window(**window),
+        recordings=None if recordings is None else tuple(recordings),
+    )

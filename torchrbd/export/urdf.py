@@ -67,7 +67,8 @@ def _write_dynamics(joint: etree._Element, model: RigidBodyDynamics, index: int)
     values: dict[str, float] = {}
     for term in model.terms:
         if term.site.joint == index:
-            written = term.effect.urdf_dynamics(term.parameters_by_name())
+            # A URDF is of a robot in one condition: what acts in some recordings only is told beside it.
+            written = term.effect.urdf_dynamics(term.parameters_by_name()) if term.site.always else {}
             for name, value in written.items():
                 values[name] = values.get(name, 0.0) + value
             if not written:

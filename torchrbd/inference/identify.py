@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.data.reading import Progress
+from torchrbd.inference.data.simulated import motion_doubts
 from torchrbd.inference.estimators import estimate
 from torchrbd.inference.physical.fitting import FittedModel, judge, predict, term_candidates
 from torchrbd.inference.physical.prior import local_covariance
@@ -124,7 +125,12 @@ def summarise(
     fits = {name: judge(prepared.judging, x) for name, x in coefficients.items()}
     regime = regime_of(prepared, settings.estimator)
     biased = prepared.input_noise.matters and prepared.states is None
-    doubts = (*doubts_of(prepared, final, fits), *encoder_doubts(prepared, settings), *([regime] if biased else []))
+    doubts = (
+        *doubts_of(prepared, final, fits),
+        *motion_doubts(prepared.reading.simulated),
+        *encoder_doubts(prepared, settings),
+        *([regime] if biased else []),
+    )
     return Identification(
         robot=prepared.robot,
         recordings=prepared.fitted,

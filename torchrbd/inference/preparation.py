@@ -21,9 +21,10 @@ from torchrbd.inference.data.block_statistics import BlockStatistics
 from torchrbd.inference.data.columns import Candidate, Columns, joint_scales
 from torchrbd.inference.data.holdout import check_enough, held_out_recordings, held_out_runs
 from torchrbd.inference.data.notes import input_notes
-from torchrbd.inference.data.opening import open_all
+from torchrbd.inference.data.opening import open_all, open_simulated
 from torchrbd.inference.data.payload import payload_parameters
 from torchrbd.inference.data.reading import Progress, Reading
+from torchrbd.inference.data.simulated import Simulated, check_motion, cut, read_simulated, simulation_notes
 from torchrbd.inference.input_noise import InputNoise, input_noise
 from torchrbd.inference.physical.fitting import FittedModel, fit_model
 from torchrbd.inference.physical.prior import Prior, urdf_prior
@@ -135,17 +136,19 @@ def prepare(
         RecordingError, OptionError: input that cannot be used.
     """
     opened, noise, found = open_all(robot, recordings, settings), settings.known_encoder_noise(robot).numpy(), []
+    simulations = open_simulated(robot, settings, opened)
     for k, recording in enumerate(opened):
         progress("looking through the recordings", k / len(opened))
         found.append(survey(recording))
     surveys = [_told(one, noise) for one in found]
     filtering = Filtering(choose_cutoff(surveys) if settings.cutoff_hz is None else settings.cutoff_hz)
+    opened, surveys, simulated = _simulated(robot, opened, surveys, simulations, filtering, progress)
     sites, windows = told_sites(settings.told_effects(), robot, [r.name for r in opened])
     unloaded = [e for e in effects if not e.uses_load]
     columns = Columns(robot, unloaded, _scales(surveys, filtering), windows, sites=sites)
     used, held = settings.used_joints(robot), settings.held_bodies(robot)
     payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
-    reading = Reading(robot, opened, tuple(surveys), filtering, used, payload)
+    reading = Reading(robot, opened, tuple(surveys), filtering, used, payload, simulated)
     statistics = reading.statistics(columns, progress)
     held_out, words = _held_out(statistics, opened[len(recordings) :], reading, settings)
     weight = statistics.torque[..., 0].sum(0)
@@ -175,11 +178,41 @@ def prepare(
         found_encoder_noise=_encoder_noise(found[: len(recordings)]),
         input_noise=input_noise(reading, columns, training, rough),
         states=None,
-        notes=input_notes(columns, surveys, filtering, prior, held, used & (weight == 0)),
+        notes=(
+            *simulation_notes(simulated),
+            *input_notes(columns, surveys, filtering, prior, held, used & (weight == 0)),
+        ),
     )
     if settings.estimator == "smoother" or (settings.estimator == "auto" and prepared.input_noise.matters):
         return _smoothed(prepared, rough, held, settings, progress)
     return prepared
+
+
+def _simulated(
+    robot: RobotModel,
+    recordings: tuple[Recording, ...],
+    surveys: list[Survey],
+    simulations: Sequence[Recording],
+    filtering: Filtering,
+    progress: Progress,
+) -> tuple[tuple[Recording, ...], list[Survey], tuple[Simulated, ...]]:
+    """Match a simulator's recordings with the real ones, which are cut to what they have in common.
+
+    Raises:
+        RecordingError: a simulated recording that cannot be used, or that moves otherwise.
+    """
+    if not simulations:
+        return recordings, surveys, ()
+    width, found = torch.tensor([s.rest_width for s in _scales(surveys, filtering)], dtype=torch.float64), []
+    kept: list[tuple[Recording, Survey]] = []
+    for k, (real, seen, one) in enumerate(zip(recordings, surveys, simulations, strict=True)):
+        progress("matching the simulation", k / len(recordings))
+        found.append(read_simulated(robot, real, seen, one, filtering, width))
+        check_motion(found[-1])
+        shorter = found[-1].begin_s > seen.segments[0][0] or found[-1].end_s < seen.segments[-1][1]
+        real = cut(real, found[-1]) if shorter else real
+        kept.append((real, replace(survey(real), q_noise_std=seen.q_noise_std) if shorter else seen))
+    return tuple(r for r, _ in kept), [s for _, s in kept], tuple(found)
 
 
 def _told(found: Survey, noise: np.ndarray) -> Survey:

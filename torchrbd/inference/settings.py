@@ -16,6 +16,7 @@ from torchrbd.errors import OptionError
 from torchrbd.inference.data.payload import Payload
 from torchrbd.inference.shapes.places import ToldEffect
 from torchrbd.physics import Effect, effect, effects
+from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
 ESTIMATORS = {
@@ -61,6 +62,8 @@ class Settings:
         exclude: effects not to use, by id. Default: none.
         trust: links whose inertia is not re-fitted, by name. Default: none.
         payload: known loads: ``torchrbd.inference.Payload`` or "FILE=kg,x,y,z[@LINK]" [kg, m]. Default: none.
+        simulated: recordings of a simulator with the same commands, one for each recording and then for each of
+            ``holdout``, in their order (files or opened): they stand for the URDF in what is compared. Default: none.
         mapping: YAML file that maps other column names and units. Default: columns as in the README.
         cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
         estimator: of the parameters, one of ``torchrbd.inference.settings.ESTIMATORS``. Default: "auto".
@@ -77,6 +80,7 @@ class Settings:
     exclude: tuple[str, ...] = ()
     trust: tuple[str, ...] = ()
     payload: tuple[Payload, ...] = ()
+    simulated: tuple[Path | Recording, ...] = ()
     mapping: Path | None = None
     cutoff_hz: float | None = None
     estimator: str = "auto"
@@ -120,6 +124,9 @@ class Settings:
             values[key] = tuple(map(str, _listed(values.get(key))))
         values["payload"] = tuple(
             p if isinstance(p, Payload) else Payload.parse(str(p)) for p in _listed(values.get("payload"))
+        )
+        values["simulated"] = tuple(
+            s if isinstance(s, Recording) else Path(str(s)) for s in _listed(values.get("simulated"))
         )
         if values.get("time") is not None:
             values["time"] = _interval(values["time"], place)

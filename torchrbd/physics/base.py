@@ -102,6 +102,14 @@ class Effect(ABC):
         for the robot, so that a label names the site too.
         """
 
+    def features_at(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        """Return ``features``, zero in recordings in which the site is not, under labels that say so."""
+        found = self.features(signals, site, shape)
+        if site.recordings is None:
+            return found
+        inside, names = float(signals.recording in site.recordings), ", ".join(site.recordings)
+        return {f"{label} in {names}": phi * inside for label, phi in found.items()}
+
     @abstractmethod
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         """Return the physical parameters, one for each entry of ``units``, differentiable in w (K,)."""
@@ -190,7 +198,7 @@ class Term(nn.Module):
 
     def forward(self, signals: Signals) -> Tensor:
         """Return sum_k w_k phi_k, (*batch) or, if the effect is ``whole_robot``, (n, *batch), [N m] or [N]."""
-        features = self.effect.features(signals, self.site, self.shape)
+        features = self.effect.features_at(signals, self.site, self.shape)
         w = self.coefficients.to(signals.q.dtype)
         return sum(w_k * phi for w_k, phi in zip(w, features.values(), strict=True))  # type: ignore[return-value]
 

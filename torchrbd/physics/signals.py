@@ -34,18 +34,29 @@ class Site:
         other: another joint, on whose motion it depends.
         body: on which it acts.
         window: when it acts; always, if None.
+        recordings: in which it acts, by name; in all, if None.
     """
 
     joint: int | None = None
     other: int | None = None
     body: int | None = None
     window: Window | None = None
+    recordings: tuple[str, ...] | None = None
+
+    @property
+    def always(self) -> bool:
+        """Whether it acts in all recordings, from begin to end."""
+        return self.window is None and self.recordings is None
 
     def name(self, robot: RobotModel) -> str:
-        """Return the place by the robot's names, e.g. ``joint3``, ``joint3_joint2`` or ``link5``; "robot" for all."""
+        """Return the place by the robot's names: ``joint3``, ``joint3_joint2``, ``link5``, or "robot" for all of it.
+
+        Recordings follow, if it acts in some only: "joint3 in warm.csv, hot.csv".
+        """
         parts = [robot.joint_names[j] for j in (self.joint, self.other) if j is not None]
         parts += [robot.body_names[self.body]] if self.body is not None else []
-        return "_".join(parts) or "robot"
+        place = "_".join(parts) or "robot"
+        return place if self.recordings is None else f"{place} in {', '.join(self.recordings)}"
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ _FIRST_ROWS = 16384
 _ENOUGH_STEPS = 50
 _FEW = 20
 
+Ends = tuple[int, int, int]
+"""Where in the channels of a block x, set-points and positions behind gears end."""
+
 
 @dataclass(frozen=True)
 class Clock:
@@ -100,6 +103,7 @@ class Block:
         t: (K,) [s].
         x: (C, K) channels: q, tau, then qd if the recording has it.
         q_ref: (n, K) set-points, or None.
+        q_link: (l, K) positions behind the gear of the joints that have them, or None.
         temperature: (m, K) of the joints that have one, or None.
     """
 
@@ -107,18 +111,20 @@ class Block:
     t: np.ndarray
     x: np.ndarray
     q_ref: np.ndarray | None = None
+    q_link: np.ndarray | None = None
     temperature: np.ndarray | None = None
 
     @property
     def channels(self) -> np.ndarray:
-        """Return x, q_ref and temperature as one array."""
-        return np.concatenate([one for one in (self.x, self.q_ref, self.temperature) if one is not None])
+        """Return x, q_ref, q_link and temperature as one array."""
+        parts = (self.x, self.q_ref, self.q_link, self.temperature)
+        return np.concatenate([one for one in parts if one is not None])
 
     @property
-    def ends(self) -> tuple[int, int]:
-        """Return where in the channels x and q_ref end."""
-        width = len(self.x)
-        return width, width + (0 if self.q_ref is None else len(self.q_ref))
+    def ends(self) -> Ends:
+        """Return where in the channels x, q_ref and q_link end."""
+        lengths = (len(self.x), *(0 if one is None else len(one) for one in (self.q_ref, self.q_link)))
+        return lengths[0], lengths[0] + lengths[1], sum(lengths)
 
 
 def clean_blocks(recording: Recording, clock: Clock, census: Census | None = None) -> Iterator[Block]:
@@ -126,14 +132,15 @@ def clean_blocks(recording: Recording, clock: Clock, census: Census | None = Non
     n = len(recording.joints)
     census = census if census is not None else Census(n)
     width = n * (2 + recording.has_velocity)
-    ends = width, width + n * recording.has_reference
-    angles = np.r_[:n, ends[0] : ends[1]]
+    with_reference = width + n * recording.has_reference
+    ends = width, with_reference, with_reference + int(recording.linked.sum())
+    angles = np.r_[:n, ends[0] : ends[2]]
     warmth = np.full((int(recording.thermal.sum()), 1), np.nan)
     segment, latest, q_latest, turns = 0, -np.inf, None, np.zeros((len(angles), 1))
     for chunk in recording.chunks():
-        t, x = _channels(chunk, recording.thermal)
-        x[ends[1] :] = _held(x[ends[1] :], warmth)
-        warmth = x[ends[1] :, -1:].copy()
+        t, x = _channels(chunk, recording)
+        x[ends[2] :] = _held(x[ends[2] :], warmth)
+        warmth = x[ends[2] :, -1:].copy()
         census.rows += len(t)
         complete = ~(np.isnan(t) | np.isnan(x[_required(recording, len(x))]).any(axis=0))
         census.incomplete += int(len(t) - complete.sum())
@@ -183,7 +190,7 @@ def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = N
 class _Resampler:
     """Interpolate one segment as its rows arrive."""
 
-    def __init__(self, segment: int, dt: float, start: float, ends: tuple[int, int]):
+    def __init__(self, segment: int, dt: float, start: float, ends: Ends):
         self.segment, self._dt, self._start, self._next, self._ends = segment, dt, start, 0, ends
         self._t, self._x = np.empty(0), np.empty((0, 0))
 
@@ -210,10 +217,10 @@ class _Resampler:
         yield _block(self.segment, t, np.asarray(x), self._ends)
 
 
-def _block(segment: int, t: np.ndarray, channels: np.ndarray, ends: tuple[int, int]) -> Block:
-    """Split channels (C, K) where x and the set-points end; temperatures may follow."""
-    x, q_ref, temperature = np.split(channels, ends)
-    return Block(segment, t, x, *(one if len(one) else None for one in (q_ref, temperature)))
+def _block(segment: int, t: np.ndarray, channels: np.ndarray, ends: Ends) -> Block:
+    """Split channels (C, K) where x, the set-points and the positions behind gears end; temperatures may follow."""
+    x, *others = np.split(channels, ends)
+    return Block(segment, t, x, *(one if len(one) else None for one in others))
 
 
 def _held(x: np.ndarray, before: np.ndarray) -> np.ndarray:
@@ -237,9 +244,10 @@ def _cubic_weights(nodes: np.ndarray, t: np.ndarray) -> np.ndarray:
     return weights
 
 
-def _channels(chunk: Chunk, thermal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    warmth = None if chunk.temperature is None else chunk.temperature[:, thermal]
-    signals = (chunk.q, chunk.tau, chunk.qd, chunk.q_ref, warmth)
+def _channels(chunk: Chunk, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    link = None if chunk.q_link is None else chunk.q_link[:, recording.linked]
+    warmth = None if chunk.temperature is None else chunk.temperature[:, recording.thermal]
+    signals = (chunk.q, chunk.tau, chunk.qd, chunk.q_ref, link, warmth)
     return chunk.t, np.concatenate([s for s in signals if s is not None], axis=1).T.copy()
 
 

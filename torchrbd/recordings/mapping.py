@@ -13,7 +13,7 @@ import yaml
 
 from torchrbd.errors import RecordingError
 
-SIGNALS = ("q", "qd", "qdd", "tau", "q_ref", "temperature")
+SIGNALS = ("q", "qd", "qdd", "tau", "q_ref", "q_link", "temperature")
 _EVERY_JOINT = "*"
 _DEG = math.pi / 180
 _TURN = 2 * math.pi
@@ -25,7 +25,7 @@ _UNITS = {
     "qdd": {"rad/s^2": 1.0, "deg/s^2": _DEG, "turn/s^2": _TURN, "m/s^2": 1.0, "mm/s^2": 1e-3},
     "tau": {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3, "N mm": 1e-3, "N": 1.0, "kN": 1e3},
 }
-_UNITS["q_ref"] = _UNITS["q"]
+_UNITS["q_ref"] = _UNITS["q_link"] = _UNITS["q"]
 _UNITS["temperature"] = {"degC": 1.0}
 _SIGNAL_KEYS = ("column", "unit", "sign", "scale", "offset", "gear_ratio")
 _CURRENT_KEYS = ("current", "unit", "torque_constant", "sign", "scale", "offset", "gear_ratio")
@@ -47,7 +47,7 @@ class Mapping:
     Attributes:
         file: where the mapping was read, for messages.
         time: the column of time.
-        joints: joint name, or "*" for every joint, to signal (q, qd, qdd, tau, q_ref, temperature) to
+        joints: joint name, or "*" for every joint, to signal (q, qd, qdd, tau, q_ref, q_link, temperature) to
             its source.
     """
 
@@ -82,11 +82,11 @@ def read_mapping(path: str | Path) -> Mapping:
     """Read and check a mapping.
 
     The file holds `time: {column, unit}` and `joints: {<joint>: {<signal>: {column, unit, sign, scale, offset,
-    gear_ratio}}}` with signals q, qd, qdd, tau, q_ref (set-point). A signal may be just the column's name. The joint
-    "*" stands for every joint; `{joint}` and `{index}` (from 0) in a column's name are filled in. With a gear ratio
-    the column is the motor's: `q = motor / gear_ratio`, `tau = motor * gear_ratio`. A torque may come from a current:
-    `{current, torque_constant, unit, gear_ratio, sign, offset}`, `tau = current * torque_constant * gear_ratio`.
-    Offsets are added last, in SI units of the joint.
+    gear_ratio}}}` with signals q, qd, qdd, tau, q_ref (set-point), q_link (encoder behind the gear), temperature. A
+    signal may be just the column's name. The joint "*" stands for every joint; `{joint}` and `{index}` (from 0) in a
+    column's name are filled in. With a gear ratio the column is the motor's: `q = motor / gear_ratio`,
+    `tau = motor * gear_ratio`. A torque may come from a current: `{current, torque_constant, unit, gear_ratio, sign,
+    offset}`, `tau = current * torque_constant * gear_ratio`. Offsets are added last, in SI units of the joint.
 
     Raises: RecordingError naming the file, the key and the closest valid one.
     """

@@ -12,7 +12,7 @@ import numpy as np
 
 from torchrbd.errors import RecordingError
 
-_NPZ_SIGNALS = ("q", "tau", "qd", "qdd", "q_ref", "temperature")
+_NPZ_SIGNALS = ("q", "tau", "qd", "qdd", "q_ref", "q_link", "temperature")
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,9 @@ class _Array:
 
 
 class NpzTable:
-    """Stream `t (N,)`, `q`, `tau`, optional `qd`, `qdd`, `q_ref`, `temperature` `(N, n)` and `joints (n,)` of an NPZ.
+    """Stream the arrays of an NPZ file.
 
+    `t (N,)`, `q`, `tau`, optional `qd`, `qdd`, `q_ref`, `q_link`, `temperature` `(N, n)` and `joints (n,)`.
     The arrays are decompressed row by row, so that the file never lies in memory as a whole.
     """
 

@@ -14,6 +14,8 @@ from torchrbd.recordings.formats import ArrayTable, Table, open_table
 from torchrbd.recordings.mapping import Mapping, Source, closest
 
 _OPTIONAL_SIGNALS = ("qd", "qdd", "q_ref")
+# What some joints may have and others not.
+_PARTIAL_SIGNALS = ("q_link", "temperature")
 _OPTIONAL_CHANNELS = ("q_link_", "temperature_", "current_", "wrench_")
 
 
@@ -28,6 +30,7 @@ class Chunk:
         qd: (N, n) [rad/s or m/s], or None.
         qdd: (N, n) [rad/s^2 or m/s^2], or None.
         q_ref: (N, n) set-point [rad or m], or None.
+        q_link: (N, n) position behind the gear [rad or m], or None; NaN for joints without such an encoder.
         temperature: (N, n) of the joints [deg C], or None; NaN where there is no reading.
     """
 
@@ -37,6 +40,7 @@ class Chunk:
     qd: np.ndarray | None = None
     qdd: np.ndarray | None = None
     q_ref: np.ndarray | None = None
+    q_link: np.ndarray | None = None
     temperature: np.ndarray | None = None
 
 
@@ -50,6 +54,7 @@ class Recording:
         joints: the robot's joints, in its order.
         measured: (n,) bool, which joints have torque.
         has_velocity, has_acceleration, has_reference: whether every joint has a measured one, and a set-point.
+        linked: (n,) bool, which joints have an encoder behind the gear too.
         thermal: (n,) bool, which joints have a temperature.
         time: the part that is used, seconds since the first row; None for all.
         notes: what was left aside on opening.
@@ -62,6 +67,7 @@ class Recording:
     has_velocity: bool
     has_acceleration: bool
     has_reference: bool
+    linked: np.ndarray
     thermal: np.ndarray
     time: tuple[float, float] | None
     notes: tuple[str, ...]
@@ -78,16 +84,19 @@ class Recording:
         qd: np.ndarray | None = None,
         qdd: np.ndarray | None = None,
         q_ref: np.ndarray | None = None,
+        q_link: np.ndarray | None = None,
         temperature: np.ndarray | None = None,
     ) -> Recording:
         """Make a recording from arrays: t (N,) [s]; all others (N, n), columns in the order of `joints`.
 
-        A column of tau, q_ref or temperature that is NaN throughout means that it was not recorded for that joint.
+        A column of tau, q_ref, q_link or temperature that is NaN throughout means that it was not recorded for that
+        joint.
 
         Raises: RecordingError naming the array whose shape does not fit.
         """
         columns = {"t": np.asarray(t, dtype=np.float64)}
-        signals = {"q": q, "tau": tau, "qd": qd, "qdd": qdd, "q_ref": q_ref, "temperature": temperature}
+        signals = {"q": q, "tau": tau, "qd": qd, "qdd": qdd, "q_ref": q_ref, "q_link": q_link}
+        signals["temperature"] = temperature
         for signal, array in signals.items():
             if array is None:
                 continue
@@ -98,7 +107,7 @@ class Recording:
                     f"and joints {', '.join(joints)}"
                 )
             for index, joint in enumerate(joints):
-                if signal not in ("tau", "q_ref", "temperature") or not np.isnan(array[:, index]).all():
+                if signal not in ("tau", "q_ref", *_PARTIAL_SIGNALS) or not np.isnan(array[:, index]).all():
                     columns[f"{signal}_{joint}"] = array[:, index]
         return _connect(name, None, ArrayTable(columns), joints, Mapping(), None)
 
@@ -115,7 +124,7 @@ class Recording:
         sources = dict(self._sources)
         for key in sources.keys() & {"q", *_OPTIONAL_SIGNALS}:
             sources[key] = tuple(sources[key][k] for k in order)
-        for key, there in (("tau", self.measured), ("temperature", self.thermal)):
+        for key, there in (("tau", self.measured), ("q_link", self.linked), ("temperature", self.thermal)):
             own = dict(zip(compress(self.joints, there), self._sources.get(key, ()), strict=True))
             if own:
                 sources[key] = tuple(own[joint] for joint in joints if joint in own)
@@ -123,6 +132,7 @@ class Recording:
             self,
             joints=tuple(joints),
             measured=self.measured[order],
+            linked=self.linked[order],
             thermal=self.thermal[order],
             time=time or self.time,
             _sources=sources,
@@ -160,14 +170,13 @@ class Recording:
             keep = (t >= self.time[0]) & (t <= self.time[1])
             if not keep.any():
                 return None
-        tau = np.full((len(t), len(self.joints)), np.nan)
-        tau[:, self.measured] = values["tau"]
         optional = {key: values[key][keep] for key in _OPTIONAL_SIGNALS if key in values}
-        if self.thermal.any():
-            optional["temperature"] = np.full((len(t), len(self.joints)), np.nan)
-            optional["temperature"][:, self.thermal] = values["temperature"]
-            optional["temperature"] = optional["temperature"][keep]
-        return Chunk(t[keep], values["q"][keep], tau[keep], **optional)
+        for key, there in (("tau", self.measured), ("q_link", self.linked), ("temperature", self.thermal)):
+            if there.any():
+                whole = np.full((len(t), len(self.joints)), np.nan)
+                whole[:, there] = values[key]
+                optional[key] = whole[keep]
+        return Chunk(t[keep], values["q"][keep], **optional)
 
     def _check_finite(self, block: np.ndarray, columns: list[str], first_row: int) -> None:
         if np.isinf(block).any():
@@ -224,7 +233,7 @@ def _connect(
     """Match the table's columns with the joints."""
     wanted = {
         key: [mapping.source(joint, index, key) for index, joint in enumerate(joints)]
-        for key in ("q", "tau", *_OPTIONAL_SIGNALS, "temperature")
+        for key in ("q", "tau", *_OPTIONAL_SIGNALS, *_PARTIAL_SIGNALS)
     }
     present = set(table.columns)
     place = str(path or name)
@@ -243,9 +252,10 @@ def _connect(
         )
     sources = {"t": (mapping.time,), "q": tuple(wanted["q"])}
     sources["tau"] = tuple(compress(wanted["tau"], measured))
-    thermal = np.array([source.column in present for source in wanted["temperature"]])
-    if thermal.any():
-        sources["temperature"] = tuple(compress(wanted["temperature"], thermal))
+    linked, thermal = (np.array([source.column in present for source in wanted[key]]) for key in _PARTIAL_SIGNALS)
+    for key, there in zip(_PARTIAL_SIGNALS, (linked, thermal), strict=True):
+        if there.any():
+            sources[key] = tuple(compress(wanted[key], there))
     notes = []
     if not measured.all():
         notes.append("no torque for " + ", ".join(compress(joints, ~measured)))
@@ -268,6 +278,7 @@ def _connect(
         velocity,
         acceleration,
         reference,
+        linked,
         thermal,
         time,
         tuple(notes),

@@ -32,6 +32,8 @@ class States:
         t_out: (M,) times of the outputs of `decimate` [s].
         recording: name of the recording.
         reference: set-points q_ref, qd_ref, qdd_ref (n, N) each, low-passed as q is; None where not recorded.
+        q_link: (n, N) positions behind the gears [rad or m], low-passed as q is, NaN for joints without such an
+            encoder; None where not recorded.
         temperature: (n, N) of the joints [deg C], low-passed as q is, NaN for joints without; None where not recorded.
     """
 
@@ -47,6 +49,7 @@ class States:
     _stride: int
     recording: str
     reference: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None = None
+    q_link: torch.Tensor | None = None
     temperature: torch.Tensor | None = None
 
     @property
@@ -71,6 +74,7 @@ class States:
             _kernel=kernel / kernel.sum(),
             _stride=self._stride // step,
             reference=None if self.reference is None else tuple(x[..., first::step] for x in self.reference),
+            q_link=None if self.q_link is None else self.q_link[..., first::step],
             temperature=None if self.temperature is None else self.temperature[..., first::step],
             **cut,
         )
@@ -122,7 +126,7 @@ class _Cutter:
 
     def __init__(self, recording: Recording, survey: Survey, filtering: Filtering, rows: int):
         self._name, self._dt = recording.name, survey.clock.dt
-        self._thermal = torch.from_numpy(recording.thermal)
+        self._linked, self._thermal = torch.from_numpy(recording.linked), torch.from_numpy(recording.thermal)
         self._use_velocity = torch.from_numpy(~np.isnan(survey.qd_noise_std))
         self._kernels = filtering.state_kernels(self._dt)
         self._feature_kernel = filtering.feature_kernel(self._dt)
@@ -134,7 +138,7 @@ class _Cutter:
         self.reach = filtering.reach(self._dt)
         self.produced = False
         self._segment, self._origin, self._index, self._x = -1, 0.0, 0, np.empty((0, 0))
-        self._ends = 0, 0
+        self._ends = 0, 0, 0
 
     def push(self, block: Block) -> Iterator[States]:
         """Add samples; yield the full tiles that they complete."""
@@ -165,13 +169,12 @@ class _Cutter:
             measured = self._filter(raw[2 * n : self._ends[0]], self._kernels[:2])
             qd = torch.where(self._use_velocity[:, None], measured[0], qd)
             qdd = torch.where(self._use_velocity[:, None], measured[1], qdd)
-        reference = temperature = None
+        reference = None
         if self._ends[1] > self._ends[0]:
             q_ref, qd_ref, qdd_ref = self._filter(raw[self._ends[0] : self._ends[1]], self._kernels)
             reference = q_ref, qd_ref, qdd_ref
-        if self._thermal.any():
-            temperature = torch.full_like(q, torch.nan)
-            temperature[self._thermal] = self._filter(raw[self._ends[1] :], self._kernels[:1])[0]
+        q_link = self._partly(raw[self._ends[1] : self._ends[2]], self._linked)
+        temperature = self._partly(raw[self._ends[2] :], self._thermal)
         t = self._origin + self._dt * torch.arange(self._index + half, self._index + half + length, dtype=torch.float64)
         t_out = t[self._feature_half : length - self._feature_half : self._stride]
         tau = raw[n : 2 * n, half : half + length].clone()
@@ -179,9 +182,17 @@ class _Cutter:
         self._index += outputs * self._stride
         self.produced = True
         kernel, stride = self._feature_kernel, self._stride
-        return States(
-            self._segment, self._dt, t, q, qd, qdd, tau, t_out, kernel, stride, self._name, reference, temperature
-        )
+        optional = reference, q_link, temperature
+        return States(self._segment, self._dt, t, q, qd, qdd, tau, t_out, kernel, stride, self._name, *optional)
+
+    def _partly(self, x: torch.Tensor, there: torch.Tensor) -> torch.Tensor | None:
+        """Return x (m, samples) low-passed as positions of all joints (n, N), NaN for those that are not ``there``."""
+        if not there.any():
+            return None
+        filtered = self._filter(x, self._kernels[:1])[0]
+        whole = filtered.new_full((len(there), filtered.shape[1]), torch.nan)
+        whole[there] = filtered
+        return whole
 
     def _filter(self, x: torch.Tensor, kernels: torch.Tensor) -> torch.Tensor:
         """Convolve x (n, N) with each kernel (k, taps) where they overlap fully: (k, n, N - taps + 1)."""

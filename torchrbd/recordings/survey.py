@@ -13,8 +13,9 @@ from torchrbd.recordings.clock import Census, Clock, uniform_blocks
 from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.spectrum import HIGHEST_SHARE, Spectrum, two_digits
 
-# A peak beyond so many RMS is no motion; a measured velocity off by so much is not dq/dt.
-_PEAK, _VELOCITY_ERROR = 30.0, 0.2
+# A peak beyond so many RMS is no motion; a measured velocity off by so much is not dq/dt; a position behind the gear
+# that follows by so much more or less is not that joint's, which a range of so much [rad, m] can tell.
+_PEAK, _VELOCITY_ERROR, _FOLLOWS, _MOVES = 30.0, 0.2, 0.2, 0.01
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class Survey:
         q_resolution: (n,) quantisation step, NaN if none is seen [rad or m].
         qd_noise_std: (n,) white noise of the measured velocity for joints whose measured velocity is used instead of
             the differentiated position; NaN for the others [rad/s or m/s].
+        link_ratio: (n,) how far the position behind the gear moves when q does, by least squares; NaN where it is not
+            recorded or q hardly moves.
         temperature_min, temperature_max: (n,) [deg C], NaN where not recorded.
         cutoff_hz: the cut-off that suits this recording.
         constant_q, constant_tau: joints whose position or torque never changes.
@@ -57,12 +60,18 @@ class Survey:
     q_noise_std: np.ndarray
     q_resolution: np.ndarray
     qd_noise_std: np.ndarray
+    link_ratio: np.ndarray
     temperature_min: np.ndarray
     temperature_max: np.ndarray
     cutoff_hz: float
     constant_q: tuple[str, ...]
     constant_tau: tuple[str, ...]
     notes: tuple[str, ...]
+
+    @property
+    def link_follows(self) -> np.ndarray:
+        """Say of which joints the position behind the gear moves as q does, as far as q moves at all, (n,) bool."""
+        return ~(np.abs(self.link_ratio - 1.0) > _FOLLOWS)
 
 
 def choose_cutoff(surveys: Sequence[Survey]) -> float:
@@ -79,13 +88,15 @@ def survey(recording: Recording) -> Survey:
     clock = Clock.of(recording)
     n = len(recording.joints)
     census, extent, spectrum = Census(n), _Extent(2 * n), Spectrum(clock.dt, n, recording.has_velocity)
-    warmth = _Extent(int(recording.thermal.sum()))
+    warmth, follower = _Extent(int(recording.thermal.sum())), _Follower(int(recording.linked.sum()))
     segments: dict[int, tuple[float, float]] = {}
     for block in uniform_blocks(recording, clock, census):
         start, _ = segments.setdefault(block.segment, (float(block.t[0]), 0.0))
         segments[block.segment] = (start, float(block.t[-1]))
         extent.add(block.x[: 2 * n])
         spectrum.add(block)
+        if block.q_link is not None:
+            follower.add(block.x[:n][recording.linked], block.q_link)
         if block.temperature is not None:
             warmth.add(block.temperature)
     spectrum.close()
@@ -99,9 +110,11 @@ def survey(recording: Recording) -> Survey:
         raise RecordingError(f"{place}: nothing moves: the position of every joint is constant")
     cutoff_hz = spectrum.cutoff(q_moves, max(lengths))
     qd_noise_std = spectrum.qd_noise_std(cutoff_hz)
-    coldest, warmest = np.full((2, n), np.nan)
+    coldest, warmest, link_ratio = np.full((3, n), np.nan)
     coldest[recording.thermal], warmest[recording.thermal] = warmth.low, warmth.high
-    suspicions = _suspicions(recording, extent, spectrum, ~np.isnan(qd_noise_std))
+    link_ratio[recording.linked] = follower.ratio
+    link_ratio[(extent.high - extent.low)[:n] < _MOVES] = np.nan
+    suspicions = _suspicions(recording, extent, spectrum, ~np.isnan(qd_noise_std)) + _strangers(recording, link_ratio)
     return Survey(
         name=recording.name,
         clock=clock,
@@ -119,6 +132,7 @@ def survey(recording: Recording) -> Survey:
         q_noise_std=np.fmax(spectrum.q_noise_std(), census.resolution / np.sqrt(12)),
         q_resolution=census.resolution,
         qd_noise_std=qd_noise_std,
+        link_ratio=link_ratio,
         temperature_min=coldest,
         temperature_max=warmest,
         cutoff_hz=cutoff_hz,
@@ -146,6 +160,37 @@ def _suspicions(recording: Recording, extent: _Extent, spectrum: Spectrum, veloc
                 f"qd_{joint} is {ratio:.3g} times dq/dt and not used; check its unit and sign, and those of q and t"
             )
     return notes
+
+
+def _strangers(recording: Recording, link_ratio: np.ndarray) -> list[str]:
+    """Return which positions behind the gear do not move as q does."""
+    return [
+        f"q_link_{joint} moves {ratio:.3g} times as far as q_{joint} and is not used; check its unit, sign and gear"
+        for joint, ratio in zip(recording.joints, link_ratio, strict=True)
+        if abs(ratio - 1.0) > _FOLLOWS
+    ]
+
+
+class _Follower:
+    """Follow the regression of one signal on another, of several channels."""
+
+    def __init__(self, channels: int):
+        self._start: np.ndarray | None = None
+        self._sums, self._products, self._count = np.zeros((2, channels)), np.zeros((2, channels)), 0
+
+    def add(self, x: np.ndarray, y: np.ndarray) -> None:
+        if self._start is None:  # far from zero, sums of squares would lose the motion
+            self._start = np.stack([x[:, :1], y[:, :1]])
+        x, y = x - self._start[0], y - self._start[1]
+        self._sums += np.stack([x.sum(1), y.sum(1)])
+        self._products += np.stack([(x * x).sum(1), (x * y).sum(1)])
+        self._count += x.shape[1]
+
+    @property
+    def ratio(self) -> np.ndarray:
+        """How much y changes with x, NaN where x does not."""
+        square, product = self._products - self._sums[0] * self._sums / max(1, self._count)
+        return np.divide(product, square, out=np.full_like(square, np.nan), where=square > 1e-12 * self._products[0])
 
 
 class _Extent:

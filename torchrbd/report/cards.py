@@ -72,7 +72,8 @@ def finding_cards(findings: Sequence[Finding], pictures: Pictures) -> list[Card]
 
 def plain_rows(findings: Sequence[Finding], joints: Sequence[str]) -> list[PlainRow]:
     """Return plain friction, a row per joint, if there is much of it."""
-    here = [f for f in findings if f.effect in PLAIN and len(f.joints) == 1 and f.joints[0] in joints]
+    plain = [f for f in findings if f.effect in PLAIN and f.where.recordings is None]
+    here = [f for f in plain if len(f.joints) == 1 and f.joints[0] in joints]
     if len(here) < FOLDED:
         return []
     rows, columns = [], [identifier for identifier in PLAIN if any(f.effect == identifier for f in here)]

@@ -17,7 +17,8 @@ from torchrbd.report.cards import Card, PlainRow, finding_cards, plain_rows, pla
 from torchrbd.report.excerpt import informative_stretch
 from torchrbd.report.inline import page_style
 from torchrbd.report.pictures import Pictures
-from torchrbd.report.words import VERDICTS, change, headline, percent, tied
+from torchrbd.report.springs import spring_figure
+from torchrbd.report.words import badge, change, headline, model_words, percent, tied
 
 LEFTOVERS = {
     "rigid_body": "What the re-fitted rigid body with friction leaves",
@@ -76,9 +77,10 @@ class Page:
         self.diagnosis = result if isinstance(result, Diagnosis) else None
         self.result = result.identification if isinstance(result, Diagnosis) else result
         self.pictures = Pictures(self.result)
-        self.joints, self.models = self.pictures.joints, self.pictures.models
+        self.joints = self.pictures.joints
+        self.models = self.pictures.models | {"urdf": model_words(result)}
         self.verdict = self.diagnosis.verdict if self.diagnosis else self.result.verdict
-        self.badge = VERDICTS[self.verdict]
+        self.badge = badge(result)
         self.headline = headline(result)
         self.with_intervals = self.result.covariance is not None
 
@@ -125,6 +127,17 @@ class Page:
             if maps:
                 found.append(Located(title, [x.statement for x in here], pictures, states))
         return found
+
+    @cached_property
+    def springs(self) -> list[tuple[str, Markup]]:
+        """What encoders behind the gears show: sentences with their pictures."""
+        draw, found = self.pictures, self.diagnosis.deflections if self.diagnosis else ()
+        units = dict(zip(self.joints, draw.units, strict=True))
+        return [
+            (d.statement, draw.inline(spring_figure(d, units[d.joint]), f"deflection of {d.joint} against its load"))
+            for d in found
+            if d.joint in units
+        ]
 
     def figures(self, joint: int) -> JointFigures:
         """Return what is drawn of one joint."""

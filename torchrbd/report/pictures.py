@@ -35,6 +35,7 @@ OTHER_SIGNALS = {
     "load": _LOAD,
     "load_rate": "rate of the torque of the rigid body",
     "temperature": "temperature",
+    "deflection": "deflection of the gear",
 }
 Sense = Literal["added", "against the motion"]
 # Slower than this part of the largest speed a motion has no direction here.
@@ -73,7 +74,7 @@ class Pictures:
         """Unit of every signal by name."""
         found = {name: self.units[i].of(key) for name, (key, i) in self.states.items()} | {"t": "s"}
         for joint, u in zip(self.joints, self.units, strict=True):
-            others = {"tau": u.tau, "load": u.tau, "load_rate": f"{u.tau}/s", "temperature": "°C"}
+            others = {"tau": u.tau, "load": u.tau, "load_rate": f"{u.tau}/s", "temperature": "°C", "deflection": u.q}
             found |= {f"{key}_{joint}": symbol for key, symbol in others.items()}
         return found
 

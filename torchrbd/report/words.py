@@ -20,6 +20,16 @@ VERDICTS = {
 """What a verdict is called, after a sign that tells it without colour."""
 
 
+def model_words(result: Identification | Diagnosis) -> str:
+    """Return what the recordings are compared with."""
+    return "simulation" if isinstance(result, Diagnosis) and result.simulated else "URDF"
+
+
+def badge(result: Identification | Diagnosis) -> str:
+    """Return what a result's verdict is called."""
+    return VERDICTS[result.verdict].replace("URDF", model_words(result))
+
+
 def headline(result: Identification | Diagnosis) -> tuple[str, str]:
     """Return the result in one sentence, and what else is to say of it."""
     if isinstance(result, Diagnosis):

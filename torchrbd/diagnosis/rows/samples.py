@@ -51,6 +51,8 @@ class Samples:
         recording: (M,) index into ``recordings``.
         t: (M,) seconds since that recording's start.
         rise: how a step at time zero looks behind the filter that all torques passed: times (R,) [s] and heights (R,).
+        whole_folds: whether whole recordings may be left out together; parts of each, if not: of what acts in one
+            only, the others say nothing.
     """
 
     columns: Columns
@@ -69,6 +71,7 @@ class Samples:
     recording: np.ndarray
     t: np.ndarray
     rise: tuple[np.ndarray, np.ndarray]
+    whole_folds: bool = True
     _known: dict[tuple[Any, ...], np.ndarray] = field(default_factory=dict)
 
     def features(self, candidate: Candidate) -> np.ndarray:

@@ -32,7 +32,8 @@ class Rows:
         y: (N,) torque less that of the prior's mean.
         parts: per joint, its slice of the N rows.
         block: (N,) number of the block, of at most MOST_BLOCKS.
-        fold: (N,) number of the fold: recordings stay together where there are enough of them, else runs of blocks.
+        fold: (N,) number of the fold: recordings stay together where there are enough of them and the samples say so,
+            else parts of each, or runs of blocks.
         joint: (N,).
         counts: (n,) rows of each joint, by what they count.
     """
@@ -110,9 +111,15 @@ def _folds(samples: Samples, block: np.ndarray) -> np.ndarray:
     """Number the folds, (M,). What shows in one recording only shall not be taken for the robot's."""
     recording = np.unique(samples.recording, return_inverse=True)[1]
     if recording.max() + 1 >= LEAST_RECORDINGS:
-        return recording % FOLDS
+        return recording % FOLDS if samples.whole_folds else _parts(recording)
     run = max(1, (int(block.max()) + 1) // (2 * FOLDS))
     return (block // run) % FOLDS
+
+
+def _parts(recording: np.ndarray) -> np.ndarray:
+    """Number the parts of each recording (M,), FOLDS of it, (M,)."""
+    begins, length = np.searchsorted(recording, recording), np.bincount(recording)[recording]
+    return FOLDS * (np.arange(len(recording)) - begins) // length
 
 
 def _coarse(block: np.ndarray) -> np.ndarray:

@@ -40,12 +40,12 @@ class Grid:
         by_place: dict[int | None, list[Candidate]] = {}
         for c in self.candidates:
             by_place.setdefault(c.place, []).append(c)
-        self._groups = [_Group(place, own, samples) for place, own in by_place.items()]
+        self.groups = [Group(place, own, samples) for place, own in by_place.items()]
 
     def screened(self, fit: Fit) -> list[Screened]:
         """Return the best shape of each effect at each place, best score first."""
         best: dict[tuple[str, object], Screened] = {}
-        for group in self._groups:
+        for group in self.groups:
             for one in group.screened(fit):
                 key = one.candidate.effect.id, one.candidate.site
                 if key not in best or one.score > best[key].score:
@@ -53,8 +53,11 @@ class Grid:
         return sorted(best.values(), key=lambda one: -one.score)
 
 
-class _Group:
-    """Candidates that add to the torque of one joint, or of all (None), their columns side by side."""
+class Group:
+    """Candidates that add to the torque of one joint, or of all (None), their columns side by side.
+
+    ``features`` (K, M), or (K, n, M) of all; ``columns`` numbers them by label.
+    """
 
     def __init__(self, place: int | None, candidates: Sequence[Candidate], samples: Samples) -> None:
         self.place, self.candidates = place, candidates
@@ -68,6 +71,7 @@ class _Group:
         self.features = np.array(features)
 
     def screened(self, fit: Fit) -> Iterator[Screened]:
+        """Yield the candidates that have columns which a fit has not."""
         if not len(self.features):
             return
         rows = fit.rows

@@ -10,23 +10,26 @@ that they beat clearly: its law is not the one that acts there.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
 
 from torchrbd.diagnosis.locate import stretches
+from torchrbd.diagnosis.locate.search import common_noise
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.rows.whitening import Noise
-from torchrbd.diagnosis.search.grid import Grid, candidates, fresh_columns, refined
+from torchrbd.diagnosis.search.grid import Grid, Screened, candidates, fresh_columns, refined
 from torchrbd.diagnosis.search.options import (
     BACKGROUND,
     Option,
     accepted,
     certain,
+    clearly_worse,
     judged,
     least_gain,
     matters,
@@ -34,6 +37,7 @@ from torchrbd.diagnosis.search.options import (
     preferred,
     takes,
 )
+from torchrbd.diagnosis.search.recordings import recordings, screened_by_recordings, where_larger
 from torchrbd.diagnosis.search.unnamed import is_smooth, smooth_candidates
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.prior import Prior
@@ -46,7 +50,7 @@ LOAD_CHANGE = 0.01
 LEAST_SHARE = 1e-4
 # A smooth function takes the place of a name if it gains so much more, in units and in parts of its own gain.
 BEATEN_GAIN, BEATEN_PART = 10.0, 0.25
-MOST_UNNAMED, MOST_WINDOWED = 4, 3
+MOST_UNNAMED, MOST_WINDOWED, MOST_PARTIAL = 4, 3, 10
 # Candidates are fitted on left-out blocks if they are among so many, and score this part of the best one.
 MOST_TERMS, SHORTLIST, SHORT_OF_BEST = 12, 10, 0.5
 UNEVEN, PARTS_OF_UNEVEN = "asymmetric_coulomb_friction", ("coulomb_friction", "torque_offset")
@@ -104,7 +108,7 @@ class Search:
 
     def _completed(self, fit: Fit) -> Fit:
         """Add names, then functions without one, and drop what is not needed."""
-        fit = self.challenged(self.windowed(self.named(fit)))
+        fit = self.challenged(self.partial(self.named(fit)))
         for _ in range(MOST_UNNAMED):
             smooth = self.smooth(fit)
             if smooth is None:
@@ -129,20 +133,76 @@ class Search:
             self.report(fit.terms)
         return fit
 
-    def windowed(self, fit: Fit) -> Fit:
-        """Add loads and forces that act for a time, where the leftover shows when."""
-        timed = [e for e in self.effects if e.sites(self.robot, (Window(""),)) and not e.sites(self.robot)]
-        for _ in range(MOST_WINDOWED if timed else 0):
-            samples = fit.rows.samples
-            offered = candidates(samples.columns, timed, samples.seen, stretches(fit))
-            grid = Grid(samples, self._possible(offered))
-            options = [o for o in self.options(fit, grid) if takes(o)]
-            if not options:
+    def partial(self, fit: Fit) -> Fit:
+        """Add what acts in some recordings only, and loads and forces for a time that the leftover shows.
+
+        Of what one recording shows the others say nothing: parts of each are left out, not whole ones.
+        """
+        started, terms = fit, fit.terms
+        if len(recordings(fit.rows.samples)) > 1:
+            samples = replace(fit.rows.samples, whole_folds=False)
+            fit = Fit(Rows(samples, self.prior, fit.rows.noise), fit.terms)
+        for number in range(MOST_PARTIAL):
+            clear = self._uncovered(fit)
+            windowed = self._windowed(clear) if number < MOST_WINDOWED else []
+            options = [o for o in (*windowed, *self.in_some_recordings(clear)) if takes(o)]
+            changed = (*fit.terms, preferred(fit, options).candidate) if options else self._not_common(fit)
+            if changed is None:
                 break
-            terms = (*fit.terms, preferred(fit, options).candidate)
-            fit = self.named(self.settled(fitted(samples, self.prior, terms, fit.rows.noise)))
+            terms = changed
+            fit = self.named(self.settled(fitted(fit.rows.samples, self.prior, terms, fit.rows.noise)))
             self.report(fit.terms)
-        return fit
+        return started if terms is started.terms else fit
+
+    def _uncovered(self, fit: Fit) -> Fit:
+        """Return a fit with the noise beside what some recordings seem to have.
+
+        A level that one of them has makes the noise look like drift, which hides it.
+        """
+        samples = fit.rows.samples
+        if len(recordings(samples)) == 1:
+            return fit
+        shared = Fit(Rows(samples, self.prior, common_noise(fit)), fit.terms)
+        best = next(iter(screened_by_recordings(self.grid, shared)), None)
+        if best is None or best.score <= 0:
+            return fit
+        beside = Fit(shared.rows, (*fit.terms, best.candidate))
+        return Fit(Rows(samples, self.prior, beside.noise()), fit.terms)
+
+    def _not_common(self, fit: Fit) -> Terms | None:
+        """Return terms with one for some recordings in the place of one for all that is clearly worse; None without."""
+        for term in fit.terms if len(recordings(fit.rows.samples)) > 1 else ():
+            if term in self.background or is_smooth(term) or not term.site.always:
+                continue
+            rest = Fit(fit.rows, self._restored(without(fit.terms, term)))
+            own = judged(rest, term)
+            for option in self.in_some_recordings(rest):
+                lead = gain(own.errors, option.errors, fit.rows.counts)
+                if takes(option) and clearly_worse(lead, option.worth.total):
+                    return (*rest.terms, option.candidate)
+        return None
+
+    def _windowed(self, fit: Fit) -> list[Option]:
+        """Return loads and forces in stretches of time."""
+        timed = [e for e in self.effects if e.sites(self.robot, (Window(""),)) and not e.sites(self.robot)]
+        if not timed:
+            return []
+        samples = fit.rows.samples
+        offered = candidates(samples.columns, timed, samples.seen, stretches(fit))
+        return self.options(fit, Grid(samples, self._possible(offered)))
+
+    def rivals(self, fit: Fit, term: Candidate) -> list[Option]:
+        """Return what may be added to a fit in the place of a term, not the same in other recordings."""
+        if term.site.recordings is None:
+            return self.options(fit)
+        in_some = self.in_some_recordings(fit)
+        return [*self.options(fit), *(o for o in in_some if _place(o.candidate) != _place(term))]
+
+    def in_some_recordings(self, fit: Fit) -> list[Option]:
+        """Return effects in those recordings in which they gain most."""
+        ranked = screened_by_recordings(self.grid, fit)
+        turned = [replace(one, candidate=where_larger(fit, one.candidate)) for one in ranked[:SHORTLIST]]
+        return self._judged(fit, [one for one in turned if self._possible([one.candidate])])
 
     @property
     def robot(self) -> RobotModel:
@@ -188,7 +248,10 @@ class Search:
 
     def options(self, fit: Fit, grid: Grid | None = None) -> list[Option]:
         """Return what of a grid may be added to a fit, shapes refined."""
-        ranked = [one for one in (grid or self.grid).screened(fit) if one.score > 0]
+        return self._judged(fit, (grid or self.grid).screened(fit))
+
+    def _judged(self, fit: Fit, screened: Sequence[Screened]) -> list[Option]:
+        ranked = [one for one in screened if one.score > 0]
         short = [one for one in ranked if one.score > SHORT_OF_BEST * ranked[0].score][:SHORTLIST]
         told = [one for one in short if fit.share_left(fresh_columns(fit, one.candidate)) > LEAST_SHARE]
         found = [refined(fit, one.candidate) for one in told]
@@ -211,7 +274,8 @@ class Search:
             if is_smooth(term) or term.site.window is not None:
                 fit = fit if takes(judged(rest, term)) else rest
                 continue
-            options = [o for o in (*self.options(rest), judged(rest, refined(rest, term))) if takes(o)]
+            others = self.options(rest) if term.site.always else self.in_some_recordings(rest)
+            options = [o for o in (*others, judged(rest, refined(rest, term))) if takes(o)]
             fit = Fit(fit.rows, with_term(rest.terms, preferred(rest, options).candidate)) if options else rest
         return fitted(fit.rows.samples, self.prior, fit.terms, fit.rows.noise)
 
@@ -250,7 +314,8 @@ class Search:
         """Say whether the user lets a term be found; the background stands in the way of others even if not."""
         sites = self.start.rows.samples.columns.sites
         known = is_smooth(term) or term.effect.id in {e.id for e in self.effects}
-        return known and term.site in sites.get(term.effect.id, (term.site,))
+        site = replace(term.site, recordings=None)
+        return known and site in sites.get(term.effect.id, (site,))
 
     def _adapted(self, fit: Fit, terms: Terms, place: int | None) -> Terms:
         """Return terms with the shapes that fit best at a joint, now that one is missing there."""
@@ -269,7 +334,8 @@ class Search:
         for uneven in self.grid.candidates:
             if uneven.effect.id != UNEVEN:
                 continue
-            parts = [c for c in terms if c.place == uneven.place and c.effect.id in PARTS_OF_UNEVEN]
+            here = [c for c in terms if c.place == uneven.place and c.site.always]
+            parts = [c for c in here if c.effect.id in PARTS_OF_UNEVEN]
             if len(parts) == len(PARTS_OF_UNEVEN):
                 joined = (*(c for c in terms if c not in parts), uneven)
                 terms = joined if plausible(Fit(fit.rows, joined), uneven) else terms
@@ -321,5 +387,6 @@ def _names(terms: Terms) -> list[tuple[str, object]]:
 
 
 def _place(term: Candidate) -> tuple[object, ...]:
-    """Return an effect and its place, whenever it acts."""
-    return term.effect.id, term.site.joint, term.site.other, term.site.body
+    """Return an effect and its place, whenever it acts, and whether that is in some recordings only."""
+    site = term.site
+    return term.effect.id, site.joint, site.other, site.body, site.recordings is not None

@@ -49,7 +49,7 @@ class Candidate:
 
     def features(self, signals: Signals) -> dict[str, Tensor]:
         """Return the columns by label, as ``Effect.features`` does."""
-        return self.effect.features(signals, self.site, self.shape)
+        return self.effect.features_at(signals, self.site, self.shape)
 
 
 class Columns:
@@ -125,7 +125,7 @@ class Columns:
 
     def candidate(self, e: Effect, site: Site, shape: Shape) -> Candidate:
         """Return an effect at a site with a shape, whether it has columns here or not."""
-        return Candidate(e, site, shape, tuple(e.features(self._probe, site, shape)))
+        return Candidate(e, site, shape, tuple(e.features_at(self._probe, site, shape)))
 
     def scale(self, site: Site) -> JointScale:
         """Return what the recordings cover at a site's joint; at the first one for the whole robot."""
@@ -180,14 +180,17 @@ class Columns:
 
     def urdf_value(self, candidate: Candidate) -> float:
         """Return what the URDF's <dynamics> say of a term, zero where they have no word for it."""
-        attribute = URDF_FRICTION.get(candidate.effect.id)
+        attribute = URDF_FRICTION.get(candidate.effect.id) if candidate.site.always else None
         return float(getattr(self.robot, attribute)[candidate.joint]) if attribute else 0.0
 
     def friction_of(self, terms: Iterable[Candidate], x: Tensor) -> Tensor:
-        """Return the friction (n_dof, 3) of a model with coefficients x (n,): of its terms, else of the URDF."""
+        """Return the friction (n_dof, 3) of a model with coefficients x (n,): of its terms, else of the URDF.
+
+        Only what acts all the time counts.
+        """
         found: list[tuple[str, int | None, Tensor]] = []
         counted: set[int] = set()
-        for c in (*terms, *self.urdf_friction):
+        for c in (*(c for c in terms if c.site.always), *self.urdf_friction):
             # A column that two terms share counts once.
             index = self.of(c)
             found.append((c.effect.id, c.place, torch.stack([x[k] * float(k not in counted) for k in index])))

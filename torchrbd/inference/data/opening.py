@@ -1,4 +1,4 @@
-"""Open the recordings of one job: those to fit, then those held out as a whole."""
+"""Open the recordings of one job: those to fit, then those held out as a whole, and a simulator's of the same."""
 
 from __future__ import annotations
 
@@ -49,3 +49,32 @@ def open_all(
                 f"two recordings are called '{name}' ({', '.join(parents)}); rename one, results refer to them by name"
             )
     return tuple(found)
+
+
+def open_simulated(robot: RobotModel, settings: Settings, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Open the simulator's recordings, one for each real one; none if the settings name none.
+
+    Their columns are called as in the README, or as the settings' mapping has them.
+
+    Raises:
+        RecordingError: a file that cannot be used.
+        OptionError: more or fewer than there are real ones.
+    """
+    given = settings.simulated
+    if given and len(given) != len(recordings):
+        raise OptionError(
+            f"{len(given)} simulated recordings for {len(recordings)} real ones "
+            f"({', '.join(r.name for r in recordings)}); give one for each, those of held-out recordings last"
+        )
+
+    def opened(source: Path | Recording) -> Recording:
+        if isinstance(source, Recording):
+            return source.of_joints(robot.joint_names)
+        try:
+            return open_recording(source, robot.joint_names)
+        except RecordingError:
+            if settings.mapping is None:
+                raise
+            return open_recording(source, robot.joint_names, mapping=read_mapping(settings.mapping))
+
+    return tuple(map(opened, given))

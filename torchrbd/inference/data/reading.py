@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchrbd.inference.data.block_statistics import BlockStatistics, block_statistics
 from torchrbd.inference.data.columns import Columns
+from torchrbd.inference.data.simulated import Simulated
 from torchrbd.recordings import Filtering, Recording, States, Survey, tiles
 from torchrbd.robot import RobotModel
 
@@ -32,6 +33,7 @@ class Reading:
         filtering: the one filter pair of all.
         used: (n_dof,) bool, joints whose torque counts.
         payload: per recording name, inertial parameters (n_params,) of known loads.
+        simulated: per recording, what a simulator has beyond the URDF; empty if the URDF is what is compared with.
         smoothed: per recording, what replaces the filtered states; empty if they stay.
     """
 
@@ -41,6 +43,7 @@ class Reading:
     filtering: Filtering
     used: Tensor
     payload: dict[str, Tensor]
+    simulated: tuple[Simulated, ...] = ()
     smoothed: tuple[StateEstimate, ...] = ()
 
     def measured(self, k: int) -> Tensor:
@@ -50,7 +53,7 @@ class Reading:
         return torch.tensor(varies) & self.used
 
     def tiles(self, k: int) -> Iterator[States]:
-        """Stream the states of recording k; known payloads are taken off its torque."""
+        """Stream the states of recording k; known payloads and a simulator's extra torque are taken off."""
         recording = self.recordings[k]
         load = self.payload.get(recording.name)
         for states in tiles(recording, self.surveys[k], self.filtering):
@@ -59,7 +62,7 @@ class Reading:
             if load is not None:
                 known = self.robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, load).T
                 states = replace(states, tau=states.tau - known)
-            yield states
+            yield self.simulated[k].taken_off(states) if self.simulated else states
 
     @property
     def block_s(self) -> float:

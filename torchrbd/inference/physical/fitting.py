@@ -13,6 +13,7 @@ from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.physical.map_fit import first_noise_variance, residual_variance, scaled_equations
 from torchrbd.inference.physical.physical_fit import PhysicalFit, physical_fit
 from torchrbd.inference.physical.prior import Prior
+from torchrbd.inference.physical.scatter import Scatter
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.results import Fit
 from torchrbd.inference.shapes.slope import ShapeSlope
@@ -38,6 +39,7 @@ class FittedModel:
         covariance: (n_free, n_free) the same, widened where the scatter over blocks says so.
         noise_variance: (n_dof,) of the band-limited torque.
         converged: False if the torques are so far from any rigid body's that the fit stopped early.
+        scatter: how far single blocks move the fit, where that has been worked out.
     """
 
     columns: Columns
@@ -48,6 +50,7 @@ class FittedModel:
     covariance: Tensor
     noise_variance: Tensor
     converged: bool
+    scatter: Scatter | None = None
 
     @property
     def pi(self) -> Tensor:
@@ -68,11 +71,14 @@ class FittedModel:
         whole[own.unsqueeze(1), own] = covariance[at.unsqueeze(1), at]
         return whole
 
+    def position(self, candidate: Candidate) -> Tensor:
+        """Return where the columns (K,) of a fitted term stand among the free ones."""
+        return torch.tensor([int((self.free == k).nonzero()) for k in self.columns.of(candidate)])
+
     def coefficients(self, candidate: Candidate) -> tuple[Tensor, Tensor]:
         """Return coefficients (K,) and covariance (K, K) of a fitted term."""
-        index = torch.tensor(self.columns.of(candidate))
-        at = torch.tensor([int((self.free == k).nonzero()) for k in index])
-        return self.x[index], self.covariance[at.unsqueeze(1), at]
+        at = self.position(candidate)
+        return self.x[self.free[at]], self.covariance[at.unsqueeze(1), at]
 
     def module(self) -> RigidBodyDynamics:
         """Return the model as a module; friction that the URDF has stays in it unless a term has re-fitted it."""
@@ -90,7 +96,8 @@ class FittedModel:
             # Two terms may share a column; its whole coefficient belongs to the first.
             w = torch.stack([self.x[k] * float(k not in shared) for k in index])
             shared.update(index)
-            fitted.append(Term(c.effect, c.site, w, c.shape))
+            if bool(w.any()):
+                fitted.append(Term(c.effect, c.site, w, c.shape))
         width = torch.tensor([scale.rest_width for scale in columns.scales], dtype=torch.float64)
         return RigidBodyDynamics(columns.robot, self.pi, [*kept, *fitted], width)
 

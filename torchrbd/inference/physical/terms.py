@@ -33,11 +33,13 @@ def term_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple
 
         var p = (dp/d(w, theta)) cov(w, theta) (dp/d(w, theta))'
 
-    A refined shape theta has the covariance that the curvature of the profile loss gives it; one that was not refined
-    is known to its place on the grid only.
+    with the covariance of the fit, or the scatter over blocks where that is more. A refined shape theta has the
+    covariance that the curvature of the profile loss gives it; one that was not refined is known to its place on the
+    grid only.
     """
     w, _ = model.coefficients(candidate)
-    w, covariance = w.clone().requires_grad_(True), _covariance(model, candidate)
+    w = w.clone().requires_grad_(True)
+    at, grid_only = _places(model, candidate)
     by_shape = _shape_derivatives(model, candidate)
     found = {}
     for name, value in candidate.effect.parameters(w, candidate.shape).items():
@@ -45,7 +47,12 @@ def term_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple
         if value.requires_grad:
             (slope,) = torch.autograd.grad(value, w, retain_graph=True)
         slope = torch.cat((slope, by_shape[name]))
-        found[name] = (float(value.detach()), float(slope @ covariance @ slope) ** 0.5)
+        seen = at >= 0
+        g = torch.zeros(len(model.free), dtype=torch.float64).index_add(0, at[seen], slope[seen])
+        variance = float(g @ model.covariance @ g)
+        if model.scatter is not None:
+            variance = max(variance, model.scatter.variance(g, variance))
+        found[name] = (float(value.detach()), (variance + float(slope.square() @ grid_only)) ** 0.5)
     return found
 
 
@@ -63,19 +70,16 @@ def _shape_derivatives(model: FittedModel, candidate: Candidate) -> dict[str, Te
     return {name: torch.tensor(d, dtype=torch.float64) for name, d in found.items()}
 
 
-def _covariance(model: FittedModel, candidate: Candidate) -> Tensor:
-    """Return cov(w, theta), (K + S, K + S)."""
-    _, own = model.coefficients(candidate)
+def _places(model: FittedModel, candidate: Candidate) -> tuple[Tensor, Tensor]:
+    """Return where (w, theta) stand among the free columns, -1 for shapes without one, and the variance of those."""
     slopes = {c.parameter: c for c in model.terms if isinstance(c, ShapeSlope) and c.belongs_to(candidate)}
-    grid = axes(model.columns, candidate)
-    grid_only = [_grid_variance(axis, candidate.shape[name]) for name, axis in grid.items()]
-    covariance = torch.block_diag(own, torch.diag(torch.tensor(grid_only, dtype=torch.float64)))
-    index = model.columns.of(candidate) + [model.columns.of(s)[0] for s in slopes.values()]
-    at = torch.tensor([int((model.free == k).nonzero()) for k in index])
-    K = len(own)
-    to = torch.tensor([*range(K), *(K + list(grid).index(name) for name in slopes)])
-    covariance[to.unsqueeze(1), to] = model.covariance[at.unsqueeze(1), at]
-    return covariance
+    at = model.position(candidate).tolist()
+    variances = [0.0] * len(at)
+    for name, axis in axes(model.columns, candidate).items():
+        refined = slopes.get(name)
+        at.append(-1 if refined is None else int(model.position(refined)))
+        variances.append(_grid_variance(axis, candidate.shape[name]) if refined is None else 0.0)
+    return torch.tensor(at), torch.tensor(variances, dtype=torch.float64)
 
 
 def _grid_variance(axis: Axis, value: float) -> float:

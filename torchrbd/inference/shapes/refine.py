@@ -24,6 +24,7 @@ from torchrbd.inference.data.columns import URDF_FRICTION, Candidate
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.map_fit import noise_variance, scaled_equations, solve
+from torchrbd.inference.physical.scatter import block_scatter
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.grid import Terms, best_on_grid, columns_of
 from torchrbd.inference.shapes.reread import reread, with_input_noise
@@ -165,10 +166,14 @@ def fit_with_shapes(prepared: Prepared, terms: Sequence[Candidate]) -> FittedMod
     """Fit refined terms; covariances include what is not known of their shapes."""
     fitted = prepared.fit(terms)
     around = [c for c in prepared.columns.candidates if isinstance(c, ShapeSlope)]
-    if not around:
+    if around:
+        known = prepared.fit((*terms, *around), fitted.noise_variance)
+        fitted = replace(known, x=fitted.x, converged=fitted.converged)
+    if prepared.states is not None:
+        # The states have moved with the parameters; what they would be without a block is not known.
         return fitted
-    known = prepared.fit((*terms, *around), fitted.noise_variance)
-    return replace(known, x=fitted.x, converged=fitted.converged)
+    given = fitted.x, fitted.free, fitted.laplace, fitted.noise_variance
+    return replace(fitted, scatter=block_scatter(prepared.training, *given))
 
 
 def _carried(prepared: Prepared, terms: Sequence[Candidate], x: Tensor) -> Carried:

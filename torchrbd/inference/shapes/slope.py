@@ -36,7 +36,7 @@ class ShapeSlope(Candidate):
     def features(self, signals: Signals) -> dict[str, Tensor]:
         """Return sum_k w_k (phi_k(theta + h) - phi_k(theta - h)) / 2h under its label."""
         up, down = (
-            self.effect.features(signals, self.site, _moved(self.shape, self.parameter, h))
+            self.effect.features_at(signals, self.site, _moved(self.shape, self.parameter, h))
             for h in (self.step, -self.step)
         )
         pairs = zip(self.weights, up.values(), down.values(), strict=True)

@@ -1,0 +1,72 @@
+"""The worth of a model on held-out torque, against errors whose worth and memory are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from torchrbd.diagnosis.proof import proofs
+from torchrbd.inference.results import TorqueSeries
+
+STEP_S = 0.05
+
+
+def series(errors: dict[str, np.ndarray], held_out: np.ndarray | None = None) -> TorqueSeries:
+    """Return series of one joint with given errors of the models."""
+    M = len(next(iter(errors.values())))
+    measured, nothing = np.zeros((M, 1)), np.zeros((M, 1))
+    return TorqueSeries(
+        joints=("hinge",),
+        recordings=("a.csv",),
+        recording=np.zeros(M, dtype=int),
+        t=STEP_S * np.arange(M),
+        held_out=np.ones(M, dtype=bool) if held_out is None else held_out,
+        q=nothing,
+        qd=nothing,
+        qdd=nothing,
+        measured=measured,
+        predicted={model: -e[:, None] for model, e in errors.items()},
+    )
+
+
+def coloured(rng: np.random.Generator, M: int, time_s: float) -> np.ndarray:
+    """Return noise whose autocorrelation falls as exp(-t / time_s)."""
+    a = np.exp(-STEP_S / time_s)
+    e = np.zeros(M)
+    for k in range(1, M):
+        e[k] = a * e[k - 1] + np.sqrt(1 - a**2) * rng.standard_normal()
+    return e
+
+
+def test_intervals_hold_the_true_ratio_as_often_as_they_say() -> None:
+    """Errors of half the size leave a quarter of the power."""
+    rng, held, hit = np.random.default_rng(0), 100, 0
+    for seed in range(held):
+        before = coloured(rng, 1200, 0.1)
+        (proof,) = proofs(series({"rigid_body": before, "extended": 0.5 * coloured(rng, 1200, 0.1)}), 10.0, seed)
+        hit += proof.over["rigid_body"].low <= 0.25 <= proof.over["rigid_body"].high
+    assert 0.86 * held <= hit <= held - 1
+
+
+def test_only_what_is_held_out_counts() -> None:
+    rng = np.random.default_rng(1)
+    before, after, held_out = rng.standard_normal(1000), rng.standard_normal(1000), np.arange(1000) >= 500
+    spoilt = np.where(held_out, after, 1e3)
+    given = {"urdf": before, "rigid_body": 2 * before, "extended": after}
+    (proof,) = proofs(series({**given, "extended": spoilt}, held_out), 10.0)
+    (same,) = proofs(series(given, held_out), 10.0)
+    assert proof == same
+    assert proof.over["urdf"].value == pytest.approx((after[500:] ** 2).sum() / (before[500:] ** 2).sum())
+    assert proof.over["rigid_body"].value == pytest.approx(proof.over["urdf"].value / 4)
+    assert proofs(series(given, np.zeros(1000, dtype=bool)), 10.0) == ()
+
+
+@pytest.mark.parametrize("time_s", [0.1, 0.4])
+def test_memory_is_the_integral_of_the_autocorrelation(time_s: float) -> None:
+    """Of exp(-t / T) it is 2 T; of white noise one step."""
+    rng = np.random.default_rng(2)
+    slow, white = coloured(rng, 60_000, time_s), rng.standard_normal(60_000)
+    (proof,) = proofs(series({"rigid_body": slow, "extended": white}), 10.0)
+    assert proof.memory_s["rigid_body"] == pytest.approx(2 * time_s, rel=0.15)
+    assert proof.memory_s["extended"] == pytest.approx(STEP_S, rel=0.1)
+    assert proof.white_s == 0.05

@@ -1,0 +1,202 @@
+"""Read what two diagnoses say, whether they are at hand or in diagnosis.json and parameters.json."""
+
+from __future__ import annotations
+
+import json
+import math
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchrbd.diagnosis.results import Diagnosis, Finding, Limit, Unexplained
+from torchrbd.errors import InputError
+
+_FILE, _PARAMETERS = "diagnosis.json", "parameters.json"
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """What a diagnosis says of the combinations that motion can tell, beta = K pi.
+
+    Attributes:
+        columns: (n_params,) names of the inertial parameters pi.
+        K: (n_base, n_params).
+        pi: (n_params,) the fit.
+        beta, covariance: (n_base,) and (n_base, n_base).
+        share: (n_base,) 0 (told by the data) to 1 (told by the URDF alone).
+        expressions, units: (n_base,).
+    """
+
+    columns: tuple[str, ...]
+    K: np.ndarray
+    pi: np.ndarray
+    beta: np.ndarray
+    covariance: np.ndarray
+    share: np.ndarray
+    expressions: tuple[str, ...]
+    units: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of two diagnoses.
+
+    ``bodies`` are the owners of the columns of ``inertia``, which is None where it is not known.
+    """
+
+    name: str
+    robot: str
+    joints: tuple[str, ...]
+    recordings: tuple[str, ...]
+    cutoff_hz: float
+    findings: tuple[Finding, ...]
+    unexplained: tuple[Unexplained, ...]
+    limits: tuple[Limit, ...]
+    simulated: tuple[str, ...]
+    inertia: Inertia | None
+    bodies: tuple[str, ...]
+
+
+def side_of(source: Diagnosis | str | Path, name: str) -> Side:
+    """Read a diagnosis.
+
+    Args:
+        source: a diagnosis, its folder, or its diagnosis.json.
+        name: what to call a diagnosis that has no path.
+
+    Raises:
+        InputError: no such file, or none of ours.
+    """
+    if isinstance(source, Diagnosis):
+        return _of_diagnosis(source, name)
+    return _of_file(Path(source))
+
+
+def _of_diagnosis(result: Diagnosis, name: str) -> Side:
+    one = result.identification
+    own = {p.name: p for p in one.parameters if p.status != "term"}
+    columns, inertia = tuple(one.robot.parameter_names), None
+    if one.base_covariance is not None:
+        inertia = Inertia(
+            columns,
+            one.base_combination,
+            np.array([own[c].value for c in columns]),
+            np.array([b.value for b in one.base]),
+            one.base_covariance,
+            np.array([b.prior_share for b in one.base]),
+            tuple(b.expression for b in one.base),
+            tuple(b.unit for b in one.base),
+        )
+    return Side(
+        name,
+        one.robot.name,
+        tuple(one.series.joints),
+        one.recordings,
+        one.cutoff_hz,
+        result.findings,
+        result.unexplained,
+        result.limits,
+        result.simulated,
+        inertia,
+        tuple(own[c].owner for c in columns),
+    )
+
+
+def _of_file(path: Path) -> Side:
+    file = path / _FILE if path.is_dir() else path
+    content = _read(file)
+    try:
+        known: dict[str, Any] = {
+            key: rebuilt(kind, content.get(key, ()))
+            for key, kind in (
+                ("findings", tuple[Finding, ...]),
+                ("unexplained", tuple[Unexplained, ...]),
+                ("limits", tuple[Limit, ...]),
+                ("simulated", tuple[str, ...]),
+            )
+        }
+        known |= {"robot": str(content["robot"]), "cutoff_hz": float(content["cutoff_hz"])}
+        known |= {key: tuple(map(str, content[key])) for key in ("joints", "recordings")}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"{file}: is no diagnosis.json as 'torchrbd diagnose' writes it ({type(error).__name__}: {error}); "
+            "diagnose the recordings again"
+        ) from None
+    inertia, bodies = _inertia(file.parent / _PARAMETERS)
+    return Side(name=str(path), inertia=inertia, bodies=bodies, **known)
+
+
+def _inertia(file: Path) -> tuple[Inertia | None, tuple[str, ...]]:
+    """Return what parameters.json says, if it lies beside and has intervals."""
+    if not file.is_file():
+        return None, ()
+    content = _read(file)
+    try:
+        columns = tuple(content["base_combination"]["columns"])
+        own = {p["name"]: p for p in content["parameters"]}
+        bodies, base = tuple(own[c]["owner"] for c in columns), content["base_parameters"]
+        if content["base_covariance"] is None:
+            return None, bodies
+        inertia = Inertia(
+            columns,
+            np.array(content["base_combination"]["matrix"], dtype=float).reshape(len(base), len(columns)),
+            np.array([own[c]["value"] for c in columns], dtype=float),
+            np.array([b["value"] for b in base], dtype=float),
+            np.array(content["base_covariance"], dtype=float).reshape(len(base), len(base)),
+            np.array([b["prior_share"] for b in base], dtype=float),
+            tuple(b["expression"] for b in base),
+            tuple(b["unit"] for b in base),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{file}: is no parameters.json as 'torchrbd diagnose' writes it ({type(error).__name__}: {error}); "
+            "diagnose the recordings again, or remove it to compare findings alone"
+        ) from None
+    return inertia, bodies
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"{file}: cannot be read ({error.strerror}); give the folder that 'torchrbd diagnose -o' wrote, "
+            f"or the {_FILE} in it"
+        ) from None
+    except ValueError as error:
+        raise InputError(f"{file}: is not JSON ({error}); diagnose the recordings again") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{file}: expected what 'torchrbd diagnose' writes, a mapping; got a {type(content).__name__}")
+    return content
+
+
+def rebuilt(kind: Any, value: Any) -> Any:
+    """Return what JSON says as the dataclasses, tuples and numbers that it was written from; null is NaN for a number.
+
+    Raises:
+        TypeError, ValueError: it says something else.
+    """
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if isinstance(kind, type) and is_dataclass(kind):
+        if not isinstance(value, Mapping):
+            raise TypeError(f"expected a {kind.__name__}, got {value!r}")
+        types_of = typing.get_type_hints(kind)
+        return typing.cast(Any, kind)(
+            **{f.name: rebuilt(types_of[f.name], value[f.name]) for f in fields(kind) if f.name in value}
+        )
+    if origin in (types.UnionType, typing.Union):
+        (other,) = (one for one in inner if one is not type(None))
+        return None if value is None else rebuilt(other, value)
+    if origin is tuple:
+        each = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
+        return tuple(rebuilt(one, v) for one, v in zip(each, value, strict=True))
+    if origin is dict:
+        return {str(key): rebuilt(inner[1], v) for key, v in value.items()}
+    if kind is float:
+        return math.nan if value is None else float(value)
+    return kind(value)

@@ -1,0 +1,49 @@
+"""The page of a comparison: what changed between two diagnoses, in one table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from torchrbd.diagnosis.compare_results import Change, Comparison, Difference
+from torchrbd.diagnosis.compare_words import certainty, signed
+from torchrbd.diagnosis.numbers import measure, unit
+from torchrbd.diagnosis.words import at, words_of
+from torchrbd.report.words import tied
+
+VERDICTS = {"changed": "≠ changed", "unchanged": "= as it was", "open": "? cannot tell"}
+# Inertial parameters that are shown; comparison.json has all.
+MOST_INERTIAL, LIKELY = 8, 0.5
+
+
+def write_changes_report(result: Comparison, path: Path) -> None:
+    """Write one HTML file that needs nothing else: no scripts, no external style, font or picture."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"measure": measure, "unit": unit, "tied": tied, "certainty": certainty, "signed": signed}
+    environment.globals |= {"shown": shown, "title": title, "verdicts": VERDICTS}
+    text = environment.get_template("changes.html.j2").render(result=result)
+    Path(path).write_text(text, encoding="utf-8")
+
+
+def title(change: Change) -> str:
+    """Return what a change is of, "Coulomb friction at joint2"."""
+    if change.kind == "inertia":
+        return "inertial parameters"
+    words = "unexplained" if change.kind == "unexplained" else words_of(change.effect)
+    others = f" ({', '.join(change.depends_on)})" if change.depends_on else ""
+    return words + others + (at(change.joints, change.links) or " of the whole robot")
+
+
+def shown(change: Change) -> list[tuple[str, Difference]]:
+    """Return the parameters to show: of inertial ones, those that are likely to have changed, most likely first."""
+    if change.kind != "inertia":
+        return list(change.parameters.items())
+    likely = [(name, d) for name, d in change.parameters.items() if d.probability > LIKELY]
+    return sorted(likely, key=lambda one: -one[1].probability)[:MOST_INERTIAL]
