@@ -101,6 +101,17 @@ def test_a_joint_without_torque_says_nothing() -> None:
     assert both.variance(g, 1.0) == pytest.approx(one.variance(g, 1.0), rel=1e-9)
 
 
+def test_a_column_that_moves_no_joint_spoils_no_other() -> None:
+    joints, variance = drawn(6, p=3), np.array([0.5, 2.0])
+    x, without = scatter_of(joints, variance, np.full(3, 10.0))
+    still = [[(np.c_[A, np.zeros(len(A))], y) for A, y in blocks] for blocks in joints]
+    laplace = torch.zeros(4, 4, dtype=torch.float64)
+    laplace[:3, :3] = without.laplace
+    given = torch.from_numpy(np.append(x, 0.0)), torch.arange(4), laplace, torch.from_numpy(variance)
+    scatter, g = block_scatter(statistics(still), *given), torch.tensor([1.0, -2.0, 0.5, 0.0], dtype=torch.float64)
+    assert scatter.variance(g, 1.0) == pytest.approx(without.variance(g[:3], 1.0), rel=1e-9)
+
+
 def coverage(pole: float, seed: int) -> tuple[float, float]:
     """Return how many intervals of 95 % hold the truth, by the scatter and by independent samples.
 

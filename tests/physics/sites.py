@@ -39,6 +39,9 @@ def signals(q: Tensor, qd: Tensor, qdd: Tensor, rest_width: float = SCALE.rest_w
 
 
 def site_of(effect: Effect) -> Site:
-    """Return a place where the effect may sit, the middle one of those that there are."""
+    """Return a place where the effect may sit: the middle one of those that there are, or the last of links.
+
+    That link all joints move, so that all of a load or a force shows.
+    """
     sites = effect.sites(ROBOT, (WINDOW,))
-    return sites[len(sites) // 2]
+    return sites[-1] if sites[0].body is not None else sites[len(sites) // 2]

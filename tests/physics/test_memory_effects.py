@@ -11,6 +11,7 @@ import torch
 from physics.sites import ROBOT, SCALE, signals, states
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, firwin, lfilter
+from torch import Tensor
 from torch.autograd import gradcheck
 
 from torchrbd.errors import InputError
@@ -238,7 +239,7 @@ class TestTwoMasses:
     def test_play_between_motor_and_link(self, seed: int) -> None:
         t, q, play = np.arange(0, 6, 0.001), motion(seed, 0.6), 0.004
         torque = two_masses(q, t, play, 5e4, damping=80.0)
-        w, share = self.explained(Backlash(), {"flight": play}, q, t, torque)
+        w, share = self.explained(Backlash(), {"flight": play, "link_friction": 0.0}, q, t, torque)
         assert share > 0.85
         assert w == pytest.approx(play, rel=0.2)
         # without the flight, sides change at once: that explains nothing
@@ -248,11 +249,17 @@ class TestTwoMasses:
         assert fitted(band_limited(at_once[0], 1000.0), left)[1] < 0.3
 
 
+def free(load: Tensor, inertia: Tensor, dt: float, play: float) -> Tensor:
+    """Return the deviation of a link without friction."""
+    still = torch.zeros_like(load)
+    return deviation(load, inertia, (still, still), (0.0, 0.0, 0.0), dt, play)
+
+
 class TestBacklashFlight:
     def test_takes_the_time_that_the_load_gives(self) -> None:
         """A load -r t from its zero on pushes by r t / M: a play b takes (6 M b / r)^(1/3)."""
         t = torch.arange(-200, 400, dtype=torch.float64) * 1e-3
-        x = deviation(-5.0 * t, torch.full_like(t, 0.4), 1e-3, 0.01)
+        x = free(-5.0 * t, torch.full_like(t, 0.4), 1e-3, 0.01)
         flight = (6 * 0.4 * 0.01 / 5.0) ** (1 / 3)
         np.testing.assert_allclose(x[t < 0].numpy(), -0.005)
         flying = (t > 2e-3) & (t < flight - 1e-3)
@@ -261,10 +268,29 @@ class TestBacklashFlight:
 
     def test_stays_within_the_play_and_turns_with_the_load(self) -> None:
         at = signals(*states(300))
-        x = deviation(at.load[1], torch.ones(300, dtype=torch.float64), 0.01, 0.02)
+        x = free(at.load[1], torch.ones(300, dtype=torch.float64), 0.01, 0.02)
         assert x.abs().max() <= 0.01
-        mirrored = deviation(-at.load[1], torch.ones(300, dtype=torch.float64), 0.01, 0.02)
+        mirrored = free(-at.load[1], torch.ones(300, dtype=torch.float64), 0.01, 0.02)
         torch.testing.assert_close(mirrored, -x)
+
+    def test_friction_holds_the_link_while_the_motor_crosses_the_play(self) -> None:
+        """Nothing but friction: when the motor turns back, the link rests until the motor has gone through the play."""
+        t = 1e-3 * torch.arange(3000, dtype=torch.float64)
+        q, qd, qdd = 0.1 * torch.sin(4 * t), 0.4 * torch.cos(4 * t), -1.6 * torch.sin(4 * t)
+        inertia, play = torch.full_like(t, 1e-3), 0.02
+        x = deviation(1e-3 * qdd, inertia, (qd, qdd), (0.05, 0.5, 0.0), 1e-3, play)
+        back = int(torch.nonzero(qd < 0)[0])
+        met = back + int(torch.nonzero(q[back:] < q[back] - play)[0])
+        np.testing.assert_allclose(x[:back].numpy(), -play / 2)
+        resting = slice(back + 2, met - 2)
+        np.testing.assert_allclose(x[resting].numpy(), (-play / 2 + q[back] - q[resting]).numpy(), atol=1e-4)
+        np.testing.assert_allclose(x[met + 2 : met + 200].numpy(), play / 2)
+
+    def test_friction_is_little_by_little_none(self) -> None:
+        at, width = signals(*states(300)), torch.ones(300, dtype=torch.float64)
+        motion = at.qd[1], at.qdd[1]
+        some = deviation(at.load[1], width, motion, (1e-9, 1e-9, 1e-9), 0.01, 0.02)
+        torch.testing.assert_close(some, free(at.load[1], width, 0.01, 0.02), atol=1e-6, rtol=0.0)
 
 
 @pytest.mark.parametrize(
@@ -279,15 +305,15 @@ def test_memory_needs_a_sequence(effect: Effect) -> None:
 def test_what_is_not_plausible() -> None:
     assert not PreslidingHysteresis().plausible({"coulomb": -1.0, "distance": 0.1}, SCALE)
     assert not JointElasticity().plausible({"stiffness": -100.0, "bandwidth": 6.0}, SCALE)
-    assert Backlash().plausible({"backlash": 0.003, "flight": 0.002}, SCALE)
-    assert not Backlash().plausible({"backlash": -0.003, "flight": 0.002}, SCALE)
-    assert not Backlash().plausible({"backlash": 0.0003, "flight": 0.02}, SCALE)
+    assert Backlash().plausible({"backlash": 0.003, "flight": 0.002, "link_friction": 1.0}, SCALE)
+    assert not Backlash().plausible({"backlash": -0.003, "flight": 0.002, "link_friction": 1.0}, SCALE)
+    assert not Backlash().plausible({"backlash": 0.0003, "flight": 0.02, "link_friction": 1.0}, SCALE)
 
 
 def test_a_link_without_inertia_crosses_its_play_at_once() -> None:
     """A fit that is not physical may say so of a link."""
     load = torch.sin(torch.linspace(0.0, 200.0, 40000, dtype=torch.float64))
     for inertia in (torch.zeros_like(load), -torch.ones_like(load), torch.linspace(-1.0, 1.0, 40000).double()):
-        x = deviation(load, inertia, 0.01, 0.02)
+        x = free(load, inertia, 0.01, 0.02)
         assert torch.isfinite(x).all()
         assert x.abs().max() <= 0.01

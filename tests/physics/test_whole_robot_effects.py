@@ -5,6 +5,7 @@ First order means: half the size leaves a quarter of the error.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -20,7 +21,7 @@ from torchrbd.physics.encoder_offset import EncoderOffset
 from torchrbd.physics.external_wrench import ExternalWrench
 from torchrbd.physics.geometry_error import GeometryError
 from torchrbd.physics.payload import Payload
-from torchrbd.robot import RobotModel
+from torchrbd.robot import PARAMETERS, RobotModel
 
 URDF = random_urdf(21, 5, kinds=("revolute", "prismatic"), branching=0.2, fixed=0.5)
 ROBOT = RobotModel.from_urdf(URDF)
@@ -176,9 +177,15 @@ class TestSites:
         for effect in (ExternalWrench(), Payload()):
             assert effect.sites(self.UPRIGHT) == ()
             bodies = [site.body for site in effect.sites(self.UPRIGHT, (HALF, Window("other")))]
-            assert bodies[-1] == 5
-            assert not {0, 1} & set(bodies)
-            assert len(bodies) == 2 * len(set(bodies))
+            assert bodies == 2 * list(range(6))
+
+    def test_what_no_joint_feels_of_a_load_is_no_number(self) -> None:
+        """Behind one upright axis a mass shows by its inertia about that axis alone."""
+        (site,) = [s for s in Payload().sites(self.UPRIGHT, (HALF,)) if s.body == 0]
+        x = torch.randn(3, self.UPRIGHT.n_dof, 20, dtype=torch.float64)
+        width, t = torch.ones(self.UPRIGHT.n_dof, dtype=torch.float64), 0.1 * torch.arange(20, dtype=torch.float64)
+        features = Payload().features(Signals(self.UPRIGHT, *x, width, t=t, recording="rec"), site, {})
+        assert [name for name, phi in zip(PARAMETERS, features.values(), strict=True) if phi.any()] == ["Izz"]
 
     def test_no_gravity_no_tilt(self) -> None:
         assert BaseTilt().sites(self.UPRIGHT.with_gravity((0.0, 0.0, 0.0))) == ()
@@ -195,4 +202,7 @@ def test_what_is_not_plausible() -> None:
     load = {**dict.fromkeys(Payload.units, 0.01), "mass": 1.0}
     assert Payload().plausible(load, SCALE)
     assert not Payload().plausible({**load, "mass": -1.0}, SCALE)
+    unfelt = {**dict.fromkeys(Payload.units, math.nan), "Izz": 0.2}
+    assert Payload().plausible(unfelt, SCALE)
+    assert not Payload().plausible({**unfelt, "Izz": -0.2}, SCALE)
     assert not Payload().plausible({**load, "z": 1.5}, SCALE)

@@ -61,7 +61,7 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
     """Compare every term of a fit with none and with others in its place, fitted and with refined shapes."""
     found, counts = [], fit.rows.counts
     for term in fit.terms:
-        rest = Fit(fit.rows, without(fit.terms, term))
+        rest = Fit(fit.rows, without(fit.terms, term)).renoised()
         own, rivals = judged(rest, term), []
         for option in search.rivals(rest, term):
             c = option.candidate

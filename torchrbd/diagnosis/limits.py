@@ -89,11 +89,10 @@ def _coefficients(fit: Fit, candidate: Candidate) -> tuple[np.ndarray, np.ndarra
     None is fresh if the model imitates the candidate.
     """
     rows = fit.rows
-    features = rows.samples.features(candidate)
     known = {place: len(fit.x) - len(fit.places) + k for k, place in enumerate(fit.places)}
     own = [known.get((candidate.place, label), -1) for label in candidate.labels]
     fresh = np.array([k < 0 for k in own])
-    C = rows.widened(candidate.place, features)[:, fresh]
+    C = rows.columns(candidate)[1][:, fresh]
     z, covariance = np.zeros(len(own)), np.zeros((len(own), len(own)))
     if not C.any(0).all() or not np.isfinite(C).all() or fit.share_left(C) <= LEAST_SHARE:
         return z, covariance, z, np.zeros(len(own), dtype=bool)
@@ -109,7 +108,7 @@ def _coefficients(fit: Fit, candidate: Candidate) -> tuple[np.ndarray, np.ndarra
         covariance[np.ix_(~fresh, ~fresh)] = cho_solve((fit.L, True), unit)[old] + B[old] @ inverse @ B[old].T
         covariance[np.ix_(~fresh, fresh)] = -B[old] @ inverse
         covariance[np.ix_(fresh, ~fresh)] = -inverse @ B[old].T
-    return z, covariance, rows.widths(candidate.place, features), fresh
+    return z, covariance, rows.widths_of(candidate), fresh
 
 
 def _wider(fit: Fit, P: np.ndarray, w: np.ndarray, inverse: np.ndarray) -> float:

@@ -260,7 +260,8 @@ class Diagnosis:
     does), "missing_physics" (named effects are needed) or "unexplained" (something is left that no known effect
     explains). ``locations`` say where models and robot differ, named or not; ``maps`` draw the same. ``limits`` say how
     large what was not found could be, ``deflections`` what encoders behind the gears show. ``simulated`` names the
-    recordings of a simulator that stood for the URDF. ``proofs`` say what the extended model is worth on held-out torque.
+    recordings of a simulator that stood for the URDF. ``proofs`` say what the extended model is worth on
+    torque that was held out.
     """
 
     identification: Identification

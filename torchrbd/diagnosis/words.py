@@ -98,7 +98,8 @@ def value(q: Quantity) -> str:
 
 def values(finding: Finding) -> list[str]:
     """Return the quantities of a finding by name, "mass 1.2 ± 0.1 kg"; of many, the first few."""
-    found = [f"{name.replace('_', ' ')} {value(q)}" for name, q in finding.parameters.items()]
+    known = {name: q for name, q in finding.parameters.items() if not math.isnan(q.value)}
+    found = [f"{name.replace('_', ' ')} {value(q)}" for name, q in known.items()]
     return found if len(found) <= _MOST_VALUES else found[:_FEW_VALUES]
 
 

@@ -36,7 +36,7 @@ class CoefficientPrior:
         words: one sentence.
         positive: indices of the coefficients that the physics keeps from being negative.
         std: of each coefficient in its own unit, around zero; empty where it is enough that the torque that it makes
-            is no larger than the joint's.
+            is no larger than the joint's. Of several coefficients the proportions count, and the torque sets the size.
     """
 
     words: str = "Of either sign, with a torque no larger than the joint's."

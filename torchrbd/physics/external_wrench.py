@@ -8,8 +8,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.physics.base import Effect, Shape
-from torchrbd.physics.placed import in_windows, telling
+from torchrbd.physics.base import CoefficientPrior, Effect, Shape
+from torchrbd.physics.placed import in_windows, moved
 from torchrbd.physics.signals import JointScale, Signals, Site, Window
 from torchrbd.robot import RobotModel
 
@@ -17,7 +17,7 @@ from torchrbd.robot import RobotModel
 class ExternalWrench(Effect):
     """tau += -J(q)' [f, n] during a window: f and n act on the link at its origin, in the base's axes.
 
-    Where few joints carry a link, some component of the wrench moves none of them: such a link is no site.
+    Where few joints carry a link, some component of the wrench moves none of them, and is not told.
     """
 
     id = "external_wrench"
@@ -28,11 +28,12 @@ class ExternalWrench(Effect):
         **{f"moment_{axis}": "N m" for axis in "xyz"},
     }
     complexity = 6
+    prior = CoefficientPrior("Forces act some decimetres from a link's origin.", std=(1.0, 1.0, 1.0, 0.3, 0.3, 0.3))
     whole_robot = True
     export_note = "a force is no part of a model: MuJoCo takes it as xfrc_applied, at the body's centre of mass"
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
-        return in_windows(telling(self, robot, tuple(Site(body=body) for body in range(robot.n_bodies))), windows)
+        return in_windows(moved(self, robot, tuple(Site(body=body) for body in range(robot.n_bodies))), windows)
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         assert site.body is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
@@ -10,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.physics.base import CoefficientPrior, Effect, Mjcf, Shape
-from torchrbd.physics.placed import in_windows, telling
+from torchrbd.physics.placed import in_windows, moved
 from torchrbd.physics.signals import JointScale, Signals, Site, Window
 from torchrbd.robot import PARAMETERS, RobotModel
 
@@ -20,8 +21,8 @@ class Payload(Effect):
 
     Exact: mass m, centre c in the link's frame and inertia about the link's origin. Without the inertia, a point mass
     13 cm from the origin would leave 2 to 20 % of its torque, and its centre would be 3 to 9 % off. A load that is
-    always there is part of the link, so that there are no sites without windows; where few joints carry a link, some
-    of the ten numbers move none of them: such a link is no site.
+    always there is part of the link, so that there are no sites without windows. Where few joints carry a link, some of
+    the ten numbers move none of them, and are not told.
     """
 
     id = "payload"
@@ -34,14 +35,18 @@ class Payload(Effect):
     }
     complexity = 10
     whole_robot = True
-    prior = CoefficientPrior("A mass is not negative.", positive=(0,))
+    prior = CoefficientPrior(
+        "A mass is not negative, its centre and radius of gyration are some decimetres.",
+        positive=(0,),
+        std=(1.0, *[0.2] * 3, *[0.06] * 6),
+    )
     export_note = (
         "the inertial of a body without joints that is added to the link; MJCF has no word for a part of the time"
     )
     _FURTHEST_M = 1.0
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
-        return in_windows(telling(self, robot, tuple(Site(body=body) for body in range(robot.n_bodies))), windows)
+        return in_windows(moved(self, robot, tuple(Site(body=body) for body in range(robot.n_bodies))), windows)
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         assert site.body is not None
@@ -62,7 +67,10 @@ class Payload(Effect):
         return (m, m * x, m * y, m * z, *inertia), {}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        return parameters["mass"] > 0 and max(abs(parameters[axis]) for axis in "xyz") <= self._FURTHEST_M
+        # What no joint feels is not a number, and contradicts nothing.
+        far = any(abs(parameters[axis]) > self._FURTHEST_M for axis in "xyz")
+        felt = ("Ixx", "Iyy", "Izz") if math.isnan(parameters["mass"]) else ("mass",)
+        return not far and not any(parameters[name] <= 0 for name in felt)
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         m, *centre = (parameters[name] for name in ("mass", *"xyz"))

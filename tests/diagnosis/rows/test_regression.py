@@ -88,7 +88,7 @@ def test_left_out_errors_are_those_of_fits_on_the_other_folds(fit: Fit) -> None:
         X, y = np.concatenate((fit.X[~own], np.eye(P))), np.concatenate((fit.rows.y[~own], np.zeros(P)))
         e[own] = fit.rows.y[own] - fit.X[own] @ np.linalg.lstsq(X, y, rcond=None)[0]
     np.testing.assert_allclose(fit.errors, fit.by_block(e), rtol=1e-7)
-    assert fit.errors.sum() == pytest.approx(float(e @ e))
+    assert (fit.errors / fit.rows.noise[1] ** 2).sum() == pytest.approx(float(e @ e))
 
 
 @pytest.mark.parametrize(("name", "shape"), [("joint_spring", {}), ("stribeck_friction", {"stribeck_speed": 0.1})])

@@ -1,8 +1,6 @@
-"""What features see of a fit: its load, and friction where a term that sees it is in the model."""
+"""What features see of a fit: its load and its friction."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -40,37 +38,14 @@ def prepared() -> Prepared:
     return prepare(robot, [recording], Settings.from_mapping({}, "test"), ())
 
 
-def seen(prepared: Prepared, more: Sequence[tuple[str, Site, dict[str, float]]]) -> np.ndarray:
-    """Return the friction (n, 3) that features see beside the background and more terms."""
+def test_features_see_all_friction_that_is_found(prepared: Prepared) -> None:
+    """What the URDF knows of it too."""
     samples = read_samples(prepared, prepared.fit().pi)
-    columns, joints = samples.columns, range(3)
-    background = [columns.candidate(effect(name), Site(joint), {}) for joint in joints for name in BACKGROUND]
-    terms = (*background, *(columns.candidate(effect(name), *place) for name, *place in more))
+    columns = samples.columns
+    terms = [columns.candidate(effect(name), Site(joint), {}) for joint in range(3) for name in BACKGROUND]
     search = Search(samples, [effect(name) for name in BACKGROUND], prepared.prior)
     fit = search.loaded(fitted(samples, prepared.prior, terms))
     assert fit.rows.samples is search.grid.samples
-    found = fit.rows.samples.columns.friction
-    return np.zeros((3, 3)) if found is None else found.numpy()
-
-
-@pytest.mark.parametrize(
-    ("name", "site", "shape", "joints"),
-    [
-        ("torque_saturation", Site(1), {"limit": 2.0}, [1]),
-        ("actuator_lag", Site(2), {}, [2]),
-        ("time_delay", Site(), {"step": 0.02}, [0, 1, 2]),
-    ],
-)
-def test_friction_is_seen_where_a_term_sees_it(
-    name: str, site: Site, shape: dict[str, float], joints: list[int], prepared: Prepared
-) -> None:
-    """All of it, what the URDF knows too."""
-    found = seen(prepared, [(name, site, shape)])
-    expected = np.zeros((3, 3))
-    expected[joints] = VISCOUS, COULOMB, OFFSET
-    np.testing.assert_allclose(found, expected, atol=0.03)
-
-
-def test_friction_is_no_evidence_elsewhere(prepared: Prepared) -> None:
-    assert not seen(prepared, []).any()
-    assert not seen(prepared, [("load_dependent_friction", Site(1), {})]).any()
+    friction = fit.rows.samples.columns.friction
+    assert friction is not None
+    np.testing.assert_allclose(friction.numpy(), np.tile((VISCOUS, COULOMB, OFFSET), (3, 1)), atol=0.03)

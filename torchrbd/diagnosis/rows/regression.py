@@ -92,7 +92,10 @@ class Fit:
 
     @cached_property
     def errors(self) -> np.ndarray:
-        """Left-out squared errors by block and joint, (B, n)."""
+        """Left-out squared errors of prediction by block and joint, (B, n) [(N m)^2] or [N^2].
+
+        Each sample is predicted with the noise of its predecessors: fits with different noise compare.
+        """
         e = np.empty_like(self.rows.y)
         for own, _, left, *_ in self._folds:
             e[own] = left
@@ -147,9 +150,14 @@ class Fit:
         return self.by_block(e)
 
     def by_block(self, e: np.ndarray) -> np.ndarray:
-        """Return the sums of squares of e (N,) by block and joint, (B, n)."""
+        """Return the sums of squares of whitened e (N,) by block and joint, in squares of torques, (B, n)."""
         n, B = len(self.rows.parts), int(self.rows.block.max()) + 1
-        return np.bincount(self.rows.block * n + self.rows.joint, e**2, B * n).reshape(B, n)
+        sums = np.bincount(self.rows.block * n + self.rows.joint, e**2, B * n).reshape(B, n)
+        return sums * self.rows.noise[1] ** 2
+
+    def renoised(self) -> Fit:
+        """Return the same fit whitened by what it leaves."""
+        return Fit(Rows(self.rows.samples, self.rows.prior, self.noise()), self.terms, self.extra)
 
     def equations(self, features: Mapping[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return what the data says of coefficients that features (K, M) at some joints share.
@@ -172,7 +180,7 @@ class Fit:
         """Return the coefficients w (K,) of a term in their own units."""
         first = self.rows.X.shape[1]
         z = self.x[[first + self.places.index((term.place, label)) for label in term.labels]]
-        return z * self.rows.widths(term.place, self.rows.samples.features(term))
+        return z * self.rows.widths_of(term)
 
     def leftover(self) -> np.ndarray:
         """Return the leftover as it is, (n, M) [N m] or [N]."""
@@ -220,7 +228,7 @@ def fitted(
     noise = noise or (np.zeros((len(rms), ORDER)), np.where(rms > 0, 0.1 * rms, 1.0))
     fit = Fit(Rows(samples, prior, noise), terms, extra)
     for _ in range(rounds):
-        fit = Fit(Rows(samples, prior, fit.noise()), terms, extra)
+        fit = fit.renoised()
     return fit
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -69,29 +70,35 @@ class Rows:
         """Return places and whitened columns (N, K) of a candidate, in prior coordinates."""
         places: list[Place] = [(candidate.place, label) for label in candidate.labels]
         if not all(p in self._known for p in places):
-            for place, column in zip(
-                places, self.widened(candidate.place, self.samples.features(candidate)).T, strict=True
-            ):
-                self._known[place] = column
+            features = self.samples.features(candidate)
+            found = self.widened(candidate.place, features, candidate.effect.prior.std)
+            self._known |= dict(zip(places, found.T, strict=True))
         return places, np.stack([self._known[p] for p in places], axis=1)
 
-    def widened(self, place: int | None, features: np.ndarray) -> np.ndarray:
+    def widened(self, place: int | None, features: np.ndarray, std: Sequence[float] = ()) -> np.ndarray:
         """Return features (K, M) of a joint, or (K, n, M) of all, as whitened columns (N, K) in prior coordinates."""
         C = np.zeros((len(self.y), len(features)))
         for j in range(len(self.parts)) if place is None else (place,):
             C[self.parts[j]] = self.white(features[:, j] if place is None else features, j).T
-        return C * self.widths(place, features)
+        return C * self.widths(place, features, std)
 
-    def widths(self, place: int | None, features: np.ndarray) -> np.ndarray:
+    def widths_of(self, candidate: Candidate) -> np.ndarray:
+        """Return the prior standard deviations of a candidate's coefficients (K,)."""
+        return self.widths(candidate.place, self.samples.features(candidate), candidate.effect.prior.std)
+
+    def widths(self, place: int | None, features: np.ndarray, std: Sequence[float] = ()) -> np.ndarray:
         """Return the prior standard deviations of the coefficients (K,) of features of a joint, or of all.
 
         No torque is believed to have a root mean square, or a peak, beyond so many times the root mean square of its
-        joint's: what few samples see is bounded by the latter.
+        joint's: what few samples see is bounded by the latter. Coefficients of several units (a mass and its moments)
+        keep the proportions ``std`` where given.
         """
         rms = self._rms if place is None else self._rms[place]
         joints = rms > 0
         size = np.maximum(np.sqrt(np.mean(features**2, axis=-1)) / TERM_WIDTH, np.abs(features).max(-1) / PEAK_WIDTH)
         ratio = (size / np.where(joints, rms, 1.0) * joints).reshape(len(features), -1).max(1)
+        if len(std) > 1:
+            ratio = np.where(ratio > 0, (ratio * std).max() / np.array(std), 0.0)
         return np.where(ratio > 0, 1.0 / np.maximum(ratio, 1e-300), 0.0)
 
     def pi(self, z: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import Samples
+from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.shapes.slope import axes
 from torchrbd.physics import Effect, Window
@@ -76,7 +77,7 @@ class Group:
             return
         rows = fit.rows
         part = slice(None) if self.place is None else rows.parts[self.place]
-        C, X = rows.widened(self.place, self.features)[part], fit.X[part]
+        C, X = self.widened(rows)[part], fit.X[part]
         V = solve_triangular(fit.L, X.T @ C, lower=True)
         S, r = C.T @ C - V.T @ V + np.eye(C.shape[1]), C.T @ fit.e[part]
         known = {label for place, label in fit.places if place == self.place}
@@ -85,8 +86,24 @@ class Group:
             fresh = [self.columns[label] for label in c.labels if label in self.columns and label not in known]
             if fresh:
                 own = r[fresh]
-                gain = 0.5 * float(own @ np.linalg.solve(S[np.ix_(fresh, fresh)], own))
-                yield Screened(c, gain, gain - cost * complexity(fit, c))
+                among = S[np.ix_(fresh, fresh)]
+                gain = 0.5 * float(own @ np.linalg.solve(among, own))
+                freedom = cost * complexity(fit, c)
+                if len(c.effect.prior.std) > 1:
+                    freedom = 0.5 * np.minimum(np.log(np.linalg.eigvalsh(among)), 2 * cost).sum()
+                yield Screened(c, gain, gain - freedom)
+
+    def widened(self, rows: Rows) -> np.ndarray:
+        """Return the columns (N, K) as rows see them, whitened and in prior coordinates."""
+        C = rows.widened(self.place, self.features)
+        for c in self.candidates:
+            if len(std := c.effect.prior.std) > 1:
+                at = [self.columns[label] for label in c.labels if label in self.columns]
+                own = [s for label, s in zip(c.labels, std, strict=True) if label in self.columns]
+                f = self.features[at]
+                free = rows.widths(self.place, f)
+                C[:, at] *= rows.widths(self.place, f, own) / np.where(free > 0, free, 1.0)
+        return C
 
 
 def complexity(fit: Fit, candidate: Candidate) -> int:

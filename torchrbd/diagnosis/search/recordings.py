@@ -49,7 +49,7 @@ def _screened(group: Group, fit: Fit) -> Iterator[Screened]:
     names = recordings(samples)
     part = slice(None) if group.place is None else rows.parts[group.place]
     number = np.unique(samples.recording[np.concatenate(rows.index)], return_inverse=True)[1][part]
-    C, X, e = rows.widened(group.place, group.features)[part], fit.X[part], fit.e[part]
+    C, X, e = group.widened(rows)[part], fit.X[part], fit.e[part]
     here = [number == r for r in range(len(names))]
     V = np.stack([solve_triangular(fit.L, X[at].T @ C[at], lower=True) for at in here])
     own, u = np.stack([C[at].T @ C[at] for at in here]), np.stack([C[at].T @ e[at] for at in here])
@@ -106,9 +106,9 @@ def where_larger(fit: Fit, candidate: Candidate) -> Candidate:
     more = fit.addition(C).w
     x = fit.coefficients_with(C, more)[len(fit.x) - len(fit.places) :]
     features = samples.features(common)
-    elsewhere = x[[fit.places.index(p) for p in places]] * rows.widths(common.place, features)
+    elsewhere = x[[fit.places.index(p) for p in places]] * rows.widths_of(common)
     elsewhere[0] += samples.columns.urdf_value(common)
-    inside = elsewhere + more * rows.widths(common.place, samples.features(candidate))
+    inside = elsewhere + more * rows.widths_of(candidate)
     if np.square(np.tensordot(inside, features, 1)).sum() >= np.square(np.tensordot(elsewhere, features, 1)).sum():
         return candidate
     others = tuple(name for name in recordings(samples) if name not in site.recordings)

@@ -144,8 +144,8 @@ class Search:
             fit = Fit(Rows(samples, self.prior, fit.rows.noise), fit.terms)
         for number in range(MOST_PARTIAL):
             clear = self._uncovered(fit)
-            windowed = self._windowed(clear) if number < MOST_WINDOWED else []
-            options = [o for o in (*windowed, *self.in_some_recordings(clear)) if takes(o)]
+            windowed = self._windowed(fit, clear) if number < MOST_WINDOWED else []
+            options = [o for o in (*windowed, *self.in_some_recordings(fit, clear)) if takes(o)]
             changed = (*fit.terms, preferred(fit, options).candidate) if options else self._not_common(fit)
             if changed is None:
                 break
@@ -182,14 +182,14 @@ class Search:
                     return (*rest.terms, option.candidate)
         return None
 
-    def _windowed(self, fit: Fit) -> list[Option]:
-        """Return loads and forces in stretches of time."""
+    def _windowed(self, fit: Fit, clear: Fit) -> list[Option]:
+        """Return loads and forces in stretches of time, those that a clearer view of the same fit shows."""
         timed = [e for e in self.effects if e.sites(self.robot, (Window(""),)) and not e.sites(self.robot)]
         if not timed:
             return []
         samples = fit.rows.samples
         offered = candidates(samples.columns, timed, samples.seen, stretches(fit))
-        return self.options(fit, Grid(samples, self._possible(offered)))
+        return self._judged(fit, Grid(samples, self._possible(offered)).screened(clear))
 
     def rivals(self, fit: Fit, term: Candidate) -> list[Option]:
         """Return what may be added to a fit in the place of a term, not the same in other recordings."""
@@ -198,9 +198,9 @@ class Search:
         in_some = self.in_some_recordings(fit)
         return [*self.options(fit), *(o for o in in_some if _place(o.candidate) != _place(term))]
 
-    def in_some_recordings(self, fit: Fit) -> list[Option]:
-        """Return effects in those recordings in which they gain most."""
-        ranked = screened_by_recordings(self.grid, fit)
+    def in_some_recordings(self, fit: Fit, clear: Fit | None = None) -> list[Option]:
+        """Return effects in those recordings in which they gain most, in a clearer view of the same fit if given."""
+        ranked = screened_by_recordings(self.grid, clear or fit)
         turned = [replace(one, candidate=where_larger(fit, one.candidate)) for one in ranked[:SHORTLIST]]
         return self._judged(fit, [one for one in turned if self._possible([one.candidate])])
 
@@ -227,7 +227,7 @@ class Search:
         for term in fit.terms:
             if term in self.background or term.place is None or term not in fit.terms:
                 continue
-            rest = Fit(fit.rows, self._restored(without(fit.terms, term)))
+            rest = Fit(fit.rows, self._restored(without(fit.terms, term))).renoised()
             own, smooth = judged(rest, term), self.smooth(rest, term.place)
             if smooth is not None:
                 lead = gain(own.errors, smooth.errors, fit.rows.counts)
@@ -246,9 +246,9 @@ class Search:
         self.grid = Grid(samples.around(fit.pi, friction), self.grid.candidates)
         return fitted(self.grid.samples, self.prior, fit.terms, fit.rows.noise)
 
-    def options(self, fit: Fit, grid: Grid | None = None) -> list[Option]:
-        """Return what of a grid may be added to a fit, shapes refined."""
-        return self._judged(fit, (grid or self.grid).screened(fit))
+    def options(self, fit: Fit) -> list[Option]:
+        """Return what may be added to a fit, shapes refined."""
+        return self._judged(fit, self.grid.screened(fit))
 
     def _judged(self, fit: Fit, screened: Sequence[Screened]) -> list[Option]:
         ranked = [one for one in screened if one.score > 0]
@@ -270,12 +270,14 @@ class Search:
         for term in fit.terms:
             if term in self.background or term not in fit.terms:
                 continue
-            rest = Fit(fit.rows, self._restored(without(fit.terms, term)))
+            rest = Fit(fit.rows, self._restored(without(fit.terms, term))).renoised()
             if is_smooth(term) or term.site.window is not None:
                 fit = fit if takes(judged(rest, term)) else rest
                 continue
             others = self.options(rest) if term.site.always else self.in_some_recordings(rest)
-            options = [o for o in (*others, judged(rest, refined(rest, term))) if takes(o)]
+            again = refined(rest, term)
+            own = [judged(rest, again)] if plausible(rest, again) else []
+            options = [o for o in (*others, *own) if takes(o)]
             fit = Fit(fit.rows, with_term(rest.terms, preferred(rest, options).candidate)) if options else rest
         return fitted(fit.rows.samples, self.prior, fit.terms, fit.rows.noise)
 
@@ -298,16 +300,16 @@ class Search:
         plain = Rows(fit.rows.samples, self.prior, _uncoloured(fit))
         while fit.terms:
             rest = {c: self._adapted(fit, without(fit.terms, c), c.place) for c in fit.terms}
-            worth = {c: _lost(fit, r) for c, r in rest.items()}
+            worth = {c: _lost(fit, Fit(fit.rows, r).renoised()) for c, r in rest.items()}
             sound = [c for c in fit.terms if self._allowed(c) and plausible(fit, c)]
             idle = [c for c in fit.terms if c not in sound or not accepted(worth[c], least_gain(c))]
             normal = [c for c in idle if c in self.background and c in sound]
             if normal:
                 raw = Fit(plain, fit.terms)
-                idle = [c for c in idle if c not in normal or not accepted(_lost(raw, rest[c]))]
+                idle = [c for c in idle if c not in normal or not accepted(_lost(raw, Fit(plain, rest[c])))]
             if not idle:
                 break
-            fit = Fit(fit.rows, rest[min(idle, key=lambda c: worth[c].total)])
+            fit = Fit(fit.rows, rest[min(idle, key=lambda c: worth[c].total)]).renoised()
         return self.joined(fit)
 
     def _allowed(self, term: Candidate) -> bool:
@@ -343,25 +345,19 @@ class Search:
 
 
 def _friction(fit: Fit) -> torch.Tensor:
-    """Return the friction (n, 3) of a fit's terms and of the URDF at joints with a term that sees it, elsewhere zero.
-
-    There it is no evidence: sticking joints, too, turn their friction around some milliseconds off the reversal.
-    """
-    rows = fit.rows
-    columns = rows.samples.columns.of_candidates(fit.terms, None)
+    """Return the friction (n, 3) of a fit's terms, else of the URDF."""
+    columns = fit.rows.samples.columns.of_candidates(fit.terms, None)
     known = columns.reference()
     x = known.clone()
     for term in fit.terms:
         index = columns.of(term)
         x[index] = known[index] + torch.from_numpy(fit.coefficients(term))
-    seen = [c.site.joint for c in fit.terms if c.effect.sees_friction]
-    where = [None in seen or joint in seen for joint in range(len(rows.parts))]
-    return columns.friction_of(fit.terms, x) * torch.tensor(where).unsqueeze(1)
+    return columns.friction_of(fit.terms, x)
 
 
-def _lost(fit: Fit, terms: Terms) -> Gain:
-    """Return what a fit gains over that of other terms on the same rows."""
-    return gain(Fit(fit.rows, terms).errors, fit.errors, fit.rows.counts)
+def _lost(fit: Fit, rest: Fit) -> Gain:
+    """Return what a fit gains over another on the same samples."""
+    return gain(rest.errors, fit.errors, fit.rows.counts)
 
 
 def _uncoloured(fit: Fit) -> Noise:

@@ -92,6 +92,11 @@ def urdf_prior(
                 if rms > 0:
                     width, known = TERM_WIDTH * float(torque_rms[joint]) / rms, float(scale[k, k])
                     scale[k, k] = min(width, known) if known > 0 else width
+    for term in columns.candidates:
+        if len(term.effect.prior.std) > 1:
+            at, std = torch.tensor(columns.of(term)), torch.tensor(term.effect.prior.std, dtype=scale.dtype)
+            width = scale[at, at]
+            scale[at, at] = torch.where(width > 0, std * (width / std)[width > 0].min(), 0.0)
     return Prior(mean, reference, bodies, inverse, kappa, scale)
 
 

@@ -96,7 +96,9 @@ def block_scatter(
         error = torch.cat((-x[own], torch.ones(1, dtype=torch.float64)))
         pulls[:, own] += weight * (moments @ error)[:, :-1]
     # In units of the standard deviations, since coefficients differ by orders of magnitude.
+    # One that moves no joint has none.
     size = laplace.diagonal().sqrt()
+    size = torch.where(size > 0, size, torch.ones_like(size))
     correlation = laplace / size / size.unsqueeze(1)
     information, steps = torch.zeros_like(laplace), []
     for b, pull in enumerate(pulls[:, free] * size):

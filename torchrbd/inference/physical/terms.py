@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -35,14 +37,17 @@ def term_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple
 
     with the covariance of the fit, or the scatter over blocks where that is more. A refined shape theta has the
     covariance that the curvature of the profile loss gives it; one that was not refined is known to its place on the
-    grid only.
+    grid only. What depends on a coefficient that moves no joint is not a number.
     """
-    w, _ = model.coefficients(candidate)
-    w = w.clone().requires_grad_(True)
+    w, own = model.coefficients(candidate)
+    w = torch.where(own.diagonal() > 0, w, torch.nan).requires_grad_(True)
     at, grid_only = _places(model, candidate)
     by_shape = _shape_derivatives(model, candidate)
     found = {}
     for name, value in candidate.effect.parameters(w, candidate.shape).items():
+        if value.isnan():
+            found[name] = (math.nan, math.nan)
+            continue
         slope = torch.zeros_like(w)
         if value.requires_grad:
             (slope,) = torch.autograd.grad(value, w, retain_graph=True)
