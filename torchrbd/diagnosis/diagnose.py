@@ -14,6 +14,7 @@ from torchrbd.diagnosis.explain import explain, weigh
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
 from torchrbd.diagnosis.nameless import nameless
+from torchrbd.diagnosis.proof import proofs
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
@@ -80,7 +81,8 @@ def diagnose(
     statement = verdict_statement(verdict, findings, rest, identification.fits, model)
     absent = limits(search, fit)
     where = (*locations, *left), (*maps, *more)
-    return Diagnosis(identification, verdict, statement, findings, rest, *where, absent, springs, simulated)
+    proof = proofs(identification.series, identification.cutoff_hz)
+    return Diagnosis(identification, verdict, statement, findings, rest, *where, absent, springs, simulated, proof)
 
 
 def _search(prepared: Prepared, pi: Tensor, effects: Sequence[Effect], progress: Progress) -> Search:

@@ -19,7 +19,7 @@ class TimeDelay(Effect):
 
     The torque tau_s that is late is all that the actuator supplies, to the rigid body and to friction. The delay
     multiplies its slope, and is known well; the step is where the secant is taken, which only the curvature tells. For
-    a pure delay they are equal, and the term is exact.
+    a pure delay they are equal, and the term is exact; a longer step suffers less from noise in the accelerations.
 
     Either the torque of one joint is late, or that of all.
     """
@@ -34,7 +34,7 @@ class TimeDelay(Effect):
     sees_friction = True
     prior = CoefficientPrior("Some samples of a field bus, early or late.", std=(0.02,))
     export_note = "delays need a history: nsample = delay / timestep; of one joint or, for the whole robot, of all"
-    _STEPS_S, _LARGEST_S, _MOST_APART = (-0.08, -0.04, -0.015, 0.015, 0.04, 0.08), 0.1, 3.0
+    _STEPS_S, _LARGEST_S, _MOST_APART = (-0.08, -0.04, -0.015, 0.015, 0.04, 0.08), 0.1, 5.0
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         return joints_and_all(robot)

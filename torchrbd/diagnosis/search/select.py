@@ -115,6 +115,8 @@ class Search:
                 break
             fit = fitted(fit.rows.samples, self.prior, (*fit.terms, smooth.candidate), fit.rows.noise)
             fit = self.named(self.settled(fit))
+        if not all(plausible(fit, c) for c in fit.terms):
+            fit = self.settled(fit)
         return self.pruned(fit)
 
     def named(self, fit: Fit) -> Fit:
