@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from torchrbd.diagnosis.proof import proofs
+from torchrbd.diagnosis.proof import doubt, proofs
 from torchrbd.inference.results import TorqueSeries
 
 STEP_S = 0.05
@@ -70,3 +70,12 @@ def test_memory_is_the_integral_of_the_autocorrelation(time_s: float) -> None:
     assert proof.memory_s["rigid_body"] == pytest.approx(2 * time_s, rel=0.15)
     assert proof.memory_s["extended"] == pytest.approx(STEP_S, rel=0.1)
     assert proof.white_s == 0.05
+
+
+def test_a_model_that_does_worse_is_told_of() -> None:
+    rng = np.random.default_rng(3)
+    error = rng.standard_normal(1000)
+    better = proofs(series({"rigid_body": error, "extended": 0.9 * error}), 10.0)
+    worse = proofs(series({"rigid_body": error, "extended": 1.2 * error}), 10.0)
+    assert doubt(better) == doubt(()) == ""
+    assert "at hinge (1.44 times, 1.44 to 1.44): what was found there does not carry over." in doubt(worse)

@@ -4,11 +4,15 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from torchrbd.diagnosis.compare_results import Difference
+from torchrbd.diagnosis.compare_words import signed
 from torchrbd.diagnosis.numbers import joined, measure, percent, unit, with_unit
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, Unexplained, Where
-from torchrbd.diagnosis.words import all_or_some, alternatives, finding_sentence, verdict_statement, when
+from torchrbd.diagnosis.verdict_words import verdict_statement
+from torchrbd.diagnosis.words import all_or_some, alternatives, finding_sentence, guessed, strongest_first, when
 from torchrbd.inference.results import Fit
 
 JOINTS = tuple(f"joint{k}" for k in range(1, 8))
@@ -38,13 +42,42 @@ def everywhere(effect: str, *but: str) -> list[Finding]:
         (12345.6, 1234.0, "12300 ± 1200"),
         (-1e-4, 0.02, "0.000 ± 0.020"),
         (0.04, 12.0, "0 ± 12"),
-        (3e-9, 1e-10, "3.00·10⁻⁹ ± 1.00·10⁻¹⁰"),
+        (3e-9, 1e-10, "(3.00 ± 0.10)·10⁻⁹"),
+        (1.3e7, 7e6, "(13 ± 7)·10⁶"),
+        (-2.345e6, 1.2e4, "(−2.345 ± 0.012)·10⁶"),
+        (4.0, 3e6, "(0.0 ± 3.0)·10⁶"),
+        (654321.0, 9e4, "650000 ± 90000"),
+        (1e-4, 5e-6, "0.000100 ± 0.000005"),
+        (1e-5, 5e-5, "(10 ± 50)·10⁻⁶"),
+        (1.0, 1e-9, "1.00 ± 1.00·10⁻⁹"),
+        (1e9, 1.0, "1.00·10⁹ ± 1.00"),
+        (1e12, 1e12, "(1.0 ± 1.0)·10¹²"),
         (1.0, 0.0, "1.00"),
         (2.1, math.nan, "2.10 ± –"),
     ],
 )
 def test_digits_follow_the_spread(value: float, spread: float, words: str) -> None:
     assert measure(value, spread) == words
+
+
+def test_a_measure_says_its_numbers_to_a_tenth_of_the_spread() -> None:
+    rng = np.random.default_rng(5)
+    for sign, size, ratio in zip(rng.choice((-1, 1), 500), rng.uniform(-9, 9, 500), rng.uniform(-4, 2, 500), strict=True):
+        value, spread = sign * 10**size, 10 ** (size + ratio)
+        told = measure(value, spread).replace("\N{MINUS SIGN}", "-")
+        body, _, power = told.partition(")·10")
+        assert len(told) < 26
+        unit_ = 10.0 ** int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")) or 0)
+        if "·" in body:
+            continue
+        said = [float(part) * unit_ for part in body.strip("(").split(" ± ")]
+        assert abs(said[0] - value) <= 0.15 * spread
+        assert abs(said[1] - spread) <= 0.15 * spread
+
+
+def test_the_sign_of_a_difference_stands_before_its_digits() -> None:
+    told = [signed(Difference(None, None, d, std, 1.0)) for d, std in ((0.7, 0.05), (1.3e7, 3e6), (-1.3e7, 3e6))]
+    assert told == ["+0.70 ± 0.10", "(+13 ± 6)·10⁶", "(\N{MINUS SIGN}13 ± 6)·10⁶"]
 
 
 def test_small_words() -> None:
@@ -129,6 +162,30 @@ def test_unlikely_findings_stay_out_of_the_verdict() -> None:
     told = statement(finding("backlash", "joint1"), finding("joint_spring", "joint2", probability=0.2))
     assert "backlash at joint1." in told
     assert "spring" not in told
+
+
+def test_a_finding_of_one_per_cent_leads_nothing() -> None:
+    weak, strong = finding("backlash", "joint1", probability=0.01), finding("rotor_inertia", "joint2")
+    weak = replace(weak, log_evidence_gain=900.0)
+    sure = finding("joint_spring", "joint3", log_evidence_gain=60.0)
+    told = strongest_first((weak, strong, sure))
+    assert told == (sure, strong, weak)
+
+
+def test_a_guess_is_called_so_behind_its_rival() -> None:
+    rivals = Alternative("joint_spring", ("joint1",)), Alternative("base_tilt")
+    alone = finding("backlash", "joint1", probability=0.4)
+    one = replace(alone, indistinguishable_from=rivals)
+    assert finding_sentence(alone).startswith("joint1: perhaps backlash, size")
+    assert finding_sentence(one).startswith("joint1: joint spring or perhaps backlash, size")
+    assert "cannot tell it from joint spring or tilted base" in finding_sentence(one)
+    assert guessed(replace(one, probability=0.51)) == "backlash"
+    assert statement(one).startswith(
+        "The URDF leaves something out, perhaps a joint spring or backlash at joint1. The unpredicted part"
+    )
+    assert statement(alone, finding("time_delay", probability=0.3)).startswith(
+        "The URDF leaves something out, perhaps backlash at joint1 and a time delay of the torque. The"
+    )
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,8 @@ def certainty(probability: float) -> str:
 def signed(d: Difference) -> str:
     """Return a difference with its 95 % interval, "+0.70 ± 0.10"."""
     words = measure(d.difference, 1.96 * d.std)
-    return words if words.startswith((MINUS, "–")) else f"+{words}"
+    bare = words.removeprefix("(")
+    return words if bare.startswith((MINUS, "–")) else words.removesuffix(bare) + f"+{bare}"
 
 
 def subject(finding: Finding) -> str:

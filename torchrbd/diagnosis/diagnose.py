@@ -14,7 +14,7 @@ from torchrbd.diagnosis.explain import explain, weigh
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
 from torchrbd.diagnosis.nameless import nameless
-from torchrbd.diagnosis.proof import proofs
+from torchrbd.diagnosis.proof import doubt, proofs
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
@@ -22,7 +22,7 @@ from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.options import BACKGROUND, INSIGNIFICANT, accepted
 from torchrbd.diagnosis.search.select import Search, Terms
 from torchrbd.diagnosis.springs import with_springs
-from torchrbd.diagnosis.words import verdict_statement
+from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.errors import OptionError
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.data.reading import Progress
@@ -82,6 +82,7 @@ def diagnose(
     absent = limits(search, fit)
     where = (*locations, *left), (*maps, *more)
     proof = proofs(identification.series, identification.cutoff_hz)
+    statement = " ".join(filter(None, (statement, doubt(proof))))
     return Diagnosis(identification, verdict, statement, findings, rest, *where, absent, springs, simulated, proof)
 
 

@@ -14,7 +14,7 @@ from torchrbd.diagnosis.search.grid import complexity, fresh_columns
 from torchrbd.diagnosis.search.options import BACKGROUND, Option, judged
 from torchrbd.diagnosis.search.select import Search, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
-from torchrbd.diagnosis.words import finding_sentence
+from torchrbd.diagnosis.words import finding_sentence, strongest_first
 from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.physical.fitting import FittedModel, judge
 from torchrbd.inference.physical.terms import term_parameters
@@ -105,7 +105,7 @@ def explain(prepared: Prepared, weighed: Sequence[Weighed], model: FittedModel) 
         model: the fit with the same terms, in the same order, their shapes final.
 
     Returns:
-        Findings, the largest gain first.
+        Findings, those likelier than not first, then by gain; rivals the likeliest first.
     """
     judging, reading = prepared.judging, prepared.reading
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
@@ -116,7 +116,7 @@ def explain(prepared: Prepared, weighed: Sequence[Weighed], model: FittedModel) 
         rest = [c for c in model.terms if c is not term]
         before = judge(judging, prepared.fit(rest, model.noise_variance).x).nmse
         found.append(_finding(one, term, model, before, after, ends_s))
-    return tuple(sorted(found, key=lambda f: -f.log_evidence_gain))
+    return strongest_first(found)
 
 
 def places(robot: RobotModel, site: Site) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -155,7 +155,7 @@ def _finding(
     }
     alike = tuple(
         Alternative(r.candidate.effect.id, *places(robot, r.candidate.site), driven_by(r.candidate, robot))
-        for r in one.rivals
+        for r in sorted(one.rivals, key=lambda r: -r.odds)
         if r.odds > LEAST_ODDS
     )
     touched = joints if term.place is not None else tuple(robot.joint_names)

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 MINUS = "\N{MINUS SIGN}"
 # A spread that begins with this or more is told by one digit; a second would say nothing of the value.
 _ONE_DIGIT = 3.55
+_MOST_DECIMALS = 6
 _KNOWN = {"1": "", "N m s^2/rad": "kg m^2", "N s^2/m": "kg"}
 _LEAST_PERCENT = 1e-5
 
@@ -37,17 +38,27 @@ def plain(value: float, digits: int = 4) -> str:
 def measure(value: float, spread: float) -> str:
     """Return ``value ± spread`` with the digits that the spread leaves; a dash if it is unknown.
 
-    The spread has two significant digits from 10 to 35 and one from 36 to 95.
+    The spread has two significant digits from 10 to 35 and one from 36 to 95. What ``number`` writes with a power of ten
+    has one here too, of thousands or thousandths: "(13 ± 7)·10⁶".
     """
     if math.isnan(spread):
         return f"{number(value)} ± –"
     if not (math.isfinite(spread) and spread > 0):
         return number(value)
+    most = max(abs(value), spread)
+    if 1e-4 <= most < 1e6:
+        return _digits(value, spread) or f"{number(value)} ± {number(spread)}"
+    exponent = 3 * math.floor(math.log10(most) / 3)
+    shown = _digits(value / 10.0**exponent, spread / 10.0**exponent)
+    return f"({shown})·{power_of_ten(exponent)}" if shown else f"{number(value)} ± {number(spread)}"
+
+
+def _digits(value: float, spread: float) -> str:
+    """Return ``value ± spread`` without powers of ten; nothing if that takes too many digits."""
     exponent = math.floor(math.log10(spread))
-    lead = spread / 10.0**exponent
-    digits = 1 - exponent - (lead >= _ONE_DIGIT)
-    if digits > 6:
-        return f"{number(value)} ± {number(spread)}"
+    digits = 1 - exponent - (spread / 10.0**exponent >= _ONE_DIGIT)
+    if digits > _MOST_DECIMALS:
+        return ""
     shown = (f"{round(v, digits) + 0.0:.{max(0, digits)}f}" for v in (value, spread))
     return " ± ".join(shown).replace("-", MINUS)
 

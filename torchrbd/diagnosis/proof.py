@@ -9,11 +9,12 @@ Source: Efron, Tibshirani, "An Introduction to the Bootstrap", 1993, ch. 8 (bloc
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.stats import bootstrap
 
+from torchrbd.diagnosis.numbers import number
 from torchrbd.diagnosis.results import Proof, Ratio
 from torchrbd.inference.results import TorqueSeries
 
@@ -44,6 +45,20 @@ def proofs(series: TorqueSeries, cutoff_hz: float, seed: int = 0) -> tuple[Proof
         over = {m: _ratio(sums[EXTENDED], s, seed) for m, s in sums.items() if m != EXTENDED}
         found.append(Proof(joint, over, memory, 0.5 / cutoff_hz))
     return tuple(found)
+
+
+def doubt(proofs: Sequence[Proof]) -> str:
+    """Say at which joints the extended model predicts unseen torque worse than the rigid body; nothing if at none."""
+    worse = {p.joint: p.over["rigid_body"] for p in proofs if p.over["rigid_body"].low > 1.0}
+    if not worse:
+        return ""
+    told = ", ".join(
+        f"{joint} ({number(r.value)} times, {number(r.low)} to {number(r.high)})" for joint, r in worse.items()
+    )
+    return (
+        f"The extended model's squared error on held-out torque is larger than the re-fitted rigid body's at {told}: "
+        "what was found there does not carry over."
+    )
 
 
 def _ratio(after: np.ndarray, before: np.ndarray, seed: int) -> Ratio:

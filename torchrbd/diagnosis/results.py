@@ -254,7 +254,9 @@ class Proof:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Verdict, findings strongest first, and the identification they belong to.
+    """Verdict, findings, and the identification they belong to.
+
+    ``findings`` come strongest first: those that are likelier than not, then the others, by gain in both.
 
     ``verdict`` is "consistent" (the URDF as given explains the data), "parameters" (a rigid body with other parameters
     does), "missing_physics" (named effects are needed) or "unexplained" (something is left that no known effect

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from torchrbd.diagnosis.numbers import measure, number, percent, with_unit
 from torchrbd.diagnosis.results import Curve, Deflection, Finding, Quantity, Where
-from torchrbd.diagnosis.words import value
+from torchrbd.diagnosis.words import strongest_first, value
 
 # Standard deviations from which on a delay or a lost motion is told of, and the shortest delay [s].
 _TOLD, _LEAST_DELAY_S = 3.0, 1e-4
@@ -19,7 +19,7 @@ _INERTIAL = 0.5
 
 
 def with_springs(findings: Sequence[Finding], measured: Sequence[Deflection]) -> tuple[Finding, ...]:
-    """Return findings in the torque and springs that the deflection shows, the largest gain first.
+    """Return findings in the torque and springs that the deflection shows, strongest first.
 
     A spring that the torque shows too keeps its place there, with the stiffness that the deflection tells.
     """
@@ -29,7 +29,7 @@ def with_springs(findings: Sequence[Finding], measured: Sequence[Deflection]) ->
         spring = springs.pop(finding.joints[0], None) if finding.effect == "joint_elasticity" else None
         found.append(finding if spring is None else _merged(finding, spring))
     found += [_finding(spring) for spring in springs.values()]
-    return tuple(sorted(found, key=lambda f: -f.log_evidence_gain))
+    return strongest_first(found)
 
 
 def spring_sentence(found: Deflection) -> str:

@@ -1,4 +1,4 @@
-"""Sentences for a person: what was found and where, findings, verdicts."""
+"""Sentences for a person: what was found, where, how sure, and what else it could be."""
 
 from __future__ import annotations
 
@@ -6,23 +6,15 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from torchrbd.diagnosis.numbers import joined, measure, number, percent, plain, with_unit
-from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Unexplained, Where
-from torchrbd.inference.results import Fit
+from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
 from torchrbd.physics import effect, effects
 
 # Normal on every robot: named after what is special.
 PLAIN = ("viscous_friction", "coulomb_friction", "torque_offset")
-# Findings less probable than this stay out of the verdict's sentence.
+# A finding that is less probable is one of several guesses.
 LIKELY = 0.5
-_WRONG = "wrong "
-# Said together where they are found at the same joints.
-_JOINED = ("viscous friction", "Coulomb friction")
-# Words for things of which there are one or two; friction, drag, backlash have no article.
-_COUNTED = frozenset(
-    ("offset", "spring", "coupling", "base", "payload", "force", "counterbalance", "loss", "error", "delay")
-)
 # What one sentence can hold; a card or table has the rest.
-_MOST_NAMED, _MOST_VALUES, _MOST_ALIKE = 5, 6, 4
+_MOST_VALUES, _MOST_ALIKE = 6, 4
 _FEW_VALUES = 4
 # With these many joints "all but one", "all but two" is shorter than a list.
 _FOR_ALL, _FOR_ALL_BUT_ONE, _FOR_ALL_BUT_TWO = 2, 4, 6
@@ -43,6 +35,22 @@ def named(item: Finding | Alternative) -> str:
     if "another joint's" in words:
         return words.replace("another joint's", f"{others}'s")
     return f"{words} that depends on {joined(item.depends_on)}"
+
+
+def strongest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings that are likelier than not, then the others, the largest gain first in both."""
+    return tuple(sorted(findings, key=lambda f: (f.probability <= LIKELY, -f.log_evidence_gain)))
+
+
+def guessed(finding: Finding) -> str:
+    """Return what a finding is called; one that is no likelier than not behind its first rival.
+
+    E.g. "torque ripple", "backlash at joint3 or perhaps torque ripple", "perhaps torque ripple".
+    """
+    if finding.probability > LIKELY:
+        return named(finding)
+    rival = next(iter(alternatives(finding)), "")
+    return f"{rival} or perhaps {named(finding)}" if rival else f"perhaps {named(finding)}"
 
 
 def all_or_some(joints: Iterable[str], everywhere: Sequence[str]) -> str:
@@ -119,7 +127,7 @@ def finding_sentence(finding: Finding, *, more: bool = False) -> str:
         told = [value(q) if name.replace("_", " ") in words else told[0] for name, q in quantities]
     certain = " (± 95 %)" if any(q.std > 0 for _, q in quantities) else ""
     subject = place(finding) if finding.joints or finding.links else "Whole robot"
-    sentence = f"{subject}: {named(finding)}{f' ({inside})' if inside else ''}"
+    sentence = f"{subject}: {guessed(finding)}{f' ({inside})' if inside else ''}"
     sentence += f", {', '.join(told)}{certain}" if told else ""
     sentence += ", on top of that of all recordings." if more else "."
     return " ".join(filter(None, (sentence, _worth(finding), _alike(finding))))
@@ -163,75 +171,3 @@ def alternatives(finding: Finding) -> list[str]:
             for a in finding.indistinguishable_from
         )
     )
-
-
-def verdict_statement(
-    verdict: str,
-    findings: Sequence[Finding],
-    rest: Sequence[Unexplained],
-    fits: Mapping[str, Fit],
-    model: str = "URDF",
-) -> str:
-    """Say the verdict in one or two sentences; ``model`` is what the recordings are compared with."""
-    urdf, rigid, extended = (percent(fits[name].mean_nmse) for name in ("urdf", "rigid_body", "extended"))
-    everywhere = [j for j, nmse in fits["urdf"].nmse.items() if math.isfinite(nmse)]
-    open_end = ""
-    if rest:
-        open_end = f" Something is left unexplained{at([j for u in rest for j in u.joints], (), everywhere)}."
-    if verdict == "consistent":
-        return f"The {model} as given explains the recordings: nothing is missing that this data could show."
-    if verdict == "parameters":
-        return (
-            f"A rigid body explains the recordings, but not with the {model}'s inertial parameters. "
-            f"Re-fitted ones lower the unpredicted part of the torque variance on held-out time from {urdf} to {rigid}."
-        )
-    if verdict == "unexplained":
-        return f"No known effect explains what the rigid body leaves.{open_end}"
-    likely = [f for f in findings if f.probability > LIKELY] or findings
-    special = _told([f for f in likely if f.effect not in PLAIN], everywhere)
-    plain_ones = sorted((f for f in likely if f.effect in PLAIN), key=lambda f: PLAIN.index(f.effect))
-    usual = _told(plain_ones, everywhere)
-    first, second = (special, f" It also {usual}." if usual else "") if special else (usual, "")
-    return (
-        f"The {model} {first}.{second} The unpredicted part of the torque variance on held-out time is {urdf} with the "
-        f"{model}, {rigid} with a re-fitted rigid body and {extended} with what was found.{open_end}"
-    )
-
-
-def _told(findings: Sequence[Finding], everywhere: Sequence[str]) -> str:
-    """Return "leaves out ..." and "has the wrong ...", or nothing."""
-    wrong = [f for f in findings if _is_wrong(f)]
-    parts = {"leaves out": [f for f in findings if f not in wrong], "has the wrong": wrong}
-    return " and ".join(f"{verb} {_places(those, everywhere)}" for verb, those in parts.items() if those)
-
-
-def _is_wrong(finding: Finding) -> bool:
-    return words_of(finding.effect).startswith(_WRONG) or any(q.urdf for q in finding.parameters.values())
-
-
-def _places(findings: Sequence[Finding], everywhere: Sequence[str]) -> str:
-    """Return e.g. "joint spring at joint3 and payload on link5" or "viscous and Coulomb friction at all joints"."""
-    sites: dict[tuple[str, str, tuple[str, ...]], list[str]] = {}
-    for f in findings:
-        inside = when(Where(f.where.recordings, f.where.time_s))
-        words = named(f).removeprefix(_WRONG) if _is_wrong(f) else _with_article(named(f))
-        sites.setdefault((words, f" ({inside})" if inside else "", f.links), []).extend(f.joints)
-    places: dict[tuple[str, str], list[str]] = {}
-    for (words, inside, links), joints in sites.items():
-        alone = "" if words in _JOINED else words
-        places.setdefault((at(joints, links, everywhere) + inside, alone), []).append(words)
-    told = [_shortened(words) + where for (where, _), words in places.items()]
-    if len(told) > _MOST_NAMED + 1:
-        told = [*told[:_MOST_NAMED], f"{len(told) - _MOST_NAMED} more"]
-    return joined(told)
-
-
-def _with_article(words: str) -> str:
-    """Return "a joint spring", but "Coulomb friction"."""
-    counted = not _COUNTED.isdisjoint(words.split())
-    return f"{'an' if words[0] in 'aeiou' else 'a'} {words}" if counted else words
-
-
-def _shortened(words: Sequence[str]) -> str:
-    """Return "viscous and Coulomb friction" for "viscous friction" and "Coulomb friction"."""
-    return words[0] if len(words) == 1 else joined(w.removesuffix(" friction") for w in words) + " friction"

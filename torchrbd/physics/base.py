@@ -67,6 +67,8 @@ class Effect(ABC):
         dissipative: True if tau qd >= 0 for plausible parameters.
         whole_robot: True if one coefficient adds to the torque of several joints.
         uses_load: True if the features depend on the rigid body's torque, and so on the inertial parameters.
+        comes_and_goes: True if it may be there in some recordings of a robot and not in others: after service, in the
+            cold, with a cable, with a sensor set anew. What a robot is built of does not.
         sees_friction: True if the features depend on the plain friction beside that torque (``Signals.supplied``).
         prior: what is believed of the coefficients.
         needs: what a recording must hold beside positions and torques, in words.
@@ -81,6 +83,7 @@ class Effect(ABC):
     dissipative: ClassVar[bool] = False
     whole_robot: ClassVar[bool] = False
     uses_load: ClassVar[bool] = False
+    comes_and_goes: ClassVar[bool] = False
     sees_friction: ClassVar[bool] = False
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
     needs: ClassVar[str] = ""

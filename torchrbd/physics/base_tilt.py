@@ -28,6 +28,7 @@ class BaseTilt(Effect):
     equation = "dtau/dg (-theta x g)"
     units: ClassVar[Mapping[str, str]] = {"tilt_x": "rad", "tilt_y": "rad"}
     complexity = 2
+    comes_and_goes = True
     whole_robot = True
     uses_load = True
     prior = CoefficientPrior("Bases are level to some hundredths of a rad.", std=(0.05, 0.05))

@@ -21,6 +21,7 @@ class CableDrag(JointEffect):
     equation = "c window(q; start, end) sign(qd)"
     units: ClassVar[Mapping[str, str]] = {"start": "{q}", "end": "{q}", "resistance": "{tau}"}
     complexity = 3
+    comes_and_goes = True
     dissipative = True
     drawn_over = "q"
     prior = RESISTS

@@ -24,6 +24,7 @@ class CoulombFriction(JointEffect):
     equation = "c sign(qd)"
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}"}
     complexity = 1
+    comes_and_goes = True
     dissipative = True
     prior = RESISTS
 
@@ -54,6 +55,7 @@ class AsymmetricCoulombFriction(JointEffect):
     equation = "c_plus if qd > 0, -c_minus if qd < 0"
     units: ClassVar[Mapping[str, str]] = {"coulomb_plus": "{tau}", "coulomb_minus": "{tau}"}
     complexity = 2
+    comes_and_goes = True
     dissipative = True
     prior = CoefficientPrior("It resists motion in both directions, with a torque no larger than the joint's.", (0, 1))
     export_note = "frictionloss is the mean of both directions; half their difference is a torque of the actuator"

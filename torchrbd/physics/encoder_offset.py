@@ -25,6 +25,7 @@ class EncoderOffset(Effect):
     equation = "-o dtau/dq"
     units: ClassVar[Mapping[str, str]] = {"offset": "{q}"}
     complexity = 1
+    comes_and_goes = True
     whole_robot = True
     uses_load = True
     prior = CoefficientPrior("Joints are zeroed to some hundredths of a rad or m.", std=(0.05,))

@@ -20,6 +20,7 @@ class JointSpring(JointEffect):
     equation = "k (q - q0)"
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
     complexity = 2
+    comes_and_goes = True
     drawn_over = "q"
     prior = CoefficientPrior("A spring pushes back.", positive=(0,))
     export_note = "springs of one joint have one springref: it is that of their sum"

@@ -21,6 +21,7 @@ class OneSidedSpring(JointEffect):
     equation = "side k max(0, side (q - q_0)), side = +-1"
     units: ClassVar[Mapping[str, str]] = {"contact_position": "{q}", "side": "1", "stiffness": "{tau}/{q}"}
     complexity = 3
+    comes_and_goes = True
     drawn_over = "q"
     prior = CoefficientPrior("A spring pushes back.", positive=(0,))
     export_note = "a fixed tendon over this joint alone, with coefficient one"

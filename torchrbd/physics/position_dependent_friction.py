@@ -29,6 +29,7 @@ class PositionDependentFriction(JointEffect):
         "coulomb_at_centre": "{tau}",
     }
     complexity = 4
+    comes_and_goes = True
     dissipative = True
     drawn_over = "q"
     prior = CoefficientPrior("It resists motion; the region may be sticky or worn smooth.", positive=(0,))

@@ -26,6 +26,7 @@ class StribeckFriction(JointEffect):
     equation = "sign(qd) (c + (s - c) exp(-(qd/v_s)^2))"
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "static": "{tau}", "stribeck_speed": "{q}/s"}
     complexity = 3
+    comes_and_goes = True
     dissipative = True
     prior = CoefficientPrior("It resists motion, and more at rest than in motion.", positive=(0, 1))
     export_note = "frictionloss is friction in motion; what it is more at rest, only <dcmotor lugre> has a word for"

@@ -21,6 +21,7 @@ class TorqueOffset(JointEffect):
     equation = "tau_0"
     units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}
     complexity = 1
+    comes_and_goes = True
     drawn_over = "q"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:

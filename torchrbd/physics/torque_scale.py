@@ -25,6 +25,7 @@ class TorqueScale(JointEffect):
     equation = "(g - 1) load"
     units: ClassVar[Mapping[str, str]] = {"gain": "1"}
     complexity = 1
+    comes_and_goes = True
     uses_load = True
     drawn_over = "load"
     prior = CoefficientPrior("Sensors and torque constants are right to some tenths.", std=(0.3,))

@@ -19,6 +19,7 @@ class ViscousFriction(JointEffect):
     equation = "d qd"
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}
     complexity = 1
+    comes_and_goes = True
     dissipative = True
     prior = RESISTS
 

@@ -28,9 +28,9 @@ def recordings(samples: Samples) -> tuple[str, ...]:
 
 
 def screened_by_recordings(grid: Grid, fit: Fit) -> list[Screened]:
-    """Return each effect at each place in those recordings in which it gains most, best score first.
+    """Return each effect that may come and go, at each place, in those recordings in which it gains most.
 
-    The score counts the choice among the sets of recordings. None where there is one recording only.
+    Best score first; the score counts the choice among the sets of recordings. None where there is one recording only.
     """
     best: dict[tuple[str, object], Screened] = {}
     if len(recordings(fit.rows.samples)) > 1:
@@ -54,7 +54,7 @@ def _screened(group: Group, fit: Fit) -> Iterator[Screened]:
     V = np.stack([solve_triangular(fit.L, X[at].T @ C[at], lower=True) for at in here])
     own, u = np.stack([C[at].T @ C[at] for at in here]), np.stack([C[at].T @ e[at] for at in here])
     freedom, choice = 0.5 * np.log(max(rows.counts.max(), 2)), (len(names) - 1) * np.log(2.0)
-    for c in group.candidates:
+    for c in (c for c in group.candidates if c.effect.comes_and_goes):
         at = [group.columns[label] for label in c.labels if label in group.columns]
         if not at:
             continue
@@ -113,3 +113,14 @@ def where_larger(fit: Fit, candidate: Candidate) -> Candidate:
         return candidate
     others = tuple(name for name in recordings(samples) if name not in site.recordings)
     return samples.columns.candidate(candidate.effect, replace(site, recordings=others), candidate.shape)
+
+
+def explained(fit: Fit, candidate: Candidate) -> float:
+    """Return the part of the power that is left in a candidate's recordings, at its joints, that it takes away."""
+    samples, site = fit.rows.samples, candidate.site
+    assert site.recordings is not None
+    here = np.isin(samples.recording, [samples.recordings.index(name) for name in site.recordings])
+    joints = slice(None) if candidate.place is None else [candidate.place]
+    beside = Fit(fit.rows, (*fit.terms, candidate))
+    before, after = (np.square((f.leftover() * samples.weight)[joints][:, here]).sum() for f in (fit, beside))
+    return float(1.0 - after / max(before, 1e-300))

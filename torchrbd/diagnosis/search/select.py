@@ -37,7 +37,7 @@ from torchrbd.diagnosis.search.options import (
     preferred,
     takes,
 )
-from torchrbd.diagnosis.search.recordings import recordings, screened_by_recordings, where_larger
+from torchrbd.diagnosis.search.recordings import explained, recordings, screened_by_recordings, where_larger
 from torchrbd.diagnosis.search.unnamed import is_smooth, smooth_candidates
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.prior import Prior
@@ -51,6 +51,8 @@ LEAST_SHARE = 1e-4
 # A smooth function takes the place of a name if it gains so much more, in units and in parts of its own gain.
 BEATEN_GAIN, BEATEN_PART = 10.0, 0.25
 MOST_UNNAMED, MOST_WINDOWED, MOST_PARTIAL = 4, 3, 10
+# What acts in some recordings explains this part of what is left there: where much is not understood, any two differ.
+LEAST_EXPLAINED = 0.25
 # Candidates are fitted on left-out blocks if they are among so many, and score this part of the best one.
 MOST_TERMS, SHORTLIST, SHORT_OF_BEST = 12, 10, 0.5
 UNEVEN, PARTS_OF_UNEVEN = "asymmetric_coulomb_friction", ("coulomb_friction", "torque_offset")
@@ -204,7 +206,8 @@ class Search:
         """Return effects in those recordings in which they gain most, in a clearer view of the same fit if given."""
         ranked = screened_by_recordings(self.grid, clear or fit)
         turned = [replace(one, candidate=where_larger(fit, one.candidate)) for one in ranked[:SHORTLIST]]
-        return self._judged(fit, [one for one in turned if self._possible([one.candidate])])
+        options = self._judged(fit, [one for one in turned if self._possible([one.candidate])])
+        return [o for o in options if explained(fit, o.candidate) > LEAST_EXPLAINED]
 
     @property
     def robot(self) -> RobotModel:

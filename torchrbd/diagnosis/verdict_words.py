@@ -1,0 +1,103 @@
+"""The sentences that a report begins with: the verdict, and what was found where, told once for many joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from torchrbd.diagnosis.numbers import joined, percent
+from torchrbd.diagnosis.results import Finding, Unexplained, Where
+from torchrbd.diagnosis.words import LIKELY, PLAIN, alternatives, at, named, when, words_of
+from torchrbd.inference.results import Fit
+
+_WRONG = "wrong "
+# Said together where they are found at the same joints.
+_JOINED = ("viscous friction", "Coulomb friction")
+# Words for things of which there are one or two; friction, drag, backlash have no article.
+_COUNTED = frozenset(
+    ("offset", "spring", "coupling", "base", "payload", "force", "counterbalance", "loss", "error", "delay")
+)
+# What one sentence can hold; cards and tables have the rest.
+_MOST_NAMED = 5
+
+
+def verdict_statement(
+    verdict: str,
+    findings: Sequence[Finding],
+    rest: Sequence[Unexplained],
+    fits: Mapping[str, Fit],
+    model: str = "URDF",
+) -> str:
+    """Say the verdict in one or two sentences; ``model`` is what the recordings are compared with."""
+    urdf, rigid, extended = (percent(fits[name].mean_nmse) for name in ("urdf", "rigid_body", "extended"))
+    everywhere = [j for j, nmse in fits["urdf"].nmse.items() if math.isfinite(nmse)]
+    open_end = ""
+    if rest:
+        open_end = f" Something is left unexplained{at([j for u in rest for j in u.joints], (), everywhere)}."
+    if verdict == "consistent":
+        return f"The {model} as given explains the recordings: nothing is missing that this data could show."
+    if verdict == "parameters":
+        return (
+            f"A rigid body explains the recordings, but not with the {model}'s inertial parameters. "
+            f"Re-fitted ones lower the unpredicted part of the torque variance on held-out time from {urdf} to {rigid}."
+        )
+    if verdict == "unexplained":
+        return f"No known effect explains what the rigid body leaves.{open_end}"
+    likely = [f for f in findings if f.probability > LIKELY]
+    special = _told([f for f in likely if f.effect not in PLAIN], everywhere)
+    plain_ones = sorted((f for f in likely if f.effect in PLAIN), key=lambda f: PLAIN.index(f.effect))
+    usual = _told(plain_ones, everywhere)
+    first, second = (special, f" It also {usual}." if usual else "") if special else (usual, "")
+    first = first or f"leaves something out, {_guesses(findings, everywhere)}"
+    return (
+        f"The {model} {first}.{second} The unpredicted part of the torque variance on held-out time is {urdf} with the "
+        f"{model}, {rigid} with a re-fitted rigid body and {extended} with what was found.{open_end}"
+    )
+
+
+def _told(findings: Sequence[Finding], everywhere: Sequence[str]) -> str:
+    """Return "leaves out ..." and "has the wrong ...", or nothing."""
+    wrong = [f for f in findings if _is_wrong(f)]
+    parts = {"leaves out": [f for f in findings if f not in wrong], "has the wrong": wrong}
+    return " and ".join(f"{verb} {_places(those, everywhere)}" for verb, those in parts.items() if those)
+
+
+def _guesses(findings: Sequence[Finding], everywhere: Sequence[str]) -> str:
+    """Return findings of which none is likelier than not: "perhaps backlash or torque ripple at joint2"."""
+    told = []
+    for f in findings[:_MOST_NAMED]:
+        either = joined(map(_with_article, (*alternatives(f)[:1], named(f))), "or")
+        told.append(f"{either}{at(f.joints, f.links, everywhere)}")
+    return f"perhaps {joined(told)}"
+
+
+def _is_wrong(finding: Finding) -> bool:
+    return words_of(finding.effect).startswith(_WRONG) or any(q.urdf for q in finding.parameters.values())
+
+
+def _places(findings: Sequence[Finding], everywhere: Sequence[str]) -> str:
+    """Return e.g. "joint spring at joint3 and payload on link5" or "viscous and Coulomb friction at all joints"."""
+    sites: dict[tuple[str, str, tuple[str, ...]], list[str]] = {}
+    for f in findings:
+        inside = when(Where(f.where.recordings, f.where.time_s))
+        words = named(f).removeprefix(_WRONG) if _is_wrong(f) else _with_article(named(f))
+        sites.setdefault((words, f" ({inside})" if inside else "", f.links), []).extend(f.joints)
+    places: dict[tuple[str, str], list[str]] = {}
+    for (words, inside, links), joints in sites.items():
+        alone = "" if words in _JOINED else words
+        places.setdefault((at(joints, links, everywhere) + inside, alone), []).append(words)
+    told = [_shortened(words) + where for (where, _), words in places.items()]
+    if len(told) > _MOST_NAMED + 1:
+        told = [*told[:_MOST_NAMED], f"{len(told) - _MOST_NAMED} more"]
+    return joined(told)
+
+
+def _with_article(words: str) -> str:
+    """Return "a joint spring", but "Coulomb friction"."""
+    counted = not _COUNTED.isdisjoint(words.split())
+    return f"{'an' if words[0] in 'aeiou' else 'a'} {words}" if counted else words
+
+
+def _shortened(words: Sequence[str]) -> str:
+    """Return "viscous and Coulomb friction" for "viscous friction" and "Coulomb friction"."""
+    return words[0] if len(words) == 1 else joined(w.removesuffix(" friction") for w in words) + " friction"
