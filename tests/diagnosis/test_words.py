@@ -62,7 +62,9 @@ def test_digits_follow_the_spread(value: float, spread: float, words: str) -> No
 
 def test_a_measure_says_its_numbers_to_a_tenth_of_the_spread() -> None:
     rng = np.random.default_rng(5)
-    for sign, size, ratio in zip(rng.choice((-1, 1), 500), rng.uniform(-9, 9, 500), rng.uniform(-4, 2, 500), strict=True):
+    for sign, size, ratio in zip(
+        rng.choice((-1, 1), 500), rng.uniform(-9, 9, 500), rng.uniform(-4, 2, 500), strict=True
+    ):
         value, spread = sign * 10**size, 10 ** (size + ratio)
         told = measure(value, spread).replace("\N{MINUS SIGN}", "-")
         body, _, power = told.partition(")·10")

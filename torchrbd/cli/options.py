@@ -18,6 +18,8 @@ from torchrbd.inference.comparison import COMPARABLE
 from torchrbd.inference.settings import ESTIMATORS, WITH_INTERVALS
 from torchrbd.physics import effects
 
+# Options that name files.
+_FILES = {"holdout", "simulated", "mapping"}
 _FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint or only at PLACE (default: none)"
 
 
@@ -171,7 +173,8 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_requ
         "--config",
         type=Path,
         metavar="YAML",
-        help="file with any of these options, e.g. 'cutoff: 5'; those given on the command line win",
+        help="file with any of these options, e.g. 'cutoff: 5'; those given on the command line win; files that it names "
+        "are sought from its folder",
     )
 
 
@@ -194,5 +197,9 @@ def _read_config(path: Path) -> dict[str, Any]:
     chosen = {str(key).replace("-", "_"): value for key, value in content.items()}
     if "cutoff" in chosen:
         chosen["cutoff_hz"] = chosen.pop("cutoff")
-    Settings.from_mapping(chosen, str(path))
+    read = Settings.from_mapping(chosen, str(path))
+    folder = path.parent
+    for key in _FILES & chosen.keys():
+        files = getattr(read, key)
+        chosen[key] = [folder / file for file in files] if isinstance(files, tuple) else files and folder / files
     return chosen

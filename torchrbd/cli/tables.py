@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from textwrap import wrap
 
 from rich.console import Console
 from rich.table import Column, Table
@@ -11,7 +13,8 @@ from rich.text import Text
 from torchrbd.diagnosis import Comparison, Diagnosis
 from torchrbd.diagnosis.compare_words import certainty, signed
 from torchrbd.diagnosis.numbers import number, unit
-from torchrbd.diagnosis.words import named, place, values, when
+from torchrbd.diagnosis.results import Where
+from torchrbd.diagnosis.words import guessed, place, values, when
 from torchrbd.inference import Identification
 from torchrbd.inference.comparison import EstimatorComparison
 from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
@@ -25,6 +28,8 @@ _COMPARISON_WORDS = (
 )
 # A probability from which on the table of plain friction says none.
 SURE = 0.95
+# What leaves room for the other columns on a narrow terminal: recordings that are named, letters in a line.
+_MOST_RECORDINGS, _WIDEST = 2, 22
 _MODEL_WORDS = {"rigid_body": "re-fitted", "extended": "extended"}
 
 
@@ -39,14 +44,24 @@ def print_diagnosis(result: Diagnosis) -> None:
         for f in special:
             more = len(f.parameters) - len(values(f))
             quantities = "\n".join([*values(f), *([f"{more} more in diagnosis.json"] if more else [])])
-            inside = "\n".join(filter(None, (place(f), when(f.where))))
-            table.add_row(Text(inside), Text(named(f)), Text(quantities), percent(f.probability))
+            inside = "\n".join((place(f), *_times(f.where, len(result.identification.recordings))))
+            table.add_row(Text(inside), Text(guessed(f)), Text(quantities), percent(f.probability))
         out.print(table)
     if folded:
         _print_plain(folded, out)
     for statement in (*(d.statement for d in result.deflections), *(rest.statement for rest in result.unexplained)):
         out.print(statement, markup=False)
     _print_fits(result.identification, out, model_words(result))
+
+
+def _times(where: Where, recordings: int) -> list[str]:
+    """Return when and in which recordings something acts, in short lines; many of them are counted."""
+    if where.recordings is not None and len(where.recordings) > _MOST_RECORDINGS:
+        counted = f"in {len(where.recordings)} of {recordings} recordings"
+        told = ", ".join(filter(None, (counted, when(replace(where, recordings=None)))))
+    else:
+        told = when(where)
+    return wrap(told, _WIDEST, break_on_hyphens=False)
 
 
 def _print_plain(rows: Sequence[PlainRow], out: Console) -> None:

@@ -60,10 +60,11 @@ def write_parameters(result: Identification, path: Path) -> None:
 def write_diagnosis(result: Diagnosis, path: Path) -> None:
     """Write verdict, fits, findings and what is left unexplained.
 
-    findings: strongest first: list of effect, joints and links (none of either: the whole robot), probability,
-        log_evidence_gain, parameters by name (value, std, unit, urdf), where (recordings, time_s, region: null for
-        everywhere), indistinguishable_from (effect, joints, links, depends_on), nmse_before and nmse_after by joint,
-        statement, depends_on (signals of other joints), curve: the function that shows it best, or null.
+    findings: strongest first (those likelier than not, then the others, by gain in both): list of effect, joints and
+        links (none of either: the whole robot), probability, log_evidence_gain, parameters by name (value, std, unit,
+        urdf), where (recordings, time_s, region: null for everywhere), indistinguishable_from (effect, joints, links,
+        depends_on; the likeliest first), nmse_before and nmse_after by joint, statement, depends_on (signals of other
+        joints), curve: the function that shows it best, or null.
     unexplained: list of joints, depends_on, where, share, statement, curve.
     curve: signal ("q_joint2", "t", ...), at, torque and std, lists of one length in the order of drawing.
     locations: where models and robot differ, named or not: list of model ("rigid_body", re-fitted, with friction and an

@@ -51,8 +51,8 @@ def identify(
         robot: a robot or its URDF.
         recordings: files or opened recordings.
         progress: told how far the work is.
-        **options: holdout, holdout_fraction, time, joints, effects, exclude, trust, payload, mapping, cutoff_hz,
-            estimator, encoder_noise, kappa and seed; ``help(torchrbd.Settings)`` has their meaning, units
+        **options: holdout, holdout_fraction, time, joints, effects, exclude, trust, payload, simulated, mapping,
+            cutoff_hz, estimator, encoder_noise, kappa and seed; ``help(torchrbd.Settings)`` has their meaning, units
             and defaults. ``effects`` are fitted beside the inertial parameters, at every joint
             or where "id@place" says, and their nonlinear parameters (a Stribeck speed) refined.
 

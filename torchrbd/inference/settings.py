@@ -51,7 +51,7 @@ class Settings:
     Where several are meant, one alone will do; text as on the command line is understood too ("2:30").
 
     Attributes:
-        holdout: recordings (files) that no fit or choice sees. Default: none, but ``holdout_fraction``.
+        holdout: recordings (files or opened) that no fit or choice sees. Default: none, but ``holdout_fraction``.
         holdout_fraction: without ``holdout``, the part of each recording that is kept back, (0, 0.5]. Default: 0.25.
         time: use only this part of each recording, (from, to) [s] from its start. Default: all.
         joints: joints whose torque counts, by name. Default: all.
@@ -72,7 +72,7 @@ class Settings:
         seed: which blocks are kept back, a whole number. Default: 0.
     """
 
-    holdout: tuple[Path, ...] = ()
+    holdout: tuple[Path | Recording, ...] = ()
     holdout_fraction: float = 0.25
     time: tuple[float, float] | None = None
     joints: tuple[str, ...] | None = None
@@ -116,7 +116,8 @@ class Settings:
                     + (f"; did you mean '{close[0]}'?" if close else f"; known: {', '.join(sorted(known))}")
                 )
         values = dict(options)
-        values["holdout"] = tuple(Path(str(p)) for p in _listed(values.get("holdout")))
+        for key in ("holdout", "simulated"):
+            values[key] = tuple(s if isinstance(s, Recording) else Path(str(s)) for s in _listed(values.get(key)))
         for key in ("joints", "effects"):
             if values.get(key) is not None:
                 values[key] = tuple(map(str, _listed(values[key])))
@@ -124,9 +125,6 @@ class Settings:
             values[key] = tuple(map(str, _listed(values.get(key))))
         values["payload"] = tuple(
             p if isinstance(p, Payload) else Payload.parse(str(p)) for p in _listed(values.get("payload"))
-        )
-        values["simulated"] = tuple(
-            s if isinstance(s, Recording) else Path(str(s)) for s in _listed(values.get("simulated"))
         )
         if values.get("time") is not None:
             values["time"] = _interval(values["time"], place)

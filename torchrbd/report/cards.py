@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from torchrbd.diagnosis.numbers import measure, unit
 from torchrbd.diagnosis.results import Curve, Diagnosis, Finding, Unexplained
-from torchrbd.diagnosis.words import PLAIN, alternatives, at, most_changed, named, when, words_of
+from torchrbd.diagnosis.words import LIKELY, PLAIN, alternatives, at, guessed, most_changed, when, words_of
 from torchrbd.physics import effects
 from torchrbd.report.excerpt import telling_signal
 from torchrbd.report.inline import COLOURS, UNKNOWN
@@ -71,8 +71,8 @@ def finding_cards(findings: Sequence[Finding], pictures: Pictures) -> list[Card]
 
 
 def plain_rows(findings: Sequence[Finding], joints: Sequence[str]) -> list[PlainRow]:
-    """Return plain friction, a row per joint, if there is much of it."""
-    plain = [f for f in findings if f.effect in PLAIN and f.where.recordings is None]
+    """Return plain friction that is likelier than not, a row per joint, if there is much of it."""
+    plain = [f for f in findings if f.effect in PLAIN and f.where.recordings is None and f.probability > LIKELY]
     here = [f for f in plain if len(f.joints) == 1 and f.joints[0] in joints]
     if len(here) < FOLDED:
         return []
@@ -110,7 +110,7 @@ def unexplained_cards(diagnosis: Diagnosis, pictures: Pictures) -> list[Card]:
 def _finding_card(finding: Finding, pictures: Pictures) -> Card:
     known = effects().get(finding.effect)
     equation = known.equation if known else ""
-    title = named(finding) + (at(finding.joints, finding.links) or " (whole robot)")
+    title = guessed(finding) + (at(finding.joints, finding.links) or " (whole robot)")
     own = [f"{key}_{j}" for key in re.findall(r"\bq(?:dd?)?\b", equation) for j in finding.joints]
     regions = [r.signal for r in finding.where.region or ()]
     line = ""

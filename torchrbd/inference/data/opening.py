@@ -37,7 +37,7 @@ def open_all(
 
     if not recordings:
         raise OptionError("no recording to fit; give at least one")
-    both = {str(r) for r in recordings} & {str(h) for h in settings.holdout}
+    both = set(map(_file, recordings)) & set(map(_file, settings.holdout))
     if both:
         raise OptionError(f"{', '.join(sorted(both))} is both fitted and held out; leave it out of one list")
     found = [*map(opened, recordings), *map(opened, settings.holdout)]
@@ -78,3 +78,8 @@ def open_simulated(robot: RobotModel, settings: Settings, recordings: Sequence[R
             return open_recording(source, robot.joint_names, mapping=read_mapping(settings.mapping))
 
     return tuple(map(opened, given))
+
+
+def _file(source: str | Path | Recording) -> str:
+    """Return what tells a recording from others: its file, or the name of one that has none."""
+    return str(source.path or source.name) if isinstance(source, Recording) else str(source)

@@ -1,0 +1,95 @@
+"""Add what acts for a time, or in some recordings only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from torchrbd.diagnosis.locate import stretches
+from torchrbd.diagnosis.locate.search import common_noise
+from torchrbd.diagnosis.rows.gain import gain
+from torchrbd.diagnosis.rows.regression import Fit, fitted
+from torchrbd.diagnosis.rows.white_rows import Rows
+from torchrbd.diagnosis.search.grid import Grid, candidates
+from torchrbd.diagnosis.search.options import Option, clearly_worse, judged, preferred, takes
+from torchrbd.diagnosis.search.recordings import explained, recordings, screened_by_recordings, where_larger
+from torchrbd.diagnosis.search.terms import Terms, without
+from torchrbd.diagnosis.search.unnamed import is_smooth
+from torchrbd.physics import Window
+
+if TYPE_CHECKING:
+    from torchrbd.diagnosis.search.select import Search
+
+MOST_WINDOWED, MOST_PARTIAL = 3, 10
+# What acts in some recordings explains this part of what is left there: where much is not understood, any two differ.
+LEAST_EXPLAINED = 0.25
+
+
+def partial(search: Search, fit: Fit) -> Fit:
+    """Add what acts in some recordings only, and loads and forces for a time that the leftover shows.
+
+    Of what one recording shows the others say nothing: parts of each are left out, not whole ones.
+    """
+    started, terms = fit, fit.terms
+    if len(recordings(fit.rows.samples)) > 1:
+        samples = replace(fit.rows.samples, whole_folds=False)
+        fit = Fit(Rows(samples, search.prior, fit.rows.noise), fit.terms)
+    for number in range(MOST_PARTIAL):
+        clear = _uncovered(search, fit)
+        windowed = _windowed(search, fit, clear) if number < MOST_WINDOWED else []
+        options = [o for o in (*windowed, *in_some_recordings(search, fit, clear)) if takes(o)]
+        changed = (*fit.terms, preferred(fit, options).candidate) if options else _not_common(search, fit)
+        if changed is None:
+            break
+        terms = changed
+        fit = search.named(search.settled(fitted(fit.rows.samples, search.prior, terms, fit.rows.noise)))
+        search.report(fit.terms)
+    return started if terms is started.terms else fit
+
+
+def _uncovered(search: Search, fit: Fit) -> Fit:
+    """Return a fit with the noise beside what some recordings seem to have.
+
+    A level that one of them has makes the noise look like drift, which hides it.
+    """
+    samples = fit.rows.samples
+    if len(recordings(samples)) == 1:
+        return fit
+    shared = Fit(Rows(samples, search.prior, common_noise(fit)), fit.terms)
+    best = next(iter(screened_by_recordings(search.grid, shared)), None)
+    if best is None or best.score <= 0:
+        return fit
+    beside = Fit(shared.rows, (*fit.terms, best.candidate))
+    return Fit(Rows(samples, search.prior, beside.noise()), fit.terms)
+
+
+def _not_common(search: Search, fit: Fit) -> Terms | None:
+    """Return terms with one for some recordings in the place of one for all that is clearly worse; None without."""
+    for term in fit.terms if len(recordings(fit.rows.samples)) > 1 else ():
+        if term in search.background or is_smooth(term) or not term.site.always:
+            continue
+        rest = Fit(fit.rows, search.restored(without(fit.terms, term))).renoised()
+        own = judged(rest, term)
+        for option in in_some_recordings(search, rest):
+            lead = gain(own.errors, option.errors, fit.rows.counts)
+            if takes(option) and clearly_worse(lead, option.worth.total):
+                return (*rest.terms, option.candidate)
+    return None
+
+
+def _windowed(search: Search, fit: Fit, clear: Fit) -> list[Option]:
+    """Return loads and forces in stretches of time, those that a clearer view of the same fit shows."""
+    timed = [e for e in search.effects if e.sites(search.robot, (Window(""),)) and not e.sites(search.robot)]
+    if not timed:
+        return []
+    samples = fit.rows.samples
+    offered = candidates(samples.columns, timed, samples.seen, stretches(fit))
+    return search.judged(fit, Grid(samples, search.possible(offered)).screened(clear))
+
+
+def in_some_recordings(search: Search, fit: Fit, clear: Fit | None = None) -> list[Option]:
+    """Return effects in those recordings in which they gain most, in a clearer view of the same fit if given."""
+    ranked = screened_by_recordings(search.grid, clear or fit)
+    turned = [replace(one, candidate=where_larger(fit, one.candidate)) for one in ranked[:MOST_PARTIAL]]
+    options = search.judged(fit, [one for one in turned if search.possible([one.candidate])])
+    return [o for o in options if explained(fit, o.candidate) > LEAST_EXPLAINED]
