@@ -121,7 +121,7 @@ def test_no_stretch_is_offered_where_nothing_is() -> None:
 def test_joints_links_times_and_regions_on_recordings_never_seen(tmp_path: Path) -> None:
     right, ends, overlaps = [], [], []
     for concealed in CONCEALED.values():
-        for seed in range(200, 205):
+        for seed in range(500, 505):
             one = case(seed, concealed)
             found, truth = located(one, tmp_path), one.truth
             assert truth is not None
@@ -135,7 +135,7 @@ def test_joints_links_times_and_regions_on_recordings_never_seen(tmp_path: Path)
                 same = regions and regions[0].signal == truth.signal
                 overlaps.append(overlap((regions[0].low, regions[0].high), truth.region) if regions and same else 0.0)
     alarms = [
-        len({j for x in located(case(seed), tmp_path) for j in x.joints}) / (5 + seed % 3) for seed in range(200, 215)
+        len({j for x in located(case(seed), tmp_path) for j in x.joints}) / (5 + seed % 3) for seed in range(500, 515)
     ]
     assert np.mean(right) >= 0.97
     assert np.median(ends) < 0.3

@@ -113,6 +113,8 @@ def signals(scene: Scene, joint: int) -> Iterator[Signal]:
     yield Signal(f"q_{names[j]}", "level", samples.q[j], FINE_KNOTS)
     yield Signal(f"q_{names[j]}", "level", samples.q[j], FEW_KNOTS)
     yield Signal(f"qd_{names[j]}", "level", samples.qd[j])
+    # Both ways alike.
+    yield Signal(f"qd_{names[j]}", "friction", np.abs(samples.qd[j]), FEW_KNOTS + 1)
     yield Signal(f"qdd_{names[j]}", "level", samples.qdd[j])
     yield Signal(f"load_rate_{names[j]}", "level", scene.load_rate[j], 2)
     if form_columns(scene, joint, "load").shape[0]:
