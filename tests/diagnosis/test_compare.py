@@ -14,9 +14,9 @@ from scipy.stats import norm
 from simulated import Motion, joint_names, record
 
 import torchrbd
-from torchrbd.diagnosis.compare_inertia import inertial_differences, load_like
-from torchrbd.diagnosis.compare_reading import Inertia, Side, rebuilt, side_of
-from torchrbd.diagnosis.compare_results import CHANGE, TRIFLE, Change, Comparison, probability_of_change
+from torchrbd.diagnosis.changes.inertia import inertial_differences, load_like
+from torchrbd.diagnosis.changes.reading import Inertia, Side, rebuilt, side_of
+from torchrbd.diagnosis.changes.results import CHANGE, TRIFLE, Change, Comparison, probability_of_change
 from torchrbd.diagnosis.results import Alternative, Curve, Finding, Limit, Quantity, Region, Unexplained, Where
 from torchrbd.export import write_changes
 from torchrbd.parameters import base_parameters

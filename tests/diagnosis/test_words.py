@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchrbd.diagnosis.compare_results import Difference
-from torchrbd.diagnosis.compare_words import signed
+from torchrbd.diagnosis.changes.results import Difference
+from torchrbd.diagnosis.changes.words import signed
 from torchrbd.diagnosis.numbers import joined, measure, percent, unit, with_unit
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, Unexplained, Where
 from torchrbd.diagnosis.verdict_words import verdict_statement

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from inference.test_shapes import Truth, added_by, recovered
+from inference.truths import Truth, added_by, recovered
 
 from torchrbd.physics import Site, Term
 from torchrbd.physics.counterbalance import Counterbalance

@@ -10,7 +10,7 @@ import torch
 from inference.problems import urdf_of
 from simulated import record
 
-from torchrbd.errors import RecordingError
+from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference.data.block_statistics import Block
 from torchrbd.inference.data.holdout import check_enough, held_out_recordings, held_out_runs
 from torchrbd.inference.preparation import Prepared, prepare
@@ -54,6 +54,19 @@ def test_words_say_what_is_held_out(counts: tuple[int, ...], words: str) -> None
     held, said = held_out_runs(blocks_of(*counts), 0.25, 0)
     assert said == words
     assert float(said.split(" %")[0]) == pytest.approx(100 * float(held.double().mean()), abs=0.5)
+
+
+def test_opened_recordings_are_held_out_like_files() -> None:
+    robot = RobotModel.from_urdf(urdf_of(0, 2))
+    fitted, kept = (record(urdf_of(0, 2), seed, name=f"{seed}.csv", duration_s=12.0) for seed in (0, 1))
+    options = {"cutoff_hz": 5.0}
+    for holdout in (kept, [kept], (kept,)):
+        settings = Settings.from_mapping({"holdout": holdout, **options}, "test")
+        found = prepare(robot, [fitted], settings, [])
+        assert (found.fitted, found.holdout_words) == (("0.csv",), "1.csv")
+    same = Settings.from_mapping({"holdout": [kept, fitted], **options}, "test")
+    with pytest.raises(OptionError, match=r"^0.csv is both fitted and held out; leave it out of one list$"):
+        prepare(robot, [fitted], same, [])
 
 
 def test_whole_recordings() -> None:

@@ -2,183 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 import pytest
 import scipy.optimize
 import torch
+from inference.truths import ALL, CUTOFF_HZ, Delay, Ripple, Truth, added_by, drawn, recovered, stribeck, told
 from physics.sites import ROBOT, SCALE
-from robot.random_robots import random_urdf
-from simulated import Motion, inverse_dynamics, joint_names, multisine, with_wrong_inertials
 
-from torchrbd.errors import OptionError
 from torchrbd.inference.data.columns import Columns
 from torchrbd.inference.identify import identify
 from torchrbd.inference.physical.fitting import term_candidates
 from torchrbd.inference.physical.terms import term_parameters
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.inference.shapes.places import ToldEffect, told_sites
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined
 from torchrbd.inference.shapes.slope import Axis, ShapeSlope, axes, slopes
 from torchrbd.physics import (
     Effect,
-    JointEffect,
-    JointScale,
-    JointState,
-    Shape,
-    Signals,
     Site,
     Term,
-    Window,
     effects,
     registry,
 )
 from torchrbd.physics.plain_friction import plain_friction
 from torchrbd.physics.stribeck_friction import StribeckFriction
 from torchrbd.recordings import Recording
-from torchrbd.robot import RobotModel
-
-ALL = effects()
-DURATION_S, CUTOFF_HZ, REST_PART = 25.0, 20.0, 1e-3
-LARGEST_PART, LEAST_PART = 0.2, 0.01
-WINDOW = Window("simulated", 8.0, 16.0)
-
-
-class Truth:
-    """A random arm with exact states, and the rigid-body torque that Pinocchio finds for them."""
-
-    def __init__(self, seed: int, n_joints: int = 4, duration_s: float = DURATION_S) -> None:
-        self.urdf = random_urdf(seed, n_joints, kinds=("revolute",), branching=0.0, massless=0.0)
-        self.robot = RobotModel.from_urdf(self.urdf)
-        self.given = RobotModel.from_urdf(with_wrong_inertials(self.urdf, seed, 0.1))
-        assert list(self.robot.joint_names) == joint_names(self.urdf)
-        self.motion = multisine(n_joints, seed, duration_s=duration_s)
-        self.rigid = inverse_dynamics(self.urdf, self.motion)
-        states = [torch.from_numpy(x.T.copy()) for x in (self.motion.q, self.motion.qd, self.motion.qdd)]
-        width = REST_PART * states[1].abs().amax(1)
-        rise = torch.from_numpy(1.0 - np.exp(-self.motion.t / 9.0))
-        self.temperature = 25.0 + torch.linspace(12.0, 20.0, n_joints, dtype=torch.float64).unsqueeze(1) * rise
-        t = torch.from_numpy(self.motion.t)
-        self.signals = Signals(self.robot, *states, width, t=t, recording="simulated", temperature=self.temperature)
-        self.scales = [
-            JointScale(
-                float(qd.abs().max()),
-                float(rest),
-                float(q.min()),
-                float(q.max()),
-                float(load),
-                duration_s,
-                (25.0, 45.0),
-            )
-            for q, qd, rest, load in zip(*states[:2], width, np.abs(self.rigid).max(0), strict=True)
-        ]
-
-    def recording(self, added: np.ndarray) -> Recording:
-        m: Motion = self.motion
-        names, warm = list(self.robot.joint_names), self.temperature.T.numpy()
-        return Recording.from_arrays("simulated", names, m.t, m.q, self.rigid + added, temperature=warm)
-
-    def rows(self, effect: Effect, site: Site, shape: Shape) -> np.ndarray:
-        """Return the effect's columns (N n_dof, K) in units of the joints' torque, every eighth sample."""
-        found = []
-        for phi in effect.features(self.signals, site, shape).values():
-            whole = (
-                phi
-                if effect.whole_robot
-                else torch.zeros_like(self.signals.q).index_add(0, torch.tensor([site.joint]), phi.unsqueeze(0))
-            )
-            found.append((whole.T.numpy() / self.rigid.std(0))[::8].reshape(-1))
-        return np.stack(found, -1)
-
-    @cached_property
-    def imitable(self) -> np.ndarray:
-        """Torques that inertial parameters make: an orthonormal basis (N n_dof, rank)."""
-        q, qd, qdd = (torch.from_numpy(x[::8]) for x in (self.motion.q, self.motion.qd, self.motion.qdd))
-        Y = self.robot.regressor(q, qd, qdd).numpy() / self.rigid.std(0)[:, None]
-        Y = Y.reshape(-1, Y.shape[-1])
-        U, s, _ = np.linalg.svd(Y / np.linalg.norm(Y, axis=0).clip(1e-12), full_matrices=False)
-        return U[:, s > 1e-7 * s[0]]
-
-    def share_left(self, effect: Effect, site: Site, shape: Shape) -> float:
-        """Return which part of the effect's least visible combination no inertial parameters can imitate."""
-        phi = self.rows(effect, site, shape)
-        size = np.linalg.norm(phi, axis=0)
-        if not size.all():
-            return 0.0
-        phi = phi / size
-        return float(np.linalg.svd(phi - self.imitable @ (self.imitable.T @ phi), compute_uv=False)[-1])
-
-
-def between(truth: Truth, effect: Effect, site: Site, rng: np.random.Generator) -> Shape:
-    """Return a shape between two in the middle of the grid; a choice, between which nothing lies, stays one."""
-    grid = effect.shapes(truth.scales[site.joint or 0])
-    drawn = dict(grid[rng.integers(len(grid) // 4, max(3 * len(grid) // 4, 1))])
-    for name in drawn:
-        values = sorted({shape[name] for shape in grid})
-        if len(values) > 1:
-            k = min(max(values.index(drawn[name]), len(values) // 4), max(3 * len(values) // 4 - 1, 0))
-            low, moved = values[k], {**drawn, name: values[k] + 0.4 * (values[k + 1] - values[k])}
-            same = np.array_equal(truth.rows(effect, site, {**drawn, name: low}), truth.rows(effect, site, moved))
-            drawn = drawn if same else moved
-    return drawn
-
-
-def drawn(truth: Truth, effect: Effect, seed: int) -> Term:
-    """Draw a term where the effect shows best: a shape, and coefficients that the physics allows."""
-    rng = np.random.default_rng(seed)
-    sites = [s for s in effect.sites(truth.robot, (WINDOW,)) if effect.shapes(truth.scales[s.joint or 0])]
-    if not sites:
-        pytest.skip(f"never shows: it needs {effect.needs}")
-    for _ in range(10):
-        shapes = {site: between(truth, effect, site, rng) for site in sites}
-        site = max(sites, key=lambda s: truth.share_left(effect, s, shapes[s]))
-        if truth.share_left(effect, site, shapes[site]) == 0.0:
-            pytest.skip("never shows: it needs a channel that recordings do not hold")
-        size = np.sqrt((truth.rows(effect, site, shapes[site]) ** 2).mean(0))
-        for part in np.geomspace(LARGEST_PART, LEAST_PART, 60):
-            relative = rng.choice((-1, 1), len(size)) * np.exp(rng.uniform(-3, 0, len(size)))
-            term = Term(effect, site, torch.from_numpy(part * relative / size), shapes[site])
-            if effect.plausible(term.parameters_by_name(), truth.scales[site.joint or 0]):
-                return term
-    raise AssertionError(f"no plausible {effect.id}")
-
-
-def stribeck(coulomb: float, extra: float, speed: float, joint: int = 1) -> Term:
-    w = torch.tensor([coulomb, extra], dtype=torch.float64)
-    return Term(StribeckFriction(), Site(joint), w, {"stribeck_speed": speed})
-
-
-def added_by(term: Term, truth: Truth) -> np.ndarray:
-    """Return the torque of a term (N, n_dof)."""
-    with torch.no_grad():
-        tau = term(truth.signals)
-    if term.effect.whole_robot:
-        return tau.T.numpy()
-    added = np.zeros_like(truth.rigid)
-    added[:, term.site.joint] = tau.numpy()
-    return added
-
-
-def told(term: Term, robot: RobotModel) -> str:
-    name = f"{term.effect.id}@{term.site.name(robot)}"
-    window = term.site.window
-    return name if window is None else f"{name}@{window.recording}={window.start_s:g}:{window.end_s:g}"
-
-
-def recovered(truth: Truth, terms: list[Term], added: np.ndarray, **options) -> list[dict[str, tuple[float, float]]]:
-    settings = Settings(effects=tuple(told(t, truth.robot) for t in terms), cutoff_hz=CUTOFF_HZ, **options)
-    chosen = settings.chosen_effects()
-    prepared = prepare(truth.given, [truth.recording(added)], settings, chosen)
-    candidates = term_candidates(prepared.columns, [e.id for e in chosen])
-    prepared, found = refined(prepared, candidates, lambda *_: None)
-    model = fit_with_shapes(prepared, found)
-    by_place = {(c.effect.id, c.site): c for c in found}
-    return [term_parameters(model, by_place[t.effect.id, t.site]) for t in terms]
 
 
 @pytest.fixture(scope="module")
@@ -197,62 +47,6 @@ def test_every_effect_is_recovered_when_told(effect: Effect, arm: Truth) -> None
     term = drawn(arm, effect, 1)
     (found,) = recovered(arm, [term], added_by(term, arm))
     assert {k: v for k, (v, _) in found.items()} == pytest.approx(term.parameters_by_name(), rel=0.02)
-
-
-class Ripple(JointEffect):
-    """tau += A sin(m q + phase), as a and b."""
-
-    id, words, equation = "test_ripple", "ripple", "a sin(m q) + b cos(m q)"
-    units: ClassVar[Mapping[str, str]] = {"a": "{tau}", "b": "{tau}", "order": "1/{q}"}
-    complexity = 3
-
-    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        return tuple({"order": float(m)} for m in range(5, 25))
-
-    def joint_features(self, state: JointState, shape: Shape) -> dict[str, torch.Tensor]:
-        phase = shape["order"] * state.q
-        return {f"test sin {shape['order']:.9g}": phase.sin(), f"test cos {shape['order']:.9g}": phase.cos()}
-
-    def parameters(self, coefficients: torch.Tensor, shape: Shape) -> dict[str, torch.Tensor]:
-        a, b = coefficients
-        return {"a": a, "b": b, "order": coefficients.new_tensor(shape["order"])}
-
-    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        return (parameters["a"], parameters["b"]), {"order": parameters["order"]}
-
-    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        return True
-
-
-class Delay(Effect):
-    """tau += share (tau_load(t - delay) - tau_load(t)) of all joints, by linear interpolation."""
-
-    id, words, equation = "test_delay", "delay", "share (tau_load(t - delay) - tau_load(t))"
-    units: ClassVar[Mapping[str, str]] = {"share": "1", "delay": "s"}
-    complexity, whole_robot, uses_load = 2, True, True
-
-    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
-        return (Site(),)
-
-    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        return tuple({"delay": 0.01 * k} for k in range(1, 8))
-
-    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, torch.Tensor]:
-        t, delay, load = signals.sequence(), shape["delay"], signals.load
-        steps = (delay / (t[1] - t[0])).item()
-        whole = int(steps)
-        shifted = [torch.cat((load[..., :1].expand(*load.shape[:-1], k), load), -1) for k in (whole, whole + 1)]
-        n, part = load.shape[-1], steps - whole
-        return {f"test delayed {delay:.9g}": (1 - part) * shifted[0][..., :n] + part * shifted[1][..., :n] - load}
-
-    def parameters(self, coefficients: torch.Tensor, shape: Shape) -> dict[str, torch.Tensor]:
-        return {"share": coefficients[0], "delay": coefficients.new_tensor(shape["delay"])}
-
-    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        return (parameters["share"],), {"delay": parameters["delay"]}
-
-    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        return True
 
 
 @pytest.fixture
@@ -399,26 +193,6 @@ def test_shapes_are_found_from_smoothed_states(arm: Truth) -> None:
         assert terms[name].std < 0.2 * given
 
 
-def test_told_place_is_the_only_one(arm: Truth) -> None:
-    """Through identify: terms where they were told, series and module agree, other joints have none."""
-    term = stribeck(3.0, 4.0, 0.35)
-    recording = arm.recording(added_by(term, arm))
-    found = identify(arm.given, recording, effects=[told(term, arm.robot), "viscous_friction"], cutoff_hz=CUTOFF_HZ)
-    places = {(t.effect.id, t.site.joint) for t in found.model.terms}
-    assert places == {("stribeck_friction", 1), *(("viscous_friction", j) for j in range(arm.robot.n_dof))}
-    shape = next(t.shape for t in found.model.terms if t.effect.id == "stribeck_friction")
-    values = {p.name: p for p in found.parameters if p.status == "term"}
-    speed = values["stribeck_friction_joint2.stribeck_speed"]
-    assert speed.value == shape["stribeck_speed"] == pytest.approx(0.35, rel=0.02)
-    assert 0 < speed.std < 0.02
-    series = found.series
-    x = [torch.from_numpy(v) for v in (series.q, series.qd, series.qdd)]
-    calm = np.abs(series.qd[:, 1]) > 0.3  # where filtering the friction changes nothing
-    predicted = found.model(*x).detach().numpy()[calm, 1]
-    error = np.sqrt(np.mean((predicted - series.predicted["extended"][calm, 1]) ** 2))
-    assert error < 0.02 * np.std(predicted)
-
-
 def test_without_shapes_nothing_is_read_again(arm: Truth) -> None:
     settings = Settings(effects=("viscous_friction",), cutoff_hz=CUTOFF_HZ)
     prepared = prepare(arm.given, [arm.recording(0.0 * arm.rigid)], settings, settings.chosen_effects())
@@ -440,50 +214,6 @@ def test_an_estimator_without_intervals_uses_refined_shapes(arm: Truth) -> None:
     values = {p.name: p for p in found.parameters if p.status == "term"}
     assert values["stribeck_friction_joint2.stribeck_speed"].value == pytest.approx(0.35, rel=0.02)
     assert values["stribeck_friction_joint2.static"].value == pytest.approx(7.0, rel=0.02)
-
-
-BAD = {
-    "stribeck_friction@elbow": r"'stribeck_friction' has no place 'elbow' on robot '.*'; its places are: joint1, ",
-    "stribeck_friction@joint22": r"did you mean 'joint2'\?",
-    "stribek@joint2": r"unknown effect 'stribek'; known: ",
-    "stribeck_friction@": r"effect 'stribeck_friction@': expected EFFECT, EFFECT@PLACE or EFFECT@PLACE@RECORDING",
-    "stribeck_friction@joint1@simulated=2:8": r"acts all the time; tell it as stribeck_friction@joint1",
-    "stribeck_friction@joint1@other.csv": r"recording 'other.csv', which is none here; there are: simulated",
-    "stribeck_friction@joint1@simulated=8:2": r"the end must come after the start",
-    "stribeck_friction@joint1@simulated=a:b": r"expected FROM:TO in seconds after 'simulated='",
-}
-
-
-@pytest.mark.parametrize(("given", "message"), BAD.items(), ids=BAD)
-def test_places_that_do_not_exist_are_told(given: str, message: str, arm: Truth) -> None:
-    with pytest.raises(OptionError, match=message):
-        identify(arm.given, arm.recording(0.0 * arm.rigid), effects=given)
-
-
-def test_an_effect_that_cannot_show_is_told(arm: Truth) -> None:
-    m, still = arm.motion, arm.motion.q.copy()
-    still[:, 1] = 0.3
-    recording = Recording.from_arrays("still", list(arm.robot.joint_names), m.t, still, arm.rigid)
-    with pytest.raises(OptionError, match=r"'stribeck_friction' cannot show at joint2 in the range of"):
-        identify(arm.given, recording, effects="stribeck_friction@joint2", cutoff_hz=CUTOFF_HZ)
-
-
-def test_places_of_pairs_and_of_windows() -> None:
-    robot = RobotModel.from_urdf(random_urdf(3, 3, kinds=("revolute",), branching=0.0, massless=0.0))
-
-    class Timed(Ripple):
-        def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
-            return tuple(Site(1, 0, window=w) for w in windows)
-
-    timed = ToldEffect(Timed(), "joint2_joint1", Window("a.csv", 2.0, 8.0))
-    sites, windows = told_sites([timed, ToldEffect(Ripple(), "joint3")], robot, ["a.csv", "b.csv"])
-    assert sites == {"test_ripple": (Site(1, 0, window=windows[0]), Site(2))}
-    assert windows == (Window("a.csv", 2.0, 8.0),)
-    with pytest.raises(OptionError, match=r"'test_ripple' acts for a time only; tell it as .*@RECORDING="):
-        told_sites([ToldEffect(Timed(), "joint2_joint1")], robot, ["a.csv"])
-    assert ToldEffect.parse("rotor_inertia@joint3@a.csv=2:").window == Window("a.csv", 2.0)
-    assert ToldEffect.parse("rotor_inertia@joint3@a.csv").window == Window("a.csv")
-    assert ToldEffect.parse("rotor_inertia") == ToldEffect(ALL["rotor_inertia"])
 
 
 def test_axes_of_grids() -> None:

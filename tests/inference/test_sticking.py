@@ -13,7 +13,8 @@ from inference.problems import columns_of, dense, recorded, statistics_of, strea
 from torchrbd.inference.data.columns import Columns
 from torchrbd.inference.data.sticking import stick_weight, undetermined
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
-from torchrbd.inference.preparation import Prepared, data_prior, prepare
+from torchrbd.inference.physical.prior import data_prior
+from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.stick_levels import stick_levels
 from torchrbd.physics import effect

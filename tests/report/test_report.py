@@ -12,10 +12,10 @@ import pytest
 from report.fabricated import STATEMENT, curve, diagnosis, identification, with_friction
 
 from torchrbd.diagnosis.numbers import number
-from torchrbd.diagnosis.results import Diagnosis, Location, Quantity, Where
+from torchrbd.diagnosis.results import Alternative, Diagnosis, Location, Proof, Quantity, Ratio, Where
 from torchrbd.inference.verdict import verdict_of
 from torchrbd.report import write_report
-from torchrbd.report.words import change
+from torchrbd.report.words import change, worth
 
 
 def render(result: Any, folder: Path) -> str:
@@ -334,3 +334,56 @@ def test_tilted_base_names_the_joints_that_change(tmp_path):
 
 def tidy(text: str) -> str:
     return text.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_worth_of_the_extended_model_is_shown_where_it_has_something(tmp_path):
+    result = diagnosis(("joint1", "joint2", "joint3"), unmeasured=0)
+    over = {"rigid_body": Ratio(0.312, 0.252, 0.403), "urdf": Ratio(0.0054, 0.0042, 0.0071)}
+    memory = {"urdf": 1.2, "rigid_body": 0.35, "extended": 0.11}
+    worse = {"rigid_body": Ratio(1.15, 1.08, 1.2), "urdf": Ratio(0.9, 0.7, 1.1)}
+    result = replace(
+        result,
+        proofs=(Proof("joint2", over, memory, 0.0999), Proof("joint3", worse, memory | {"extended": 0.4}, 0.0999)),
+    )
+    page = render(result, tmp_path)
+    text = " ".join(Text(page).words).replace("\N{NO-BREAK SPACE}", " ")
+    assert "joint2 31 % (25 to 40) 0.54 % (0.42 to 0.71) 1.2 s 0.35 s 0.11 s" in text
+    assert "joint3 115 % (108 to 120) 90 % (70 to 110) 1.2 s 0.35 s 0.4 s" in text
+    assert "white noise below 5 Hz for 0.1 s" in text
+    cells = re.findall(r'<td class="([^"]*)">[^<]* to ', page)
+    assert [" ".join(c.split()) for c in cells] == ["group best", "best", "group worse", ""]
+    for without in (replace(result, findings=()), replace(result, proofs=()), result.identification):
+        assert "errors stay alike" not in render(without, tmp_path)
+
+
+def test_one_line_says_what_findings_are_worth():
+    result, memory = diagnosis(("joint1",)), dict.fromkeys(("urdf", "rigid_body", "extended"), 0.1)
+
+    def told(*parts: float) -> str:
+        ratios = ({"rigid_body": Ratio(x, 0.9 * x, 1.1 * x), "urdf": Ratio(x, x, x)} for x in parts)
+        return worth(replace(result, proofs=tuple(Proof(f"j{k}", r, memory, 0.1) for k, r in enumerate(ratios))))
+
+    begin = "Of the re-fitted rigid body's squared error on held-out data is left, with 95 % intervals: "
+    assert told(0.5, 1.0, 0.2) == f"{begin}20 % (18 to 22) at j2 and 50 % (45 to 55) at j0."
+    assert told(0.5, 0.6, 0.4, 0.3, 2.0) == (
+        f"{begin}30 % (27 to 33) at j3 to 60 % (54 to 66) at j1, less at 4 of 5 joints."
+    )
+    assert "at no joint surely better" in told(0.95, 1.2)
+    assert told() == worth(replace(result, findings=())) == ""
+
+
+def test_a_guess_leads_neither_card_nor_table(tmp_path):
+    result = with_friction(diagnosis(("joint1", "joint2", "joint3")))
+    rival = Alternative("torque_scale", ("joint3",))
+    guess = replace(
+        result.findings[0],
+        effect="torque_offset",
+        joints=("joint2",),
+        probability=0.01,
+        indistinguishable_from=(rival,),
+    )
+    page = render(replace(result, findings=(*result.findings, guess)), tmp_path)
+    titles = re.findall(r"<h3>(.*?)</h3>", page)
+    assert titles[0] == "Torque ripple at joint2"
+    assert titles[1].endswith("at joint3 or perhaps constant torque offset at joint2")
+    assert "constant torque offset [" not in page

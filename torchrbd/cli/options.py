@@ -173,8 +173,8 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_requ
         "--config",
         type=Path,
         metavar="YAML",
-        help="file with any of these options, e.g. 'cutoff: 5'; those given on the command line win; files that it names "
-        "are sought from its folder",
+        help="file with any of these options, e.g. 'cutoff: 5'; those given on the command line win; files that it "
+        "names are sought from its folder",
     )
 
 

@@ -11,7 +11,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from torchrbd.diagnosis import Comparison, Diagnosis
-from torchrbd.diagnosis.compare_words import certainty, signed
+from torchrbd.diagnosis.changes.words import certainty, signed
 from torchrbd.diagnosis.numbers import number, unit
 from torchrbd.diagnosis.results import Where
 from torchrbd.diagnosis.words import guessed, place, values, when
@@ -19,7 +19,7 @@ from torchrbd.inference import Identification
 from torchrbd.inference.comparison import EstimatorComparison
 from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
 from torchrbd.report.changes import shown, title
-from torchrbd.report.words import badge, headline, model_words, percent
+from torchrbd.report.words import badge, headline, model_words, percent, worth
 
 _COMPARISON_WORDS = (
     "physical? says whether every link has a mass and an inertia that a real body can have; where one has not, the "
@@ -51,7 +51,7 @@ def print_diagnosis(result: Diagnosis) -> None:
         _print_plain(folded, out)
     for statement in (*(d.statement for d in result.deflections), *(rest.statement for rest in result.unexplained)):
         out.print(statement, markup=False)
-    _print_fits(result.identification, out, model_words(result))
+    _print_fits(result.identification, out, model_words(result), worth(result))
 
 
 def _times(where: Where, recordings: int) -> list[str]:
@@ -88,8 +88,11 @@ def _headed(result: Identification | Diagnosis) -> Console:
     return out
 
 
-def _print_fits(result: Identification, out: Console, model: str = "URDF") -> None:
-    """Print what is to be doubted, how well each model predicts held-out torque, the noise, and notes."""
+def _print_fits(result: Identification, out: Console, model: str = "URDF", remark: str = "") -> None:
+    """Print what is to be doubted, how well each model predicts held-out torque, the noise, and notes.
+
+    ``model`` is what the recordings are compared with, ``remark`` what to say of the errors.
+    """
     _print_doubts(result.doubts, out)
     _print_measure(result.held_out, result.cutoff_hz, out)
     words = {"urdf": model, **_MODEL_WORDS}
@@ -106,6 +109,8 @@ def _print_fits(result: Identification, out: Console, model: str = "URDF") -> No
         values = ((of.position, q), (of.from_position, tau), (of.torque, tau))
         noise.add_row(Text(joint), *(f"{number(value)} {unit}" for value, unit in values))
     out.print(errors)
+    if remark:
+        out.print(remark, markup=False)
     out.print(noise)
     if result.regime not in result.doubts:
         out.print(result.regime[0].upper() + result.regime[1:] + ".", markup=False)

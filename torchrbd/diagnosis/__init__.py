@@ -1,7 +1,7 @@
 """Diagnosis: what the rigid body leaves out, where, and how sure that is."""
 
-from torchrbd.diagnosis.compare import compare
-from torchrbd.diagnosis.compare_results import Change, Comparison, Difference
+from torchrbd.diagnosis.changes.compare import compare
+from torchrbd.diagnosis.changes.results import Change, Comparison, Difference
 from torchrbd.diagnosis.diagnose import diagnose
 from torchrbd.diagnosis.results import (
     Alternative,

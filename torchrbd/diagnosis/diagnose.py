@@ -121,11 +121,17 @@ def _extended(prepared: Prepared, search: Search, progress: Progress) -> tuple[P
 
 
 def _sound(model: FittedModel, term: Candidate) -> bool:
-    """Say whether the physics allows a term's parameters; plain friction within chance of zero is none."""
+    """Say whether the physics allows a term's parameters.
+
+    What is within chance of zero is no contradiction, and plain friction that is so is none.
+    """
     found = term_parameters(model, term)
-    chance = INSIGNIFICANT if term.effect.id in BACKGROUND else 0.0
-    values = {name: 0.0 if abs(value) < chance * std else value for name, (value, std) in found.items()}
-    return term.effect.plausible(values, model.columns.scale(term.site))
+    values = {name: 0.0 if abs(value) < INSIGNIFICANT * std else value for name, (value, std) in found.items()}
+    scale = model.columns.scale(term.site)
+    if term.effect.id in BACKGROUND:
+        return any(values.values()) and term.effect.plausible(values, scale)
+    known = {name: value for name, (value, _) in found.items()}
+    return term.effect.plausible(known, scale) or term.effect.plausible(values, scale)
 
 
 def _refit_matters(fit: Fit) -> bool:

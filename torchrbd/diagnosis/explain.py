@@ -10,8 +10,9 @@ from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, Where
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.diagnosis.search.grid import complexity, fresh_columns
+from torchrbd.diagnosis.search.grid import freedom, fresh_columns
 from torchrbd.diagnosis.search.options import BACKGROUND, Option, judged
+from torchrbd.diagnosis.search.partial import rivals
 from torchrbd.diagnosis.search.select import Search, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.diagnosis.words import finding_sentence, strongest_first
@@ -30,7 +31,8 @@ LONGEST = 50.0
 COMPETES = 0.5
 # A term of which less than this is left beside another effect is a case of that one, which says no other thing.
 CONTAINED = 1e-3
-# Viscous and Coulomb friction and an offset are found on every robot: log of how much more often than anything else.
+# Viscous and Coulomb friction and an offset, at all times, are found on every robot: log of how much more often than
+# anything else.
 PLAIN = 4.0
 
 
@@ -62,23 +64,31 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
     found, counts = [], fit.rows.counts
     for term in fit.terms:
         rest = Fit(fit.rows, without(fit.terms, term)).renoised()
-        own, rivals = judged(rest, term), []
-        for option in search.rivals(rest, term):
+        own, alike = judged(rest, term), []
+        for option in rivals(search, rest, term):
             c = option.candidate
             if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, rest, term, option):
-                more = complexity(rest, c) - complexity(rest, term)
-                freedom = 0.5 * more * math.log(max(counts.max(), 2))
-                freedom += PLAIN * ((term.effect.id in BACKGROUND) - (c.effect.id in BACKGROUND))
-                rivals.append(Rival(c, odds(gain(option.errors, own.errors, counts), freedom)))
-        found.append(Weighed(term, own.worth, tuple(rivals)))
+                more = freedom(rest, c) - freedom(rest, term)
+                more += PLAIN * (_is_plain(term) - _is_plain(c))
+                alike.append(Rival(c, odds(gain(option.errors, own.errors, counts), more)))
+        found.append(Weighed(term, own.worth, tuple(alike)))
     return tuple(found)
 
 
+def _is_plain(term: Candidate) -> bool:
+    return term.site.always and term.effect.id in BACKGROUND
+
+
 def _competes(fit: Fit, rest: Fit, term: Candidate, option: Option) -> bool:
-    """Say whether an option explains what a term explains: it gains little beside it, and does not contain it."""
+    """Say whether an option explains what a term explains: it gains little beside it, and does not contain it.
+
+    What pushes a link for a while contains an offset of its joint, but is another cause.
+    """
     C = fresh_columns(fit, option.candidate)
     if C.shape[1] and judged(fit, option.candidate).worth.total > COMPETES * option.worth.total:
         return False
+    if not term.site.always and option.candidate.place != term.place:
+        return True
     instead = Fit(fit.rows, (*rest.terms, option.candidate))
     return instead.share_left(fit.rows.columns(term)[1]) > CONTAINED
 
@@ -110,12 +120,17 @@ def explain(prepared: Prepared, weighed: Sequence[Weighed], model: FittedModel) 
     judging, reading = prepared.judging, prepared.reading
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
     after, found = judge(judging, model.x).nmse, []
-    for one, term in zip(weighed, model.proper_terms, strict=False):
+    # The first of the model's terms are those of the search; plain friction too little to be found may follow.
+    terms = model.proper_terms[: len(weighed)]
+    everywhere = {(c.effect, c.site) for c in terms}
+    for one, term in zip(weighed, terms, strict=True):
         if is_smooth(term):
             continue
         rest = [c for c in model.terms if c is not term]
         before = judge(judging, prepared.fit(rest, model.noise_variance).x).nmse
-        found.append(_finding(one, term, model, before, after, ends_s))
+        finding = _finding(one, term, model, before, after, ends_s)
+        more = term.site.recordings is not None and (term.effect, replace(term.site, recordings=None)) in everywhere
+        found.append(replace(finding, statement=finding_sentence(finding, more=more)))
     return strongest_first(found)
 
 
@@ -159,7 +174,7 @@ def _finding(
         if r.odds > LEAST_ODDS
     )
     touched = joints if term.place is not None else tuple(robot.joint_names)
-    finding = Finding(
+    return Finding(
         effect=term.effect.id,
         joints=joints,
         links=links,
@@ -174,8 +189,3 @@ def _finding(
         depends_on=driven_by(term, robot),
         curve=fitted_curve(model, term),
     )
-    everywhere = replace(term.site, recordings=None)
-    more = term.site.recordings is not None and any(
-        (c.effect, c.site) == (term.effect, everywhere) for c in model.proper_terms
-    )
-    return replace(finding, statement=finding_sentence(finding, more=more))

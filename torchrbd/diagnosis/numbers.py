@@ -38,8 +38,8 @@ def plain(value: float, digits: int = 4) -> str:
 def measure(value: float, spread: float) -> str:
     """Return ``value ± spread`` with the digits that the spread leaves; a dash if it is unknown.
 
-    The spread has two significant digits from 10 to 35 and one from 36 to 95. What ``number`` writes with a power of ten
-    has one here too, of thousands or thousandths: "(13 ± 7)·10⁶".
+    The spread has two significant digits from 10 to 35 and one from 36 to 95. What ``number`` writes with a power of
+    ten has one here too, of thousands or thousandths: "(13 ± 7)·10⁶".
     """
     if math.isnan(spread):
         return f"{number(value)} ± –"

@@ -18,22 +18,23 @@ from torch import Tensor
 
 from torchrbd.errors import RecordingError
 from torchrbd.inference.data.block_statistics import BlockStatistics
-from torchrbd.inference.data.columns import Candidate, Columns, joint_scales
-from torchrbd.inference.data.holdout import check_enough, held_out_recordings, held_out_runs
+from torchrbd.inference.data.columns import Candidate, Columns
+from torchrbd.inference.data.holdout import held_out_blocks
 from torchrbd.inference.data.notes import input_notes
 from torchrbd.inference.data.opening import open_all, open_simulated
 from torchrbd.inference.data.payload import payload_parameters
 from torchrbd.inference.data.reading import Progress, Reading
+from torchrbd.inference.data.scales import covered_scales, with_loads
 from torchrbd.inference.data.simulated import Simulated, check_motion, cut, read_simulated, simulation_notes
 from torchrbd.inference.input_noise import InputNoise, input_noise
 from torchrbd.inference.physical.fitting import FittedModel, fit_model
-from torchrbd.inference.physical.prior import Prior, urdf_prior
+from torchrbd.inference.physical.prior import Prior, data_prior
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.places import told_sites
 from torchrbd.inference.smoothing import smooth, smoothable
 from torchrbd.inference.stick_levels import stick_levels
-from torchrbd.physics import Effect, JointScale
+from torchrbd.physics import Effect
 from torchrbd.recordings import Filtering, Recording, States, Survey, choose_cutoff, survey
 from torchrbd.robot import RobotModel
 
@@ -145,12 +146,12 @@ def prepare(
     opened, surveys, simulated = _simulated(robot, opened, surveys, simulations, filtering, progress)
     sites, windows = told_sites(settings.told_effects(), robot, [r.name for r in opened])
     unloaded = [e for e in effects if not e.uses_load]
-    columns = Columns(robot, unloaded, _scales(surveys, filtering), windows, sites=sites)
+    columns = Columns(robot, unloaded, covered_scales(surveys, filtering), windows, sites=sites)
     used, held = settings.used_joints(robot), settings.held_bodies(robot)
     payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
     reading = Reading(robot, opened, tuple(surveys), filtering, used, payload, simulated)
     statistics = reading.statistics(columns, progress)
-    held_out, words = _held_out(statistics, opened[len(recordings) :], reading, settings)
+    held_out, words = held_out_blocks(statistics.blocks, opened[len(recordings) :], reading, settings)
     weight = statistics.torque[..., 0].sum(0)
     if not weight.any():
         raise RecordingError("no torque that changes is recorded for any of the joints in use; nothing can be fitted")
@@ -160,7 +161,7 @@ def prepare(
     levels, loaded = stick_levels(training, prior), len(unloaded) < len(effects)
     if loaded:
         # The URDF's own load may be far off; what depends on it is built around a first fit.
-        scales = _with_loads(columns.scales, reading, rough.pi)
+        scales = with_loads(columns.scales, reading, rough.pi)
         columns = Columns(robot, effects, scales, windows, rough.pi, sites=sites)
     if loaded or bool(levels.any()):
         columns = columns.sticking(levels)
@@ -203,7 +204,7 @@ def _simulated(
     """
     if not simulations:
         return recordings, surveys, ()
-    width, found = torch.tensor([s.rest_width for s in _scales(surveys, filtering)], dtype=torch.float64), []
+    width, found = torch.tensor([s.rest_width for s in covered_scales(surveys, filtering)], dtype=torch.float64), []
     kept: list[tuple[Recording, Survey]] = []
     for k, (real, seen, one) in enumerate(zip(recordings, surveys, simulations, strict=True)):
         progress("matching the simulation", k / len(recordings))
@@ -258,58 +259,3 @@ def _smoothed(
         input_noise=replace(prepared.input_noise, encoder_std=found.encoder_std),
         states=found.states,
     )
-
-
-def data_prior(statistics: BlockStatistics, held: Collection[str], kappa: float) -> Prior:
-    """Return the prior around the URDF; the size of torques and features tells how wide that of terms is."""
-    weight, _, square = statistics.torque.sum(0).unbind(-1)
-    torque_rms = (square / weight.clamp_min(1e-300)).sqrt()
-    return urdf_prior(statistics.columns, torque_rms, _feature_rms(statistics), held=held, kappa=kappa)
-
-
-def _scales(surveys: Sequence[Survey], filtering: Filtering) -> tuple[JointScale, ...]:
-    noise = [filtering.state_noise(s.q_noise_std, s.clock.dt, s.qd_noise_std)[:, 1, 1].sqrt() for s in surveys]
-    speed = torch.from_numpy(np.max([s.velocity_max for s in surveys], axis=0))
-    low = torch.from_numpy(np.min([s.q_min for s in surveys], axis=0))
-    high = torch.from_numpy(np.max([s.q_max for s in surveys], axis=0))
-    # Of a joint whose temperature one recording lacks, none is known.
-    cold = np.min([s.temperature_min for s in surveys], axis=0)
-    warm = np.max([s.temperature_max for s in surveys], axis=0)
-    longest = max(s.segments[-1][1] for s in surveys)
-    return tuple(
-        replace(scale, duration_s=longest, temperature=None if np.isnan(c) else (float(c), float(w)))
-        for scale, c, w in zip(joint_scales(speed, torch.stack(noise).amax(0), low, high), cold, warm, strict=True)
-    )
-
-
-def _with_loads(scales: Sequence[JointScale], reading: Reading, pi: Tensor) -> tuple[JointScale, ...]:
-    """Return the scales with the largest torque that a rigid body with pi (n_params,) takes."""
-    most = torch.zeros(len(scales), dtype=torch.float64)
-    for k in range(len(reading.recordings)):
-        for states in reading.tiles(k):
-            load = reading.robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, pi)
-            most = torch.maximum(most, load.abs().amax(0))
-    return tuple(replace(scale, load_max=load) for scale, load in zip(scales, most.tolist(), strict=True))
-
-
-def _held_out(
-    statistics: BlockStatistics, recordings: Sequence[Recording], reading: Reading, settings: Settings
-) -> tuple[Tensor, str]:
-    """Choose the blocks to keep back, and see that enough are left; ``recordings`` are held out as a whole."""
-    runs = None if settings.holdout else (settings.holdout_fraction, settings.seed)
-    if runs is None:
-        held_out, words = held_out_recordings(statistics.blocks, [r.name for r in recordings])
-    else:
-        held_out, words = held_out_runs(statistics.blocks, *runs)
-    check_enough(held_out, words, reading.block_s, reading.filtering.cutoff_hz, runs)
-    return held_out, words
-
-
-def _feature_rms(statistics: BlockStatistics) -> Tensor:
-    columns = statistics.columns
-    power = torch.zeros(columns.robot.n_dof, columns.n, dtype=torch.float64)
-    weight = statistics.torque[..., 0].sum(0)
-    for joint, total in enumerate(statistics.total()):
-        if weight[joint] > 0:
-            power[joint, columns.of_joint[joint]] = total.diagonal()[:-1] / weight[joint]
-    return power.sqrt()

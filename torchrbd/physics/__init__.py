@@ -2,7 +2,8 @@
 
 from torchrbd.physics.base import CoefficientPrior, Curve, Effect, JointEffect, Mjcf, Shape, Term
 from torchrbd.physics.registry import effect, effects, register
-from torchrbd.physics.signals import JointScale, JointState, Signals, Site, Window
+from torchrbd.physics.signals import JointScale, JointState, Signals
+from torchrbd.physics.sites import Site, Window
 
 __all__ = [
     "CoefficientPrior",

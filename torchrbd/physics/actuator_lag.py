@@ -8,7 +8,8 @@ from typing import ClassVar
 from torch import Tensor
 
 from torchrbd.physics.base import CoefficientPrior, Effect, Mjcf, Shape
-from torchrbd.physics.signals import JointScale, Signals, Site, Window
+from torchrbd.physics.signals import JointScale, Signals
+from torchrbd.physics.sites import Site, Window
 from torchrbd.physics.time_delay import at_site, joints_and_all
 from torchrbd.robot import RobotModel
 

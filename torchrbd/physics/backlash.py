@@ -32,7 +32,8 @@ from torch import Tensor
 
 from torchrbd.physics.base import CoefficientPrior, Effect, Shape
 from torchrbd.physics.joint_elasticity import slope_along
-from torchrbd.physics.signals import JointScale, Signals, Site
+from torchrbd.physics.signals import JointScale, Signals
+from torchrbd.physics.sites import Site
 
 # Of the largest inertia of a motion.
 _LEAST_INERTIA = 1e-6
@@ -70,11 +71,11 @@ class Backlash(Effect):
         still, pushed = torch.zeros_like(signals.q), torch.zeros_like(signals.q)
         pushed[joint] = 1.0
         M = signals.load_slope(still, still, pushed)[joint]
-        friction = (0.0, 0.0, 0.0)
+        viscous = coulomb = offset = 0.0
         if signals.friction is not None and shape["link_friction"]:
-            friction = tuple(signals.friction[joint].tolist())
+            viscous, coulomb, offset = signals.friction[joint].tolist()
         motion = signals.qd[joint], signals.qdd[joint]
-        x = deviation(signals.load[joint], M, motion, friction, float(t[1] - t[0]), play)
+        x = deviation(signals.load[joint], M, motion, (viscous, coulomb, offset), float(t[1] - t[0]), play)
         label = f"backlash({play:.6g}, {shape['link_friction']:.0f}) {site.name(signals.robot)}"
         return {label: slope_along(signals, site, x / play)}
 

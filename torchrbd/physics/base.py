@@ -20,7 +20,8 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torchrbd.physics.signals import JointScale, JointState, Signals, Site, Window
+from torchrbd.physics.signals import JointScale, JointState, Signals
+from torchrbd.physics.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 Shape = Mapping[str, float]

@@ -22,7 +22,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.physics.base import CoefficientPrior, JointEffect, Shape
-from torchrbd.physics.signals import JointScale, JointState, Site, Window
+from torchrbd.physics.signals import JointScale, JointState
+from torchrbd.physics.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torchrbd.physics.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.physics.placed import telling
-from torchrbd.physics.signals import JointScale, Signals, Site, Window
+from torchrbd.physics.signals import JointScale, Signals
+from torchrbd.physics.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 

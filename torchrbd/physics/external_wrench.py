@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torchrbd.physics.base import CoefficientPrior, Effect, Shape
 from torchrbd.physics.placed import in_windows, moved
-from torchrbd.physics.signals import JointScale, Signals, Site, Window
+from torchrbd.physics.signals import JointScale, Signals
+from torchrbd.physics.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.physics.base import Curve, Effect, Mjcf, Shape
-from torchrbd.physics.signals import JointScale, Signals, Site, Window
+from torchrbd.physics.signals import JointScale, Signals
+from torchrbd.physics.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 

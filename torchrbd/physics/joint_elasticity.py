@@ -26,7 +26,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.physics.base import CoefficientPrior, Effect, Shape
-from torchrbd.physics.signals import JointScale, Signals, Site
+from torchrbd.physics.signals import JointScale, Signals
+from torchrbd.physics.sites import Site
 
 
 class JointElasticity(Effect):

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.physics.base import Effect
-from torchrbd.physics.signals import Signals, Site, Window
+from torchrbd.physics.signals import Signals
+from torchrbd.physics.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 _STATES, _RANK_TOLERANCE = 32, 1e-6

@@ -1,4 +1,4 @@
-"""What an effect may depend on, and where it may sit."""
+"""What an effect may depend on: the signals of one joint, or of the whole robot."""
 
 from __future__ import annotations
 
@@ -10,53 +10,11 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError
+from torchrbd.physics.sites import Window
 from torchrbd.robot import RobotModel
 
 # Points of a curve.
 _SWEEP = 1000
-
-
-@dataclass(frozen=True)
-class Window:
-    """A stretch of one recording, in seconds from its start."""
-
-    recording: str
-    start_s: float = -math.inf
-    end_s: float = math.inf
-
-
-@dataclass(frozen=True)
-class Site:
-    """Where an effect sits, by index in the robot; what does not apply is None.
-
-    Attributes:
-        joint: whose torque it adds to.
-        other: another joint, on whose motion it depends.
-        body: on which it acts.
-        window: when it acts; always, if None.
-        recordings: in which it acts, by name; in all, if None.
-    """
-
-    joint: int | None = None
-    other: int | None = None
-    body: int | None = None
-    window: Window | None = None
-    recordings: tuple[str, ...] | None = None
-
-    @property
-    def always(self) -> bool:
-        """Whether it acts in all recordings, from begin to end."""
-        return self.window is None and self.recordings is None
-
-    def name(self, robot: RobotModel) -> str:
-        """Return the place by the robot's names: ``joint3``, ``joint3_joint2``, ``link5``, or "robot" for all of it.
-
-        Recordings follow, if it acts in some only: "joint3 in warm.csv, hot.csv".
-        """
-        parts = [robot.joint_names[j] for j in (self.joint, self.other) if j is not None]
-        parts += [robot.body_names[self.body]] if self.body is not None else []
-        place = "_".join(parts) or "robot"
-        return place if self.recordings is None else f"{place} in {', '.join(self.recordings)}"
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.physics.base import Curve, Effect, Shape
-from torchrbd.physics.signals import JointScale, Signals, Site, Window
+from torchrbd.physics.signals import JointScale, Signals
+from torchrbd.physics.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 # pyright: reportAttributeAccessIssue=false

@@ -11,12 +11,8 @@ import numpy as np
 
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.formats import ArrayTable, Table, open_table
-from torchrbd.recordings.mapping import Mapping, Source, closest
-
-_OPTIONAL_SIGNALS = ("qd", "qdd", "q_ref")
-# What some joints may have and others not.
-_PARTIAL_SIGNALS = ("q_link", "temperature")
-_OPTIONAL_CHANNELS = ("q_link_", "temperature_", "current_", "wrench_")
+from torchrbd.recordings.mapping import Mapping, Source
+from torchrbd.recordings.matching import OPTIONAL_SIGNALS, PARTIAL_SIGNALS, match
 
 
 @dataclass(frozen=True)
@@ -107,7 +103,7 @@ class Recording:
                     f"and joints {', '.join(joints)}"
                 )
             for index, joint in enumerate(joints):
-                if signal not in ("tau", "q_ref", *_PARTIAL_SIGNALS) or not np.isnan(array[:, index]).all():
+                if signal not in ("tau", "q_ref", *PARTIAL_SIGNALS) or not np.isnan(array[:, index]).all():
                     columns[f"{signal}_{joint}"] = array[:, index]
         return _connect(name, None, ArrayTable(columns), joints, Mapping(), None)
 
@@ -122,7 +118,7 @@ class Recording:
             )
         order = [self.joints.index(joint) for joint in joints]
         sources = dict(self._sources)
-        for key in sources.keys() & {"q", *_OPTIONAL_SIGNALS}:
+        for key in sources.keys() & {"q", *OPTIONAL_SIGNALS}:
             sources[key] = tuple(sources[key][k] for k in order)
         for key, there in (("tau", self.measured), ("q_link", self.linked), ("temperature", self.thermal)):
             own = dict(zip(compress(self.joints, there), self._sources.get(key, ()), strict=True))
@@ -170,7 +166,7 @@ class Recording:
             keep = (t >= self.time[0]) & (t <= self.time[1])
             if not keep.any():
                 return None
-        optional = {key: values[key][keep] for key in _OPTIONAL_SIGNALS if key in values}
+        optional = {key: values[key][keep] for key in OPTIONAL_SIGNALS if key in values}
         for key, there in (("tau", self.measured), ("q_link", self.linked), ("temperature", self.thermal)):
             if there.any():
                 whole = np.full((len(t), len(self.joints)), np.nan)
@@ -230,58 +226,20 @@ def _connect(
     mapping: Mapping,
     time: tuple[float, float] | None,
 ) -> Recording:
-    """Match the table's columns with the joints."""
-    wanted = {
-        key: [mapping.source(joint, index, key) for index, joint in enumerate(joints)]
-        for key in ("q", "tau", *_OPTIONAL_SIGNALS, *_PARTIAL_SIGNALS)
-    }
-    present = set(table.columns)
-    place = str(path or name)
-    required = [mapping.time, *wanted["q"], *mapping.named(joints)]
-    missing = list(dict.fromkeys(source.column for source in required if source.column not in present))
-    if missing:
-        raise RecordingError(
-            f"{place}: missing columns: {', '.join(missing)}{closest(missing[0], table.columns)}; "
-            f"present: {', '.join(table.columns)}; give a mapping if they have other names"
-        )
-    measured = np.array([source.column in present for source in wanted["tau"]])
-    if not measured.any():
-        expected = ", ".join(source.column for source in wanted["tau"])
-        raise RecordingError(
-            f"{place}: no joint has a torque; expected at least one of {expected}; present: {', '.join(table.columns)}"
-        )
-    sources = {"t": (mapping.time,), "q": tuple(wanted["q"])}
-    sources["tau"] = tuple(compress(wanted["tau"], measured))
-    linked, thermal = (np.array([source.column in present for source in wanted[key]]) for key in _PARTIAL_SIGNALS)
-    for key, there in zip(_PARTIAL_SIGNALS, (linked, thermal), strict=True):
-        if there.any():
-            sources[key] = tuple(compress(wanted[key], there))
-    notes = []
-    if not measured.all():
-        notes.append("no torque for " + ", ".join(compress(joints, ~measured)))
-    for key in _OPTIONAL_SIGNALS:
-        there = [source.column in present for source in wanted[key]]
-        if all(there):
-            sources[key] = tuple(wanted[key])
-        elif any(there):
-            notes.append(f"{key} is not used: it is there for some joints only")
-    known = {source.column for group in wanted.values() for source in group} | {mapping.time.column}
-    ignored = [c for c in table.columns if c not in known and not c.startswith(_OPTIONAL_CHANNELS)]
-    if ignored:
-        notes.append("columns not used: " + ", ".join(ignored))
-    velocity, acceleration, reference = (key in sources for key in _OPTIONAL_SIGNALS)
+    """Make a recording of a table whose columns fit the joints."""
+    found = match(table.columns, joints, mapping, str(path or name))
     return Recording(
-        name,
-        path,
-        tuple(joints),
-        measured,
-        velocity,
-        acceleration,
-        reference,
-        linked,
-        thermal,
-        time,
-        tuple(notes),
-        table,
-        sources,
+        name=name,
+        path=path,
+        joints=tuple(joints),
+        measured=found.there["tau"],
+        has_velocity="qd" in found.sources,
+        has_acceleration="qdd" in found.sources,
+        has_reference="q_ref" in found.sources,
+        linked=found.there["q_link"],
+        thermal=found.there["temperature"],
+        time=time,
+        notes=found.notes,
+        _table=table,
+        _sources=found.sources,
     )

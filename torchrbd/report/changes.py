@@ -6,8 +6,8 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from torchrbd.diagnosis.compare_results import Change, Comparison, Difference
-from torchrbd.diagnosis.compare_words import certainty, signed
+from torchrbd.diagnosis.changes.results import Change, Comparison, Difference
+from torchrbd.diagnosis.changes.words import certainty, signed
 from torchrbd.diagnosis.numbers import measure, unit
 from torchrbd.diagnosis.words import at, words_of
 from torchrbd.report.words import tied

@@ -11,14 +11,14 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from torchrbd.diagnosis.numbers import measure, number, plain, unit, with_unit
-from torchrbd.diagnosis.results import Diagnosis
+from torchrbd.diagnosis.results import Diagnosis, Proof
 from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.report.cards import Card, PlainRow, finding_cards, plain_rows, plain_titles, unexplained_cards
 from torchrbd.report.excerpt import informative_stretch
 from torchrbd.report.inline import page_style
 from torchrbd.report.pictures import Pictures
 from torchrbd.report.springs import spring_figure
-from torchrbd.report.words import badge, change, headline, model_words, percent, tied
+from torchrbd.report.words import badge, change, headline, model_words, part_left, percent, tied
 
 LEFTOVERS = {
     "rigid_body": "What the re-fitted rigid body with friction leaves",
@@ -44,6 +44,7 @@ def write_report(result: Identification | Diagnosis, path: Path) -> None:
     )
     environment.filters |= {"number": number, "measure": measure, "percent": percent, "change": change}
     environment.filters |= {"plain": plain, "unit": unit, "with_unit": with_unit, "tied": tied}
+    environment.filters |= {"part_left": part_left}
     environment.filters |= {"signal_words": page.pictures.words_of}
     with page_style():
         text = environment.get_template("report.html.j2").render(page=page)
@@ -98,6 +99,11 @@ class Page:
     def friction(self) -> list[PlainRow]:
         """Viscous and Coulomb friction and offsets, a row per joint, if there are many."""
         return plain_rows(self.diagnosis.findings, self.joints) if self.diagnosis else []
+
+    @property
+    def proofs(self) -> list[Proof]:
+        """What the extended model is worth at each joint, if it has anything that the rigid body lacks."""
+        return list(self.diagnosis.proofs) if self.diagnosis and self.diagnosis.findings else []
 
     @property
     def plain_titles(self) -> list[str]:

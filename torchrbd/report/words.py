@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-from torchrbd.diagnosis.numbers import MINUS, number
-from torchrbd.diagnosis.results import Diagnosis
+from torchrbd.diagnosis.numbers import MINUS, joined, number
+from torchrbd.diagnosis.numbers import percent as exact_percent
+from torchrbd.diagnosis.results import Diagnosis, Ratio
 from torchrbd.inference.results import Identification
 
 VERDICTS = {
@@ -18,6 +19,8 @@ VERDICTS = {
     "worse": "✗ Worse than the URDF",
 }
 """What a verdict is called, after a sign that tells it without colour."""
+# Joints that one line names.
+_MOST_NAMED = 3
 
 
 def model_words(result: Identification | Diagnosis) -> str:
@@ -54,6 +57,30 @@ def percent(share: float) -> str:
     if 0.995 <= share < 1.0:
         return "> 99 %"
     return "< 1 %" if 0.0 < share < 0.005 else f"{100 * share:.0f} %"
+
+
+def part_left(ratio: Ratio) -> str:
+    """Return what is left of an error, with its interval: "31 % (25 to 40)"."""
+    value, low, high = (exact_percent(x) for x in (ratio.value, ratio.low, ratio.high))
+    return f"{value} ({low.removesuffix(' %')} to {high.removesuffix(' %')})"
+
+
+def worth(result: Diagnosis) -> str:
+    """Say in one line what findings leave of the re-fitted rigid body's error, where that is surely less."""
+    proofs = result.proofs if result.findings else ()
+    if not proofs:
+        return ""
+    less = sorted(((p.over["rigid_body"], p.joint) for p in proofs), key=lambda pair: pair[0].value)
+    less = [(ratio, joint) for ratio, joint in less if ratio.high < 1.0]
+    if not less:
+        return "The extended model predicts held-out torque at no joint surely better than the re-fitted rigid body."
+    if len(less) <= _MOST_NAMED:
+        told = joined(f"{part_left(ratio)} at {joint}" for ratio, joint in less)
+    else:
+        (best, first), (worst, last) = less[0], less[-1]
+        ends = f"{part_left(best)} at {first} to {part_left(worst)} at {last}"
+        told = f"{ends}, less at {len(less)} of {len(proofs)} joints"
+    return f"Of the re-fitted rigid body's squared error on held-out data is left, with 95 % intervals: {told}."
 
 
 def change(before: float, after: float) -> str:

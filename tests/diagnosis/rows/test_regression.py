@@ -45,6 +45,22 @@ def added(samples: Samples, name: str, joint: int, **shape: float):
     return samples.columns.candidate(effect(name), Site(joint), shape)
 
 
+def test_with_every_link_trusted_nothing_is_imitated() -> None:
+    """Without columns a fit leaves the torque as it is, and an addition is plain ridge."""
+    urdf = random_urdf(5, 3, kinds=("revolute",), branching=0.0, massless=0.0)
+    robot = RobotModel.from_urdf(urdf)
+    settings = Settings.from_mapping({"trust": robot.body_names}, "test")
+    held = prepare(robot, [record(urdf, 5, duration_s=15.0)], settings, ())
+    samples = read_samples(held, held.fit().pi)
+    fit = fitted(samples, held.prior, ())
+    C = fit.rows.columns(samples.columns.candidate(effect("coulomb_friction"), Site(1), {}))[1]
+    assert fit.X.shape[1] == 0
+    assert fit.share_left(C) == 1.0
+    np.testing.assert_array_equal(fit.e, fit.rows.y)
+    w = np.linalg.solve(C.T @ C + np.eye(C.shape[1]), C.T @ fit.e)
+    np.testing.assert_allclose(fit.addition(C).w, w, rtol=1e-9)
+
+
 def test_samples_are_the_rows_of_the_statistics_without_held_out_ones(prepared: Prepared, samples: Samples) -> None:
     candidate = added(samples, "coulomb_friction", 1)
     columns, (states,) = samples.columns.of_candidates([candidate], None), list(prepared.tiles(0))

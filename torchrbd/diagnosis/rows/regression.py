@@ -101,12 +101,15 @@ class Fit:
             e[own] = left
         return self.by_block(e)
 
+    def precision(self, C: np.ndarray) -> np.ndarray:
+        """Return the precision S (K, K) of the coefficients of columns C (N, K) beside the fit."""
+        V = solve_triangular(self.L, self.X.T @ C, lower=True)
+        return C.T @ C + np.eye(C.shape[1]) - V.T @ V
+
     def addition(self, C: np.ndarray) -> Addition:
         """Return what columns C (N, K) gain on the rows that they are fitted to."""
-        V = solve_triangular(self.L, self.X.T @ C, lower=True)
-        S = C.T @ C + np.eye(C.shape[1]) - V.T @ V
         r = C.T @ self.e
-        w = np.linalg.solve(S, r)
+        w = np.linalg.solve(self.precision(C), r)
         return Addition(0.5 * float(w @ r), w)
 
     def coefficients_with(self, C: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -118,7 +121,7 @@ class Fit:
         """T (P + T, R) with orthonormal columns X T, whatever the prior."""
         size = np.sqrt(np.maximum(self._H.diagonal(), 1e-300))
         values, vectors = np.linalg.eigh(self._H / size / size[:, None])
-        kept = values > LEAST_DIRECTION * values[-1]
+        kept = values > LEAST_DIRECTION * values.max(initial=0.0)
         return vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
 
     def std(self, k: int) -> float:

@@ -81,17 +81,13 @@ class Group:
         V = solve_triangular(fit.L, X.T @ C, lower=True)
         S, r = C.T @ C - V.T @ V + np.eye(C.shape[1]), C.T @ fit.e[part]
         known = {label for place, label in fit.places if place == self.place}
-        cost = 0.5 * np.log(max(rows.counts.max(), 2))
         for c in self.candidates:
             fresh = [self.columns[label] for label in c.labels if label in self.columns and label not in known]
             if fresh:
                 own = r[fresh]
                 among = S[np.ix_(fresh, fresh)]
                 gain = 0.5 * float(own @ np.linalg.solve(among, own))
-                freedom = cost * complexity(fit, c)
-                if len(c.effect.prior.std) > 1:
-                    freedom = 0.5 * np.minimum(np.log(np.linalg.eigvalsh(among)), 2 * cost).sum()
-                yield Screened(c, gain, gain - freedom)
+                yield Screened(c, gain, gain - freedom(fit, c, among))
 
     def widened(self, rows: Rows) -> np.ndarray:
         """Return the columns (N, K) as rows see them, whitened and in prior coordinates."""
@@ -110,6 +106,24 @@ def complexity(fit: Fit, candidate: Candidate) -> int:
     """Return the coefficients and shape parameters that a candidate adds to a fit."""
     known = set(fit.places)
     return candidate.effect.complexity - sum((candidate.place, label) in known for label in candidate.labels)
+
+
+def freedom(fit: Fit, candidate: Candidate, among: np.ndarray | None = None) -> float:
+    """Return what the freedom of a candidate costs beside a fit, in log-likelihood units.
+
+    Half the logarithm of the number of rows for each coefficient and shape; less where the prior keeps several
+    coefficients in proportion: at most 1/2 log det of their precision.
+
+    Args:
+        fit: to which it is added.
+        candidate: that is added.
+        among: (K, K) precision of its fresh columns beside the fit, if known.
+    """
+    cost = 0.5 * float(np.log(max(fit.rows.counts.max(), 2)))
+    if len(candidate.effect.prior.std) < 2:
+        return cost * complexity(fit, candidate)
+    among = fit.precision(fresh_columns(fit, candidate)) if among is None else among
+    return float(0.5 * np.minimum(np.log(np.linalg.eigvalsh(among)), 2 * cost).sum())
 
 
 def candidates(

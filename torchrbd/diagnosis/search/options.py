@@ -109,10 +109,15 @@ def coefficients(fit: Fit, candidate: Candidate) -> list[float]:
 
 
 def plausible(fit: Fit, candidate: Candidate) -> bool:
-    """Say whether the physics allows what a candidate's parameters are in a fit, or would be beside it."""
+    """Say whether the physics allows what a candidate's parameters are in a fit, or would be beside it.
+
+    Plain friction that may as well be none is none.
+    """
     w = torch.tensor(coefficients(fit, candidate), dtype=torch.float64)
     moves = fit.rows.samples.features(candidate).reshape(len(w), -1).any(1)
     w[torch.from_numpy(~moves)] = torch.nan
+    if candidate.effect.id in BACKGROUND and not w.any():
+        return False
     values = {k: float(v) for k, v in candidate.effect.parameters(w, candidate.shape).items()}
     return candidate.effect.plausible(values, fit.rows.samples.columns.scale(candidate.site))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,8 +14,9 @@ from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.search.grid import Grid, candidates
 from torchrbd.diagnosis.search.options import Option, clearly_worse, judged, preferred, takes
 from torchrbd.diagnosis.search.recordings import explained, recordings, screened_by_recordings, where_larger
-from torchrbd.diagnosis.search.terms import Terms, without
+from torchrbd.diagnosis.search.terms import Terms, place, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
+from torchrbd.inference.data.columns import Candidate
 from torchrbd.physics import Window
 
 if TYPE_CHECKING:
@@ -36,7 +38,7 @@ def partial(search: Search, fit: Fit) -> Fit:
         fit = Fit(Rows(samples, search.prior, fit.rows.noise), fit.terms)
     for number in range(MOST_PARTIAL):
         clear = _uncovered(search, fit)
-        windowed = _windowed(search, fit, clear) if number < MOST_WINDOWED else []
+        windowed = in_windows(search, fit, stretches(fit), clear) if number < MOST_WINDOWED else []
         options = [o for o in (*windowed, *in_some_recordings(search, fit, clear)) if takes(o)]
         changed = (*fit.terms, preferred(fit, options).candidate) if options else _not_common(search, fit)
         if changed is None:
@@ -77,14 +79,14 @@ def _not_common(search: Search, fit: Fit) -> Terms | None:
     return None
 
 
-def _windowed(search: Search, fit: Fit, clear: Fit) -> list[Option]:
-    """Return loads and forces in stretches of time, those that a clearer view of the same fit shows."""
+def in_windows(search: Search, fit: Fit, windows: Sequence[Window], clear: Fit | None = None) -> list[Option]:
+    """Return loads and forces in stretches of time, in a clearer view of the same fit if given."""
     timed = [e for e in search.effects if e.sites(search.robot, (Window(""),)) and not e.sites(search.robot)]
-    if not timed:
+    if not timed or not windows:
         return []
     samples = fit.rows.samples
-    offered = candidates(samples.columns, timed, samples.seen, stretches(fit))
-    return search.judged(fit, Grid(samples, search.possible(offered)).screened(clear))
+    offered = candidates(samples.columns, timed, samples.seen, windows)
+    return search.judged(fit, Grid(samples, search.possible(offered)).screened(clear or fit))
 
 
 def in_some_recordings(search: Search, fit: Fit, clear: Fit | None = None) -> list[Option]:
@@ -93,3 +95,13 @@ def in_some_recordings(search: Search, fit: Fit, clear: Fit | None = None) -> li
     turned = [replace(one, candidate=where_larger(fit, one.candidate)) for one in ranked[:MOST_PARTIAL]]
     options = search.judged(fit, [one for one in turned if search.possible([one.candidate])])
     return [o for o in options if explained(fit, o.candidate) > LEAST_EXPLAINED]
+
+
+def rivals(search: Search, fit: Fit, term: Candidate) -> list[Option]:
+    """Return what may be added to a fit in the place of a term, at the same times."""
+    site = term.site
+    if site.always:
+        return search.options(fit)
+    windows = [Window(name) for name in site.recordings or ()] if site.window is None else [site.window]
+    at_times = [*in_some_recordings(search, fit), *in_windows(search, fit, windows if len(windows) == 1 else ())]
+    return [*search.options(fit), *(o for o in at_times if place(o.candidate) != place(term))]

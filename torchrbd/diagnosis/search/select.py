@@ -127,13 +127,6 @@ class Search:
             self.report(fit.terms)
         return fit
 
-    def rivals(self, fit: Fit, term: Candidate) -> list[Option]:
-        """Return what may be added to a fit in the place of a term, not the same in other recordings."""
-        if term.site.recordings is None:
-            return self.options(fit)
-        in_some = in_some_recordings(self, fit)
-        return [*self.options(fit), *(o for o in in_some if place(o.candidate) != place(term))]
-
     @property
     def robot(self) -> RobotModel:
         """The robot."""

@@ -22,8 +22,6 @@ from torchrbd.physics.plain_friction import plain_friction
 from torchrbd.recordings import States
 from torchrbd.robot import RobotModel
 
-# Below this many standard deviations of its noise a velocity has no direction.
-_REST_NOISE, _REST_PART, _LEAST_REST = 2.0, 1e-3, 1e-6
 URDF_FRICTION = {"viscous_friction": "damping", "coulomb_friction": "friction"}
 
 
@@ -250,17 +248,3 @@ class Columns:
             for j in range(len(torque)) if joint is None else (joint,):
                 torque[j] = torque[j] + x[k] * (found[k][j] if joint is None else found[k])
         return torch.stack(torque)
-
-
-def joint_scales(speed_max: Tensor, velocity_noise: Tensor, low: Tensor, high: Tensor) -> tuple[JointScale, ...]:
-    """Return the scales of joints that reach speeds (n_dof,), known to a noise of standard deviation (n_dof,).
-
-    Args:
-        speed_max: (n_dof,) [rad/s, m/s].
-        velocity_noise: (n_dof,) standard deviation [rad/s, m/s].
-        low, high: (n_dof,) positions that they reach [rad, m].
-    """
-    least = torch.full_like(speed_max, _LEAST_REST)
-    rest = torch.maximum(torch.maximum(_REST_NOISE * velocity_noise, _REST_PART * speed_max), least)
-    values = zip(*(x.tolist() for x in (speed_max, rest, low, high)), strict=True)
-    return tuple(JointScale(speed, width, least_q, most_q) for speed, width, least_q, most_q in values)

@@ -11,11 +11,40 @@ from torch import Tensor
 
 from torchrbd.errors import RecordingError
 from torchrbd.inference.data.block_statistics import Block
+from torchrbd.inference.data.reading import Reading
+from torchrbd.inference.settings import Settings
+from torchrbd.recordings import Recording
 
 _LEAST_BLOCKS = 6
 
 # Neighbouring blocks that are kept back together: fewer seams between what is fitted and what is judged.
 _RUN = 2
+
+
+def held_out_blocks(
+    blocks: Sequence[Block], recordings: Sequence[Recording], reading: Reading, settings: Settings
+) -> tuple[Tensor, str]:
+    """Choose the blocks to keep back, and see that enough are left.
+
+    Args:
+        blocks: (B,) of all recordings.
+        recordings: those that are held out as a whole.
+        reading: how recordings are read.
+        settings: what the user asked for.
+
+    Returns:
+        (B,) bool, and the same for a person.
+
+    Raises:
+        RecordingError: too little is left to fit.
+    """
+    runs = None if settings.holdout else (settings.holdout_fraction, settings.seed)
+    if runs is None:
+        held_out, words = held_out_recordings(blocks, [r.name for r in recordings])
+    else:
+        held_out, words = held_out_runs(blocks, *runs)
+    check_enough(held_out, words, reading.block_s, reading.filtering.cutoff_hz, runs)
+    return held_out, words
 
 
 def held_out_recordings(blocks: Sequence[Block], names: Collection[str]) -> tuple[Tensor, str]:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchrbd.inference.data.block_statistics import BlockStatistics
 from torchrbd.inference.data.columns import Columns
 from torchrbd.parameters import BASIS, ORTHONORMAL, PARAMETERS_PER_BODY, is_extended, nearest_physical
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
@@ -98,6 +99,23 @@ def urdf_prior(
             width = scale[at, at]
             scale[at, at] = torch.where(width > 0, std * (width / std)[width > 0].min(), 0.0)
     return Prior(mean, reference, bodies, inverse, kappa, scale)
+
+
+def data_prior(statistics: BlockStatistics, held: Collection[str], kappa: float) -> Prior:
+    """Return the prior around the URDF; the size of torques and features tells how wide that of terms is."""
+    weight, _, square = statistics.torque.sum(0).unbind(-1)
+    torque_rms = (square / weight.clamp_min(1e-300)).sqrt()
+    return urdf_prior(statistics.columns, torque_rms, _feature_rms(statistics), held=held, kappa=kappa)
+
+
+def _feature_rms(statistics: BlockStatistics) -> Tensor:
+    columns = statistics.columns
+    power = torch.zeros(columns.robot.n_dof, columns.n, dtype=torch.float64)
+    weight = statistics.torque[..., 0].sum(0)
+    for joint, total in enumerate(statistics.total()):
+        if weight[joint] > 0:
+            power[joint, columns.of_joint[joint]] = total.diagonal()[:-1] / weight[joint]
+    return power.sqrt()
 
 
 def _inverse_root(A: Tensor) -> Tensor:

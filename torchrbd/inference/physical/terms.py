@@ -40,7 +40,7 @@ def term_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple
     grid only. What depends on a coefficient that moves no joint is not a number.
     """
     w, own = model.coefficients(candidate)
-    w = torch.where(own.diagonal() > 0, w, torch.nan).requires_grad_(True)
+    w = torch.where(own.diagonal() == 0, torch.nan, w).requires_grad_(True)
     at, grid_only = _places(model, candidate)
     by_shape = _shape_derivatives(model, candidate)
     found = {}

@@ -12,8 +12,9 @@ from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.input_noise import input_noise
 from torchrbd.inference.physical.fitting import fit_model
+from torchrbd.inference.physical.prior import data_prior
 from torchrbd.inference.physical.uncertain_states import UncertainStates
-from torchrbd.inference.preparation import Prepared, data_prior
+from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.slope import ShapeSlope, axes
 from torchrbd.inference.smoothing.smooth import Trajectory
 from torchrbd.inference.smoothing.smoother import StateSmoother

@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.columns import Columns, joint_scales
+from torchrbd.inference.data.columns import Columns
 from torchrbd.inference.data.reading import Reading
+from torchrbd.inference.data.scales import joint_scales
 from torchrbd.inference.input_noise import InputNoise
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.prior import Prior

@@ -13,6 +13,7 @@ the probability of a change is P_before P_after p + (1 - P_before P_after) / 2.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -35,6 +36,7 @@ CERTAIN, UNLIKELY = 0.95, 0.2
 
 Kind = Literal["finding", "inertia", "unexplained"]
 Verdict = Literal["changed", "unchanged", "open"]
+Found = Literal["both", "before", "after"]
 
 
 @dataclass(frozen=True)
@@ -141,3 +143,8 @@ def probability_of_change(d: float, std: float, size: float, trifle: float = TRI
 def verdict_of(probability: float) -> Verdict:
     """Return what a probability of change says."""
     return "changed" if probability >= CERTAIN else "unchanged" if probability <= UNLIKELY else "open"
+
+
+def most(parameters: Iterable[Difference]) -> float:
+    """Return the largest probability of a change; NaN where nobody knows one."""
+    return max((d.probability for d in parameters if not math.isnan(d.probability)), default=math.nan)

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
-from torchrbd.diagnosis.compare_reading import Side
-from torchrbd.diagnosis.compare_results import INERTIAL_TRIFLE, Difference, difference
+from torchrbd.diagnosis.changes.reading import Side
+from torchrbd.diagnosis.changes.results import INERTIAL_TRIFLE, Difference, difference
 from torchrbd.diagnosis.results import Quantity
 from torchrbd.parameters import PARAMETERS_PER_BODY
 

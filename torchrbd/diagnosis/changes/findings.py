@@ -1,35 +1,31 @@
-"""Compare two diagnoses of one robot: before and after service, or two robots of a series."""
+"""What became of each finding of two diagnoses: as strong as it was, stronger, new, gone, or called otherwise."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Literal
 
 import torch
 
-from torchrbd.diagnosis import compare_words as words
-from torchrbd.diagnosis.compare_inertia import inertial_differences, load_like
-from torchrbd.diagnosis.compare_reading import Side, side_of
-from torchrbd.diagnosis.compare_results import (
-    CERTAIN,
+from torchrbd.diagnosis.changes import words
+from torchrbd.diagnosis.changes.reading import Side
+from torchrbd.diagnosis.changes.results import (
     LOOSER,
     WIDER,
     Change,
-    Comparison,
     Difference,
+    Found,
     Verdict,
     difference,
+    most,
     verdict_of,
 )
-from torchrbd.diagnosis.results import Alternative, Diagnosis, Finding, Limit, Quantity
+from torchrbd.diagnosis.results import Alternative, Finding, Limit, Quantity
 from torchrbd.errors import InputError
 from torchrbd.physics import effect, effects
 
 Place = tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
-Found = Literal["both", "before", "after"]
 
 # Their size says nothing of the strength of an effect.
 _NOT_COMPARED = ("phase", "side")
@@ -38,48 +34,9 @@ _COULOMB = "coulomb"
 _DRY = ("coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction", "presliding_hysteresis")
 # Parts by which shapes may differ.
 LIKE_SHAPE = 0.25
-# One or two combinations alone stood out in 3 of 38 pairs of recordings of one robot: a body that changes moves more.
-LEAST_CHANGED = 3
-_ORDER = {"changed": 0, "open": 1, "unchanged": 2}
 
 
-def compare(before: Diagnosis | str | Path, after: Diagnosis | str | Path) -> Comparison:
-    """Say what changed between two diagnoses of the same robot, and how certain that is.
-
-    Findings of both are compared parameter by parameter. One that is found in one only is new, or gone, if the
-    ``limits`` of the other say that it would have been seen. Inertial parameters are compared in combinations that both
-    data sets tell; from a file, parameters.json must lie beside it.
-
-    Args:
-        before, after: diagnoses, their folders, or their diagnosis.json.
-
-    Returns:
-        What changed, the most certain first; see ``compare_results.py`` for the probability.
-
-    Raises:
-        InputError: a file that cannot be used, or diagnoses of different robots.
-    """
-    one, other = side_of(before, "before"), side_of(after, "after")
-    _check(one, other)
-    findings = [*_matched(one, other)]
-    changes = [*findings, *_inertia(one, other), *_unexplained(one, other)]
-    changes.sort(key=lambda c: (_ORDER[c.verdict], -c.probability if c.probability == c.probability else 0.0))
-    statement = words.overall(changes)
-    return Comparison(one.robot, one.joints, one.name, other.name, statement, tuple(changes), tuple(_notes(one, other)))
-
-
-def _check(before: Side, after: Side) -> None:
-    remedy = "compare diagnoses of one robot, made with URDFs of the same name and joints"
-    if before.robot != after.robot:
-        raise InputError(f"{before.name} is of robot '{before.robot}', {after.name} of robot '{after.robot}'; {remedy}")
-    if set(before.joints) != set(after.joints):
-        different = sorted(set(before.joints) ^ set(after.joints))
-        raise InputError(
-            f"{before.name} and {after.name} are of different joints, only one has {', '.join(different)}; {remedy}"
-        )
-
-
-def _matched(before: Side, after: Side) -> Iterator[Change]:
+def changed_findings(before: Side, after: Side) -> Iterator[Change]:
     """Yield a change for each finding, those of both first."""
     left = {"before": list(before.findings), "after": list(after.findings)}
     for one in before.findings:
@@ -137,7 +94,7 @@ def _of_both(one: Finding, other: Finding, wider: float) -> Change:
         for name, q in before.items()
         if name in after
     }
-    probability = _most(parameters.values())
+    probability = most(parameters.values())
     verdict = verdict_of(probability)
     statement = words.of_both(one, verdict, probability, parameters)
     return _change(one, "both", verdict, probability, parameters, statement)
@@ -164,7 +121,7 @@ def _of_one(finding: Finding, found: Found, other: Side, rivals: Sequence[Findin
     size = max(_size(finding, limit.parameter, here), abs(limit.value - limit.none))
     pair = (there, here) if found == "after" else (here, there)
     parameters = {limit.parameter: difference(*pair, size, right=finding.probability, wider=LOOSER)}
-    probability = _most(parameters.values())
+    probability = most(parameters.values())
     verdict = verdict_of(probability)
     if verdict == "changed" and not _departs(finding, limit):
         verdict = "open"
@@ -188,50 +145,6 @@ def _alike_in_shape(finding: Finding, limit: Limit) -> bool:
 def _departs(finding: Finding, limit: Limit) -> bool:
     """Say whether a finding is more than what the other data allow."""
     return _size(finding, limit.parameter, finding.parameters[limit.parameter]) > abs(limit.value - limit.none)
-
-
-def _inertia(before: Side, after: Side) -> Iterator[Change]:
-    parameters = inertial_differences(before, after)
-    if parameters:
-        probability = _most(parameters.values())
-        verdict = verdict_of(probability)
-        load = load_like(before, after) if verdict == "changed" else None
-        if load is None and sum(d.probability >= CERTAIN for d in parameters.values()) < LEAST_CHANGED:
-            verdict = "unchanged" if verdict == "unchanged" else "open"
-        statement = words.of_inertia(verdict, probability, parameters, load)
-        yield Change(
-            "inertia", "", (), load.links if load else (), (), "both", verdict, probability, parameters, statement
-        )
-
-
-def _unexplained(before: Side, after: Side) -> Iterator[Change]:
-    sides = {"before": before.unexplained, "after": after.unexplained}
-    keys = {found: [(u.joints, u.depends_on[:1]) for u in those] for found, those in sides.items()}
-    for found, those in sides.items():
-        for one, key in zip(those, keys[found], strict=True):
-            shared = key in keys["before"] and key in keys["after"]
-            if shared and found == "after":
-                continue
-            where: Found = "both" if shared else found  # type: ignore[assignment]
-            statement = words.of_unexplained(one, where)
-            yield Change("unexplained", "", one.joints, (), one.depends_on, where, "open", math.nan, {}, statement)
-
-
-def _notes(before: Side, after: Side) -> Iterator[str]:
-    shared = sorted(set(before.recordings) & set(after.recordings))
-    if shared:
-        yield f"both were made from recordings called {', '.join(shared)}: if they are the same, nothing has changed"
-    if before.cutoff_hz != after.cutoff_hz:
-        yield (
-            f"the band limits differ, {before.cutoff_hz:g} and {after.cutoff_hz:g} Hz; what acts between them may show "
-            "in one only: diagnose both with one --cutoff"
-        )
-    if bool(before.simulated) != bool(after.simulated):
-        yield "one was compared with a simulation, the other with the URDF: what the simulator has is a difference too"
-    if inertial_differences(before, after) is None:
-        yield "inertial parameters are not compared: parameters.json is missing, without intervals, or of other bodies"
-    if not all(side.limits for side in (before, after)):
-        yield "one of the two does not say how large what it has not found could be; diagnose the recordings again"
 
 
 def _change(
@@ -283,7 +196,3 @@ def _size(finding: Finding, name: str, quantity: Quantity) -> float:
         if math.isfinite(none) and none != quantity.value:
             return abs(quantity.value - none)
     return abs(quantity.value)
-
-
-def _most(parameters: Iterable[Difference]) -> float:
-    return max((d.probability for d in parameters if not math.isnan(d.probability)), default=math.nan)

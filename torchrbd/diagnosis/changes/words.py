@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from torchrbd.diagnosis.compare_inertia import Load
-from torchrbd.diagnosis.compare_results import Change, Difference
+from torchrbd.diagnosis.changes.inertia import Load
+from torchrbd.diagnosis.changes.results import Change, Difference
 from torchrbd.diagnosis.numbers import MINUS, joined, measure, number, with_unit
 from torchrbd.diagnosis.results import Finding, Quantity, Unexplained
 from torchrbd.diagnosis.words import named, place, when

@@ -1,0 +1,1 @@
+"""What changed between two diagnoses of one robot, and how certain that is."""

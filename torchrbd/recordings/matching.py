@@ -1,0 +1,83 @@
+"""Find a robot's signals among the columns of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import compress
+
+import numpy as np
+
+from torchrbd.errors import RecordingError
+from torchrbd.recordings.mapping import Mapping, Source, closest
+
+OPTIONAL_SIGNALS = ("qd", "qdd", "q_ref")
+"""What all joints have or none."""
+PARTIAL_SIGNALS = ("q_link", "temperature")
+"""What some joints may have and others not."""
+# Columns that are nothing to wonder at where they are not used.
+_OPTIONAL_CHANNELS = ("q_link_", "temperature_", "current_", "wrench_")
+
+
+@dataclass(frozen=True)
+class Match:
+    """Where a table has a robot's signals.
+
+    Attributes:
+        sources: by signal, "t" and those that are there, one for each joint that has it.
+        there: by signal that some joints may lack, (n,) bool.
+        notes: what is left aside.
+    """
+
+    sources: dict[str, tuple[Source, ...]]
+    there: dict[str, np.ndarray]
+    notes: tuple[str, ...]
+
+
+def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place: str) -> Match:
+    """Match columns with joints.
+
+    Args:
+        columns: of the table.
+        joints: the robot's joints, in its order.
+        mapping: what the columns are called.
+        place: file or name, for messages.
+
+    Raises:
+        RecordingError: columns are missing; names those present, and the closest matches.
+    """
+    wanted = {
+        key: [mapping.source(joint, index, key) for index, joint in enumerate(joints)]
+        for key in ("q", "tau", *OPTIONAL_SIGNALS, *PARTIAL_SIGNALS)
+    }
+    present = set(columns)
+    required = [mapping.time, *wanted["q"], *mapping.named(joints)]
+    missing = list(dict.fromkeys(source.column for source in required if source.column not in present))
+    if missing:
+        raise RecordingError(
+            f"{place}: missing columns: {', '.join(missing)}{closest(missing[0], columns)}; "
+            f"present: {', '.join(columns)}; give a mapping if they have other names"
+        )
+    there = {key: np.array([s.column in present for s in wanted[key]]) for key in ("tau", *PARTIAL_SIGNALS)}
+    if not there["tau"].any():
+        expected = ", ".join(source.column for source in wanted["tau"])
+        raise RecordingError(
+            f"{place}: no joint has a torque; expected at least one of {expected}; present: {', '.join(columns)}"
+        )
+    sources, notes = {"t": (mapping.time,), "q": tuple(wanted["q"])}, []
+    for key, some in there.items():
+        if some.any():
+            sources[key] = tuple(compress(wanted[key], some))
+    if not there["tau"].all():
+        notes.append("no torque for " + ", ".join(compress(joints, ~there["tau"])))
+    for key in OPTIONAL_SIGNALS:
+        found = [source.column in present for source in wanted[key]]
+        if all(found):
+            sources[key] = tuple(wanted[key])
+        elif any(found):
+            notes.append(f"{key} is not used: it is there for some joints only")
+    known = {source.column for group in wanted.values() for source in group} | {mapping.time.column}
+    ignored = [c for c in columns if c not in known and not c.startswith(_OPTIONAL_CHANNELS)]
+    if ignored:
+        notes.append("columns not used: " + ", ".join(ignored))
+    return Match(sources, there, tuple(notes))
