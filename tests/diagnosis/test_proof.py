@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from torchrbd.diagnosis.proof import doubt, proofs
+from torchrbd.diagnosis.results import Finding, Where
 from torchrbd.inference.results import TorqueSeries
 
 STEP_S = 0.05
+
+
+def finding(effect: str, *joints: str) -> Finding:
+    """Return a finding of which nothing but the place is told."""
+    return Finding(effect, joints, (), 0.99, 50.0, {}, Where(), (), {}, {}, "")
 
 
 def series(errors: dict[str, np.ndarray], held_out: np.ndarray | None = None) -> TorqueSeries:
@@ -72,10 +78,12 @@ def test_memory_is_the_integral_of_the_autocorrelation(time_s: float) -> None:
     assert proof.white_s == 0.05
 
 
-def test_a_model_that_does_worse_is_told_of() -> None:
+def test_a_model_that_does_worse_where_something_was_found_is_told_of() -> None:
     rng = np.random.default_rng(3)
     error = rng.standard_normal(1000)
     better = proofs(series({"rigid_body": error, "extended": 0.9 * error}), 10.0)
     worse = proofs(series({"rigid_body": error, "extended": 1.2 * error}), 10.0)
-    assert doubt(better) == doubt(()) == ""
-    assert "at hinge (1.44 times, 1.44 to 1.44): what was found there does not carry over." in doubt(worse)
+    here, elsewhere = finding("backlash", "hinge"), finding("backlash", "slide")
+    assert doubt(better, [here]) == doubt(worse, [elsewhere]) == doubt((), [here]) == ""
+    assert "at hinge (1.44 times, 1.44 to 1.44): what was found there does not carry over." in doubt(worse, [here])
+    assert doubt(worse, [finding("base_tilt")])

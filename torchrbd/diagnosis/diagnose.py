@@ -82,7 +82,7 @@ def diagnose(
     absent = limits(search, fit)
     where = (*locations, *left), (*maps, *more)
     proof = proofs(identification.series, identification.cutoff_hz)
-    statement = " ".join(filter(None, (statement, doubt(proof))))
+    statement = " ".join(filter(None, (statement, doubt(proof, findings))))
     return Diagnosis(identification, verdict, statement, findings, rest, *where, absent, springs, simulated, proof)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from torchrbd.diagnosis.numbers import number
-from torchrbd.diagnosis.results import Proof, Ratio
+from torchrbd.diagnosis.results import Finding, Proof, Ratio
 from torchrbd.inference.results import TorqueSeries
 
 EXTENDED = "extended"
@@ -47,9 +47,12 @@ def proofs(series: TorqueSeries, cutoff_hz: float, seed: int = 0) -> tuple[Proof
     return tuple(found)
 
 
-def doubt(proofs: Sequence[Proof]) -> str:
-    """Say at which joints the extended model predicts unseen torque worse than the rigid body; nothing if at none."""
-    worse = {p.joint: p.over["rigid_body"] for p in proofs if p.over["rigid_body"].low > 1.0}
+def doubt(proofs: Sequence[Proof], findings: Sequence[Finding]) -> str:
+    """Say at which joints with findings unseen torque is predicted worse than by the rigid body; nothing if at none."""
+    everywhere = any(not f.joints for f in findings)
+    joints = {joint for f in findings for joint in f.joints}
+    asked = [p for p in proofs if everywhere or p.joint in joints]
+    worse = {p.joint: p.over["rigid_body"] for p in asked if p.over["rigid_body"].low > 1.0}
     if not worse:
         return ""
     told = ", ".join(

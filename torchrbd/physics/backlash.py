@@ -113,7 +113,7 @@ def deviation(
     viscous, coulomb, offset = friction[0], max(friction[1], 0.0), friction[2]
     driven = tau + viscous * qd + offset
     signals = torch.stack((driven, M, qd, driven - M * qdd)).detach().cpu().reshape(4, -1, tau.shape[-1]).unbind(1)
-    courses = [_course(*row.tolist(), coulomb, dt, play) for row in signals]
+    courses = [_course(*row.tolist(), coulomb=coulomb, dt=dt, play=play) for row in signals]
     side, left, begun, rests, direction, stuck = (
         torch.tensor(column, device=tau.device).reshape(tau.shape) for column in zip(*courses, strict=True)
     )
@@ -137,6 +137,7 @@ def _course(
     inertia: list[float],
     speed: list[float],
     held: list[float],
+    *,
     coulomb: float,
     dt: float,
     play: float,
