@@ -208,7 +208,7 @@ def test_nothing_is_found_in_some_recordings_where_all_are_alike(seed: int) -> N
 @pytest.mark.parametrize("seed", [95, 96])
 def test_a_payload_in_one_of_four_recordings(seed: int) -> None:
     urdf, count = arm(seed, 5), 4
-    link = re.findall(r'<link name="([^"]+)"', urdf)[-1]
+    link = RobotModel.from_urdf(urdf).body_names[-1]
     loaded = re.sub(
         rf'(<link name="{link}">.*?<mass value=")([^"]+)',
         lambda m: f"{m[1]}{float(m[2]) + 0.5!r}", urdf, count=1, flags=re.S,

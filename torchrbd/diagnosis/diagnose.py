@@ -123,13 +123,14 @@ def _extended(prepared: Prepared, search: Search, progress: Progress) -> tuple[P
 def _sound(model: FittedModel, term: Candidate) -> bool:
     """Say whether the physics allows a term's parameters.
 
-    What is within chance of zero is no contradiction, and plain friction that is so is none.
+    What is within chance of zero is no contradiction; plain friction that is so is none, unless the URDF has some.
     """
     found = term_parameters(model, term)
     values = {name: 0.0 if abs(value) < INSIGNIFICANT * std else value for name, (value, std) in found.items()}
     scale = model.columns.scale(term.site)
     if term.effect.id in BACKGROUND:
-        return any(values.values()) and term.effect.plausible(values, scale)
+        some = any(values.values()) or model.columns.urdf_value(term) != 0
+        return some and term.effect.plausible(values, scale)
     known = {name: value for name, (value, _) in found.items()}
     return term.effect.plausible(known, scale) or term.effect.plausible(values, scale)
 

@@ -11,7 +11,7 @@ from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, W
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import freedom, fresh_columns
-from torchrbd.diagnosis.search.options import BACKGROUND, Option, judged
+from torchrbd.diagnosis.search.options import BACKGROUND, Option, instead, judged
 from torchrbd.diagnosis.search.partial import rivals
 from torchrbd.diagnosis.search.select import Search, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
@@ -63,7 +63,7 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
     """Compare every term of a fit with none and with others in its place, fitted and with refined shapes."""
     found, counts = [], fit.rows.counts
     for term in fit.terms:
-        rest = Fit(fit.rows, without(fit.terms, term)).renoised()
+        rest = instead(fit, without(fit.terms, term), term)
         own, alike = judged(rest, term), []
         for option in rivals(search, rest, term):
             c = option.candidate
@@ -89,8 +89,8 @@ def _competes(fit: Fit, rest: Fit, term: Candidate, option: Option) -> bool:
         return False
     if not term.site.always and option.candidate.place != term.place:
         return True
-    instead = Fit(fit.rows, (*rest.terms, option.candidate))
-    return instead.share_left(fit.rows.columns(term)[1]) > CONTAINED
+    other = Fit(fit.rows, (*rest.terms, option.candidate))
+    return other.share_left(fit.rows.columns(term)[1]) > CONTAINED
 
 
 def odds(lead: Gain, freedom: float) -> float:

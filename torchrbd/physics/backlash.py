@@ -63,7 +63,7 @@ class Backlash(Effect):
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
         # The time of flight, which is what they differ by, goes with the cube root.
         roots = np.linspace(np.cbrt(self._SMALLEST), np.cbrt(self._LARGEST), self._GRID_POINTS)
-        return tuple({"flight": float(b), "link_friction": f} for f in (1.0, 0.0) for b in roots**3)
+        return tuple({"flight": float(b), "link_friction": f} for f in (0.0, 1.0) for b in roots**3)
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, play, joint = signals.sequence(), shape["flight"], site.joint

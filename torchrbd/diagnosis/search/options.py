@@ -58,6 +58,15 @@ def judged(fit: Fit, candidate: Candidate) -> Option:
     return Option(candidate, errors, gain(fit.errors, errors, fit.rows.counts))
 
 
+def instead(fit: Fit, terms: Sequence[Candidate], term: Candidate) -> Fit:
+    """Return the fit of other terms, without one, whitened by what it leaves.
+
+    A level that some recordings have looks like drift, which hides it: there the noise stays that beside the term.
+    """
+    rest = Fit(fit.rows, terms)
+    return rest.renoised() if term.site.recordings is None else rest
+
+
 def least_gain(candidate: Candidate) -> float:
     """Return the gain that a candidate needs: more at times or in recordings that the leftover itself has shown."""
     site = candidate.site
@@ -111,12 +120,12 @@ def coefficients(fit: Fit, candidate: Candidate) -> list[float]:
 def plausible(fit: Fit, candidate: Candidate) -> bool:
     """Say whether the physics allows what a candidate's parameters are in a fit, or would be beside it.
 
-    Plain friction that may as well be none is none.
+    Plain friction that may as well be none is none, unless the URDF says that there is some.
     """
     w = torch.tensor(coefficients(fit, candidate), dtype=torch.float64)
     moves = fit.rows.samples.features(candidate).reshape(len(w), -1).any(1)
     w[torch.from_numpy(~moves)] = torch.nan
-    if candidate.effect.id in BACKGROUND and not w.any():
+    if candidate.effect.id in BACKGROUND and not w.any() and not fit.rows.samples.columns.urdf_value(candidate):
         return False
     values = {k: float(v) for k, v in candidate.effect.parameters(w, candidate.shape).items()}
     return candidate.effect.plausible(values, fit.rows.samples.columns.scale(candidate.site))

@@ -91,7 +91,8 @@ def in_windows(search: Search, fit: Fit, windows: Sequence[Window], clear: Fit |
 
 def in_some_recordings(search: Search, fit: Fit, clear: Fit | None = None) -> list[Option]:
     """Return effects in those recordings in which they gain most, in a clearer view of the same fit if given."""
-    ranked = screened_by_recordings(search.grid, clear or fit)
+    fit = clear or fit
+    ranked = screened_by_recordings(search.grid, fit)
     turned = [replace(one, candidate=where_larger(fit, one.candidate)) for one in ranked[:MOST_PARTIAL]]
     options = search.judged(fit, [one for one in turned if search.possible([one.candidate])])
     return [o for o in options if explained(fit, o.candidate) > LEAST_EXPLAINED]

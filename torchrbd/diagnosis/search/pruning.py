@@ -12,7 +12,7 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.rows.whitening import Noise
 from torchrbd.diagnosis.search.grid import refined
-from torchrbd.diagnosis.search.options import accepted, least_gain, plausible
+from torchrbd.diagnosis.search.options import accepted, instead, least_gain, plausible
 from torchrbd.diagnosis.search.terms import Terms, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
@@ -32,7 +32,7 @@ def pruned(search: Search, fit: Fit) -> Fit:
     plain = Rows(fit.rows.samples, search.prior, _uncoloured(fit))
     while fit.terms:
         rest = {c: _adapted(fit, without(fit.terms, c), c.place) for c in fit.terms}
-        worth = {c: _lost(fit, Fit(fit.rows, r).renoised()) for c, r in rest.items()}
+        worth = {c: _lost(fit, instead(fit, r, c)) for c, r in rest.items()}
         sound = [c for c in fit.terms if _allowed(search, c) and plausible(fit, c)]
         idle = [c for c in fit.terms if c not in sound or not accepted(worth[c], least_gain(c))]
         normal = [c for c in idle if c in search.background and c in sound]

@@ -23,6 +23,7 @@ from torchrbd.diagnosis.search.options import (
     BACKGROUND,
     Option,
     certain,
+    instead,
     judged,
     matters,
     plausible,
@@ -194,7 +195,7 @@ class Search:
         for term in fit.terms:
             if term in self.background or term not in fit.terms:
                 continue
-            rest = Fit(fit.rows, self.restored(without(fit.terms, term))).renoised()
+            rest = instead(fit, self.restored(without(fit.terms, term)), term)
             if is_smooth(term) or term.site.window is not None:
                 fit = fit if takes(judged(rest, term)) else rest
                 continue
