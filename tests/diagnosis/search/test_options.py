@@ -1,4 +1,4 @@
-"""How candidates are judged: with the noise that they leave, in the proportions that are believed, where they may be."""
+"""How candidates are judged: with the noise they leave, in the proportions that are believed, where they may be."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simulated import Motion, record
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import read_samples
-from torchrbd.diagnosis.search.grid import Grid, fresh_columns, freedom
+from torchrbd.diagnosis.search.grid import Grid, freedom, fresh_columns
 from torchrbd.diagnosis.search.options import BACKGROUND, judged, plausible
 from torchrbd.diagnosis.search.recordings import explained, screened_by_recordings
 from torchrbd.inference.preparation import prepare
