@@ -72,7 +72,7 @@ def test_supplied_is_load_and_friction_at_every_joint() -> None:
 @pytest.mark.parametrize("name", effects())
 def test_effects_that_see_friction_say_so(name: str) -> None:
     one, at = effect(name), signals(*states(40))
-    site, shape = site_of(one), dict(one.shapes(SCALE)[0])
+    site, shape = site_of(one), dict(one.shapes(SCALE)[-1])
     if "limit" in shape:
         shape["limit"] = 0.5 * float(at.load[site.joint].abs().max())
     before = one.features(at, site, shape).values()
