@@ -252,7 +252,7 @@ class TestTwoMasses:
 def free(load: Tensor, inertia: Tensor, dt: float, play: float) -> Tensor:
     """Return the deviation of a link without friction."""
     still = torch.zeros_like(load)
-    return deviation(load, inertia, (still, still), (0.0, 0.0, 0.0), dt, play)
+    return deviation(load, inertia, (still, still), load.new_zeros(3), dt, play)
 
 
 class TestBacklashFlight:
@@ -278,7 +278,7 @@ class TestBacklashFlight:
         t = 1e-3 * torch.arange(3000, dtype=torch.float64)
         q, qd, qdd = 0.1 * torch.sin(4 * t), 0.4 * torch.cos(4 * t), -1.6 * torch.sin(4 * t)
         inertia, play = torch.full_like(t, 1e-3), 0.02
-        x = deviation(1e-3 * qdd, inertia, (qd, qdd), (0.05, 0.5, 0.0), 1e-3, play)
+        x = deviation(1e-3 * qdd, inertia, (qd, qdd), torch.tensor([0.05, 0.5, 0.0]), 1e-3, play)
         back = int(torch.nonzero(qd < 0)[0])
         met = back + int(torch.nonzero(q[back:] < q[back] - play)[0])
         np.testing.assert_allclose(x[:back].numpy(), -play / 2)
@@ -289,8 +289,22 @@ class TestBacklashFlight:
     def test_friction_is_little_by_little_none(self) -> None:
         at, width = signals(*states(300)), torch.ones(300, dtype=torch.float64)
         motion = at.qd[1], at.qdd[1]
-        some = deviation(at.load[1], width, motion, (1e-9, 1e-9, 1e-9), 0.01, 0.02)
+        some = deviation(at.load[1], width, motion, torch.full((3,), 1e-9), 0.01, 0.02)
         torch.testing.assert_close(some, free(at.load[1], width, 0.01, 0.02), atol=1e-6, rtol=0.0)
+
+    def test_gradients_in_flight(self) -> None:
+        """The link flies where its load changes sign: there it moves by load, inertia and friction."""
+        t = 0.01 * torch.arange(60, dtype=torch.float64)
+        load, inertia = torch.cos(8 * t) - 0.1, 0.5 + 0.1 * torch.sin(5 * t)
+        motion, friction = (0.3 + 0.1 * t, torch.full_like(t, 0.1)), torch.tensor([0.2, 0.3, -0.1], dtype=t.dtype)
+
+        def x(*given: Tensor) -> Tensor:
+            return deviation(given[0], given[1], motion, given[2], 0.01, 0.02)
+
+        given = tuple(v.requires_grad_() for v in (load, inertia, friction))
+        assert gradcheck(x, given)
+        by_friction = torch.autograd.grad(x(*given).sum(), given[2])[0]
+        assert by_friction.abs().min() > 0
 
 
 @pytest.mark.parametrize(

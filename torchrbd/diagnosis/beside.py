@@ -63,11 +63,11 @@ def fit_beside(prepared: Prepared, found: Sequence[Candidate], plain: Sequence[C
         A model whose terms are ``found`` and then those of ``plain`` that are possible; they may be zero.
     """
     plain, model = list(plain), fit_with_shapes(prepared, (*found, *plain))
-    while driving := [c for c in plain if not _allowed(model, c, INSIGNIFICANT)]:
+    while driving := [c for c in plain if not allowed(model, c, INSIGNIFICANT)]:
         plain = [c for c in plain if c not in driving]
         model = fit_with_shapes(prepared, (*found, *plain))
     x = model.x
-    while driving := [c for c in plain if not _allowed(replace(model, x=x), c)]:
+    while driving := [c for c in plain if not allowed(replace(model, x=x), c)]:
         plain = [c for c in plain if c not in driving]
         x = prepared.fit((*found, *plain)).x
     return _uneven(replace(model, x=x))
@@ -90,11 +90,25 @@ def _uneven(model: FittedModel) -> FittedModel:
     return replace(model, covariance=covariance)
 
 
-def _allowed(model: FittedModel, term: Candidate, chance: float = 0.0) -> bool:
+def allowed(model: FittedModel, term: Candidate, chance: float = 0.0) -> bool:
     """Say whether the physics allows a term's parameters, those within so many standard deviations of zero aside."""
+    return term.effect.plausible(_but_chance(model, term, chance), model.columns.scale(term.site))
+
+
+def sound(model: FittedModel, term: Candidate) -> bool:
+    """Say whether a term that was found stands.
+
+    What is within chance of zero is no contradiction; plain friction that is so is none, unless the URDF has some.
+    """
+    if term.effect.id in BACKGROUND:
+        some = any(_but_chance(model, term, INSIGNIFICANT).values()) or model.columns.urdf_value(term) != 0
+        return some and allowed(model, term, INSIGNIFICANT)
+    return allowed(model, term) or allowed(model, term, INSIGNIFICANT)
+
+
+def _but_chance(model: FittedModel, term: Candidate, chance: float) -> dict[str, float]:
     found = term_parameters(model, term).items()
-    values = {name: 0.0 if abs(value) < chance * std else value for name, (value, std) in found}
-    return term.effect.plausible(values, model.columns.scale(term.site))
+    return {name: 0.0 if abs(value) < chance * std else value for name, (value, std) in found}
 
 
 def _contained(plain: Candidate, terms: Sequence[Candidate]) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torchrbd.diagnosis.beside import fit_beside, plain_beside
+from torchrbd.diagnosis.beside import fit_beside, plain_beside, sound
 from torchrbd.diagnosis.deflection import deflections
 from torchrbd.diagnosis.explain import explain, weigh
 from torchrbd.diagnosis.limits import limits
@@ -19,16 +19,14 @@ from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import read_samples
-from torchrbd.diagnosis.search.options import BACKGROUND, INSIGNIFICANT, accepted
+from torchrbd.diagnosis.search.options import accepted
 from torchrbd.diagnosis.search.select import Search, Terms
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.errors import OptionError
-from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.identify import Source, read_arguments, summarise
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.physical.terms import term_parameters
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import WITH_INTERVALS
 from torchrbd.inference.shapes.refine import refined_from
@@ -114,25 +112,10 @@ def _extended(prepared: Prepared, search: Search, progress: Progress) -> tuple[P
             prepared, terms = refined_from(prepared, terms, progress)
         found = terms[: len(fit.terms)]
         model = fit_beside(prepared, found, terms[len(found) :])
-        refuted = [c for c in found if not _sound(model, c)]
+        refuted = [c for c in found if not sound(model, c)]
         if not refuted:
             return prepared, fit, model
         fit = search.without(fit, refuted)
-
-
-def _sound(model: FittedModel, term: Candidate) -> bool:
-    """Say whether the physics allows a term's parameters.
-
-    What is within chance of zero is no contradiction; plain friction that is so is none, unless the URDF has some.
-    """
-    found = term_parameters(model, term)
-    values = {name: 0.0 if abs(value) < INSIGNIFICANT * std else value for name, (value, std) in found.items()}
-    scale = model.columns.scale(term.site)
-    if term.effect.id in BACKGROUND:
-        some = any(values.values()) or model.columns.urdf_value(term) != 0
-        return some and term.effect.plausible(values, scale)
-    known = {name: value for name, (value, _) in found.items()}
-    return term.effect.plausible(known, scale) or term.effect.plausible(values, scale)
 
 
 def _refit_matters(fit: Fit) -> bool:

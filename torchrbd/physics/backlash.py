@@ -71,11 +71,11 @@ class Backlash(Effect):
         still, pushed = torch.zeros_like(signals.q), torch.zeros_like(signals.q)
         pushed[joint] = 1.0
         M = signals.load_slope(still, still, pushed)[joint]
-        viscous = coulomb = offset = 0.0
+        friction = M.new_zeros(3)
         if signals.friction is not None and shape["link_friction"]:
-            viscous, coulomb, offset = signals.friction[joint].tolist()
+            friction = signals.friction[joint]
         motion = signals.qd[joint], signals.qdd[joint]
-        x = deviation(signals.load[joint], M, motion, (viscous, coulomb, offset), float(t[1] - t[0]), play)
+        x = deviation(signals.load[joint], M, motion, friction, float(t[1] - t[0]), play)
         label = f"backlash({play:.6g}, {shape['link_friction']:.0f}) {site.name(signals.robot)}"
         return {label: slope_along(signals, site, x / play)}
 
@@ -93,7 +93,7 @@ def deviation(
     load: Tensor,
     inertia: Tensor,
     motion: tuple[Tensor, Tensor],
-    friction: tuple[float, float, float],
+    friction: Tensor,
     dt: float,
     play: float,
 ) -> Tensor:
@@ -103,21 +103,23 @@ def deviation(
         load: (*batch, N) torque that the link takes where it moves as the motor [N m, N].
         inertia: (*batch, N) that the joint moves while all others are held [kg m^2, kg].
         motion: velocity and acceleration of the motor, (*batch, N) each.
-        friction: viscous and Coulomb coefficient and offset of the link.
+        friction: (3,) viscous and Coulomb coefficient and offset of the link.
         dt: [s]. play: full width [rad, m].
     """
     # In double: a flight is a small difference of integrals over the whole sequence.
     tau, M, qd, qdd = (v.double() for v in (load, inertia, *motion))
     # Parameters that no body has may leave an inertia of nothing or less: such a link is over at once.
     M = torch.maximum(M, _LEAST_INERTIA * M.abs().max() + torch.finfo(load.dtype).eps)
-    viscous, coulomb, offset = friction[0], max(friction[1], 0.0), friction[2]
+    viscous, coulomb, offset = friction.double()
+    coulomb = coulomb.clamp_min(0.0)
     driven = tau + viscous * qd + offset
     signals = torch.stack((driven, M, qd, driven - M * qdd)).detach().cpu().reshape(4, -1, tau.shape[-1]).unbind(1)
-    courses = [_course(*row.tolist(), coulomb=coulomb, dt=dt, play=play) for row in signals]
+    courses = [_course(*row.tolist(), coulomb=coulomb.item(), dt=dt, play=play) for row in signals]
     side, left, begun, rests, direction, stuck = (
-        torch.tensor(column, device=tau.device).reshape(tau.shape) for column in zip(*courses, strict=True)
+        torch.tensor(column, device=tau.device, dtype=tau.dtype).reshape(tau.shape)
+        for column in zip(*courses, strict=True)
     )
-    free, left, begun = left >= 0, left.clamp_min(0), begun.long()
+    free, left, begun = left >= 0, left.clamp_min(0).long(), begun.long()
     speed = _integral(-(driven + coulomb * direction) / M, dt)
     speed = speed - speed.gather(-1, begun) - rests * qd.gather(-1, begun)
     way = _integral(torch.where(stuck > 0, -qd, speed), dt)

@@ -44,6 +44,11 @@ class CoefficientPrior:
     positive: tuple[int, ...] = ()
     std: tuple[float, ...] = ()
 
+    @property
+    def proportions(self) -> tuple[float, ...]:
+        """Of several coefficients, their standard deviations; empty of one, or where each may be of any size."""
+        return self.std if len(self.std) > 1 else ()
+
 
 RESISTS = CoefficientPrior("It resists motion, with a torque no larger than the joint's.", positive=(0,))
 

@@ -10,7 +10,7 @@ import numpy as np
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.whitening import ORDER, Noise, relief, whitened
 from torchrbd.inference.data.columns import Candidate
-from torchrbd.inference.physical.prior import TERM_WIDTH, Prior
+from torchrbd.inference.physical.prior import TERM_WIDTH, Prior, in_proportion
 
 FOLDS, MOST_BLOCKS, LEAST_RECORDINGS = 8, 64, 4
 # No peak of a term's torque is believed beyond so many times the root mean square of its joint's.
@@ -71,7 +71,7 @@ class Rows:
         places: list[Place] = [(candidate.place, label) for label in candidate.labels]
         if not all(p in self._known for p in places):
             features = self.samples.features(candidate)
-            found = self.widened(candidate.place, features, candidate.effect.prior.std)
+            found = self.widened(candidate.place, features, candidate.effect.prior.proportions)
             self._known |= dict(zip(places, found.T, strict=True))
         return places, np.stack([self._known[p] for p in places], axis=1)
 
@@ -84,7 +84,7 @@ class Rows:
 
     def widths_of(self, candidate: Candidate) -> np.ndarray:
         """Return the prior standard deviations of a candidate's coefficients (K,)."""
-        return self.widths(candidate.place, self.samples.features(candidate), candidate.effect.prior.std)
+        return self.widths(candidate.place, self.samples.features(candidate), candidate.effect.prior.proportions)
 
     def widths(self, place: int | None, features: np.ndarray, std: Sequence[float] = ()) -> np.ndarray:
         """Return the prior standard deviations of the coefficients (K,) of features of a joint, or of all.
@@ -97,9 +97,8 @@ class Rows:
         joints = rms > 0
         size = np.maximum(np.sqrt(np.mean(features**2, axis=-1)) / TERM_WIDTH, np.abs(features).max(-1) / PEAK_WIDTH)
         ratio = (size / np.where(joints, rms, 1.0) * joints).reshape(len(features), -1).max(1)
-        if len(std) > 1:
-            ratio = np.where(ratio > 0, (ratio * std).max() / np.array(std), 0.0)
-        return np.where(ratio > 0, 1.0 / np.maximum(ratio, 1e-300), 0.0)
+        widths = np.where(ratio > 0, 1.0 / np.maximum(ratio, 1e-300), 0.0)
+        return in_proportion(widths, std) if std else widths
 
     def pi(self, z: np.ndarray) -> np.ndarray:
         """Return the inertial parameters (n_params,) of prior coordinates."""

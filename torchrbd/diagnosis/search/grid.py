@@ -93,7 +93,7 @@ class Group:
         """Return the columns (N, K) as rows see them, whitened and in prior coordinates."""
         C = rows.widened(self.place, self.features)
         for c in self.candidates:
-            if len(std := c.effect.prior.std) > 1:
+            if std := c.effect.prior.proportions:
                 at = [self.columns[label] for label in c.labels if label in self.columns]
                 own = [s for label, s in zip(c.labels, std, strict=True) if label in self.columns]
                 f = self.features[at]
@@ -120,7 +120,7 @@ def freedom(fit: Fit, candidate: Candidate, among: np.ndarray | None = None) -> 
         among: (K, K) precision of its fresh columns beside the fit, if known.
     """
     cost = 0.5 * float(np.log(max(fit.rows.counts.max(), 2)))
-    if len(candidate.effect.prior.std) < 2:
+    if not candidate.effect.prior.proportions:
         return cost * complexity(fit, candidate)
     among = fit.precision(fresh_columns(fit, candidate)) if among is None else among
     return float(0.5 * np.minimum(np.log(np.linalg.eigvalsh(among)), 2 * cost).sum())

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from torchrbd.diagnosis.search.select import Search
 
 MOST_WINDOWED, MOST_PARTIAL = 3, 10
+# Of what may act in some recordings so many are looked at beside a fit.
+SHORTLIST = 10
 # What acts in some recordings explains this part of what is left there: where much is not understood, any two differ.
 LEAST_EXPLAINED = 0.25
 
@@ -86,15 +88,15 @@ def in_windows(search: Search, fit: Fit, windows: Sequence[Window], clear: Fit |
         return []
     samples = fit.rows.samples
     offered = candidates(samples.columns, timed, samples.seen, windows)
-    return search.judged(fit, Grid(samples, search.possible(offered)).screened(clear or fit))
+    return search.shortlisted(fit, Grid(samples, search.possible(offered)).screened(clear or fit))
 
 
 def in_some_recordings(search: Search, fit: Fit, clear: Fit | None = None) -> list[Option]:
     """Return effects in those recordings in which they gain most, in a clearer view of the same fit if given."""
     fit = clear or fit
     ranked = screened_by_recordings(search.grid, fit)
-    turned = [replace(one, candidate=where_larger(fit, one.candidate)) for one in ranked[:MOST_PARTIAL]]
-    options = search.judged(fit, [one for one in turned if search.possible([one.candidate])])
+    turned = [replace(one, candidate=where_larger(fit, one.candidate)) for one in ranked[:SHORTLIST]]
+    options = search.shortlisted(fit, [one for one in turned if search.possible([one.candidate])])
     return [o for o in options if explained(fit, o.candidate) > LEAST_EXPLAINED]
 
 

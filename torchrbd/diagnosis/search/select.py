@@ -172,9 +172,9 @@ class Search:
 
     def options(self, fit: Fit) -> list[Option]:
         """Return what may be added to a fit, shapes refined."""
-        return self.judged(fit, self.grid.screened(fit))
+        return self.shortlisted(fit, self.grid.screened(fit))
 
-    def judged(self, fit: Fit, screened: Sequence[Screened]) -> list[Option]:
+    def shortlisted(self, fit: Fit, screened: Sequence[Screened]) -> list[Option]:
         """Return the best of what was screened, shapes refined, with their left-out errors."""
         ranked = [one for one in screened if one.score > 0]
         short = [one for one in ranked if one.score > SHORT_OF_BEST * ranked[0].score][:SHORTLIST]

@@ -11,9 +11,10 @@ eq. (25), (31).
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -55,6 +56,12 @@ class Prior:
         return (first + torch.arange(PARAMETERS_PER_BODY)).flatten()
 
 
+def in_proportion(widths: np.ndarray, std: Sequence[float]) -> np.ndarray:
+    """Return the largest multiple of ``std`` (K,) that is nowhere above ``widths`` (K,), zero where those are."""
+    free = widths > 0
+    return np.where(free, np.asarray(std) * np.min(widths / std, where=free, initial=np.inf), 0.0)
+
+
 def divergence_hessian(inverse: Tensor) -> Tensor:
     """Return the Hessian of -logdet J in pi, M_kl = tr(W E_k W E_l) with W = J^-1 (*batch, 4, 4): (*batch, 10, 10)."""
     WE = torch.einsum("...ab,kbc->...kac", inverse, BASIS)
@@ -94,10 +101,9 @@ def urdf_prior(
                     width, known = TERM_WIDTH * float(torque_rms[joint]) / rms, float(scale[k, k])
                     scale[k, k] = min(width, known) if known > 0 else width
     for term in columns.candidates:
-        if len(term.effect.prior.std) > 1:
-            at, std = torch.tensor(columns.of(term)), torch.tensor(term.effect.prior.std, dtype=scale.dtype)
-            width = scale[at, at]
-            scale[at, at] = torch.where(width > 0, std * (width / std)[width > 0].min(), 0.0)
+        if std := term.effect.prior.proportions:
+            at = torch.tensor(columns.of(term))
+            scale[at, at] = torch.from_numpy(in_proportion(scale[at, at].numpy(), std))
     return Prior(mean, reference, bodies, inverse, kappa, scale)
 
 
