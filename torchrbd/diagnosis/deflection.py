@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.explain import LARGEST_PROBABILITY, odds
+from torchrbd.diagnosis.alternatives import LARGEST_PROBABILITY, odds
 from torchrbd.diagnosis.results import Deflection, Quantity
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.search.options import accepted

@@ -8,9 +8,10 @@ from typing import Any
 
 from torch import Tensor
 
+from torchrbd.diagnosis.alternatives import weigh
 from torchrbd.diagnosis.beside import fit_beside, plain_beside, sound
 from torchrbd.diagnosis.deflection import deflections
-from torchrbd.diagnosis.explain import explain, weigh
+from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
 from torchrbd.diagnosis.nameless import nameless

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from torchrbd.diagnosis.alternatives import Weighed
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, Where
-from torchrbd.diagnosis.rows.gain import Gain, gain
-from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.diagnosis.search.grid import freedom, fresh_columns
-from torchrbd.diagnosis.search.options import BACKGROUND, Option, instead, judged
-from torchrbd.diagnosis.search.partial import rivals
-from torchrbd.diagnosis.search.select import Search, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.diagnosis.words import finding_sentence, strongest_first
 from torchrbd.inference.data.columns import Candidate, Columns
@@ -23,87 +18,8 @@ from torchrbd.inference.preparation import Prepared
 from torchrbd.physics import Site
 from torchrbd.robot import RobotModel
 
-LARGEST_PROBABILITY = 0.999
 # An alternative is told of if it is so many times as probable as the finding.
 LEAST_ODDS = 0.05
-LONGEST = 50.0
-# Another effect competes with a term if it gains less than this part beside the term of what it gains without.
-COMPETES = 0.5
-# A term of which less than this is left beside another effect is a case of that one, which says no other thing.
-CONTAINED = 1e-3
-# Viscous and Coulomb friction and an offset, at all times, are found on every robot: log of how much more often than
-# anything else.
-PLAIN = 4.0
-
-
-@dataclass(frozen=True)
-class Rival:
-    """Another effect in the place of a finding, and how many times as probable it is."""
-
-    candidate: Candidate
-    odds: float
-
-
-@dataclass(frozen=True)
-class Weighed:
-    """A term, what it gains over none, and its rivals."""
-
-    term: Candidate
-    worth: Gain
-    rivals: tuple[Rival, ...]
-
-    @property
-    def probability(self) -> float:
-        """Of the term, against none and each of its rivals."""
-        total = odds(self.worth, 0.0) + sum(r.odds for r in self.rivals)
-        return min(1.0 / (1.0 + total), LARGEST_PROBABILITY)
-
-
-def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
-    """Compare every term of a fit with none and with others in its place, fitted and with refined shapes."""
-    found, counts = [], fit.rows.counts
-    for term in fit.terms:
-        rest = instead(fit, without(fit.terms, term), term)
-        own, alike = judged(rest, term), []
-        for option in rivals(search, rest, term):
-            c = option.candidate
-            if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, rest, term, option):
-                more = freedom(rest, c) - freedom(rest, term)
-                more += PLAIN * (_is_plain(term) - _is_plain(c))
-                alike.append(Rival(c, odds(gain(option.errors, own.errors, counts), more)))
-        found.append(Weighed(term, own.worth, tuple(alike)))
-    return tuple(found)
-
-
-def _is_plain(term: Candidate) -> bool:
-    return term.site.always and term.effect.id in BACKGROUND
-
-
-def _competes(fit: Fit, rest: Fit, term: Candidate, option: Option) -> bool:
-    """Say whether an option explains what a term explains: it gains little beside it, and does not contain it.
-
-    What pushes a link for a while contains an offset of its joint, but is another cause.
-    """
-    C = fresh_columns(fit, option.candidate)
-    if C.shape[1] and judged(fit, option.candidate).worth.total > COMPETES * option.worth.total:
-        return False
-    if not term.site.always and option.candidate.place != term.place:
-        return True
-    other = Fit(fit.rows, (*rest.terms, option.candidate))
-    return other.share_left(fit.rows.columns(term)[1]) > CONTAINED
-
-
-def odds(lead: Gain, freedom: float) -> float:
-    """Return how many times as probable a model is as another that has a lead over it on left-out blocks.
-
-        o = exp(-F) max(exp(-G), min(exp(-t^2 / 2), exp(-R))),   t = G / std(G)
-
-    with F the cost of what the model is freer than the other. The ratio is that of the likelihoods, but never longer
-    than the blocks support: their scatter, or what is left of the lead without the best two of them (R). Correlated
-    noise and other physics left out make the likelihood overconfident.
-    """
-    scatter = min(math.exp(-0.5 * max(lead.t, 0.0) ** 2), math.exp(-max(lead.repeated, 0.0)))
-    return math.exp(min(-freedom, LONGEST)) * max(math.exp(min(-lead.total, LONGEST)), scatter)
 
 
 def explain(prepared: Prepared, weighed: Sequence[Weighed], model: FittedModel) -> tuple[Finding, ...]:

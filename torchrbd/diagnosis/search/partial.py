@@ -14,9 +14,8 @@ from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.search.grid import Grid, candidates
 from torchrbd.diagnosis.search.options import Option, clearly_worse, judged, preferred, takes
 from torchrbd.diagnosis.search.recordings import explained, recordings, screened_by_recordings, where_larger
-from torchrbd.diagnosis.search.terms import Terms, place, without
+from torchrbd.diagnosis.search.terms import Terms, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
-from torchrbd.inference.data.columns import Candidate
 from torchrbd.physics import Window
 
 if TYPE_CHECKING:
@@ -98,13 +97,3 @@ def in_some_recordings(search: Search, fit: Fit, clear: Fit | None = None) -> li
     turned = [replace(one, candidate=where_larger(fit, one.candidate)) for one in ranked[:SHORTLIST]]
     options = search.shortlisted(fit, [one for one in turned if search.possible([one.candidate])])
     return [o for o in options if explained(fit, o.candidate) > LEAST_EXPLAINED]
-
-
-def rivals(search: Search, fit: Fit, term: Candidate) -> list[Option]:
-    """Return what may be added to a fit in the place of a term, at the same times."""
-    site = term.site
-    if site.always:
-        return search.options(fit)
-    windows = [Window(name) for name in site.recordings or ()] if site.window is None else [site.window]
-    at_times = [*in_some_recordings(search, fit), *in_windows(search, fit, windows if len(windows) == 1 else ())]
-    return [*search.options(fit), *(o for o in at_times if place(o.candidate) != place(term))]

@@ -1,0 +1,121 @@
+"""What else a term could be: every rival in its place is fitted, and judged on left-out blocks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torchrbd.diagnosis.rows.gain import Gain, gain
+from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.diagnosis.search.grid import Screened, freedom, fresh_columns
+from torchrbd.diagnosis.search.options import BACKGROUND, Option, instead, judged
+from torchrbd.diagnosis.search.partial import in_some_recordings, in_windows
+from torchrbd.diagnosis.search.select import Search
+from torchrbd.diagnosis.search.terms import place, without
+from torchrbd.inference.data.columns import Candidate
+from torchrbd.physics import Window
+
+LARGEST_PROBABILITY = 0.999
+# Another effect competes with a term if it gains less than this part beside the term of what it gains without.
+COMPETES = 0.5
+# A term of which less than this is left beside another effect is a case of that one, which says no other thing.
+CONTAINED = 1e-3
+LONGEST = 50.0
+# Viscous and Coulomb friction and an offset, at all times, are found on every robot: log of how much more often than
+# anything else.
+PLAIN = 4.0
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect in the place of a finding, and how many times as probable it is."""
+
+    candidate: Candidate
+    odds: float
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A term, what it gains over none, and its rivals."""
+
+    term: Candidate
+    worth: Gain
+    rivals: tuple[Rival, ...]
+
+    @property
+    def probability(self) -> float:
+        """Of the term, against none and each of its rivals."""
+        total = odds(self.worth, 0.0) + sum(r.odds for r in self.rivals)
+        return min(1.0 / (1.0 + total), LARGEST_PROBABILITY)
+
+
+def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
+    """Compare every term of a fit with none and with others in its place, fitted and with refined shapes."""
+    found, counts = [], fit.rows.counts
+    beside = search.grid.screened(fit)
+    for term in fit.terms:
+        rest = instead(fit, without(fit.terms, term), term)
+        own, alike = judged(rest, term), []
+        for option in _instead(search, rest, term, beside):
+            c = option.candidate
+            if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, rest, term, option):
+                more = freedom(rest, c) - freedom(rest, term)
+                more += PLAIN * (_is_plain(term) - _is_plain(c))
+                alike.append(Rival(c, odds(gain(option.errors, own.errors, counts), more)))
+        found.append(Weighed(term, own.worth, tuple(alike)))
+    return tuple(found)
+
+
+def _instead(search: Search, rest: Fit, term: Candidate, beside: Sequence[Screened]) -> list[Option]:
+    """Return what may be added to a fit without a term, at all times or at the term's.
+
+    Args:
+        search: the search.
+        rest: the fit.
+        term: that is left out.
+        beside: what else gains beside the fit with the term; what gains as much there is another matter.
+    """
+    still = {(one.candidate.effect.id, one.candidate.site): one.gain for one in beside}
+    screened = [
+        one
+        for one in search.grid.screened(rest)
+        if still.get((one.candidate.effect.id, one.candidate.site), 0.0) <= COMPETES * one.gain
+    ]
+    site, always = term.site, search.shortlisted(rest, screened)
+    if site.always:
+        return always
+    windows = [Window(name) for name in site.recordings or ()] if site.window is None else [site.window]
+    at_times = [*in_some_recordings(search, rest), *in_windows(search, rest, windows if len(windows) == 1 else ())]
+    return [*always, *(o for o in at_times if place(o.candidate) != place(term))]
+
+
+def _is_plain(term: Candidate) -> bool:
+    return term.site.always and term.effect.id in BACKGROUND
+
+
+def _competes(fit: Fit, rest: Fit, term: Candidate, option: Option) -> bool:
+    """Say whether an option explains what a term explains: it gains little beside it, and does not contain it.
+
+    What pushes a link for a while contains an offset of its joint, but is another cause.
+    """
+    C = fresh_columns(fit, option.candidate)
+    if C.shape[1] and judged(fit, option.candidate).worth.total > COMPETES * option.worth.total:
+        return False
+    if not term.site.always and option.candidate.place != term.place:
+        return True
+    other = Fit(fit.rows, (*rest.terms, option.candidate))
+    return other.share_left(fit.rows.columns(term)[1]) > CONTAINED
+
+
+def odds(lead: Gain, freedom: float) -> float:
+    """Return how many times as probable a model is as another that has a lead over it on left-out blocks.
+
+        o = exp(-F) max(exp(-G), min(exp(-t^2 / 2), exp(-R))),   t = G / std(G)
+
+    with F the cost of what the model is freer than the other. The ratio is that of the likelihoods, but never longer
+    than the blocks support: their scatter, or what is left of the lead without the best two of them (R). Correlated
+    noise and other physics left out make the likelihood overconfident.
+    """
+    scatter = min(math.exp(-0.5 * max(lead.t, 0.0) ** 2), math.exp(-max(lead.repeated, 0.0)))
+    return math.exp(min(-freedom, LONGEST)) * max(math.exp(min(-lead.total, LONGEST)), scatter)
