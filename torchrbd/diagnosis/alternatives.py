@@ -13,18 +13,19 @@ from torchrbd.diagnosis.search.options import BACKGROUND, Option, instead, judge
 from torchrbd.diagnosis.search.partial import in_some_recordings, in_windows
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.terms import place, without
+from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.physics import Window
 
-LARGEST_PROBABILITY = 0.999
+LARGEST_PROBABILITY, LEAST_PROBABILITY = 0.999, 0.1
 # Another effect competes with a term if it gains less than this part beside the term of what it gains without.
 COMPETES = 0.5
 # A term of which less than this is left beside another effect is a case of that one, which says no other thing.
 CONTAINED = 1e-3
 LONGEST = 50.0
-# Viscous and Coulomb friction and an offset, at all times, are found on every robot: log of how much more often than
-# anything else.
-PLAIN = 4.0
+# Viscous friction, Coulomb friction, even or not, and an offset, at all times, are found on every robot: log of how
+# much more often than anything else.
+PLAIN, COMMON = 4.0, (*BACKGROUND, "asymmetric_coulomb_friction")
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,12 @@ class Weighed:
         """Of the term, against none and each of its rivals."""
         total = odds(self.worth, 0.0) + sum(r.odds for r in self.rivals)
         return min(1.0 / (1.0 + total), LARGEST_PROBABILITY)
+
+    @property
+    def unlikely(self) -> bool:
+        """Whether it is no finding: others in its place are far likelier. Plain friction stays, every robot has it."""
+        named = not _is_plain(self.term) and not is_smooth(self.term)
+        return named and bool(self.rivals) and self.probability < LEAST_PROBABILITY
 
 
 def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
@@ -91,7 +98,7 @@ def _instead(search: Search, rest: Fit, term: Candidate, beside: Sequence[Screen
 
 
 def _is_plain(term: Candidate) -> bool:
-    return term.site.always and term.effect.id in BACKGROUND
+    return term.site.always and term.effect.id in COMMON
 
 
 def _competes(fit: Fit, rest: Fit, term: Candidate, option: Option) -> bool:

@@ -21,9 +21,10 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import fresh_columns
 from torchrbd.diagnosis.search.options import BACKGROUND, INSIGNIFICANT
 from torchrbd.diagnosis.search.select import Search, Terms
+from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.physical.terms import term_parameters
+from torchrbd.inference.physical.terms import significance, term_parameters
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.refine import fit_with_shapes
 from torchrbd.physics.plain_friction import PARTS
@@ -96,14 +97,15 @@ def allowed(model: FittedModel, term: Candidate, chance: float = 0.0) -> bool:
 
 
 def sound(model: FittedModel, term: Candidate) -> bool:
-    """Say whether a term that was found stands.
+    """Say whether a term that was found stands: it is not zero, and the physics allows it.
 
     What is within chance of zero is no contradiction; plain friction that is so is none, unless the URDF has some.
     """
     if term.effect.id in BACKGROUND:
         some = any(_but_chance(model, term, INSIGNIFICANT).values()) or model.columns.urdf_value(term) != 0
         return some and allowed(model, term, INSIGNIFICANT)
-    return allowed(model, term) or allowed(model, term, INSIGNIFICANT)
+    there = is_smooth(term) or significance(model, term) > INSIGNIFICANT
+    return there and (allowed(model, term) or allowed(model, term, INSIGNIFICANT))
 
 
 def _but_chance(model: FittedModel, term: Candidate, chance: float) -> dict[str, float]:

@@ -8,12 +8,12 @@ from typing import Any
 
 from torch import Tensor
 
-from torchrbd.diagnosis.alternatives import weigh
+from torchrbd.diagnosis.alternatives import Weighed, weigh
 from torchrbd.diagnosis.beside import fit_beside, plain_beside, sound
 from torchrbd.diagnosis.deflection import deflections
 from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.limits import limits
-from torchrbd.diagnosis.locate import locate
+from torchrbd.diagnosis.locate import hums, locate
 from torchrbd.diagnosis.nameless import nameless
 from torchrbd.diagnosis.proof import doubt, proofs
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
@@ -63,16 +63,16 @@ def diagnose(
     effects = settings.chosen_effects()
     prepared = prepare(robot, sources, settings, (), progress)
     search = _search(prepared, prepared.fit().pi, effects, progress)
-    prepared, fit, extended = _extended(prepared, search, progress)
+    prepared, fit, extended, weighed = _extended(prepared, search, progress)
     models = {"rigid_body": prepared.fit(), "extended": extended}
     identification = summarise(prepared, models, settings, progress)
-    progress("weighing the findings", 0.0)
     springs = deflections(prepared, extended)
-    findings = with_springs(explain(prepared, weigh(search, fit), extended), springs)
+    findings = with_springs(explain(prepared, weighed, extended), springs)
     progress("looking at what is left", 0.0)
     locations, maps = locate(search.start)
     # Plain friction that is too little to be found shall not be located as unexplained either.
     left, more = locate(search.with_background(fit), "extended")
+    left = (*left, *hums(fit, "extended"))
     rest = nameless(fit, extended, left)
     verdict = _verdict(findings, rest, _refit_matters(fit))
     simulated = tuple(one.name for one in prepared.reading.simulated)
@@ -97,12 +97,15 @@ def _search(prepared: Prepared, pi: Tensor, effects: Sequence[Effect], progress:
     return Search(read_samples(prepared, pi), effects, prepared.prior, tell)
 
 
-def _extended(prepared: Prepared, search: Search, progress: Progress) -> tuple[Prepared, Fit, FittedModel]:
+def _extended(
+    prepared: Prepared, search: Search, progress: Progress
+) -> tuple[Prepared, Fit, FittedModel, tuple[Weighed, ...]]:
     """Search, and fit what was found to all that is not held out: physically valid, shapes as fine as the data tells.
 
     Plain friction that was too little to be found is fitted beside it.
 
-    Where a term has parameters that no physics allows then, the search goes on without it.
+    Where a term has parameters then that no physics allows, or others in its place are far likelier, the search goes on
+    without it.
     """
     fit = search.run()
     while True:
@@ -115,7 +118,11 @@ def _extended(prepared: Prepared, search: Search, progress: Progress) -> tuple[P
         model = fit_beside(prepared, found, terms[len(found) :])
         refuted = [c for c in found if not sound(model, c)]
         if not refuted:
-            return prepared, fit, model
+            progress("weighing the findings", 0.0)
+            weighed = weigh(search, fit)
+            refuted = [one.term for one in weighed if one.unlikely]
+            if not refuted:
+                return prepared, fit, model, weighed
         fit = search.without(fit, refuted)
 
 

@@ -30,8 +30,13 @@ def nameless(fit: Fit, model: FittedModel, left: Sequence[Location]) -> tuple[Un
     pairs = zip(fit.terms, model.proper_terms, strict=False)
     found = [_described(fit, searched, model, term) for searched, term in pairs if is_smooth(term)]
     known = {(x.joints, x.depends_on[:1]) for x in found}
-    rest = [Unexplained(x.joints, x.depends_on, x.where, max(x.share.values()), x.statement, x.curve) for x in left]
-    return (*found, *(x for x in rest if (x.joints, x.depends_on[:1]) not in known))
+    # A drift does not say that there is a hum.
+    rest = [x for x in left if x.form == "hum" or (x.joints, x.depends_on[:1]) not in known]
+    return (*found, *(_from_location(x) for x in rest))
+
+
+def _from_location(x: Location) -> Unexplained:
+    return Unexplained(x.joints, x.depends_on, x.where, max(x.share.values()), x.statement, x.curve)
 
 
 def _described(fit: Fit, searched: Candidate, model: FittedModel, term: Candidate) -> Unexplained:

@@ -28,12 +28,11 @@ from torchrbd.report.inline import inline
 from torchrbd.report.maps import map_figure
 
 MODELS = {"urdf": "URDF", "rigid_body": "re-fitted rigid body", "extended": "extended model"}
-_LOAD = "torque of the rigid body"
 OTHER_SIGNALS = {
     "t": "time",
-    "tau": _LOAD,
-    "load": _LOAD,
-    "load_rate": "rate of the torque of the rigid body",
+    "frequency": "frequency",
+    "tau": "torque of the rigid body",
+    "tau_rate": "rate of the torque of the rigid body",
     "temperature": "temperature",
     "deflection": "deflection of the gear",
 }
@@ -72,9 +71,9 @@ class Pictures:
     @cached_property
     def unit_of(self) -> dict[str, str]:
         """Unit of every signal by name."""
-        found = {name: self.units[i].of(key) for name, (key, i) in self.states.items()} | {"t": "s"}
+        found = {name: self.units[i].of(key) for name, (key, i) in self.states.items()} | {"t": "s", "frequency": "Hz"}
         for joint, u in zip(self.joints, self.units, strict=True):
-            others = {"tau": u.tau, "load": u.tau, "load_rate": f"{u.tau}/s", "temperature": "°C", "deflection": u.q}
+            others = {"tau": u.tau, "tau_rate": f"{u.tau}/s", "temperature": "°C", "deflection": u.q}
             found |= {f"{key}_{joint}": symbol for key, symbol in others.items()}
         return found
 

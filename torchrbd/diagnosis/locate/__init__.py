@@ -1,6 +1,7 @@
 """Locate before naming: at which joint or link, when, and in which region a model and the robot differ."""
 
+from torchrbd.diagnosis.locate.hum import hums
 from torchrbd.diagnosis.locate.locate import locate
 from torchrbd.diagnosis.locate.stretches import stretches
 
-__all__ = ["locate", "stretches"]
+__all__ = ["hums", "locate", "stretches"]

@@ -102,7 +102,7 @@ def signals(scene: Scene, joint: int) -> Iterator[Signal]:
     names, j, samples = scene.robot.joint_names, joint, scene.samples
     for form in ("level", "friction"):
         yield Signal(f"q_{names[j]}", form, samples.q[j])
-        yield Signal(f"load_{names[j]}", form, scene.load[j])
+        yield Signal(f"tau_{names[j]}", form, scene.load[j])
         for i, name in enumerate(names):
             if i != j:
                 yield Signal(f"q_{name}", form, samples.q[i])
@@ -116,7 +116,7 @@ def signals(scene: Scene, joint: int) -> Iterator[Signal]:
     # Both ways alike.
     yield Signal(f"qd_{names[j]}", "friction", np.abs(samples.qd[j]), FEW_KNOTS + 1)
     yield Signal(f"qdd_{names[j]}", "level", samples.qdd[j])
-    yield Signal(f"load_rate_{names[j]}", "level", scene.load_rate[j], 2)
+    yield Signal(f"tau_rate_{names[j]}", "level", scene.load_rate[j], 2)
     if form_columns(scene, joint, "load").shape[0]:
         yield Signal("t", "load", samples.t)
 

@@ -14,15 +14,15 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.search.grid import Grid, Screened, candidates, fresh_columns, refined
+from torchrbd.diagnosis.search.lawless import challenged, lawful
 from torchrbd.diagnosis.search.options import (
     BACKGROUND,
+    LEAST_GAIN,
     Option,
-    certain,
     instead,
     judged,
     matters,
@@ -43,8 +43,6 @@ from torchrbd.robot import RobotModel
 LOAD_CHANGE = 0.01
 # A candidate of whose torque less than this is left beside the model's is the model's.
 LEAST_SHARE = 1e-4
-# A smooth function takes the place of a name if it gains so much more, in units and in parts of its own gain.
-BEATEN_GAIN, BEATEN_PART = 10.0, 0.25
 MOST_UNNAMED = 4
 # Candidates are fitted on left-out blocks if they are among so many, and score this part of the best one.
 MOST_TERMS, SHORTLIST, SHORT_OF_BEST = 12, 10, 0.5
@@ -101,13 +99,14 @@ class Search:
 
     def _completed(self, fit: Fit) -> Fit:
         """Add names, then functions without one, and drop what is not needed."""
-        fit = self.challenged(partial(self, self.named(fit)))
+        fit = challenged(self, partial(self, self.named(fit)))
         for _ in range(MOST_UNNAMED):
             smooth = self.smooth(fit)
             if smooth is None:
                 break
             fit = fitted(fit.rows.samples, self.prior, (*fit.terms, smooth.candidate), fit.rows.noise)
             fit = self.named(self.settled(fit))
+        fit = lawful(self, fit)
         if not all(plausible(fit, c) for c in fit.terms):
             fit = self.settled(fit)
         return pruned(self, fit)
@@ -134,10 +133,15 @@ class Search:
         return self.start.rows.samples.columns.robot
 
     def smooth(self, fit: Fit, joint: int | None = None) -> Option | None:
-        """Return the smooth function that the leftover of a joint, or of any, follows most; None without one."""
-        ranked = [one.candidate for one in self._smooth_grid(fit).screened(fit) if one.score > 0]
-        offered = [c for c in ranked if joint in (None, c.place)][:SHORTLIST]
-        options = [judged(fit, c) for c in offered]
+        """Return the smooth function that the leftover of a joint, or of any, follows most; None without one.
+
+        What K coefficients gain on rows left out is K less, or so, than on the rows seen.
+        """
+        gains = {one.candidate: one.gain - len(one.candidate.labels) for one in self._smooth_grid(fit).screened(fit)}
+        ranked = sorted(
+            (c for c in gains if gains[c] > LEAST_GAIN and joint in (None, c.place)), key=lambda c: -gains[c]
+        )
+        options = [judged(fit, c) for c in ranked[:SHORTLIST]]
         return max((o for o in options if takes(o)), key=lambda o: o.worth.total, default=None)
 
     def _smooth_grid(self, fit: Fit) -> Grid:
@@ -145,19 +149,6 @@ class Search:
         if self._smooth is None or self._smooth.samples.columns is not samples.columns:
             self._smooth = Grid(samples, smooth_candidates(samples, samples.seen))
         return self._smooth
-
-    def challenged(self, fit: Fit) -> Fit:
-        """Put smooth functions in the place of names that they beat clearly."""
-        for term in fit.terms:
-            if term in self.background or term.place is None or term not in fit.terms:
-                continue
-            rest = Fit(fit.rows, self.restored(without(fit.terms, term))).renoised()
-            own, smooth = judged(rest, term), self.smooth(rest, term.place)
-            if smooth is not None:
-                lead = gain(own.errors, smooth.errors, fit.rows.counts)
-                if certain(lead) and lead.total > max(BEATEN_GAIN, BEATEN_PART * smooth.worth.total):
-                    fit = self.settled(Fit(fit.rows, (*rest.terms, smooth.candidate)))
-        return fit
 
     def loaded(self, fit: Fit) -> Fit:
         """Return a fit whose features see the load and the friction that it has found."""

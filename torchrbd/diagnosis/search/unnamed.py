@@ -31,12 +31,19 @@ def smooth_candidates(samples: Samples, measured: Sequence[bool]) -> Iterator[Ca
                 v = samples.t[samples.recording == k]
             else:
                 v = signals[effect.signal][site.other if site.other is not None else site.joint]
-            shape: dict[str, float] = dict(zip(("low", "high"), map(float, np.quantile(v, ENDS)), strict=True))
+            rate = effect.signal == "qd"
+            shape = _ends("low", "high", v, rate=rate)
             if effect.times_own:
-                own = map(float, np.quantile(signals[effect.signal][site.joint], ENDS))
-                shape |= dict(zip(("own_low", "own_high"), own, strict=True))
+                shape |= _ends("own_low", "own_high", signals[effect.signal][site.joint], rate=rate)
             if shape["high"] > shape["low"] and shape.get("own_high", 1.0) > shape.get("own_low", 0.0):
                 yield columns.candidate(effect, site, shape)
+
+
+def _ends(lower: str, upper: str, v: np.ndarray, *, rate: bool) -> dict[str, float]:
+    """Return the ends of what a signal covers by name; those of a velocity are alike, so that zero is in the middle."""
+    low, high = map(float, np.quantile(v, ENDS))
+    most = max(-low, high)
+    return {lower: -most, upper: most} if rate else {lower: low, upper: high}
 
 
 def is_smooth(candidate: Candidate) -> bool:

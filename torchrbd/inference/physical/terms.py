@@ -54,11 +54,22 @@ def term_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple
         slope = torch.cat((slope, by_shape[name]))
         seen = at >= 0
         g = torch.zeros(len(model.free), dtype=torch.float64).index_add(0, at[seen], slope[seen])
-        variance = float(g @ model.covariance @ g)
-        if model.scatter is not None:
-            variance = max(variance, model.scatter.variance(g, variance))
-        found[name] = (float(value.detach()), (variance + float(slope.square() @ grid_only)) ** 0.5)
+        found[name] = (float(value.detach()), (_variance(model, g) + float(slope.square() @ grid_only)) ** 0.5)
     return found
+
+
+def significance(model: FittedModel, candidate: Candidate) -> float:
+    """Return how many standard deviations a term's coefficients are from zero, the one that is furthest."""
+    w, _ = model.coefficients(candidate)
+    unit = torch.eye(len(model.free), dtype=torch.float64)[model.position(candidate)]
+    std = torch.tensor([_variance(model, g) ** 0.5 for g in unit], dtype=torch.float64)
+    return float((w.abs() / std).nan_to_num(0.0, 0.0).max())
+
+
+def _variance(model: FittedModel, g: Tensor) -> float:
+    """Return the variance of g'x, g (F,): the fit's, or that of the scatter over blocks where it is more."""
+    variance = float(g @ model.covariance @ g)
+    return variance if model.scatter is None else max(variance, model.scatter.variance(g, variance))
 
 
 def _shape_derivatives(model: FittedModel, candidate: Candidate) -> dict[str, Tensor]:

@@ -1,0 +1,108 @@
+"""Hums: torque of one frequency, whatever the motion: a resonance, an unbalanced fan, a ripple of the supply.
+
+With the periodogram of R runs of a joint's leftover, each from its own start,
+
+    P(f) = 1/R sum_r |sum_k h_k e_r(k) exp(-2 pi i f t_k)|^2 / sum_k h_k^2
+
+and B(f) its median over the frequencies around f, R P / B is a sum of R exponential variables where the spectrum is
+smooth: a line stands out of it. A motion that repeats itself has lines of its own, and so has what a model leaves of
+it: there nothing can be said.
+
+Source: Thomson, "Spectrum estimation and harmonic analysis", Proc. IEEE 1982, on lines in a coloured spectrum.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import detrend, find_peaks
+from scipy.signal.windows import hann
+from scipy.stats import gamma
+
+from torchrbd.diagnosis.locate.scene import Scene
+from torchrbd.diagnosis.results import Location, Region, Where
+from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.diagnosis.words import number
+
+# Slower than this it is drift, or the motion [Hz]; what a run must last to tell [s].
+SLOWEST_HZ, SHORTEST_S = 1.0, 5.0
+# Width of the neighbourhood that a line is compared with [Hz].
+_AROUND_HZ = 1.5
+# A line is believed if chance gives one, at any joint and frequency, less often: no spectrum is quite smooth. On 24
+# development cases without a hum the least was 4e-5.
+_CHANCE = 1e-9
+# A motion with more lines than a hum shakes into it repeats itself.
+_MOST_LINES = 2
+_PADDED = 4
+
+
+def hums(fit: Fit, model: str) -> tuple[Location, ...]:
+    """Return the hums in what a fit leaves, the clearest first; ``model`` is its name."""
+    scene, left = Scene.of(fit), fit.leftover()
+    runs = _runs(scene)
+    if not runs or any(len(_lines(scene, runs, qdd, 1)) > _MOST_LINES for qdd in scene.samples.qdd):
+        return ()
+    resolution_hz = 1.0 / (max(map(len, runs)) * scene.dt)
+    found = []
+    for joint in scene.seen:
+        power = float(np.mean(left[joint] ** 2, where=scene.samples.measured[joint]))
+        for line in _lines(scene, runs, left[joint], len(scene.seen)):
+            found.append(_location(scene, joint, line, power, resolution_hz, model))
+    return tuple(sorted(found, key=lambda x: -x.gain))
+
+
+def _location(scene: Scene, joint: int, line: Line, power: float, resolution_hz: float, model: str) -> Location:
+    name, unit = scene.robot.joint_names[joint], "N" if bool(scene.robot.prismatic[joint]) else "N m"
+    rms, f = line.amplitude / 2**0.5, line.frequency_hz
+    return Location(
+        model=model,
+        joints=(name,),
+        links=(),
+        where=Where(region=(Region("frequency", f - resolution_hz, f + resolution_hz),)),
+        depends_on=("t",),
+        form="hum",
+        course="",
+        gain=-math.log(line.chance),
+        torque_rms={name: rms},
+        share={name: min(rms**2 / power, 1.0)},
+        curve=None,
+        attack=None,
+        statement=f"{name}: a hum of {f:.2f} Hz, {number(line.amplitude)} {unit} high, is not explained.",
+    )
+
+
+class Line(NamedTuple):
+    """A line in a spectrum: frequency [Hz], amplitude, and how often chance gives one."""
+
+    frequency_hz: float
+    amplitude: float
+    chance: float
+
+
+def _runs(scene: Scene) -> list[np.ndarray]:
+    run = scene.samples.run
+    runs = [np.flatnonzero(run == k) for k in np.unique(run)]
+    return [r for r in runs if len(r) * scene.dt > SHORTEST_S]
+
+
+def _lines(scene: Scene, runs: list[np.ndarray], signal: np.ndarray, trials: int) -> list[Line]:
+    """Return the lines of a signal (M,), one of so many that are looked at."""
+    longest = max(len(r) for r in runs)
+    n = _PADDED * longest
+    power, amplitude = np.zeros((2, n // 2 + 1))
+    for r in runs:
+        h = hann(len(r), sym=False)
+        squared = np.abs(np.fft.rfft(h * detrend(np.nan_to_num(signal[r])), n)) ** 2
+        power += squared / (h**2).sum() / len(runs)
+        amplitude += (2.0 / h.sum()) ** 2 * squared / len(runs)
+    df = 1.0 / (n * scene.dt)
+    f = df * np.arange(len(power))
+    shape = len(runs)
+    usual = median_filter(power, max(3, round(_AROUND_HZ / df)), mode="nearest") / (gamma.median(shape) / shape)
+    chance = gamma.sf(shape * power / np.maximum(usual, 1e-300), shape) * trials * longest * scene.dt * f[-1]
+    peaks = find_peaks(power)[0]
+    peaks = peaks[(chance[peaks] < _CHANCE) & (f[peaks] > SLOWEST_HZ)]
+    return [Line(float(f[k]), float(amplitude[k] ** 0.5), max(float(chance[k]), 1e-300)) for k in peaks]

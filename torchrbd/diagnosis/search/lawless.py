@@ -1,0 +1,58 @@
+"""Smooth functions against names: a name stands only where its law does as well as no law at all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from torchrbd.diagnosis.rows.gain import gain
+from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.diagnosis.search.options import certain, judged
+from torchrbd.diagnosis.search.terms import without
+from torchrbd.diagnosis.search.unnamed import is_smooth
+from torchrbd.inference.data.columns import Candidate
+from torchrbd.physics import JointEffect
+from torchrbd.physics.smooth_torque import SmoothTorque
+
+if TYPE_CHECKING:
+    from torchrbd.diagnosis.search.select import Search
+
+# A smooth function takes the place of a name if it gains so much more, in units and in parts of its own gain.
+BEATEN_GAIN, BEATEN_PART = 10.0, 0.25
+
+
+def challenged(search: Search, fit: Fit) -> Fit:
+    """Put smooth functions in the place of names that they beat clearly."""
+    for term in fit.terms:
+        if term in search.background or term.place is None or term not in fit.terms:
+            continue
+        rest = _without(search, fit, term)
+        own, smooth = judged(rest, term), search.smooth(rest, term.place)
+        if smooth is not None:
+            lead = gain(own.errors, smooth.errors, fit.rows.counts)
+            if certain(lead) and lead.total > max(BEATEN_GAIN, BEATEN_PART * smooth.worth.total):
+                fit = search.settled(Fit(fit.rows, (*rest.terms, smooth.candidate)))
+    return fit
+
+
+def lawful(search: Search, fit: Fit) -> Fit:
+    """Drop names beside a smooth function of their own signal that gains more than they do."""
+    for smooth in [c for c in fit.terms if is_smooth(c)]:
+        for term in fit.terms:
+            if term in search.background or not _of_its_signal(smooth, term) or not {term, smooth} <= {*fit.terms}:
+                continue
+            rest = {c: _without(search, fit, c) for c in (term, smooth)}
+            if judged(rest[term], term).worth.total < judged(rest[smooth], smooth).worth.total:
+                fit = search.settled(rest[term])
+    return fit
+
+
+def _without(search: Search, fit: Fit, term: Candidate) -> Fit:
+    return Fit(fit.rows, search.restored(without(fit.terms, term))).renoised()
+
+
+def _of_its_signal(smooth: Candidate, term: Candidate) -> bool:
+    """Say whether a smooth function is of the signal of the joint over which an effect is drawn."""
+    if not isinstance(term.effect, JointEffect) or not isinstance(smooth.effect, SmoothTorque):
+        return False
+    same = smooth.place == term.place and term.site.always
+    return same and not smooth.effect.other and smooth.effect.signal == term.effect.drawn_over
