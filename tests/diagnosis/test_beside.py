@@ -13,7 +13,7 @@ from simulated import Motion, record, with_wrong_inertials
 from torchrbd.diagnosis import beside
 from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.physical.terms import term_parameters
+from torchrbd.inference.physical.terms import significance, term_parameters
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.refine import fit_with_shapes
@@ -120,3 +120,11 @@ def test_constants_are_as_uncertain_as_friction_is_uneven_elsewhere() -> None:
     change = wider.covariance - model.covariance
     change[k, k] = 0.0
     assert not change.any()
+
+
+def test_what_is_within_chance_of_zero_does_not_stand() -> None:
+    """A spring that is not there, beside drag that is."""
+    prepared, terms = arm(0.5, DRAG, VISCOUS, OFFSET, "joint_spring")
+    model = beside.fit_beside(prepared, terms, [])
+    assert significance(model, terms[0]) > 10.0
+    assert [beside.sound(model, c) for c in (terms[0], terms[3])] == [True, False]

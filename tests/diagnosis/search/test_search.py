@@ -12,6 +12,7 @@ from torchrbd.diagnosis.rows.gain import Gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.grid import complexity, fresh_columns, refined
+from torchrbd.diagnosis.search.lawless import challenged, lawful
 from torchrbd.diagnosis.search.options import BACKGROUND, accepted, clearly_worse, judged, preferred
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.unnamed import smooth_candidates
@@ -124,3 +125,26 @@ def test_a_bump_is_unexplained_and_drawn_as_it_is() -> None:
     q = next(iter(recording.chunks(10**6))).q[:, 1]
     assert region.low < q.mean() < region.high
     assert region.high - region.low < 1.2
+
+
+def test_a_function_without_a_law_takes_the_place_of_a_name_of_its_signal() -> None:
+    """A narrow bump looks a little like ripple."""
+    search, fit = begun(9, lambda q, qd: 1.5 * np.exp(-(((q - q.mean()) / 0.12) ** 2)))
+    columns = fit.rows.samples.columns
+    ripple = refined(fit, columns.candidate(effect("torque_ripple"), Site(1), {"order": 6.0}))
+    smooth = search.smooth(fit, 1)
+    assert smooth is not None
+    both = Fit(fit.rows, (*fit.terms, ripple, smooth.candidate))
+    for changed in (lawful(search, both), challenged(search, Fit(fit.rows, (*fit.terms, ripple)))):
+        left = {c.effect.id for c in changed.terms}
+        assert "torque_ripple" not in left
+        assert "smooth_torque_over_q" in left
+
+
+def test_a_law_stands_where_it_acts(dragged: tuple[Search, Fit]) -> None:
+    search, fit = dragged
+    columns = fit.rows.samples.columns
+    drag = columns.candidate(effect("quadratic_drag"), Site(1), {})
+    smooth = next(c for c in smooth_candidates(fit.rows.samples, [False, True, False]) if c.effect.id.endswith("_qd"))
+    both = Fit(fit.rows, (*fit.terms, drag, smooth))
+    assert {c.effect.id for c in lawful(search, both).terms} - set(BACKGROUND) >= {"quadratic_drag"}

@@ -5,8 +5,8 @@ With the periodogram of R runs of a joint's leftover, each from its own start,
     P(f) = 1/R sum_r |sum_k h_k e_r(k) exp(-2 pi i f t_k)|^2 / sum_k h_k^2
 
 and B(f) its median over the frequencies around f, R P / B is a sum of R exponential variables where the spectrum is
-smooth: a line stands out of it. A motion that repeats itself has lines of its own, and so has what a model leaves of
-it: there nothing can be said.
+smooth: a line stands out of it. What a model leaves of a motion that repeats itself has lines too: there nothing can be
+said.
 
 Source: Thomson, "Spectrum estimation and harmonic analysis", Proc. IEEE 1982, on lines in a coloured spectrum.
 """
@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.signal import detrend, find_peaks
+from scipy.signal import correlate, detrend, find_peaks
 from scipy.signal.windows import hann
 from scipy.stats import gamma
 
@@ -34,8 +34,8 @@ _AROUND_HZ = 1.5
 # A line is believed if chance gives one, at any joint and frequency, less often: no spectrum is quite smooth. On 24
 # development cases without a hum the least was 4e-5.
 _CHANCE = 1e-9
-# A motion with more lines than a hum shakes into it repeats itself.
-_MOST_LINES = 2
+# A motion repeats itself that is so much like itself some time later, having been unlike it between.
+_ALIKE, _UNLIKE = 0.95, 0.5
 _PADDED = 4
 
 
@@ -43,7 +43,7 @@ def hums(fit: Fit, model: str) -> tuple[Location, ...]:
     """Return the hums in what a fit leaves, the clearest first; ``model`` is its name."""
     scene, left = Scene.of(fit), fit.leftover()
     runs = _runs(scene)
-    if not runs or any(len(_lines(scene, runs, qdd, 1)) > _MOST_LINES for qdd in scene.samples.qdd):
+    if not runs or any(repeats(scene.samples.q[:, run]) for run in runs):
         return ()
     resolution_hz = 1.0 / (max(map(len, runs)) * scene.dt)
     found = []
@@ -86,6 +86,19 @@ def _runs(scene: Scene) -> list[np.ndarray]:
     run = scene.samples.run
     runs = [np.flatnonzero(run == k) for k in np.unique(run)]
     return [r for r in runs if len(r) * scene.dt > SHORTEST_S]
+
+
+def repeats(q: np.ndarray) -> bool:
+    """Say whether a motion (n, M) repeats itself: by its correlation with itself some time later, all joints alike."""
+    z = q - q.mean(1, keepdims=True)
+    z = z / np.maximum(z.std(1, keepdims=True), 1e-12)
+    M = z.shape[1]
+    products = np.sum([correlate(one, one)[M - 1 :] for one in z], axis=0)
+    power = np.concatenate(([0.0], np.cumsum((z**2).sum(0))))
+    lags = np.arange(M // 2)
+    alike = products[lags] / np.sqrt(power[M - lags] * (power[M] - power[lags]))
+    apart = np.flatnonzero(alike < _UNLIKE)
+    return bool(len(apart) and alike[apart[0] :].max() > _ALIKE)
 
 
 def _lines(scene: Scene, runs: list[np.ndarray], signal: np.ndarray, trials: int) -> list[Line]:
