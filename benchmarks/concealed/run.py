@@ -3,6 +3,8 @@
     python -m benchmarks.concealed.run diagnose DIR... -o OUT    diagnosis.json of every case; goes on where it stopped
     python -m benchmarks.concealed.run rivals DIR... -o OUT      what other methods choose and predict
     python -m benchmarks.concealed.run oracle DIR... -o OUT      the errors of a model that is told the truth
+    python -m benchmarks.concealed.run told DIR... -o OUT        what is found in real recordings where the hidden
+                                                                 effect and its joint are told
     python -m benchmarks.concealed.run score DIR... -o OUT       OUT/scores.md and OUT/scores.json
 
 DIR holds ``cases/<id>`` (all that the tool sees) and ``truth/<id>.json``. Truth is read only when every case has its
@@ -37,8 +39,9 @@ from .rival_scores import rivals_markdown, score_rivals
 from .score import CaseScore, score_case, score_injected
 from .tables import markdown, must_hold
 
-DIAGNOSIS, RIVALS, ORACLE, SECONDS, SERIES = "diagnosis.json", "rivals.json", "oracle.json", "run.json", "series.npz"
-UNTOUCHED = "untouched"
+DIAGNOSIS, SECONDS, SERIES = "diagnosis.json", "run.json", "series.npz"
+RIVALS, ORACLE, TOLD = "rivals.json", "oracle.json", "told.json"
+UNTOUCHED, PLAIN = "untouched", ("viscous_friction", "coulomb_friction", "torque_offset")
 Work = Callable[[Path, Path], None]
 
 
@@ -136,7 +139,8 @@ def score_folder(folder: Path, out: Path) -> list[CaseScore]:
         if truth["tier"] == UNTOUCHED:
             continue
         if truth.get("baseline"):
-            score = score_injected(truth, diagnosis, _read_json(out / truth["baseline"] / DIAGNOSIS), seconds)
+            told = _read_json(own / TOLD) if (own / TOLD).exists() else None
+            score = score_injected(truth, diagnosis, _read_json(out / truth["baseline"] / DIAGNOSIS), seconds, told)
             scores += [score] if score is not None else []
         else:
             oracle = _read_json(own / ORACLE) if (own / ORACLE).exists() else None
@@ -147,6 +151,21 @@ def score_folder(folder: Path, out: Path) -> list[CaseScore]:
 def _oracle_case(truths: Mapping[str, dict[str, Any]], case: Path, out: Path) -> None:
     fit, holdout = recordings(case)
     write_json(oracle_errors(case / "robot.urdf", fit, holdout, truths[case.name]), out / ORACLE)
+
+
+def _told_case(truths: Mapping[str, dict[str, Any]], case: Path, out: Path) -> None:
+    """Search for nothing but friction, what the untouched recordings show, and what is hidden, at its joint."""
+    truth, found = truths[case.name], {"findings": []}
+    if truth.get("baseline"):
+        shown = _read_json(out.parent / truth["baseline"] / DIAGNOSIS)["findings"]
+        known = {f"{f['effect']}@{joint}" for f in (*shown, *truth["effects"]) for joint in f["joints"]}
+        known |= {f["effect"] for f in (*shown, *truth["effects"]) if not f["joints"]}
+        fit, holdout = recordings(case)
+        diagnosis = torchrbd.diagnose(case / "robot.urdf", fit, holdout=holdout, effects=sorted(known | set(PLAIN)))
+        write_diagnosis(diagnosis, out / "told.unfinished")
+        found = {"findings": _read_json(out / "told.unfinished")["findings"]}
+        (out / "told.unfinished").unlink()
+    write_json(found, out / TOLD)
 
 
 def _rivals_case(case: Path, out: Path) -> None:
@@ -193,7 +212,7 @@ def write_json(content: Any, path: Path) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, call, and say what cannot be used."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("work", choices=("diagnose", "rivals", "oracle", "score"))
+    parser.add_argument("work", choices=("diagnose", "rivals", "oracle", "told", "score"))
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="with cases and truth")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the outputs of all of them")
     parser.add_argument("-j", "--jobs", type=int, default=1, help="processes")
@@ -208,7 +227,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for_each_case(folder, out, RIVALS, _rivals_case, jobs=jobs)
             else:
                 truths = {t["id"]: t for t in read_truths(folder, out)}
-                for_each_case(folder, out, ORACLE, partial(_oracle_case, truths), jobs=jobs)
+                file, one = (ORACLE, _oracle_case) if options.work == "oracle" else (TOLD, _told_case)
+                for_each_case(folder, out, file, partial(one, truths), jobs=jobs)
         if options.work == "score":
             _score(options.folders, out)
     except InputError as error:

@@ -74,6 +74,7 @@ class CaseScore:
         gain_share: part of the gain from the re-fitted rigid body to the oracle; None without one.
         seconds: that the diagnosis took.
         error: why there is no diagnosis.
+        told: whether a search that was told the effect and its joint finds it; None without one.
     """
 
     case: str
@@ -88,6 +89,7 @@ class CaseScore:
     gain_share: float | None
     seconds: float
     error: str | None = None
+    told: bool | None = None
 
 
 def score_case(truth: Json, diagnosis: Json, seconds: float, oracle: Json | None = None) -> CaseScore:
@@ -121,7 +123,9 @@ def score_case(truth: Json, diagnosis: Json, seconds: float, oracle: Json | None
     )
 
 
-def score_injected(truth: Json, diagnosis: Json, baseline: Json, seconds: float) -> CaseScore | None:
+def score_injected(
+    truth: Json, diagnosis: Json, baseline: Json, seconds: float, told: Json | None = None
+) -> CaseScore | None:
     """Score a diagnosis of real recordings with an injected effect by what is new against the untouched ones.
 
     Returns:
@@ -134,7 +138,12 @@ def score_injected(truth: Json, diagnosis: Json, baseline: Json, seconds: float)
     new = new_findings(diagnosis.get("findings", ()), known)
     before = {(tuple(u["joints"]), u["depends_on"][0]) for u in baseline.get("unexplained", ())}
     left = [u for u in diagnosis.get("unexplained", ()) if (tuple(u["joints"]), u["depends_on"][0]) not in before]
-    return score_case(truth, {**diagnosis, "findings": new, "unexplained": left}, seconds)
+    score = score_case(truth, {**diagnosis, "findings": new, "unexplained": left}, seconds)
+    if told is None:
+        return score
+    return replace(
+        score, told=any(relation(f, e, joints) is not None for f in told["findings"] for e in truth["effects"])
+    )
 
 
 def _effect_score(true: Json, diagnosis: Json, truth: Json, named: tuple[Json, Judgement] | None) -> EffectScore:

@@ -268,6 +268,11 @@ def test_injected_counts_what_is_new() -> None:
     assert score is not None
     assert score.effects[0].exact
     assert [name for name, *_ in score.false] == ["joint_spring"]
+    assert score.told is None
+    for told, seen in ((diagnosis(finding("torque_ripple", "b")), True), (diagnosis(), False)):
+        again = score_injected(case, after, before, 1.0, told)
+        assert again is not None
+        assert again.told == seen
     assert [f["effect"] for f in new_findings(after["findings"], before["findings"])] == [
         "torque_ripple", "joint_spring",
     ]  # fmt: skip
