@@ -5,7 +5,7 @@
     python -m benchmarks.concealed.run oracle DIR... -o OUT      the errors of a model that is told the truth
     python -m benchmarks.concealed.run told DIR... -o OUT        what is found in real recordings where the hidden
                                                                  effect and its joint are told
-    python -m benchmarks.concealed.run score DIR... -o OUT       OUT/scores.md and OUT/scores.json
+    python -m benchmarks.concealed.run score DIR... -o OUT       OUT/scores.md, OUT/scores.json, OUT/calibration.svg
 
 DIR holds ``cases/<id>`` (all that the tool sees) and ``truth/<id>.json``. Truth is read only when every case has its
 output: the oracle and the scorer refuse before.
@@ -35,6 +35,7 @@ from torchrbd.errors import InputError
 from torchrbd.export import write_diagnosis
 
 from .oracle import oracle_errors
+from .pictures import draw_calibration
 from .rival_scores import rivals_markdown, score_rivals
 from .score import CaseScore, score_case, score_injected
 from .tables import markdown, must_hold
@@ -189,6 +190,7 @@ def _score(folders: Sequence[Path], out: Path) -> None:
     held = [{"what": w, "bound": b, "holds": h, **asdict(f)} for w, f, b, h in must_hold(cases)]
     write_json({"must_hold": held, "cases": [asdict(c) for c in cases], "rivals": rivals}, out / "scores.json")
     (out / "scores.md").write_text(text, encoding="utf-8")
+    draw_calibration(cases, out / "calibration.svg")
     Console(soft_wrap=True, highlight=False).print(text, markup=False)
 
 

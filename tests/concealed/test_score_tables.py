@@ -175,3 +175,17 @@ def test_failures_are_counted_not_raised(tmp_path: Path) -> None:
 
 def test_missing_cases_are_told(tmp_path: Path) -> None:
     assert run.main(["score", str(tmp_path), "-o", str(tmp_path)]) == 2
+
+
+def test_scores_are_written_with_a_picture_of_the_calibration(tmp_path: Path) -> None:
+    folder, out = case_folder(tmp_path, ("one",))
+    robot = {"name": "arm", "joints": ["a"], "links": ["l"]}
+    true = {"id": "one", "tier": "null", "robot": robot, "effects": [], "background": [], "companions": []}
+    (folder / "truth" / "one.json").write_text(json.dumps(true))
+    found = {"effect": "joint_spring", "joints": ["a"], "links": [], "probability": 0.8, "indistinguishable_from": []}
+    (out / "one" / run.DIAGNOSIS).write_text(json.dumps({"findings": [found]}))
+    (out / "one" / run.SECONDS).write_text('{"seconds": 1.0}')
+    assert run.main(["score", str(folder), "-o", str(out)]) == 0
+    assert json.loads((out / "scores.json").read_text())["cases"][0]["false"] == [["joint_spring", "a", 0.8]]
+    assert "| 0.7 to 0.8 | 1 | 0.80 | 0 " in (out / "scores.md").read_text()
+    assert ">1<" in (out / "calibration.svg").read_text()
