@@ -17,7 +17,7 @@ from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.physics import Window
 
-LARGEST_PROBABILITY, LEAST_PROBABILITY = 0.999, 0.1
+LARGEST_PROBABILITY, LEAST_PROBABILITY = 0.999, 0.01
 # Another effect competes with a term if it gains less than this part beside the term of what it gains without.
 COMPETES = 0.5
 # A term of which less than this is left beside another effect is a case of that one, which says no other thing.

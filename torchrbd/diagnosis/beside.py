@@ -97,15 +97,21 @@ def allowed(model: FittedModel, term: Candidate, chance: float = 0.0) -> bool:
 
 
 def sound(model: FittedModel, term: Candidate) -> bool:
-    """Say whether a term that was found stands: it is not zero, and the physics allows it.
+    """Say whether the physics allows what was found of a term.
 
     What is within chance of zero is no contradiction; plain friction that is so is none, unless the URDF has some.
     """
     if term.effect.id in BACKGROUND:
         some = any(_but_chance(model, term, INSIGNIFICANT).values()) or model.columns.urdf_value(term) != 0
         return some and allowed(model, term, INSIGNIFICANT)
-    there = is_smooth(term) or significance(model, term) > INSIGNIFICANT
-    return there and (allowed(model, term) or allowed(model, term, INSIGNIFICANT))
+    return allowed(model, term) or allowed(model, term, INSIGNIFICANT)
+
+
+def insignificant(model: FittedModel, terms: Sequence[Candidate]) -> Sequence[Candidate]:
+    """Return the term that is least told from zero, if it is within chance of it: of two alike the other may stand."""
+    told = {c: significance(model, c) for c in terms if c.effect.id not in BACKGROUND and not is_smooth(c)}
+    weakest = min(told, key=lambda c: told[c], default=None)
+    return [weakest] if weakest is not None and told[weakest] < INSIGNIFICANT else []
 
 
 def _but_chance(model: FittedModel, term: Candidate, chance: float) -> dict[str, float]:

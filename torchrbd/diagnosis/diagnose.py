@@ -9,7 +9,7 @@ from typing import Any
 from torch import Tensor
 
 from torchrbd.diagnosis.alternatives import Weighed, weigh
-from torchrbd.diagnosis.beside import fit_beside, plain_beside, sound
+from torchrbd.diagnosis.beside import fit_beside, insignificant, plain_beside, sound
 from torchrbd.diagnosis.deflection import deflections
 from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.limits import limits
@@ -104,8 +104,8 @@ def _extended(
 
     Plain friction that was too little to be found is fitted beside it.
 
-    Where a term has parameters then that no physics allows, or others in its place are far likelier, the search goes on
-    without it.
+    Where a term has parameters then that no physics allows, or that may as well be zero, or others in its place are far
+    likelier, the search goes on without it.
     """
     fit = search.run()
     while True:
@@ -116,7 +116,7 @@ def _extended(
             prepared, terms = refined_from(prepared, terms, progress)
         found = terms[: len(fit.terms)]
         model = fit_beside(prepared, found, terms[len(found) :])
-        refuted = [c for c in found if not sound(model, c)]
+        refuted = [c for c in found if not sound(model, c)] or insignificant(model, found)
         if not refuted:
             progress("weighing the findings", 0.0)
             weighed = weigh(search, fit)

@@ -75,6 +75,7 @@ class Effect(ABC):
         uses_load: True if the features depend on the rigid body's torque, and so on the inertial parameters.
         comes_and_goes: True if it may be there in some recordings of a robot and not in others: after service, in the
             cold, with a cable, with a sensor set anew. What a robot is built of does not.
+        of_several_shapes: True if one place may have several of them that differ in shape.
         sees_friction: True if the features depend on the plain friction beside that torque (``Signals.supplied``).
         prior: what is believed of the coefficients.
         needs: what a recording must hold beside positions and torques, in words.
@@ -90,6 +91,7 @@ class Effect(ABC):
     whole_robot: ClassVar[bool] = False
     uses_load: ClassVar[bool] = False
     comes_and_goes: ClassVar[bool] = False
+    of_several_shapes: ClassVar[bool] = False
     sees_friction: ClassVar[bool] = False
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
     needs: ClassVar[str] = ""

@@ -24,6 +24,7 @@ class CableDrag(JointEffect):
     comes_and_goes = True
     dissipative = True
     drawn_over = "q"
+    of_several_shapes = True
     prior = RESISTS
     export_note = "MJCF has no friction that depends on position"
     _EDGE = 0.1

@@ -8,9 +8,14 @@ Terms = tuple[Candidate, ...]
 
 
 def with_term(terms: Terms, added: Candidate) -> Terms:
-    """Add a term; it takes the place of those whose features it contains."""
+    """Add a term; it takes the place of those whose features it contains, and of the same law with another shape."""
     own = set(added.labels)
-    return (*(c for c in terms if c.place != added.place or not set(c.labels) <= own), added)
+
+    def replaced(c: Candidate) -> bool:
+        same = c.effect is added.effect and c.site == added.site and not c.effect.of_several_shapes
+        return same or (c.place == added.place and set(c.labels) <= own)
+
+    return (*(c for c in terms if not replaced(c)), added)
 
 
 def without(terms: Terms, left_out: Candidate) -> Terms:
