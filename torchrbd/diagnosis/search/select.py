@@ -137,14 +137,15 @@ class Search:
 
         What K coefficients gain on rows left out is K less, or so, than on the rows seen.
         """
-        gains = {one.candidate: one.gain - len(one.candidate.labels) for one in self._smooth_grid(fit).screened(fit)}
+        gains = {one.candidate: one.gain - len(one.candidate.labels) for one in self.smooth_grid(fit).screened(fit)}
         ranked = sorted(
             (c for c in gains if gains[c] > LEAST_GAIN and joint in (None, c.place)), key=lambda c: -gains[c]
         )
         options = [judged(fit, c) for c in ranked[:SHORTLIST]]
         return max((o for o in options if takes(o)), key=lambda o: o.worth.total, default=None)
 
-    def _smooth_grid(self, fit: Fit) -> Grid:
+    def smooth_grid(self, fit: Fit) -> Grid:
+        """Return the functions without a law on a fit's samples."""
         samples = fit.rows.samples
         if self._smooth is None or self._smooth.samples.columns is not samples.columns:
             self._smooth = Grid(samples, smooth_candidates(samples, samples.seen))
