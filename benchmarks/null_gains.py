@@ -3,9 +3,9 @@
     python -m benchmarks.concealed generate --set development --tiers null --count 20 --seed 7 -o nulls
     python -m benchmarks.null_gains nulls
 
-Beside friction and offsets at every joint each candidate is judged as the search judges it, whatever it needs to be taken
-(``torchrbd/diagnosis/search/options.py``). Of every kind the best of each case is listed: gain in log-likelihood, in
-standard errors over the blocks (t), and without the best two blocks.
+Beside friction and offsets at every joint each candidate is judged as the search judges it, whatever it needs to be
+taken (``torchrbd/diagnosis/search/options.py``). Of every kind the best of each case is listed: gain in log-likelihood,
+in standard errors over the blocks (t), and without the best two blocks.
 """
 
 from __future__ import annotations
