@@ -41,6 +41,8 @@ Sense = Literal["added", "against the motion"]
 _MOVING = 0.02
 # What is shown of a recording before and after a stretch of time, in parts of its length, and at least [s].
 _MARGIN, _LEAST_MARGIN_S = 0.5, 2.0
+# Of a hum.
+_CYCLES = 12
 
 
 class Pictures:
@@ -123,15 +125,23 @@ class Pictures:
         return self.inline(figure, f"torque of {self.joints[joint]} against time")
 
     def around(self, joint: int, where: Where, models: list[str]) -> tuple[str, Markup] | None:
-        """Draw the residual of a joint in and around the first stretch of time of ``where``, named by its recording."""
+        """Draw the residual of a joint in and around the first stretch of time of ``where``, named by its recording.
+
+        Of a hum some cycles are drawn, from the middle of a recording.
+        """
         s = self.series
         names = [r for r in s.recordings if where.recordings is None or r in where.recordings]
-        if not names or (where.recordings is None and where.time_s is None):
+        hum = next((r for r in where.region or () if r.signal == "frequency"), None)
+        if not names or (where.recordings is None and where.time_s is None and hum is None):
             return None
         rows = np.flatnonzero(s.recording == s.recordings.index(names[0]))
         span = where.time_s[0] if where.time_s else (-math.inf, math.inf)
         margin = max(_MARGIN * (span[1] - span[0]), _LEAST_MARGIN_S)
-        rows = rows[(s.t[rows] >= span[0] - margin) & (s.t[rows] <= span[1] + margin)]
+        low, high = span[0] - margin, span[1] + margin
+        if hum is not None:
+            low = s.t[rows[len(rows) // 2]]
+            high = low + _CYCLES / hum.low
+        rows = rows[(s.t[rows] >= low) & (s.t[rows] <= high)]
         if len(rows) < 2:
             return None
         figure = residual_figure(s, joint, rows, self.units[joint].tau, models, span)
