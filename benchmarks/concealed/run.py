@@ -81,7 +81,7 @@ def diagnose_case(case: Path, out: Path) -> None:
     (out / "diagnosis.unfinished").replace(out / DIAGNOSIS)
 
 
-def for_each_case(folder: Path, out: Path, file: str, work: Work, *, jobs: int = 1) -> None:
+def for_each_case(folder: Path, out: Path, file: str, work: Work, *, jobs: int = 1, every: int = 1) -> None:
     """Do some work on every case that does not have its file yet, behind a progress bar.
 
     Args:
@@ -90,8 +90,9 @@ def for_each_case(folder: Path, out: Path, file: str, work: Work, *, jobs: int =
         file: that the work leaves in it.
         work: called with the case's folder and its output folder.
         jobs: processes.
+        every: of so many cases one is taken; their names are random.
     """
-    todo = [case for case in _cases(folder) if not (out / case.name / file).exists()]
+    todo = [case for case in _cases(folder)[::every] if not (out / case.name / file).exists()]
     for case in todo:
         (out / case.name).mkdir(parents=True, exist_ok=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -218,6 +219,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="with cases and truth")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the outputs of all of them")
     parser.add_argument("-j", "--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--every", type=int, default=1, help="let rivals run over one of so many cases")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     out, jobs = options.output, options.jobs
@@ -226,7 +228,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if options.work == "diagnose":
                 for_each_case(folder, out, DIAGNOSIS, diagnose_case, jobs=jobs)
             elif options.work == "rivals":
-                for_each_case(folder, out, RIVALS, _rivals_case, jobs=jobs)
+                for_each_case(folder, out, RIVALS, _rivals_case, jobs=jobs, every=options.every)
             else:
                 truths = {t["id"]: t for t in read_truths(folder, out)}
                 file, one = (ORACLE, _oracle_case) if options.work == "oracle" else (TOLD, _told_case)
