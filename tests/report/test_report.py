@@ -12,7 +12,7 @@ import pytest
 from report.fabricated import STATEMENT, curve, diagnosis, identification, with_friction
 
 from torchrbd.diagnosis.numbers import number
-from torchrbd.diagnosis.results import Alternative, Diagnosis, Location, Proof, Quantity, Ratio, Where
+from torchrbd.diagnosis.results import Alternative, Diagnosis, Location, Proof, Quantity, Ratio, Region, Where
 from torchrbd.inference.verdict import verdict_of
 from torchrbd.report import write_report
 from torchrbd.report.words import change, worth
@@ -286,6 +286,16 @@ def test_cards_draw_curves_and_say_what_data_is(tmp_path):
         assert label in text
     labels = re.findall(r'aria-label="torque added at joint2 against ([^"]*)"', page)
     assert labels == ["position of joint1", "torque of the rigid body", "position", "time"]
+
+
+def test_a_hum_is_drawn_over_time(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    hum = Where(region=(Region("frequency", 2.9, 3.1),))
+    left = replace(result.unexplained[0], depends_on=("t",), where=hum, curve=None)
+    page = render(replace(result, unexplained=(left,)), tmp_path)
+    assert f'aria-label="residual of joint2 in {result.identification.series.recordings[0]}"' in page
+    text = " ".join(Text(page).words)
+    assert "frequency from 2.9 to 3.1 Hz" in tidy(text)
 
 
 def test_curve_of_a_signal_that_is_not_known_is_drawn(tmp_path):
