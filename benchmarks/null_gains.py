@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from benchmarks.concealed.run import recordings
 from torchrbd.diagnosis.locate import stretches
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.options import (
@@ -27,11 +28,12 @@ from torchrbd.diagnosis.search.options import (
     LEAST_REPEATED,
     LEAST_T,
     LEAST_WINDOWED_GAIN,
+    SHORTLIST,
     Option,
     judged,
 )
 from torchrbd.diagnosis.search.partial import in_some_recordings, in_windows
-from torchrbd.diagnosis.search.select import SHORTLIST, Search
+from torchrbd.diagnosis.search.select import Search
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import prepare
 from torchrbd.physics import effects
@@ -46,17 +48,16 @@ LEAST = {
 
 def best(case: Path) -> dict[str, Option | None]:
     """Return the option of each kind that gains most on a case."""
-    fit, holdout = ([str(f) for f in sorted(case.glob(f"{kind}*.parquet"))] for kind in ("fit", "holdout"))
+    fit, holdout = (list(map(str, files)) for files in recordings(case))
     robot, sources, settings = read_arguments(str(case / "robot.urdf"), fit, {"holdout": holdout}, "null_gains")
     prepared = prepare(robot, sources, settings, (), lambda *_: None)
     search = Search(read_samples(prepared, prepared.fit().pi), effects().values(), prepared.prior)
     beside = search.loaded(search.start)
-    smooth = sorted(search.smooth_grid(beside).screened(beside), key=lambda one: len(one.candidate.labels) - one.gain)
     options = (
         search.options(beside),
         in_windows(search, beside, stretches(beside)),
         in_some_recordings(search, beside),
-        [judged(beside, one.candidate) for one in smooth[:SHORTLIST]],
+        [judged(beside, one.candidate) for one in search.screened_smooth(beside)[:SHORTLIST]],
     )
     return {kind: max(found, key=_total, default=None) for kind, found in zip(LEAST, options, strict=True)}
 

@@ -80,6 +80,13 @@ def told_effects(truth: Json, robot: RobotModel) -> list[Effect]:
     return found
 
 
+def offered(robot: RobotModel, found: Json) -> set[str]:
+    """Return a concealed effect, or a finding, as ``diagnose`` is told it: with its places if it acts at all times."""
+    known = effects()[found["effect"]]
+    places = {site.name(robot) for site in true_sites(known, found, robot) if site.always}
+    return {f"{known.id}@{place}" for place in places} or {known.id}
+
+
 def oracle_errors(urdf: Path, fit: Iterable[Path], holdout: Iterable[Path], truth: Json) -> dict[str, float] | None:
     """Return the held-out nmse per joint of the oracle; None if the library lacks one of the concealed effects."""
     robot = RobotModel.from_urdf(urdf)

@@ -31,10 +31,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 import torchrbd
+from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.errors import InputError
 from torchrbd.export import write_diagnosis
+from torchrbd.robot import RobotModel
 
-from .oracle import oracle_errors
+from .oracle import offered, oracle_errors
 from .pictures import draw_calibration
 from .rival_scores import rivals_markdown, score_rivals
 from .score import CaseScore, score_case, score_injected
@@ -42,7 +44,7 @@ from .tables import markdown, must_hold
 
 DIAGNOSIS, SECONDS, SERIES = "diagnosis.json", "run.json", "series.npz"
 RIVALS, ORACLE, TOLD = "rivals.json", "oracle.json", "told.json"
-UNTOUCHED, PLAIN = "untouched", ("viscous_friction", "coulomb_friction", "torque_offset")
+UNTOUCHED = "untouched"
 Work = Callable[[Path, Path], None]
 
 
@@ -159,11 +161,11 @@ def _told_case(truths: Mapping[str, dict[str, Any]], case: Path, out: Path) -> N
     """Search for nothing but friction, what the untouched recordings show, and what is hidden, at its joint."""
     truth, found = truths[case.name], {"findings": []}
     if truth.get("baseline"):
-        shown = _read_json(out.parent / truth["baseline"] / DIAGNOSIS)["findings"]
-        known = {f"{f['effect']}@{joint}" for f in (*shown, *truth["effects"]) for joint in f["joints"]}
-        known |= {f["effect"] for f in (*shown, *truth["effects"]) if not f["joints"]}
+        shown, urdf = _read_json(out.parent / truth["baseline"] / DIAGNOSIS)["findings"], case / "robot.urdf"
+        robot = RobotModel.from_urdf(urdf)
+        names = set(BACKGROUND).union(*(offered(robot, f) for f in (*shown, *truth["effects"])))
         fit, holdout = recordings(case)
-        diagnosis = torchrbd.diagnose(case / "robot.urdf", fit, holdout=holdout, effects=sorted(known | set(PLAIN)))
+        diagnosis = torchrbd.diagnose(urdf, fit, holdout=holdout, effects=sorted(names))
         write_diagnosis(diagnosis, out / "told.unfinished")
         found = {"findings": _read_json(out / "told.unfinished")["findings"]}
         (out / "told.unfinished").unlink()
@@ -212,14 +214,20 @@ def write_json(content: Any, path: Path) -> None:
     unfinished.replace(path)
 
 
+def _positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, got {text}")
+    return int(text)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, call, and say what cannot be used."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", choices=("diagnose", "rivals", "oracle", "told", "score"))
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="with cases and truth")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the outputs of all of them")
-    parser.add_argument("-j", "--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--every", type=int, default=1, help="let rivals run over one of so many cases")
+    parser.add_argument("-j", "--jobs", type=_positive, default=1, help="processes")
+    parser.add_argument("--every", type=_positive, default=1, help="rivals: run over one of so many cases")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     out, jobs = options.output, options.jobs

@@ -100,12 +100,7 @@ def must_hold(cases: Sequence[CaseScore]) -> list[tuple[str, Figure, str, bool |
         ("field, 4 %: in class", rate(e.in_class for e in effects("field", 0.03, 0.05)), ">=", 0.65),
         ("field: friction on the other joints", case_figures(of("field"))["other friction found"], ">=", 0.95),
         ("injected, 8 %: in class", rate(e.in_class for e in effects("injected", *_ABOUT_8)), ">=", 0.8),
-        (
-            "injected, 8 %, where it can be told: in class",
-            rate(e.in_class for c in tellable for e in c.effects),
-            ">=",
-            0.8,
-        ),
+        ("injected, 8 %, where it can be told: in class", rate(e.in_class for e in tellable), ">=", 0.8),
         ("nulls: cases with a false finding", rate(bool(c.false) for c in of("null")), "<=", 0.02),
         ("nulls: joints with an alarm", case_figures(of("null"))["joints with an alarm"], "<=", 0.02),
         ("all: findings false", overall["findings false"], "<=", 0.05),

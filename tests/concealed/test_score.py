@@ -7,6 +7,7 @@ import pytest
 from concealed.matching import covers, judge, new_findings
 from concealed.overlap import end_errors, interval_iou, region_iou
 from concealed.score import score_case, score_injected
+from concealed.tables import must_hold
 
 JOINTS = ["a", "b", "c"]
 NOWHERE = {"recordings": None, "time_s": None, "region": None}
@@ -273,6 +274,8 @@ def test_injected_counts_what_is_new() -> None:
         again = score_injected(case, after, before, 1.0, told)
         assert again is not None
         assert again.told == seen
+        (row,) = (figure for words, figure, *_ in must_hold([again]) if words.startswith("injected, 8 %, where"))
+        assert row.n == seen
     assert [f["effect"] for f in new_findings(after["findings"], before["findings"])] == [
         "torque_ripple", "joint_spring",
     ]  # fmt: skip

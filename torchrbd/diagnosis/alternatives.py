@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.diagnosis.search.grid import Screened, freedom, fresh_columns
+from torchrbd.diagnosis.search.grid import freedom, fresh_columns
 from torchrbd.diagnosis.search.options import BACKGROUND, Option, instead, judged
 from torchrbd.diagnosis.search.partial import in_some_recordings, in_windows
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.terms import place, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
-from torchrbd.physics import Window
+from torchrbd.physics import Site, Window
 
 LARGEST_PROBABILITY, LEAST_PROBABILITY = 0.999, 0.01
 # Another effect competes with a term if it gains less than this part beside the term of what it gains without.
@@ -60,11 +60,11 @@ class Weighed:
 def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
     """Compare every term of a fit with none and with others in its place, fitted and with refined shapes."""
     found, counts = [], fit.rows.counts
-    beside = search.grid.screened(fit)
+    still = {one.name: one.gain for one in search.grid.screened(fit)}
     for term in fit.terms:
         rest = instead(fit, without(fit.terms, term), term)
         own, alike = judged(rest, term), []
-        for option in _instead(search, rest, term, beside):
+        for option in _instead(search, rest, term, still):
             c = option.candidate
             if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, rest, term, option):
                 more = freedom(rest, c) - freedom(rest, term)
@@ -74,21 +74,16 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
     return tuple(found)
 
 
-def _instead(search: Search, rest: Fit, term: Candidate, beside: Sequence[Screened]) -> list[Option]:
+def _instead(search: Search, rest: Fit, term: Candidate, still: Mapping[tuple[str, Site], float]) -> list[Option]:
     """Return what may be added to a fit without a term, at all times or at the term's.
 
     Args:
         search: the search.
         rest: the fit.
         term: that is left out.
-        beside: what else gains beside the fit with the term; what gains as much there is another matter.
+        still: what others gain beside the fit with the term; what gains as much there is another matter.
     """
-    still = {(one.candidate.effect.id, one.candidate.site): one.gain for one in beside}
-    screened = [
-        one
-        for one in search.grid.screened(rest)
-        if still.get((one.candidate.effect.id, one.candidate.site), 0.0) <= COMPETES * one.gain
-    ]
+    screened = [one for one in search.grid.screened(rest) if still.get(one.name, 0.0) <= COMPETES * one.gain]
     site, always = term.site, search.shortlisted(rest, screened)
     if site.always:
         return always

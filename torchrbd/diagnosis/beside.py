@@ -17,14 +17,13 @@ from dataclasses import replace
 
 import torch
 
+from torchrbd.diagnosis.refuting import allowed
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import fresh_columns
 from torchrbd.diagnosis.search.options import BACKGROUND, INSIGNIFICANT
 from torchrbd.diagnosis.search.select import Search, Terms
-from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.physical.terms import significance, term_parameters
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.refine import fit_with_shapes
 from torchrbd.physics.plain_friction import PARTS
@@ -89,34 +88,6 @@ def _uneven(model: FittedModel) -> FittedModel:
             k = int((model.free == columns.index(c.place, CONSTANT)).nonzero())
             covariance[k, k] = model.covariance[k, k] + r2 * friction[c.place, 1] ** 2
     return replace(model, covariance=covariance)
-
-
-def allowed(model: FittedModel, term: Candidate, chance: float = 0.0) -> bool:
-    """Say whether the physics allows a term's parameters, those within so many standard deviations of zero aside."""
-    return term.effect.plausible(_but_chance(model, term, chance), model.columns.scale(term.site))
-
-
-def sound(model: FittedModel, term: Candidate) -> bool:
-    """Say whether the physics allows what was found of a term.
-
-    What is within chance of zero is no contradiction; plain friction that is so is none, unless the URDF has some.
-    """
-    if term.effect.id in BACKGROUND:
-        some = any(_but_chance(model, term, INSIGNIFICANT).values()) or model.columns.urdf_value(term) != 0
-        return some and allowed(model, term, INSIGNIFICANT)
-    return allowed(model, term) or allowed(model, term, INSIGNIFICANT)
-
-
-def insignificant(model: FittedModel, terms: Sequence[Candidate]) -> Sequence[Candidate]:
-    """Return the term that is least told from zero, if it is within chance of it: of two alike the other may stand."""
-    told = {c: significance(model, c) for c in terms if c.effect.id not in BACKGROUND and not is_smooth(c)}
-    weakest = min(told, key=lambda c: told[c], default=None)
-    return [weakest] if weakest is not None and told[weakest] < INSIGNIFICANT else []
-
-
-def _but_chance(model: FittedModel, term: Candidate, chance: float) -> dict[str, float]:
-    found = term_parameters(model, term).items()
-    return {name: 0.0 if abs(value) < chance * std else value for name, (value, std) in found}
 
 
 def _contained(plain: Candidate, terms: Sequence[Candidate]) -> bool:

@@ -9,13 +9,14 @@ from typing import Any
 from torch import Tensor
 
 from torchrbd.diagnosis.alternatives import Weighed, weigh
-from torchrbd.diagnosis.beside import fit_beside, insignificant, plain_beside, sound
+from torchrbd.diagnosis.beside import fit_beside, plain_beside
 from torchrbd.diagnosis.deflection import deflections
 from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import hums, locate
 from torchrbd.diagnosis.nameless import nameless
 from torchrbd.diagnosis.proof import doubt, proofs
+from torchrbd.diagnosis.refuting import refuted
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
@@ -116,14 +117,14 @@ def _extended(
             prepared, terms = refined_from(prepared, terms, progress)
         found = terms[: len(fit.terms)]
         model = fit_beside(prepared, found, terms[len(found) :])
-        refuted = [c for c in found if not sound(model, c)] or insignificant(model, found)
-        if not refuted:
+        wrong = refuted(model, found)
+        if not wrong:
             progress("weighing the findings", 0.0)
             weighed = weigh(search, fit)
-            refuted = [one.term for one in weighed if one.unlikely]
-            if not refuted:
+            wrong = [one.term for one in weighed if one.unlikely]
+            if not wrong:
                 return prepared, fit, model, weighed
-        fit = search.without(fit, refuted)
+        fit = search.without(fit, wrong)
 
 
 def _refit_matters(fit: Fit) -> bool:

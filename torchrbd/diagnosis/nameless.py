@@ -11,7 +11,7 @@ from torchrbd.diagnosis.results import Location, Region, Unexplained, Where
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.select import without
 from torchrbd.diagnosis.search.unnamed import depends_on, is_smooth
-from torchrbd.diagnosis.words import joined, number, percent
+from torchrbd.diagnosis.words import joined, number, percent, torque_unit
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
 
@@ -41,7 +41,7 @@ def _from_location(x: Location) -> Unexplained:
 
 def _described(fit: Fit, searched: Candidate, model: FittedModel, term: Candidate) -> Unexplained:
     robot, joint = model.columns.robot, term.joint
-    name, unit = robot.joint_names[joint], "N" if bool(robot.prismatic[joint]) else "N m"
+    name, unit = robot.joint_names[joint], torque_unit(robot, joint)
     rest = Fit(fit.rows, without(fit.terms, searched))
     share = 1.0 - float(fit.errors[:, joint].sum() / max(rest.errors[:, joint].sum(), 1e-300))
     signals = depends_on(term, robot.joint_names)

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from torchrbd.diagnosis.numbers import joined, measure, number, percent, plain, with_unit
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
 from torchrbd.physics import effect, effects
+from torchrbd.robot import RobotModel
 
 # Normal on every robot: named after what is special.
 PLAIN = ("viscous_friction", "coulomb_friction", "torque_offset")
@@ -20,6 +21,11 @@ _FEW_VALUES = 4
 _FOR_ALL, _FOR_ALL_BUT_ONE, _FOR_ALL_BUT_TWO = 2, 4, 6
 # A relative change of nmse that held-out time does not tell from none.
 _NO_CHANGE = 0.02
+
+
+def torque_unit(robot: RobotModel, joint: int) -> str:
+    """Return the unit of a joint's torque, or force."""
+    return "N" if bool(robot.prismatic[joint]) else "N m"
 
 
 def words_of(identifier: str) -> str:

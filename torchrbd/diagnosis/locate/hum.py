@@ -25,18 +25,26 @@ from scipy.stats import gamma
 from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.results import Location, Region, Where
 from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.diagnosis.words import number
+from torchrbd.diagnosis.words import number, torque_unit
 
 # Slower than this it is drift, or the motion [Hz]; what a run must last to tell [s].
 SLOWEST_HZ, SHORTEST_S = 1.0, 5.0
 # Width of the neighbourhood that a line is compared with [Hz].
 _AROUND_HZ = 1.5
-# A line is believed if chance gives one, at any joint and frequency, less often: no spectrum is quite smooth. On 24
-# development cases without a hum the least was 4e-5.
+# A line is believed if chance gives one, at any joint and frequency, less often: no spectrum is quite smooth. On 15
+# development cases without a hum, nothing but friction named, the least was 4e-5.
 _CHANCE = 1e-9
 # A motion repeats itself that is so much like itself some time later, having been unlike it between.
 _ALIKE, _UNLIKE = 0.95, 0.5
 _PADDED = 4
+
+
+class Line(NamedTuple):
+    """A line in a spectrum: frequency [Hz], amplitude, and how often chance gives one."""
+
+    frequency_hz: float
+    amplitude: float
+    chance: float
 
 
 def hums(fit: Fit, model: str) -> tuple[Location, ...]:
@@ -55,7 +63,7 @@ def hums(fit: Fit, model: str) -> tuple[Location, ...]:
 
 
 def _location(scene: Scene, joint: int, line: Line, power: float, resolution_hz: float, model: str) -> Location:
-    name, unit = scene.robot.joint_names[joint], "N" if bool(scene.robot.prismatic[joint]) else "N m"
+    name, unit = scene.robot.joint_names[joint], torque_unit(scene.robot, joint)
     rms, f = line.amplitude / 2**0.5, line.frequency_hz
     return Location(
         model=model,
@@ -72,14 +80,6 @@ def _location(scene: Scene, joint: int, line: Line, power: float, resolution_hz:
         attack=None,
         statement=f"{name}: a hum of {f:.2f} Hz, {number(line.amplitude)} {unit} high, is not explained.",
     )
-
-
-class Line(NamedTuple):
-    """A line in a spectrum: frequency [Hz], amplitude, and how often chance gives one."""
-
-    frequency_hz: float
-    amplitude: float
-    chance: float
 
 
 def _runs(scene: Scene) -> list[np.ndarray]:

@@ -13,6 +13,7 @@ from torchrbd.diagnosis.locate.words import sentence
 from torchrbd.diagnosis.results import Curve, LeftoverMap, Location, Region, Where
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.white_rows import Rows
+from torchrbd.diagnosis.words import torque_unit
 
 # A joint is named with a body where the body's torque is this part of the noise, and a recording where the part gains
 # this much of what it gains in the best one.
@@ -77,7 +78,7 @@ def _location(search: Search, part: Part, without: Fit, left: np.ndarray, quiet:
         links = (robot.body_names[part.body],)
         hit = attack(without, _touched(search, part), part.form, robot.gravity.numpy())
     course = "abrupt" if part.stretch else "slow" if depends_on == ("t",) else ""
-    unit = "N" if bool(robot.prismatic[felt[0]]) else "N m"
+    unit = torque_unit(robot, felt[0])
     names, size = tuple(joints[j] for j in felt), float(rms[felt[0]])
     share = _share(_counted(visible, rows), _counted(left, rows))
     return Location(

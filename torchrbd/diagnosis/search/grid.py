@@ -14,7 +14,7 @@ from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.shapes.slope import axes
-from torchrbd.physics import Effect, Window
+from torchrbd.physics import Effect, Site, Window
 
 _EVALUATIONS, _SWEEPS, _CLOSE = 10, 2, 0.03
 
@@ -26,6 +26,11 @@ class Screened:
     candidate: Candidate
     gain: float
     score: float
+
+    @property
+    def name(self) -> tuple[str, Site]:
+        """The effect and its site, whatever the shape."""
+        return self.candidate.effect.id, self.candidate.site
 
 
 class Grid:
@@ -45,12 +50,11 @@ class Grid:
 
     def screened(self, fit: Fit) -> list[Screened]:
         """Return the best shape of each effect at each place, best score first."""
-        best: dict[tuple[str, object], Screened] = {}
+        best: dict[tuple[str, Site], Screened] = {}
         for group in self.groups:
             for one in group.screened(fit):
-                key = one.candidate.effect.id, one.candidate.site
-                if key not in best or one.score > best[key].score:
-                    best[key] = one
+                if one.name not in best or one.score > best[one.name].score:
+                    best[one.name] = one
         return sorted(best.values(), key=lambda one: -one.score)
 
 

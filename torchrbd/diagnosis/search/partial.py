@@ -12,7 +12,7 @@ from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.search.grid import Grid, candidates
-from torchrbd.diagnosis.search.options import Option, clearly_worse, judged, preferred, takes
+from torchrbd.diagnosis.search.options import SHORTLIST, Option, clearly_worse, judged, preferred, takes
 from torchrbd.diagnosis.search.recordings import explained, recordings, screened_by_recordings, where_larger
 from torchrbd.diagnosis.search.terms import Terms, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from torchrbd.diagnosis.search.select import Search
 
 MOST_WINDOWED, MOST_PARTIAL = 3, 10
-# Of what may act in some recordings so many are looked at beside a fit.
-SHORTLIST = 10
 # What acts in some recordings explains this part of what is left there: where much is not understood, any two differ.
 LEAST_EXPLAINED = 0.25
 

@@ -10,6 +10,7 @@ that they beat clearly: its law is not the one that acts there.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ from torchrbd.diagnosis.search.lawless import challenged, lawful
 from torchrbd.diagnosis.search.options import (
     BACKGROUND,
     LEAST_GAIN,
+    SHORTLIST,
     Option,
     instead,
     judged,
@@ -44,8 +46,8 @@ LOAD_CHANGE = 0.01
 # A candidate of whose torque less than this is left beside the model's is the model's.
 LEAST_SHARE = 1e-4
 MOST_UNNAMED = 4
-# Candidates are fitted on left-out blocks if they are among so many, and score this part of the best one.
-MOST_TERMS, SHORTLIST, SHORT_OF_BEST = 12, 10, 0.5
+# Candidates are fitted on left-out blocks if they score this part of the best one.
+MOST_TERMS, SHORT_OF_BEST = 12, 0.5
 
 
 class Search:
@@ -133,23 +135,22 @@ class Search:
         return self.start.rows.samples.columns.robot
 
     def smooth(self, fit: Fit, joint: int | None = None) -> Option | None:
-        """Return the smooth function that the leftover of a joint, or of any, follows most; None without one.
-
-        What K coefficients gain on rows left out is K less, or so, than on the rows seen.
-        """
-        gains = {one.candidate: one.gain - len(one.candidate.labels) for one in self.smooth_grid(fit).screened(fit)}
-        ranked = sorted(
-            (c for c in gains if gains[c] > LEAST_GAIN and joint in (None, c.place)), key=lambda c: -gains[c]
-        )
+        """Return the smooth function that the leftover of a joint, or of any, follows most; None without one."""
+        offered = (one for one in self.screened_smooth(fit) if one.score > LEAST_GAIN)
+        ranked = [one.candidate for one in offered if joint in (None, one.candidate.place)]
         options = [judged(fit, c) for c in ranked[:SHORTLIST]]
         return max((o for o in options if takes(o)), key=lambda o: o.worth.total, default=None)
 
-    def smooth_grid(self, fit: Fit) -> Grid:
-        """Return the functions without a law on a fit's samples."""
+    def screened_smooth(self, fit: Fit) -> list[Screened]:
+        """Return the functions without a law, scored by what they may gain on rows left out, best first.
+
+        That is less than on the rows seen, by one for each coefficient or so.
+        """
         samples = fit.rows.samples
         if self._smooth is None or self._smooth.samples.columns is not samples.columns:
             self._smooth = Grid(samples, smooth_candidates(samples, samples.seen))
-        return self._smooth
+        screened = (replace(o, score=o.gain - len(o.candidate.labels)) for o in self._smooth.screened(fit))
+        return sorted(screened, key=lambda one: -one.score)
 
     def loaded(self, fit: Fit) -> Fit:
         """Return a fit whose features see the load and the friction that it has found."""
