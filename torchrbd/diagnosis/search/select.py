@@ -46,7 +46,7 @@ LOAD_CHANGE = 0.01
 # A candidate of whose torque less than this is left beside the model's is the model's.
 LEAST_SHARE = 1e-4
 MOST_UNNAMED = 4
-# Candidates are fitted on left-out blocks if they score this part of the best one.
+# Candidates are fitted on left-out blocks if they score this part of the best one that is accepted.
 MOST_TERMS, SHORT_OF_BEST = 12, 0.5
 
 
@@ -168,12 +168,21 @@ class Search:
         return self.shortlisted(fit, self.grid.screened(fit))
 
     def shortlisted(self, fit: Fit, screened: Sequence[Screened]) -> list[Option]:
-        """Return the best of what was screened, shapes refined, with their left-out errors."""
-        ranked = [one for one in screened if one.score > 0]
-        short = [one for one in ranked if one.score > SHORT_OF_BEST * ranked[0].score][:SHORTLIST]
-        told = [one for one in short if fit.share_left(fresh_columns(fit, one.candidate)) > LEAST_SHARE]
-        found = [refined(fit, one.candidate) for one in told]
-        return [judged(fit, c) for c in found if plausible(fit, c) and matters(fit, c)]
+        """Return the best of what was screened, shapes refined, with their left-out errors.
+
+        Best on the rows seen may be what physics forbids or left-out blocks refuse: it keeps no other from the list.
+        """
+        found: list[Option] = []
+        least = 0.0
+        for one in screened:
+            if one.score <= least or len(found) == SHORTLIST:
+                break
+            if fit.share_left(fresh_columns(fit, one.candidate)) > LEAST_SHARE:
+                c = refined(fit, one.candidate)
+                if plausible(fit, c) and matters(fit, c):
+                    found.append(judged(fit, c))
+                    least = max(least, SHORT_OF_BEST * one.score) if takes(found[-1]) else least
+        return found
 
     def acceptable(self, fit: Fit) -> list[Option]:
         """Return the additions that are accepted, the one to prefer first."""
