@@ -46,7 +46,8 @@ LOAD_CHANGE = 0.01
 # A candidate of whose torque less than this is left beside the model's is the model's.
 LEAST_SHARE = 1e-4
 MOST_UNNAMED = 4
-# Candidates are fitted on left-out blocks if they score this part of the best one that is accepted.
+# Candidates are fitted on left-out blocks if they score this part of the best one that is accepted; without such, of
+# the best one or what an effect must gain.
 MOST_TERMS, SHORT_OF_BEST = 12, 0.5
 
 
@@ -173,9 +174,9 @@ class Search:
         Best on the rows seen may be what physics forbids or left-out blocks refuse: it keeps no other from the list.
         """
         found: list[Option] = []
-        least = 0.0
+        least = min(SHORT_OF_BEST * screened[0].score, LEAST_GAIN) if screened else 0.0
         for one in screened:
-            if one.score <= least or len(found) == SHORTLIST:
+            if one.score <= max(least, 0.0) or len(found) == SHORTLIST:
                 break
             if fit.share_left(fresh_columns(fit, one.candidate)) > LEAST_SHARE:
                 c = refined(fit, one.candidate)
