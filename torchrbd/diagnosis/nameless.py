@@ -30,8 +30,8 @@ def nameless(fit: Fit, model: FittedModel, left: Sequence[Location]) -> tuple[Un
     pairs = zip(fit.terms, model.proper_terms, strict=False)
     found = [_described(fit, searched, model, term) for searched, term in pairs if is_smooth(term)]
     known = {(x.joints, x.depends_on[:1]) for x in found}
-    # A drift does not say that there is a hum.
-    rest = [x for x in left if x.form == "hum" or (x.joints, x.depends_on[:1]) not in known]
+    # A function of time in the model is not what is left beside it.
+    rest = [x for x in left if x.form in ("hum", "wander") or (x.joints, x.depends_on[:1]) not in known]
     return (*found, *(_from_location(x) for x in rest))
 
 

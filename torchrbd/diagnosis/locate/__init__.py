@@ -3,5 +3,6 @@
 from torchrbd.diagnosis.locate.hum import hums
 from torchrbd.diagnosis.locate.locate import locate
 from torchrbd.diagnosis.locate.stretches import stretches
+from torchrbd.diagnosis.locate.wander import wanders
 
-__all__ = ["hums", "locate", "stretches"]
+__all__ = ["hums", "locate", "stretches", "wanders"]

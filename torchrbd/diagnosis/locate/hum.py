@@ -50,7 +50,7 @@ class Line(NamedTuple):
 def hums(fit: Fit, model: str) -> tuple[Location, ...]:
     """Return the hums in what a fit leaves, the clearest first; ``model`` is its name."""
     scene, left = Scene.of(fit), fit.leftover()
-    runs = _runs(scene)
+    runs = long_runs(scene)
     if not runs or any(repeats(scene.samples.q[:, run]) for run in runs):
         return ()
     resolution_hz = 1.0 / (max(map(len, runs)) * scene.dt)
@@ -82,7 +82,8 @@ def _location(scene: Scene, joint: int, line: Line, power: float, resolution_hz:
     )
 
 
-def _runs(scene: Scene) -> list[np.ndarray]:
+def long_runs(scene: Scene) -> list[np.ndarray]:
+    """Return the samples of each run that is long enough for a spectrum."""
     run = scene.samples.run
     runs = [np.flatnonzero(run == k) for k in np.unique(run)]
     return [r for r in runs if len(r) * scene.dt > SHORTEST_S]

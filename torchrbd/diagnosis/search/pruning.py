@@ -26,12 +26,13 @@ UNEVEN, PARTS_OF_UNEVEN = "asymmetric_coulomb_friction", ("coulomb_friction", "t
 def pruned(search: Search, fit: Fit) -> Fit:
     """Drop terms, one at a time, that the left-out blocks do not accept or the physics does not allow.
 
+    In the place of a name stands plain friction at its joint, which every robot has: the name must be worth more.
     Friction at every joint is not asked for what it explains beyond drift: it stays where the errors as they are
     tell it, coloured though they be.
     """
     plain = Rows(fit.rows.samples, search.prior, _uncoloured(fit))
     while fit.terms:
-        rest = {c: _adapted(fit, without(fit.terms, c), c.place) for c in fit.terms}
+        rest = {c: _adapted(fit, _plain_instead(search, fit.terms, c), c.place) for c in fit.terms}
         worth = {c: _lost(fit, instead(fit, r, c)) for c, r in rest.items()}
         sound = [c for c in fit.terms if _allowed(search, c) and plausible(fit, c)]
         idle = [c for c in fit.terms if c not in sound or not accepted(worth[c], least_gain(c))]
@@ -51,6 +52,13 @@ def _allowed(search: Search, term: Candidate) -> bool:
     known = is_smooth(term) or term.effect.id in {e.id for e in search.effects}
     site = replace(term.site, recordings=None)
     return known and site in sites.get(term.effect.id, (site,))
+
+
+def _plain_instead(search: Search, terms: Terms, left_out: Candidate) -> Terms:
+    rest = without(terms, left_out)
+    if left_out in search.background or left_out.place is None:
+        return rest
+    return (*(c for c in search.restored(rest) if c.place == left_out.place and c not in rest), *rest)
 
 
 def _adapted(fit: Fit, terms: Terms, place: int | None) -> Terms:

@@ -89,12 +89,18 @@ class Search:
         return self._completed(self.loaded(self.start))
 
     def without(self, fit: Fit, refuted: Sequence[Candidate]) -> Fit:
-        """Return a fit that does without some effects at their places, whatever may be chosen instead."""
+        """Return a fit that does without some effects at their places, whatever may be chosen instead.
+
+        Nothing is chosen instead of plain friction: what shows too little of it shows no other kind.
+        """
+        samples, plain = fit.rows.samples, all(c in self.background for c in refuted)
         self._refuted |= {place(c) for c in refuted}
-        self.grid = Grid(fit.rows.samples, self.possible(self.grid.candidates))
+        self.grid = Grid(samples, self.possible(self.grid.candidates))
         self.background = self.possible(self.background)
         kept = self.possible(fit.terms)
-        return self._completed(fitted(fit.rows.samples, self.prior, self.restored(kept), fit.rows.noise))
+        if plain:
+            return fitted(samples, self.prior, kept, fit.rows.noise)
+        return self._completed(fitted(samples, self.prior, self.restored(kept), fit.rows.noise))
 
     def possible(self, terms: Iterable[Candidate]) -> Terms:
         """Return the terms that have not been refuted."""

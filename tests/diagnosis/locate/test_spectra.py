@@ -1,16 +1,17 @@
-"""Hums in what a fit leaves: frequency, size and joint; none in noise, and none where the motion repeats itself."""
+"""Hums and wandering torque in what a fit leaves: frequency, size, joint; none in noise or where motion repeats."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from robot.random_robots import random_urdf
 from simulated import Motion, multisine, record
 
-from torchrbd.diagnosis.locate import hums
+from torchrbd.diagnosis.locate import hums, wanders
 from torchrbd.diagnosis.locate.hum import repeats
-from torchrbd.diagnosis.results import Location
-from torchrbd.diagnosis.rows.regression import fitted
+from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.inference.preparation import prepare
@@ -19,15 +20,15 @@ from torchrbd.physics import Site, effect
 from torchrbd.robot import RobotModel
 
 URDF = random_urdf(8, 3, kinds=("revolute",), branching=0.0, massless=0.0)
-FREQUENCY_HZ, AMPLITUDE = 2.73, 0.3
+FREQUENCY_HZ, AMPLITUDE, WANDERING = 2.73, 0.3, 0.3
 
 
-def found(hum: float) -> tuple[Location, ...]:
-    """Return the hums of two recordings with one at joint 1 of this amplitude, of another phase in each."""
+def fitted_with(added: Callable[[Motion], np.ndarray]) -> Fit:
+    """Return a fit to two recordings with a torque (M,) added at joint 1."""
 
     def extra(motion: Motion) -> np.ndarray:
         torque = np.zeros_like(motion.q)
-        torque[:, 1] = hum * np.sin(2 * np.pi * FREQUENCY_HZ * motion.t + 10.0 * motion.q[0, 0])
+        torque[:, 1] = added(motion)
         return torque
 
     options = {"duration_s": 20.0, "rate_hz": 125.0}
@@ -35,11 +36,25 @@ def found(hum: float) -> tuple[Location, ...]:
     prepared = prepare(RobotModel.from_urdf(URDF), sources, Settings.from_mapping({"cutoff_hz": 6.0}, "test"), ())
     samples = read_samples(prepared, prepared.fit().pi)
     terms = [samples.columns.candidate(effect(name), Site(j), {}) for j in range(3) for name in BACKGROUND]
-    return hums(fitted(samples, prepared.prior, terms), "extended")
+    return fitted(samples, prepared.prior, terms)
+
+
+def hum(motion: Motion) -> np.ndarray:
+    """Return a hum of another phase in each recording."""
+    return AMPLITUDE * np.sin(2 * np.pi * FREQUENCY_HZ * motion.t + 10.0 * motion.q[0, 0])
+
+
+def walk(motion: Motion) -> np.ndarray:
+    """Return a random walk, another in each recording."""
+    at = np.arange(0.0, motion.t[-1] + 1.0, 0.5)
+    steps = np.random.default_rng(int(1e6 * abs(motion.q[0, 0]))).standard_normal(len(at))
+    return WANDERING * np.interp(motion.t, at, np.cumsum(steps))
 
 
 def test_a_hum_is_told_by_frequency_and_size() -> None:
-    (one,) = found(AMPLITUDE)
+    fit = fitted_with(hum)
+    (one,) = hums(fit, "extended")
+    assert wanders(fit, "extended") == ()
     assert one.joints == (RobotModel.from_urdf(URDF).joint_names[1],)
     assert one.depends_on == ("t",)
     assert one.form == "hum"
@@ -50,8 +65,20 @@ def test_a_hum_is_told_by_frequency_and_size() -> None:
     assert one.torque_rms[one.joints[0]] == pytest.approx(AMPLITUDE / np.sqrt(2), rel=0.1)
 
 
-def test_noise_does_not_hum() -> None:
-    assert found(0.0) == ()
+def test_a_wandering_torque_is_told_by_its_size() -> None:
+    fit = fitted_with(walk)
+    (one,) = wanders(fit, "extended")
+    assert one.joints == (RobotModel.from_urdf(URDF).joint_names[1],)
+    assert (one.form, one.depends_on, one.course) == ("wander", ("t",), "slow")
+    # What wanders more slowly than a run lasts is not counted.
+    assert 0.3 < one.torque_rms[one.joints[0]] / fit.leftover()[1].std() < 1.0
+    assert hums(fit, "extended") == ()
+
+
+def test_noise_neither_hums_nor_wanders() -> None:
+    fit = fitted_with(lambda motion: np.zeros_like(motion.t))
+    assert hums(fit, "extended") == ()
+    assert wanders(fit, "extended") == ()
 
 
 def test_a_motion_that_repeats_itself_is_known() -> None:
@@ -65,4 +92,4 @@ def test_a_motion_that_repeats_itself_is_known() -> None:
 
 def test_where_the_motion_repeats_itself_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torchrbd.diagnosis.locate.hum.repeats", lambda q: True)
-    assert found(AMPLITUDE) == ()
+    assert hums(fitted_with(hum), "extended") == ()

@@ -1,0 +1,84 @@
+"""Wandering torque: what changes slowly, whatever the motion: heat, a hose, a supply, or physics of many signals.
+
+With the mean periodogram P(f) of a joint's leftover e, each sample counted by its weight a (joints that stick have a
+torque of their own), slow power P_s below f_s and usual power P_n where neither motion nor wandering is,
+
+    rms^2 = 2 f_s dt (P_s - P_n)
+
+Noise with a shorter memory than 1 / f_s has P_s = P_n, so that n bins of it have n P_s / P_n ~ Gamma(n).
+
+Source: Percival, Walden, "Spectral analysis for physical applications", 1993, ch. 6.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.signal.windows import hann
+from scipy.stats import gamma
+
+from torchrbd.diagnosis.locate.hum import long_runs, repeats
+from torchrbd.diagnosis.locate.scene import Scene
+from torchrbd.diagnosis.results import Location, Where
+from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.diagnosis.words import number, torque_unit
+
+# Slow is below [Hz]. Noise is judged above the motion [Hz] and below the cut-off, in parts of the rate of the rows.
+SLOW_HZ, NOISE_FROM_HZ, NOISE_TO = 0.5, 1.0, 0.32
+# Less, in parts of a joint's torque RMS, is the drift of a sensor: on 12 development nulls with a drift of .004 at most
+# .007. What chance gives less often is believed.
+LEAST_TORQUE, _CHANCE = 0.01, 1e-6
+# The Hann window leaves that part of the bins independent.
+_INDEPENDENT = 0.5
+
+
+def wanders(fit: Fit, model: str) -> tuple[Location, ...]:
+    """Return the joints whose leftover wanders, the largest first; ``model`` is the name of what leaves it."""
+    scene, left = Scene.of(fit), fit.leftover()
+    runs = long_runs(scene)
+    if not runs or NOISE_TO / scene.dt < 1.5 * NOISE_FROM_HZ or any(repeats(scene.samples.q[:, run]) for run in runs):
+        return ()
+    found = []
+    for joint in scene.seen:
+        rms, chance = _slow(scene, runs, left[joint], joint)
+        if rms > LEAST_TORQUE * np.sqrt(np.mean(scene.samples.tau[joint] ** 2)) and chance < _CHANCE:
+            found.append(_location(scene, joint, left[joint], rms, chance, model))
+    return tuple(sorted(found, key=lambda x: -x.gain))
+
+
+def _slow(scene: Scene, runs: list[np.ndarray], left: np.ndarray, joint: int) -> tuple[float, float]:
+    """Return the RMS of the slow part of a leftover (M,), and how often chance gives as much."""
+    slow, usual, bins = 0.0, 0.0, 0.0
+    for r in runs:
+        a, h = scene.samples.weight[joint, r], hann(len(r), sym=False)
+        e = a * (left[r] - np.average(left[r], weights=a**2 + 1e-300))
+        power = np.abs(np.fft.rfft(h * e)) ** 2 / (h**2).sum()
+        f = np.fft.rfftfreq(len(r), scene.dt)
+        below, noise = (f > 0) & (f < SLOW_HZ), (f > NOISE_FROM_HZ) & (f < NOISE_TO / scene.dt)
+        slow += power[below].mean() / len(runs)
+        usual += np.median(power[noise]) / math.log(2.0) / len(runs)
+        bins += _INDEPENDENT * below.sum()
+    chance = gamma.sf(bins * slow / max(usual, 1e-300), bins)
+    return float(np.sqrt(2.0 * SLOW_HZ * scene.dt * max(slow - usual, 0.0))), float(max(chance, 1e-300))
+
+
+def _location(scene: Scene, joint: int, left: np.ndarray, rms: float, chance: float, model: str) -> Location:
+    name, unit = scene.robot.joint_names[joint], torque_unit(scene.robot, joint)
+    power = float(np.mean((scene.samples.weight[joint] * left) ** 2, where=scene.samples.measured[joint]))
+    return Location(
+        model=model,
+        joints=(name,),
+        links=(),
+        where=Where(),
+        depends_on=("t",),
+        form="wander",
+        course="slow",
+        gain=-math.log(chance),
+        torque_rms={name: rms},
+        share={name: min(rms**2 / max(power, 1e-300), 1.0)},
+        curve=None,
+        attack=None,
+        statement=f"{name}: a torque of {number(rms)} {unit} RMS that changes slowly is not explained; it follows no "
+        "signal that was tried.",
+    )
