@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from robot.random_robots import random_urdf
@@ -14,6 +16,7 @@ from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.grid import complexity, fresh_columns, refined
 from torchrbd.diagnosis.search.lawless import challenged, lawful
 from torchrbd.diagnosis.search.options import BACKGROUND, accepted, clearly_worse, judged, preferred
+from torchrbd.diagnosis.search.pruning import pruned
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.unnamed import smooth_candidates
 from torchrbd.inference.preparation import prepare
@@ -70,6 +73,30 @@ def test_what_acts_is_screened_first_and_chosen(dragged: tuple[Search, Fit]) -> 
     assert (first.effect.id, first.joint) == ("quadratic_drag", 1)
     chosen = [(c.effect.id, c.site.joint) for c in search.run().terms]
     assert chosen == [("quadratic_drag", 1)]
+
+
+def test_what_seems_best_and_is_refused_keeps_nothing_from_the_list(dragged: tuple[Search, Fit]) -> None:
+    search, fit = dragged
+    true, *others = search.grid.screened(fit)
+    driving = {c.effect.id: c for c in search.grid.candidates if c.site == Site(1)}["stribeck_friction"]
+    refused = replace(true, candidate=driving, score=100.0 * true.score)
+    listed = [o.candidate.effect.id for o in search.shortlisted(fit, [refused, true, *others])]
+    assert "quadratic_drag" in listed
+
+
+def test_nothing_is_chosen_instead_of_plain_friction() -> None:
+    search, _ = begun(5, lambda q, qd: 0.3 * np.sign(qd))
+    found = search.run()
+    (coulomb,) = (c for c in found.terms if c.effect.id == "coulomb_friction" and c.joint == 1)
+    assert search.without(found, [coulomb]).terms == tuple(c for c in found.terms if c is not coulomb)
+
+
+def test_a_name_is_worth_more_than_plain_friction() -> None:
+    search, fit = begun(5, lambda q, qd: 0.4 * qd + 0.3 * np.sign(qd))
+    drag = fit.rows.samples.columns.candidate(effect("quadratic_drag"), Site(1), {})
+    alone = Fit(fit.rows, (*(c for c in fit.terms if c.effect.id != "viscous_friction" or c.joint != 1), drag))
+    left = [(c.effect.id, c.joint) for c in pruned(search, alone).terms]
+    assert sorted(left) == [("coulomb_friction", 1), ("viscous_friction", 1)]
 
 
 def test_a_shape_is_found_between_the_points_of_its_grid() -> None:
