@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchrbd.diagnosis.curves import fitted_curve
-from torchrbd.diagnosis.results import Location, Region, Unexplained, Where
+from torchrbd.diagnosis.results import Curve, Location, Region, Unexplained, Where
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.select import without
 from torchrbd.diagnosis.search.unnamed import depends_on, is_smooth
 from torchrbd.diagnosis.words import joined, number, percent, torque_unit
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.physics.smooth_torque import HUM
 
 # A function acts where it is above this part of its largest departure from its middle.
 _ACTS = 0.5
@@ -41,25 +42,49 @@ def _from_location(x: Location) -> Unexplained:
 
 def _described(fit: Fit, searched: Candidate, model: FittedModel, term: Candidate) -> Unexplained:
     robot, joint = model.columns.robot, term.joint
-    name, unit = robot.joint_names[joint], torque_unit(robot, joint)
     rest = Fit(fit.rows, without(fit.terms, searched))
-    share = 1.0 - float(fit.errors[:, joint].sum() / max(rest.errors[:, joint].sum(), 1e-300))
-    signals = depends_on(term, robot.joint_names)
+    share = max(0.0, 1.0 - float(fit.errors[:, joint].sum() / max(rest.errors[:, joint].sum(), 1e-300)))
+    name, unit = robot.joint_names[joint], torque_unit(robot, joint)
+    if term.effect is HUM:
+        region, statement = _hum(fit, model, term)
+        return _unexplained(term, name, ("t",), region, share, f"{name}: {statement} {unit} high, is not explained.")
+    signals, region = depends_on(term, robot.joint_names), None
     curve = fitted_curve(model, term)
-    window, region = term.site.window, None
     if curve is not None and signals[0] != "t":
-        region = (Region(signals[0], *_loud(np.array(curve.at), np.array(curve.torque))),)
-    where = Where(None if window is None else (window.recording,), None, region)
+        region = Region(signals[0], *_loud(np.array(curve.at), np.array(curve.torque)))
     statement = (
-        f"{name}: no known effect explains {percent(max(share, 0.0))} of the power of what is left. "
+        f"{name}: no known effect explains {percent(share)} of the power of what is left. "
         f"It depends on {joined(signals)}"
     )
     if curve is not None:
         least, most = min(curve.torque), max(curve.torque)
         statement += f", as a torque from {number(least)} to {number(most)} {unit}"
     if region:
-        statement += f", most of it where {signals[0]} is between {number(region[0].low)} and {number(region[0].high)}"
-    return Unexplained((name,), signals, where, max(share, 0.0), statement + ".", curve)
+        statement += f", most of it where {signals[0]} is between {number(region.low)} and {number(region.high)}"
+    return _unexplained(term, name, signals, region, share, statement + ".", curve)
+
+
+def _unexplained(
+    term: Candidate,
+    joint: str,
+    signals: tuple[str, ...],
+    region: Region | None,
+    share: float,
+    statement: str,
+    curve: Curve | None = None,
+) -> Unexplained:
+    recordings = None if term.site.window is None else (term.site.window.recording,)
+    where = Where(recordings, None, None if region is None else (region,))
+    return Unexplained((joint,), signals, where, share, statement, curve)
+
+
+def _hum(fit: Fit, model: FittedModel, term: Candidate) -> tuple[Region, str]:
+    """Return the band of a hum, as wide as the recording can tell, and the hum in words, up to its unit."""
+    samples, f = fit.rows.samples, term.shape["frequency"]
+    assert term.site.window is not None
+    t = samples.t[samples.recording == samples.recordings.index(term.site.window.recording)]
+    amplitude = float(model.coefficients(term)[0].norm())
+    return Region("frequency", f - 1.0 / np.ptp(t), f + 1.0 / np.ptp(t)), f"a hum of {f:.2f} Hz, {number(amplitude)}"
 
 
 def _loud(at: np.ndarray, torque: np.ndarray) -> tuple[float, float]:

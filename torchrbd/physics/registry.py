@@ -24,7 +24,7 @@ from torchrbd.physics.power_law_friction import PowerLawFriction
 from torchrbd.physics.presliding_hysteresis import PreslidingHysteresis
 from torchrbd.physics.quadratic_drag import QuadraticDrag
 from torchrbd.physics.rotor_inertia import RotorInertia
-from torchrbd.physics.smooth_torque import SMOOTH
+from torchrbd.physics.smooth_torque import HUM, SMOOTH
 from torchrbd.physics.speed_dependent_loss import SpeedDependentLoss
 from torchrbd.physics.stribeck_friction import StribeckFriction
 from torchrbd.physics.thermal_viscosity import ThermalViscosity
@@ -39,7 +39,7 @@ from torchrbd.physics.viscous_friction import ViscousFriction
 
 _EFFECTS: dict[str, Effect] = {}
 # Functions that follow no law: models may have them, nobody looks for them by name.
-_UNNAMED: dict[str, Effect] = {smooth.id: smooth for smooth in SMOOTH}
+_UNNAMED: dict[str, Effect] = {smooth.id: smooth for smooth in (*SMOOTH, HUM)}
 
 
 def register(effect: Effect) -> Effect:

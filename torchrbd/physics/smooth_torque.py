@@ -9,6 +9,7 @@ torque depends on, with a curve, and nothing of why. Coefficients are torques: t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import product
 
@@ -106,6 +107,29 @@ class SmoothTorque(Effect):
         return True
 
 
+class Hum(SmoothTorque):
+    """Torque of one frequency, whatever the motion: tau += a cos(2 pi f t) + b sin(2 pi f t), in one recording."""
+
+    def __init__(self) -> None:
+        super().__init__("t", 2)
+        self.id, self.words, self.equation = "hum", "a hum", "a cos(2 pi f t) + b sin(2 pi f t)"
+        self._values = ("cosine", "sine")
+        self.units = {**dict.fromkeys(self._values, "{tau}"), "frequency": "Hz"}
+
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        """Return a shape that stands for any: the leftover tells the frequency."""
+        return ({"frequency": 1.0},)
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        assert site.joint is not None
+        angle = 2.0 * math.pi * shape["frequency"] * self.values(signals, site.joint)
+        inside, name = signals.inside(site.window), f"{self.id} {site.window} {shape['frequency']:.6g}"
+        return {f"{name} cosine": angle.cos() * inside, f"{name} sine": angle.sin() * inside}
+
+    def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
+        return None
+
+
 def _within(v: Tensor, low: float, high: float) -> Tensor:
     """Return v scaled from -1 at one end of its range to 1 at the other."""
     return (2.0 * v.clamp(low, high) - low - high) / (high - low)
@@ -132,3 +156,5 @@ SMOOTH = (
     SmoothTorque("qd", 4, other=True, times_own=True),
 )
 """What the leftover of a joint is tried against."""
+HUM = Hum()
+"""Offered where the leftover has shown one."""

@@ -119,4 +119,14 @@ def _lines(scene: Scene, runs: list[np.ndarray], signal: np.ndarray, trials: int
     chance = gamma.sf(shape * power / np.maximum(usual, 1e-300), shape) * trials * longest * scene.dt * f[-1]
     peaks = find_peaks(power)[0]
     peaks = peaks[(chance[peaks] < _CHANCE) & (f[peaks] > SLOWEST_HZ)]
-    return [Line(float(f[k]), float(amplitude[k] ** 0.5), max(float(chance[k]), 1e-300)) for k in peaks]
+    top = df * (peaks + _beside(np.log(np.maximum(power, 1e-300)), peaks))
+    return [
+        Line(float(at), float(amplitude[k] ** 0.5), max(float(chance[k]), 1e-300))
+        for k, at in zip(peaks, top, strict=True)
+    ]
+
+
+def _beside(y: np.ndarray, peaks: np.ndarray) -> np.ndarray:
+    """Return how far from a peak, in samples, the parabola through it and its neighbours is highest."""
+    left, middle, right = (y[peaks + k] for k in (-1, 0, 1))
+    return 0.5 * (left - right) / (left - 2.0 * middle + right)

@@ -35,7 +35,7 @@ from torchrbd.diagnosis.search.options import (
 from torchrbd.diagnosis.search.partial import in_some_recordings, partial
 from torchrbd.diagnosis.search.pruning import pruned
 from torchrbd.diagnosis.search.terms import Terms, names, place, with_term, without
-from torchrbd.diagnosis.search.unnamed import is_smooth, smooth_candidates
+from torchrbd.diagnosis.search.unnamed import humming, is_smooth, smooth_candidates
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.prior import Prior
 from torchrbd.physics import Effect, Site, effect
@@ -61,7 +61,7 @@ class Search:
         report: told of the terms after each step.
 
     Attributes:
-        background: friction and offset of every joint.
+        background: friction and offset of every joint, and the hums that these leave.
         start: the fit with nothing but those.
     """
 
@@ -82,6 +82,9 @@ class Search:
             for name in BACKGROUND
         )
         self.start = weighed(fitted(samples, prior, self.background))
+        if hums := tuple(humming(self.start)):
+            self.background = (*self.background, *hums)
+            self.start = weighed(fitted(samples, prior, self.background))
         self.grid = Grid(self.start.rows.samples, candidates(columns, self.effects, samples.seen))
 
     def run(self) -> Fit:

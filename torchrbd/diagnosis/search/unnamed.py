@@ -6,10 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from torchrbd.diagnosis.locate.hum import hums
+from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.inference.data.columns import Candidate
-from torchrbd.physics import Window
-from torchrbd.physics.smooth_torque import SMOOTH, SmoothTorque
+from torchrbd.physics import Site, Window
+from torchrbd.physics.smooth_torque import HUM, SMOOTH, SmoothTorque
 
 # Beyond these quantiles of a signal there are too few samples to tell a function.
 ENDS = (0.01, 0.99)
@@ -37,6 +39,17 @@ def smooth_candidates(samples: Samples, measured: Sequence[bool]) -> Iterator[Ca
                 shape |= _ends("own_low", "own_high", signals[effect.signal][site.joint], rate=rate)
             if shape["high"] > shape["low"] and shape.get("own_high", 1.0) > shape.get("own_low", 0.0):
                 yield columns.candidate(effect, site, shape)
+
+
+def humming(fit: Fit) -> Iterator[Candidate]:
+    """Yield the hums in what a fit leaves: unmodelled, they shake the robot, and names take what they do."""
+    columns, names = fit.rows.samples.columns, fit.rows.samples.columns.robot.joint_names
+    for hum in hums(fit, ""):
+        assert hum.where.region is not None
+        (band,) = hum.where.region
+        for k in np.unique(fit.rows.samples.recording):
+            site = Site(names.index(hum.joints[0]), window=Window(fit.rows.samples.recordings[k]))
+            yield columns.candidate(HUM, site, {"frequency": 0.5 * (band.low + band.high)})
 
 
 def _ends(lower: str, upper: str, v: np.ndarray, *, rate: bool) -> dict[str, float]:
