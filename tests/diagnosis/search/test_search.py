@@ -175,3 +175,22 @@ def test_a_law_stands_where_it_acts(dragged: tuple[Search, Fit]) -> None:
     smooth = next(c for c in smooth_candidates(fit.rows.samples, [False, True, False]) if c.effect.id.endswith("_qd"))
     both = Fit(fit.rows, (*fit.terms, drag, smooth))
     assert {c.effect.id for c in lawful(search, both).terms} - set(BACKGROUND) >= {"quadratic_drag"}
+
+
+def test_a_hum_stands_in_the_model_from_the_start() -> None:
+    urdf = arm(7)
+
+    def extra(motion):
+        return 0.4 * np.sin(2 * np.pi * 2.9 * motion.t)[:, None] * (np.arange(3) == 1)
+
+    recording = record(urdf, 7, duration_s=20.0, rate_hz=125.0, extra=extra)
+    diagnosis = torchrbd.diagnose(urdf, recording, effects=[*BACKGROUND, "time_delay", "torque_ripple"])
+    assert [f.effect for f in diagnosis.findings] == []
+    (hum,) = diagnosis.unexplained
+    assert hum.joints == (joint_names(urdf)[1],)
+    assert hum.where.region is not None
+    (band,) = hum.where.region
+    assert band.signal == "frequency"
+    assert 0.5 * (band.low + band.high) == pytest.approx(2.9, abs=0.01)
+    assert hum.share > 0.9
+    assert hum.statement.startswith("joint2: a hum of 2.90 Hz, 0.39")
