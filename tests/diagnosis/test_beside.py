@@ -11,6 +11,7 @@ from robot.random_robots import random_urdf
 from simulated import Motion, record, with_wrong_inertials
 
 from torchrbd.diagnosis import beside
+from torchrbd.diagnosis.refuting import refuted
 from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.terms import significance, term_parameters
@@ -127,5 +128,5 @@ def test_the_term_that_is_within_chance_of_zero_does_not_stand() -> None:
     prepared, terms = arm(0.5, DRAG, VISCOUS, OFFSET, "joint_spring")
     model = beside.fit_beside(prepared, terms, [])
     assert significance(model, terms[0]) > 10.0
-    assert beside.insignificant(model, terms) == [terms[3]]
-    assert beside.insignificant(model, terms[:3]) == []
+    assert refuted(model, terms) == [terms[3]]
+    assert refuted(model, terms[:3]) == []
