@@ -24,6 +24,8 @@ from torchrbd.diagnosis.results import Location, Where
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.words import number, torque_unit
 
+# What a recording must last to tell slow from motion [s].
+SHORTEST_S = 15.0
 # Slow is below [Hz]. Noise is judged above the motion [Hz] and below the cut-off, in parts of the rate of the rows.
 SLOW_HZ, NOISE_FROM_HZ, NOISE_TO = 0.5, 1.0, 0.32
 # Less, in parts of a joint's torque RMS, is the drift of a sensor: on 12 development nulls with a drift of .004 at most
@@ -36,7 +38,7 @@ _INDEPENDENT = 0.5
 def wanders(fit: Fit, model: str) -> tuple[Location, ...]:
     """Return the joints whose leftover wanders, the largest first; ``model`` is the name of what leaves it."""
     scene, left = Scene.of(fit), fit.leftover()
-    runs = long_runs(scene)
+    runs = _runs(scene)
     if not runs or NOISE_TO / scene.dt < 1.5 * NOISE_FROM_HZ or any(repeats(scene.samples.q[:, run]) for run in runs):
         return ()
     found = []
@@ -45,6 +47,12 @@ def wanders(fit: Fit, model: str) -> tuple[Location, ...]:
         if rms > LEAST_TORQUE * np.sqrt(np.mean(scene.samples.tau[joint] ** 2)) and chance < _CHANCE:
             found.append(_location(scene, joint, left[joint], rms, chance, model))
     return tuple(sorted(found, key=lambda x: -x.gain))
+
+
+def _runs(scene: Scene) -> list[np.ndarray]:
+    t, of = scene.samples.t, scene.samples.recording
+    lasts = {k: np.ptp(t[of == k]) for k in np.unique(of)}
+    return [run for run in long_runs(scene) if lasts[of[run[0]]] > SHORTEST_S]
 
 
 def _slow(scene: Scene, runs: list[np.ndarray], left: np.ndarray, joint: int) -> tuple[float, float]:
