@@ -44,7 +44,7 @@ check: .venv/dev
 
 concealed-dev: .venv/benchmark
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed generate --set development --count 3 --seed 0 --workers 2 -o concealed/dev
-	if [ -n "$$TORCHRBD_DATA" ]; then OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed.real --count 2 --seed 0 -o concealed/real; fi
+	if [ -n "$$TORCHRBD_DATA" ]; then OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed.real --count 1 --seed 0 -o concealed/real; fi
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed.run diagnose $(CONCEALED) -o concealed/out -j 2
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed.run rivals concealed/dev -o concealed/out -j 2
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed.run oracle concealed/dev -o concealed/out -j 2

@@ -27,7 +27,7 @@ LEAST_RENOISED = 5.0
 # Not clearly worse: within so many standard errors or, without the best two blocks, log-likelihood units; or by less
 # than so many units or this part of the best one's gain.
 CLOSE_STD, CLOSE_REPEATED, CLOSE_GAIN, CLOSE_PART = 2.0, 6.0, 3.0, 0.003
-# Of what was screened so many are fitted on left-out blocks.
+# Of what was screened so many are tried on left-out blocks.
 SHORTLIST = 10
 # Parts of a joint's torque, RMS, that are nobody's business.
 LEAST_TORQUE = 0.01

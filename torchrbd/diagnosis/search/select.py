@@ -184,8 +184,8 @@ class Search:
         """
         found: list[Option] = []
         least = min(SHORT_OF_BEST * screened[0].score, LEAST_GAIN) if screened else 0.0
-        for one in screened:
-            if one.score <= max(least, 0.0) or len(found) == SHORTLIST:
+        for one in screened[:SHORTLIST]:
+            if one.score <= max(least, 0.0):
                 break
             if fit.share_left(fresh_columns(fit, one.candidate)) > LEAST_SHARE:
                 c = refined(fit, one.candidate)
