@@ -160,7 +160,9 @@ def _pictures(
     if not pictures.measured[joint]:
         return found
     models = pictures.drawn[-1:] if alone else pictures.compared(name)
-    stretch = pictures.around(joint, item.where, models) if item.where.time_s or curve is None else None
+    stretch = None
+    if item.where.time_s or curve is None:
+        stretch = pictures.around(joint, item.where, models, whole=item.depends_on == ("t",))
     if stretch is not None:
         return [*found, Picture(f"{name}, {stretch[0]}", models, stretch[1])]
     signal = next((pictures.states[s] for s in signals if s in pictures.states), None)

@@ -124,15 +124,15 @@ class Pictures:
         figure = time_figure(self.series, joint, stretch, self.units[joint], self.drawn, models, marks)
         return self.inline(figure, f"torque of {self.joints[joint]} against time")
 
-    def around(self, joint: int, where: Where, models: list[str]) -> tuple[str, Markup] | None:
+    def around(self, joint: int, where: Where, models: list[str], *, whole: bool) -> tuple[str, Markup] | None:
         """Draw the residual of a joint in and around the first stretch of time of ``where``, named by its recording.
 
-        Of a hum some cycles are drawn, from the middle of a recording.
+        Of a hum some cycles are drawn, from the middle of a recording; what nothing confines is drawn if ``whole``.
         """
         s = self.series
         names = [r for r in s.recordings if where.recordings is None or r in where.recordings]
         hum = next((r for r in where.region or () if r.signal == "frequency"), None)
-        if not names or (where.recordings is None and where.time_s is None and hum is None):
+        if not names or not (whole or where.recordings or where.time_s or hum):
             return None
         rows = np.flatnonzero(s.recording == s.recordings.index(names[0]))
         span = where.time_s[0] if where.time_s else (-math.inf, math.inf)
