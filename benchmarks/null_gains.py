@@ -5,7 +5,9 @@
 
 Beside friction and offsets at every joint each candidate is judged as the search judges it, whatever it needs to be
 taken (``torchrbd/diagnosis/search/options.py``). Of every kind the best of each case is listed: gain in log-likelihood,
-in standard errors over the blocks (t), and without the best two blocks.
+in standard errors over the blocks (t), and without the best two blocks. Of what friction and offsets leave, the line in
+a spectrum that chance gives least often (``torchrbd/diagnosis/locate/hum.py``) and the largest slow part, in parts of
+the joint's torque RMS (``torchrbd/diagnosis/locate/wander.py``).
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import track
@@ -21,6 +25,8 @@ from rich.table import Table
 
 from benchmarks.concealed.run import recordings
 from torchrbd.diagnosis.locate import stretches
+from torchrbd.diagnosis.locate.hum import CHANCE, lines
+from torchrbd.diagnosis.locate.wander import DRIFT, slow_parts
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.options import (
     LEAST_GAIN,
@@ -46,8 +52,22 @@ LEAST = {
 }
 
 
-def best(case: Path) -> dict[str, Option | None]:
-    """Return the option of each kind that gains most on a case."""
+class Null(NamedTuple):
+    """What looks most like something where nothing is.
+
+    Attributes:
+        options: of each kind the one that gains most.
+        line: of a spectrum, how often chance gives it.
+        slow: part of a joint's torque RMS, the largest.
+    """
+
+    options: dict[str, Option | None]
+    line: float
+    slow: float
+
+
+def best(case: Path) -> Null:
+    """Return what looks most like something in a case."""
     fit, holdout = (list(map(str, files)) for files in recordings(case))
     robot, sources, settings = read_arguments(str(case / "robot.urdf"), fit, {"holdout": holdout}, "null_gains")
     prepared = prepare(robot, sources, settings, (), lambda *_: None)
@@ -59,7 +79,12 @@ def best(case: Path) -> dict[str, Option | None]:
         in_some_recordings(search, beside),
         [judged(beside, one.candidate) for one in search.screened_smooth(beside)[:SHORTLIST]],
     )
-    return {kind: max(found, key=_total, default=None) for kind, found in zip(LEAST, options, strict=True)}
+    rms = np.sqrt(np.mean(beside.rows.samples.tau**2, axis=1))
+    return Null(
+        {kind: max(found, key=_total, default=None) for kind, found in zip(LEAST, options, strict=True)},
+        min((line.chance for _, line in lines(beside, 1.0)), default=1.0),
+        max((slow / rms[joint] for joint, (slow, _) in slow_parts(beside).items()), default=0.0),
+    )
 
 
 def _total(option: Option) -> float:
@@ -77,12 +102,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = [best(case) for case in track(cases, "searching nulls", console=Console(stderr=True))]
     table = Table("kind", "needs", "best", "gain", "t", "without two blocks", title=f"{len(cases)} cases with nothing")
     for kind, least in LEAST.items():
-        ranked = sorted((o for one in found if (o := one[kind]) is not None), key=_total, reverse=True)
+        ranked = sorted((o for one in found if (o := one.options[kind]) is not None), key=_total, reverse=True)
         for option in ranked[: options.most]:
             c, worth = option.candidate, option.worth
             needs = f"{least:g}, and t {LEAST_T:g} or {LEAST_REPEATED:g}"
             table.add_row(kind, needs, c.effect.id, *(f"{v:.1f}" for v in (worth.total, worth.t, worth.repeated)))
-    Console().print(table)
+    spectra = Table("in a spectrum", "needs", "most")
+    chances, slow = sorted(one.line for one in found), sorted((one.slow for one in found), reverse=True)
+    spectra.add_row(
+        "hum: how often chance gives it", f"{CHANCE:g}", ", ".join(f"{v:.1g}" for v in chances[: options.most])
+    )
+    spectra.add_row("slow part of the torque", f"{DRIFT:g}", ", ".join(f"{v:.2g}" for v in slow[: options.most]))
+    Console().print(table, spectra)
     return 0
 
 

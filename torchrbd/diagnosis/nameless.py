@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchrbd.diagnosis.curves import fitted_curve
+from torchrbd.diagnosis.locate.hum import described
 from torchrbd.diagnosis.results import Curve, Location, Region, Unexplained, Where
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.select import without
@@ -47,7 +48,7 @@ def _described(fit: Fit, searched: Candidate, model: FittedModel, term: Candidat
     name, unit = robot.joint_names[joint], torque_unit(robot, joint)
     if term.effect is HUM:
         region, statement = _hum(fit, model, term)
-        return _unexplained(term, name, ("t",), region, share, f"{name}: {statement} {unit} high, is not explained.")
+        return _unexplained(term, name, ("t",), region, share, statement)
     signals, region = depends_on(term, robot.joint_names), None
     curve = fitted_curve(model, term)
     if curve is not None and signals[0] != "t":
@@ -79,12 +80,13 @@ def _unexplained(
 
 
 def _hum(fit: Fit, model: FittedModel, term: Candidate) -> tuple[Region, str]:
-    """Return the band of a hum, as wide as the recording can tell, and the hum in words, up to its unit."""
-    samples, f = fit.rows.samples, term.shape["frequency"]
-    assert term.site.window is not None
-    t = samples.t[samples.recording == samples.recordings.index(term.site.window.recording)]
+    """Return the band of a hum, and the hum in words, with its recording where there are several."""
+    samples, window = fit.rows.samples, term.site.window
+    assert window is not None
+    lasts = float(np.ptp(samples.t[samples.recording == samples.recordings.index(window.recording)]))
+    where = f" in {window.recording}" if len(samples.recordings) > 1 else ""
     amplitude = float(model.coefficients(term)[0].norm())
-    return Region("frequency", f - 1.0 / np.ptp(t), f + 1.0 / np.ptp(t)), f"a hum of {f:.2f} Hz, {number(amplitude)}"
+    return described(model.columns.robot, term.joint, term.shape["frequency"], amplitude, 1.0 / lasts, where)
 
 
 def _loud(at: np.ndarray, torque: np.ndarray) -> tuple[float, float]:

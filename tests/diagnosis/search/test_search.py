@@ -183,14 +183,17 @@ def test_a_hum_stands_in_the_model_from_the_start() -> None:
     def extra(motion):
         return 0.4 * np.sin(2 * np.pi * 2.9 * motion.t)[:, None] * (np.arange(3) == 1)
 
-    recording = record(urdf, 7, duration_s=20.0, rate_hz=125.0, extra=extra)
-    diagnosis = torchrbd.diagnose(urdf, recording, effects=[*BACKGROUND, "time_delay", "torque_ripple"])
+    files = ("first.csv", "second.csv")
+    recordings = [record(urdf, 7 + k, name=n, duration_s=16.0, rate_hz=125.0, extra=extra) for k, n in enumerate(files)]
+    diagnosis = torchrbd.diagnose(urdf, recordings, effects=[*BACKGROUND, "time_delay", "torque_ripple"])
     assert [f.effect for f in diagnosis.findings] == []
-    (hum,) = diagnosis.unexplained
-    assert hum.joints == (joint_names(urdf)[1],)
-    assert hum.where.region is not None
-    (band,) = hum.where.region
-    assert band.signal == "frequency"
-    assert 0.5 * (band.low + band.high) == pytest.approx(2.9, abs=0.01)
-    assert hum.share > 0.9
-    assert hum.statement.startswith("joint2: a hum of 2.90 Hz, 0.39")
+    assert [hum.where.recordings for hum in diagnosis.unexplained] == [(name,) for name in files]
+    for hum, name in zip(diagnosis.unexplained, files, strict=True):
+        assert hum.joints == (joint_names(urdf)[1],)
+        assert hum.where.region is not None
+        (band,) = hum.where.region
+        assert band.signal == "frequency"
+        assert 0.5 * (band.low + band.high) == pytest.approx(2.9, abs=0.01)
+        assert hum.share > 0.4
+        assert hum.statement.startswith(("joint2: a hum of 2.90 Hz, 0.39", "joint2: a hum of 2.90 Hz, 0.40"))
+        assert hum.statement.endswith(f" high in {name}, is not explained.")

@@ -26,6 +26,7 @@ from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.results import Location, Region, Where
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.words import number, torque_unit
+from torchrbd.robot import RobotModel
 
 # Slower than this it is drift, or the motion [Hz]; what a run must last to tell [s].
 SLOWEST_HZ, SHORTEST_S = 1.0, 5.0
@@ -33,7 +34,7 @@ SLOWEST_HZ, SHORTEST_S = 1.0, 5.0
 _AROUND_HZ = 1.5
 # A line is believed if chance gives one, at any joint and frequency, less often: no spectrum is quite smooth. On 15
 # development cases without a hum, nothing but friction named, the least was 4e-5.
-_CHANCE = 1e-9
+CHANCE = 1e-9
 # A motion repeats itself that is so much like itself some time later, having been unlike it between.
 _ALIKE, _UNLIKE = 0.95, 0.5
 _PADDED = 4
@@ -50,26 +51,40 @@ class Line(NamedTuple):
 def hums(fit: Fit, model: str) -> tuple[Location, ...]:
     """Return the hums in what a fit leaves, the clearest first; ``model`` is its name."""
     scene, left = Scene.of(fit), fit.leftover()
-    runs = long_runs(scene)
-    if not runs or any(repeats(scene.samples.q[:, run]) for run in runs):
-        return ()
-    resolution_hz = 1.0 / (max(map(len, runs)) * scene.dt)
+    resolution_hz = 1.0 / (scene.dt * max(map(len, long_runs(scene)), default=1))
     found = []
-    for joint in scene.seen:
+    for joint, line in lines(fit):
         power = float(np.mean(left[joint] ** 2, where=scene.samples.measured[joint]))
-        for line in _lines(scene, runs, left[joint], len(scene.seen)):
-            found.append(_location(scene, joint, line, power, resolution_hz, model))
+        found.append(_location(scene, joint, line, power, resolution_hz, model))
     return tuple(sorted(found, key=lambda x: -x.gain))
 
 
+def described(
+    robot: RobotModel, joint: int, frequency_hz: float, amplitude: float, resolution_hz: float, where: str = ""
+) -> tuple[Region, str]:
+    """Return the band of a hum, as wide as the recording can tell, and the hum in words."""
+    height = f"{number(amplitude)} {torque_unit(robot, joint)}"
+    words = f"{robot.joint_names[joint]}: a hum of {frequency_hz:.2f} Hz, {height} high{where}, is not explained."
+    return Region("frequency", frequency_hz - resolution_hz, frequency_hz + resolution_hz), words
+
+
+def lines(fit: Fit, chance: float = CHANCE) -> list[tuple[int, Line]]:
+    """Return the lines in the spectra of what a fit leaves, each with its joint, that chance gives less often."""
+    scene, left = Scene.of(fit), fit.leftover()
+    runs = long_runs(scene)
+    if not runs or any(repeats(scene.samples.q[:, run]) for run in runs):
+        return []
+    return [(j, line) for j in scene.seen for line in _lines(scene, runs, left[j], len(scene.seen), chance)]
+
+
 def _location(scene: Scene, joint: int, line: Line, power: float, resolution_hz: float, model: str) -> Location:
-    name, unit = scene.robot.joint_names[joint], torque_unit(scene.robot, joint)
-    rms, f = line.amplitude / 2**0.5, line.frequency_hz
+    name, rms = scene.robot.joint_names[joint], line.amplitude / 2**0.5
+    region, statement = described(scene.robot, joint, line.frequency_hz, line.amplitude, resolution_hz)
     return Location(
         model=model,
         joints=(name,),
         links=(),
-        where=Where(region=(Region("frequency", f - resolution_hz, f + resolution_hz),)),
+        where=Where(region=(region,)),
         depends_on=("t",),
         form="hum",
         course="",
@@ -78,7 +93,7 @@ def _location(scene: Scene, joint: int, line: Line, power: float, resolution_hz:
         share={name: min(rms**2 / power, 1.0)},
         curve=None,
         attack=None,
-        statement=f"{name}: a hum of {f:.2f} Hz, {number(line.amplitude)} {unit} high, is not explained.",
+        statement=statement,
     )
 
 
@@ -102,8 +117,8 @@ def repeats(q: np.ndarray) -> bool:
     return bool(len(apart) and alike[apart[0] :].max() > _ALIKE)
 
 
-def _lines(scene: Scene, runs: list[np.ndarray], signal: np.ndarray, trials: int) -> list[Line]:
-    """Return the lines of a signal (M,), one of so many that are looked at."""
+def _lines(scene: Scene, runs: list[np.ndarray], signal: np.ndarray, trials: int, least: float) -> list[Line]:
+    """Return the lines of a signal (M,), one of so many that are looked at, that chance gives less often than so."""
     longest = max(len(r) for r in runs)
     n = _PADDED * longest
     power, amplitude = np.zeros((2, n // 2 + 1))
@@ -118,7 +133,7 @@ def _lines(scene: Scene, runs: list[np.ndarray], signal: np.ndarray, trials: int
     usual = median_filter(power, max(3, round(_AROUND_HZ / df)), mode="nearest") / (gamma.median(shape) / shape)
     chance = gamma.sf(shape * power / np.maximum(usual, 1e-300), shape) * trials * longest * scene.dt * f[-1]
     peaks = find_peaks(power)[0]
-    peaks = peaks[(chance[peaks] < _CHANCE) & (f[peaks] > SLOWEST_HZ)]
+    peaks = peaks[(chance[peaks] < least) & (f[peaks] > SLOWEST_HZ)]
     top = df * (peaks + _beside(np.log(np.maximum(power, 1e-300)), peaks))
     return [
         Line(float(at), float(amplitude[k] ** 0.5), max(float(chance[k]), 1e-300))

@@ -30,7 +30,7 @@ SHORTEST_S = 15.0
 SLOW_HZ, NOISE_FROM_HZ, NOISE_TO = 0.5, 1.0, 0.32
 # Less, in parts of a joint's torque RMS, is the drift of a sensor: on 12 development nulls with a drift of .004 at most
 # .007. What chance gives less often is believed.
-LEAST_TORQUE, _CHANCE = 0.01, 1e-6
+DRIFT, _CHANCE = 0.01, 1e-6
 # The Hann window leaves that part of the bins independent.
 _INDEPENDENT = 0.5
 
@@ -38,15 +38,21 @@ _INDEPENDENT = 0.5
 def wanders(fit: Fit, model: str) -> tuple[Location, ...]:
     """Return the joints whose leftover wanders, the largest first; ``model`` is the name of what leaves it."""
     scene, left = Scene.of(fit), fit.leftover()
+    found = [
+        _location(scene, joint, left[joint], rms, chance, model)
+        for joint, (rms, chance) in slow_parts(fit).items()
+        if rms > DRIFT * np.sqrt(np.mean(scene.samples.tau[joint] ** 2)) and chance < _CHANCE
+    ]
+    return tuple(sorted(found, key=lambda x: -x.gain))
+
+
+def slow_parts(fit: Fit) -> dict[int, tuple[float, float]]:
+    """Return, by joint, the RMS of the slow part of what a fit leaves, and how often chance gives as much."""
+    scene, left = Scene.of(fit), fit.leftover()
     runs = _runs(scene)
     if not runs or NOISE_TO / scene.dt < 1.5 * NOISE_FROM_HZ or any(repeats(scene.samples.q[:, run]) for run in runs):
-        return ()
-    found = []
-    for joint in scene.seen:
-        rms, chance = _slow(scene, runs, left[joint], joint)
-        if rms > LEAST_TORQUE * np.sqrt(np.mean(scene.samples.tau[joint] ** 2)) and chance < _CHANCE:
-            found.append(_location(scene, joint, left[joint], rms, chance, model))
-    return tuple(sorted(found, key=lambda x: -x.gain))
+        return {}
+    return {joint: _slow(scene, runs, left[joint], joint) for joint in scene.seen}
 
 
 def _runs(scene: Scene) -> list[np.ndarray]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from torchrbd.diagnosis.locate.hum import hums
+from torchrbd.diagnosis.locate.hum import lines
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.inference.data.columns import Candidate
@@ -43,13 +43,11 @@ def smooth_candidates(samples: Samples, measured: Sequence[bool]) -> Iterator[Ca
 
 def humming(fit: Fit) -> Iterator[Candidate]:
     """Yield the hums in what a fit leaves: unmodelled, they shake the robot, and names take what they do."""
-    columns, names = fit.rows.samples.columns, fit.rows.samples.columns.robot.joint_names
-    for hum in hums(fit, ""):
-        assert hum.where.region is not None
-        (band,) = hum.where.region
-        for k in np.unique(fit.rows.samples.recording):
-            site = Site(names.index(hum.joints[0]), window=Window(fit.rows.samples.recordings[k]))
-            yield columns.candidate(HUM, site, {"frequency": 0.5 * (band.low + band.high)})
+    samples = fit.rows.samples
+    for joint, line in lines(fit):
+        for k in np.unique(samples.recording):
+            site = Site(joint, window=Window(samples.recordings[k]))
+            yield samples.columns.candidate(HUM, site, {"frequency": line.frequency_hz})
 
 
 def _ends(lower: str, upper: str, v: np.ndarray, *, rate: bool) -> dict[str, float]:
