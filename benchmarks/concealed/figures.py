@@ -40,7 +40,8 @@ def wilson(part: float, n: float) -> tuple[float, float]:
     z2 = _NORMAL_95**2
     centre = (part + z2 / (2 * n)) / (1 + z2 / n)
     half = _NORMAL_95 / (1 + z2 / n) * math.sqrt(part * (1 - part) / n + z2 / (4 * n * n))
-    return max(0.0, centre - half), min(1.0, centre + half)
+    # At 0 and 1 the end is the rate itself but for rounding.
+    return min(part, max(0.0, centre - half)), max(part, min(1.0, centre + half))
 
 
 def rate(hits: Iterable[bool | None]) -> Figure:

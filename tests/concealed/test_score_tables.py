@@ -33,6 +33,12 @@ def test_wilson_is_scipys(hits: int, n: int) -> None:
     assert rate([True] * hits + [False] * (n - hits) + [None]).n == n
 
 
+def test_wilson_contains_the_rate_to_the_last_bit() -> None:
+    for n in range(1, 2000):
+        assert wilson(0.0, n)[0] == 0.0
+        assert wilson(1.0, n)[1] == 1.0
+
+
 def test_share_over_cases_is_less_sure_where_cases_differ() -> None:
     alike = share([1] * 40, [2] * 40)
     apart = share([0, 2] * 20, [2, 2] * 20)
