@@ -168,6 +168,23 @@ def test_a_function_without_a_law_takes_the_place_of_a_name_of_its_signal() -> N
         assert "smooth_torque_over_q" in left
 
 
+@pytest.mark.parametrize(
+    ("torque", "order", "stand"),
+    [
+        (lambda q: 1.5 * np.exp(-(((q - q.mean()) / 0.25) ** 2)), 6.0, False),
+        (lambda q: 0.5 * q + 0.5 * np.sin(20.0 * q), 20.0, True),
+    ],
+)
+def test_two_laws_of_one_signal_stand_where_no_smooth_function_does_as_well(torque, order: float, stand: bool) -> None:
+    search, fit = begun(9, lambda q, qd: torque(q))
+    columns = fit.rows.samples.columns
+    spring = columns.candidate(effect("joint_spring"), Site(1), {})
+    ripple = refined(fit, columns.candidate(effect("torque_ripple"), Site(1), {"order": order}))
+    changed = lawful(search, Fit(fit.rows, (*fit.terms, spring, ripple)))
+    found = {c.effect.id for c in changed.terms} - set(BACKGROUND)
+    assert found == ({"joint_spring", "torque_ripple"} if stand else {"smooth_torque_over_q"})
+
+
 def test_a_law_stands_where_it_acts(dragged: tuple[Search, Fit]) -> None:
     search, fit = dragged
     columns = fit.rows.samples.columns

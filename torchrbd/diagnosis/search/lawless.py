@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.diagnosis.search.options import certain, judged
+from torchrbd.diagnosis.search.options import BACKGROUND, certain, clearly_worse, judged
+from torchrbd.diagnosis.search.pruning import UNEVEN
 from torchrbd.diagnosis.search.terms import without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
@@ -35,7 +36,22 @@ def challenged(search: Search, fit: Fit) -> Fit:
 
 
 def lawful(search: Search, fit: Fit) -> Fit:
-    """Drop names beside a smooth function of their own signal that gains more than they do."""
+    """Drop names that a smooth function of their own signal makes needless.
+
+    Beside one in the model a name must gain more than it. Several names over one signal of a joint bend almost as a
+    function does: it takes their place unless they are clearly better.
+    """
+    for joint, signal in dict.fromkeys(filter(None, map(_curve, fit.terms))):
+        laws = [c for c in fit.terms if _curve(c) == (joint, signal)]
+        if len(laws) < 2:
+            continue
+        rest = Fit(fit.rows, search.restored(tuple(c for c in fit.terms if c not in laws))).renoised()
+        smooth = search.smooth(rest, joint)
+        if smooth is None or not _of_its_signal(smooth.candidate, laws[0]):
+            continue
+        named = Fit(fit.rows, (*rest.terms, *laws)).renoised()
+        if not clearly_worse(gain(smooth.errors, named.errors, fit.rows.counts), smooth.worth.total):
+            fit = search.settled(Fit(fit.rows, (*rest.terms, smooth.candidate)))
     for smooth in [c for c in fit.terms if is_smooth(c)]:
         for term in fit.terms:
             if term in search.background or not _of_its_signal(smooth, term) or not {term, smooth} <= {*fit.terms}:
@@ -48,6 +64,13 @@ def lawful(search: Search, fit: Fit) -> Fit:
 
 def _without(search: Search, fit: Fit, term: Candidate) -> Fit:
     return Fit(fit.rows, search.restored(without(fit.terms, term))).renoised()
+
+
+def _curve(term: Candidate) -> tuple[int | None, str] | None:
+    """Return the joint and the signal over which a law is drawn; None of plain friction and of what is no such law."""
+    if is_smooth(term) or not isinstance(term.effect, JointEffect) or not term.site.always:
+        return None
+    return None if term.effect.id in (*BACKGROUND, UNEVEN) else (term.place, term.effect.drawn_over)
 
 
 def _of_its_signal(smooth: Candidate, term: Candidate) -> bool:
