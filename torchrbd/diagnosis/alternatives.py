@@ -6,11 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import freedom, fresh_columns
 from torchrbd.diagnosis.search.options import BACKGROUND, Option, instead, judged
 from torchrbd.diagnosis.search.partial import in_some_recordings, in_windows
+from torchrbd.diagnosis.search.pruning import plain_instead
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.terms import place, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
@@ -58,18 +61,22 @@ class Weighed:
 
 
 def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
-    """Compare every term of a fit with none and with others in its place, fitted and with refined shapes."""
-    found, counts = [], fit.rows.counts
+    """Compare every term of a fit with none and with others in its place, fitted and with refined shapes.
+
+    Plain friction that a term contains stands beside its rivals: every robot has it.
+    """
+    found = []
     still = {one.name: one.gain for one in search.grid.screened(fit)}
     for term in fit.terms:
-        rest = instead(fit, without(fit.terms, term), term)
+        others = without(fit.terms, term) if _is_plain(term) else plain_instead(search, fit.terms, term)
+        rest = instead(fit, others, term)
         own, alike = judged(rest, term), []
         for option in _instead(search, rest, term, still):
             c = option.candidate
             if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, rest, term, option):
                 more = freedom(rest, c) - freedom(rest, term)
                 more += PLAIN * (_is_plain(term) - _is_plain(c))
-                alike.append(Rival(c, odds(gain(option.errors, own.errors, counts), more)))
+                alike.append(Rival(c, rival_odds(option.errors, own.errors, fit.rows.counts, more)))
         found.append(Weighed(term, own.worth, tuple(alike)))
     return tuple(found)
 
@@ -108,6 +115,19 @@ def _competes(fit: Fit, rest: Fit, term: Candidate, option: Option) -> bool:
         return True
     other = Fit(fit.rows, (*rest.terms, option.candidate))
     return other.share_left(fit.rows.columns(term)[1]) > CONTAINED
+
+
+def rival_odds(rival: np.ndarray, own: np.ndarray, counts: np.ndarray, freedom: float) -> float:
+    """Return how many times as probable a rival is as a term, whichever of them leads.
+
+    Args:
+        rival: (B, n) its left-out errors.
+        own: (B, n) those of the term.
+        counts: (n,) rows of each joint.
+        freedom: what the rival is freer, in log-likelihood units.
+    """
+    lead = gain(rival, own, counts)
+    return odds(lead, freedom) if lead.total > 0 else 1.0 / odds(gain(own, rival, counts), -freedom)
 
 
 def odds(lead: Gain, freedom: float) -> float:
