@@ -4,9 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from robot.random_robots import random_urdf
+from simulated import Motion, record
 
-from torchrbd.diagnosis.alternatives import rival_odds
+from torchrbd.diagnosis.alternatives import rival_odds, weigh
 from torchrbd.diagnosis.rows.gain import gain
+from torchrbd.diagnosis.rows.samples import read_samples
+from torchrbd.diagnosis.search.options import BACKGROUND
+from torchrbd.diagnosis.search.select import Search
+from torchrbd.inference.preparation import prepare
+from torchrbd.inference.settings import Settings
+from torchrbd.physics import effect
+from torchrbd.robot import RobotModel
 
 BLOCKS, COUNTS = 20, np.array([2000])
 
@@ -32,3 +41,21 @@ def test_a_lead_of_chance_decides_for_neither(freedom: float) -> None:
     forward, backward = (rival_odds(a, b, COUNTS, freedom) for a, b in ((ahead, behind), (behind, ahead)))
     assert np.exp(-freedom) < forward < 2 * np.exp(-freedom)
     assert backward == pytest.approx(np.exp(-2 * freedom) / forward)
+
+
+def test_plain_friction_is_a_rival_of_what_contains_it() -> None:
+    urdf = random_urdf(5, 3, kinds=("revolute",), branching=0.0, massless=0.0)
+
+    def extra(motion: Motion) -> np.ndarray:
+        qd = motion.qd[:, 1]
+        return (np.sign(qd) * (0.5 + 0.5 * np.exp(-((qd / 0.3) ** 2))))[:, None] * (np.arange(3) == 1)
+
+    recording = record(urdf, 5, duration_s=20.0, rate_hz=125.0, extra=extra)
+    prepared = prepare(RobotModel.from_urdf(urdf), [recording], Settings(), ())
+    names = (*BACKGROUND, "stribeck_friction", "time_delay", "quadratic_drag")
+    search = Search(read_samples(prepared, prepared.fit().pi), [effect(n) for n in names], prepared.prior)
+    (found,) = (one for one in weigh(search, search.run()) if one.term.effect.id == "stribeck_friction")
+    plain = [r for r in found.rivals if r.candidate.effect.id == "coulomb_friction"]
+    assert len(plain) == 1
+    assert plain[0].odds < 1e-6
+    assert found.probability > 0.99
