@@ -13,6 +13,7 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import freedom, fresh_columns
 from torchrbd.diagnosis.search.options import BACKGROUND, Option, instead, judged
 from torchrbd.diagnosis.search.partial import in_some_recordings, in_windows
+from torchrbd.diagnosis.search.pruning import plain_instead
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.terms import place, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
@@ -62,15 +63,16 @@ class Weighed:
 def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
     """Compare every term of a fit with none and with others in its place, fitted and with refined shapes.
 
-    Plain friction that a term contains is a rival itself, and stands beside the others: every robot has it.
+    Plain friction stands beside a name and its rivals, as in the search; what a name contains of it is a rival too.
     """
     found = []
     still = {one.name: one.gain for one in search.grid.screened(fit)}
     for term in fit.terms:
-        plain = () if _is_plain(term) else _contained(search, term)
-        rest = instead(fit, (*plain, *without(fit.terms, term)), term)
+        others = without(fit.terms, term) if _is_plain(term) else plain_instead(search, fit.terms, term)
+        rest = instead(fit, others, term)
         own = judged(rest, term)
-        alike = [Rival(c, odds(own.worth, -freedom(rest, term) - PLAIN)) for c in plain]
+        contained = [c for c in others if c not in fit.terms and {*c.labels} <= {*term.labels}]
+        alike = [Rival(c, odds(own.worth, -freedom(rest, term) - PLAIN)) for c in contained]
         for option in _instead(search, rest, term, still):
             c = option.candidate
             if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, rest, term, option):
@@ -79,11 +81,6 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
                 alike.append(Rival(c, rival_odds(option.errors, own.errors, fit.rows.counts, more)))
         found.append(Weighed(term, own.worth, tuple(alike)))
     return tuple(found)
-
-
-def _contained(search: Search, term: Candidate) -> tuple[Candidate, ...]:
-    """Return the plain friction that a term contains."""
-    return tuple(c for c in search.background if c.place == term.place and {*c.labels} <= {*term.labels})
 
 
 def _instead(search: Search, rest: Fit, term: Candidate, still: Mapping[tuple[str, Site], float]) -> list[Option]:

@@ -32,8 +32,8 @@ from torchrbd.robot import RobotModel
 SLOWEST_HZ, SHORTEST_S = 1.0, 5.0
 # Width of the neighbourhood that a line is compared with [Hz].
 _AROUND_HZ = 1.5
-# A line is believed if chance gives one, at any joint and frequency, less often: no spectrum is quite smooth. On 15
-# development cases without a hum, nothing but friction named, the least was 4e-5.
+# A line is believed if chance gives one, at any joint and frequency, less often: no spectrum is quite smooth. On 24
+# development nulls the least was 2e-6 (benchmarks/null_gains.py).
 CHANCE = 1e-9
 # A motion repeats itself that is so much like itself some time later, having been unlike it between.
 _ALIKE, _UNLIKE = 0.95, 0.5

@@ -28,8 +28,8 @@ from torchrbd.diagnosis.words import number, torque_unit
 SHORTEST_S = 15.0
 # Slow is below [Hz]. Noise is judged above the motion [Hz] and below the cut-off, in parts of the rate of the rows.
 SLOW_HZ, NOISE_FROM_HZ, NOISE_TO = 0.5, 1.0, 0.32
-# Less, in parts of a joint's torque RMS, is the drift of a sensor: on 12 development nulls with a drift of .004 at most
-# .007. What chance gives less often is believed.
+# Less, in parts of a joint's torque RMS, is the drift of a sensor: on 24 development nulls with a drift of .004 at most
+# .0073 (benchmarks/null_gains.py). What chance gives less often is believed.
 DRIFT, _CHANCE = 0.01, 1e-6
 # The Hann window leaves that part of the bins independent.
 _INDEPENDENT = 0.5

@@ -15,7 +15,7 @@ from torchrbd.inference.data.columns import Candidate
 from torchrbd.physics.smooth_torque import SmoothTorque
 
 # Over 46 development cases of the concealed benchmark with nothing but friction, the best of some 2500 candidates
-# gained 11 with t 1.1, 9 (2.3), 8 (1.7), 8 (1.6); without the best two blocks 4.
+# gained 11 with t 1.1, 9 (2.3), 8 (1.7), 8 (1.6); without the best two blocks 4 (benchmarks/null_gains.py).
 LEAST_GAIN, LEAST_T, LEAST_REPEATED = 12.0, 2.5, 8.0
 # A stretch of time is chosen where the leftover shows it, and drift of the sensors looks like a force: over the same
 # cases loads and forces gained 29, 21 and 18 when they were offered.

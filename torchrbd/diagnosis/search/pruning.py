@@ -32,7 +32,7 @@ def pruned(search: Search, fit: Fit) -> Fit:
     """
     plain = Rows(fit.rows.samples, search.prior, _uncoloured(fit))
     while fit.terms:
-        rest = {c: _adapted(fit, _plain_instead(search, fit.terms, c), c.place) for c in fit.terms}
+        rest = {c: _adapted(fit, plain_instead(search, fit.terms, c), c.place) for c in fit.terms}
         worth = {c: _lost(fit, instead(fit, r, c)) for c, r in rest.items()}
         sound = [c for c in fit.terms if _allowed(search, c) and plausible(fit, c)]
         idle = [c for c in fit.terms if c not in sound or not accepted(worth[c], least_gain(c))]
@@ -54,7 +54,8 @@ def _allowed(search: Search, term: Candidate) -> bool:
     return known and site in sites.get(term.effect.id, (site,))
 
 
-def _plain_instead(search: Search, terms: Terms, left_out: Candidate) -> Terms:
+def plain_instead(search: Search, terms: Terms, left_out: Candidate) -> Terms:
+    """Return terms without one, with the plain friction at its joint that is missing."""
     rest = without(terms, left_out)
     if left_out in search.background or left_out.place is None:
         return rest
