@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from concurrent.futures import as_completed
 from pathlib import Path
 
 import pyarrow.parquet as pq
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from .cases import make_case
+from .workers import workers
 
 
 def write_case(out: Path, of: str, tier: str, index: int, seed: int) -> float:
@@ -30,14 +30,14 @@ def write_case(out: Path, of: str, tier: str, index: int, seed: int) -> float:
     return time.perf_counter() - start
 
 
-def generate(out: Path, of: str, tiers: Sequence[str], count: int, seed: int, workers: int) -> None:
+def generate(out: Path, of: str, tiers: Sequence[str], count: int, seed: int, jobs: int) -> None:
     """Write ``count`` cases of each tier, with a progress bar."""
     done = {(t["set"], t["tier"], t["index"], t["seed"]) for t in map(_truth, sorted(out.glob("truth/*.json")))}
     wanted = [(of, tier, index, seed) for tier in tiers for index in range(count)]
     wanted = [case for case in wanted if case not in done]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     seconds = []
-    with Progress(*columns, TimeRemainingColumn()) as progress, _pool(workers) as pool:
+    with Progress(*columns, TimeRemainingColumn()) as progress, workers(jobs) as pool:
         bar = progress.add_task("cases", total=len(wanted))
         for result in as_completed([pool.submit(write_case, out, *case) for case in wanted]):
             seconds.append(result.result())
@@ -47,7 +47,3 @@ def generate(out: Path, of: str, tiers: Sequence[str], count: int, seed: int, wo
 
 def _truth(file: Path) -> dict[str, object]:
     return json.loads(file.read_text())
-
-
-def _pool(workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"))

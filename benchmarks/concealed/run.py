@@ -18,10 +18,9 @@ import json
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import asdict
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +40,7 @@ from .pictures import draw_calibration
 from .rival_scores import rivals_markdown, score_rivals
 from .score import CaseScore, score_case, score_injected
 from .tables import markdown, must_hold
+from .workers import workers
 
 DIAGNOSIS, SECONDS, SERIES = "diagnosis.json", "run.json", "series.npz"
 RIVALS, ORACLE, TOLD = "rivals.json", "oracle.json", "told.json"
@@ -105,7 +105,7 @@ def for_each_case(folder: Path, out: Path, file: str, work: Work, *, jobs: int =
                 work(case, out / case.name)
                 bar.advance(task)
             return
-        with ProcessPoolExecutor(jobs, get_context("spawn"), torch.set_num_threads, (1,)) as pool:
+        with workers(jobs, partial(torch.set_num_threads, 1)) as pool:
             for done in as_completed([pool.submit(work, case, out / case.name) for case in todo]):
                 done.result()
                 bar.advance(task)
