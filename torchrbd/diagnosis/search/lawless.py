@@ -36,10 +36,14 @@ def challenged(search: Search, fit: Fit) -> Fit:
 
 
 def lawful(search: Search, fit: Fit) -> Fit:
-    """Drop names that a smooth function of their own signal makes needless.
+    """Drop names that a smooth function of their own signal makes needless."""
+    return _ahead_of_its_function(search, _clearly_several(search, fit))
 
-    Beside one in the model a name must gain more than it. Several names over one signal of a joint bend almost as a
-    function does: it takes their place unless they are clearly better.
+
+def _clearly_several(search: Search, fit: Fit) -> Fit:
+    """Put a smooth function in the place of several names over one signal of a joint, unless they are clearly better.
+
+    Together they bend almost as a function does.
     """
     for joint, signal in dict.fromkeys(filter(None, map(_curve, fit.terms))):
         laws = [c for c in fit.terms if _curve(c) == (joint, signal)]
@@ -52,6 +56,11 @@ def lawful(search: Search, fit: Fit) -> Fit:
         named = Fit(fit.rows, (*rest.terms, *laws)).renoised()
         if not clearly_worse(gain(smooth.errors, named.errors, fit.rows.counts), smooth.worth.total):
             fit = search.settled(Fit(fit.rows, (*rest.terms, smooth.candidate)))
+    return fit
+
+
+def _ahead_of_its_function(search: Search, fit: Fit) -> Fit:
+    """Drop names beside a smooth function of their own signal that gains more than they do."""
     for smooth in [c for c in fit.terms if is_smooth(c)]:
         for term in fit.terms:
             if term in search.background or not _of_its_signal(smooth, term) or not {term, smooth} <= {*fit.terms}:
