@@ -9,12 +9,13 @@ from simulated import Motion, record
 
 from torchrbd.diagnosis.alternatives import rival_odds, weigh
 from torchrbd.diagnosis.rows.gain import gain
+from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.physics import effect
+from torchrbd.physics import Site, effect
 from torchrbd.robot import RobotModel
 
 BLOCKS, COUNTS = 20, np.array([2000])
@@ -59,3 +60,20 @@ def test_plain_friction_is_a_rival_of_what_contains_it() -> None:
     assert len(plain) == 1
     assert plain[0].odds < 1e-6
     assert found.probability > 0.99
+
+
+def test_a_loss_of_chance_makes_no_term_certainly_nothing() -> None:
+    urdf = random_urdf(7, 2, kinds=("revolute",), branching=0.0, massless=0.0)
+
+    def wandering(motion: Motion) -> np.ndarray:
+        steps = np.random.default_rng(7).standard_normal(motion.q.shape)
+        return 2.0 * np.sin(2.0 * np.pi * 0.05 * np.cumsum(steps, axis=0))
+
+    recording = record(urdf, 7, duration_s=10.0, rate_hz=125.0, extra=wandering)
+    prepared = prepare(RobotModel.from_urdf(urdf), [recording], Settings(), ())
+    samples = read_samples(prepared, prepared.fit().pi)
+    terms = [samples.columns.candidate(effect(name), Site(j), {}) for j in range(2) for name in BACKGROUND]
+    search = Search(samples, [effect(name) for name in BACKGROUND], prepared.prior)
+    found = weigh(search, fitted(samples, prepared.prior, terms))
+    assert min(one.worth.total for one in found) < -10
+    assert all(one.probability > 0.05 for one in found if abs(one.worth.t) < 2)

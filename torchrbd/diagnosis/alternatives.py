@@ -11,7 +11,7 @@ import numpy as np
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import freedom, fresh_columns
-from torchrbd.diagnosis.search.options import BACKGROUND, Option, instead, judged
+from torchrbd.diagnosis.search.options import COMMON, Option, instead, judged
 from torchrbd.diagnosis.search.partial import in_some_recordings, in_windows
 from torchrbd.diagnosis.search.pruning import plain_instead
 from torchrbd.diagnosis.search.select import Search
@@ -28,7 +28,7 @@ CONTAINED = 1e-3
 LONGEST = 50.0
 # Viscous friction, Coulomb friction, even or not, and an offset, at all times, are found on every robot: log of how
 # much more often than anything else.
-PLAIN, COMMON = 4.0, (*BACKGROUND, "asymmetric_coulomb_friction")
+PLAIN = 4.0
 
 
 @dataclass(frozen=True)
@@ -41,16 +41,17 @@ class Rival:
 
 @dataclass(frozen=True)
 class Weighed:
-    """A term, what it gains over none, and its rivals."""
+    """A term, what it gains over none, how many times as probable none is, and its rivals."""
 
     term: Candidate
     worth: Gain
+    none: float
     rivals: tuple[Rival, ...]
 
     @property
     def probability(self) -> float:
         """Of the term, against none and each of its rivals."""
-        total = odds(self.worth, 0.0) + sum(r.odds for r in self.rivals)
+        total = self.none + sum(r.odds for r in self.rivals)
         return min(1.0 / (1.0 + total), LARGEST_PROBABILITY)
 
     @property
@@ -79,7 +80,8 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
                 more = freedom(rest, c) - freedom(rest, term)
                 more += PLAIN * (_is_plain(term) - _is_plain(c))
                 alike.append(Rival(c, rival_odds(option.errors, own.errors, fit.rows.counts, more)))
-        found.append(Weighed(term, own.worth, tuple(alike)))
+        none = rival_odds(rest.errors, own.errors, fit.rows.counts, 0.0)
+        found.append(Weighed(term, own.worth, none, tuple(alike)))
     return tuple(found)
 
 

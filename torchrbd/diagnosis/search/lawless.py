@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.diagnosis.search.options import BACKGROUND, certain, clearly_worse, judged
-from torchrbd.diagnosis.search.pruning import UNEVEN
+from torchrbd.diagnosis.search.options import COMMON, certain, clearly_worse, judged
 from torchrbd.diagnosis.search.terms import without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
@@ -79,7 +78,7 @@ def _curve(term: Candidate) -> tuple[int | None, str] | None:
     """Return the joint and the signal over which a law is drawn; None of plain friction and of what is no such law."""
     if is_smooth(term) or not isinstance(term.effect, JointEffect) or not term.site.always:
         return None
-    return None if term.effect.id in (*BACKGROUND, UNEVEN) else (term.place, term.effect.drawn_over)
+    return None if term.effect.id in COMMON else (term.place, term.effect.drawn_over)
 
 
 def _of_its_signal(smooth: Candidate, term: Candidate) -> bool:

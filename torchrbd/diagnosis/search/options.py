@@ -33,7 +33,9 @@ SHORTLIST = 10
 LEAST_TORQUE = 0.01
 # Standard deviations within which plain friction is none.
 INSIGNIFICANT = 3.0
-BACKGROUND = ("viscous_friction", "coulomb_friction", "torque_offset")
+BACKGROUND, UNEVEN = ("viscous_friction", "coulomb_friction", "torque_offset"), "asymmetric_coulomb_friction"
+# What is found on every robot.
+COMMON = (*BACKGROUND, UNEVEN)
 
 
 @dataclass(frozen=True)

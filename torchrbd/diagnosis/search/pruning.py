@@ -12,7 +12,7 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.rows.whitening import Noise
 from torchrbd.diagnosis.search.grid import refined
-from torchrbd.diagnosis.search.options import accepted, instead, least_gain, plausible
+from torchrbd.diagnosis.search.options import UNEVEN, accepted, instead, least_gain, plausible
 from torchrbd.diagnosis.search.terms import Terms, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
@@ -20,7 +20,7 @@ from torchrbd.inference.data.columns import Candidate
 if TYPE_CHECKING:
     from torchrbd.diagnosis.search.select import Search
 
-UNEVEN, PARTS_OF_UNEVEN = "asymmetric_coulomb_friction", ("coulomb_friction", "torque_offset")
+PARTS_OF_UNEVEN = ("coulomb_friction", "torque_offset")
 
 
 def pruned(search: Search, fit: Fit) -> Fit:
