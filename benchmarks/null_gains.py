@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import track
@@ -79,11 +78,10 @@ def best(case: Path) -> Null:
         in_some_recordings(search, beside),
         [judged(beside, one.candidate) for one in search.screened_smooth(beside)[:SHORTLIST]],
     )
-    rms = np.sqrt(np.mean(beside.rows.samples.tau**2, axis=1))
     return Null(
         {kind: max(found, key=_total, default=None) for kind, found in zip(LEAST, options, strict=True)},
         min((line.chance for _, line in lines(beside, 1.0)), default=1.0),
-        max((slow / rms[joint] for joint, (slow, _) in slow_parts(beside).items()), default=0.0),
+        max((slow.part for slow in slow_parts(beside).values()), default=0.0),
     )
 
 

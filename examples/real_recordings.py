@@ -3,10 +3,11 @@
 The environment variable TORCHRBD_DATA names a folder with ``kuka_kr300``, ``dfki_double_pendulum`` and
 ``dfki_pendulum``: robot URDFs and recordings as CSV with the columns ``t, q_<joint>, tau_<joint>``, from
 github.com/JonasWeigand/Robot_Identification (MIT), github.com/dfki-ric-underactuated-lab/double_pendulum and
-.../torque_limited_simple_pendulum (BSD-3-Clause). Only columns are renamed and units are made SI, motor torque times
-gear ratio. Files: ``robot.urdf``, ``A.csv`` to ``C.csv`` and ``link_encoder_A.csv`` to ``_C.csv`` of the KR300;
-``robot_A.urdf``, ``robot_C.urdf``, ``A_*.csv`` and ``C_*.csv`` of the double pendulum's two designs; ``robot.urdf`` and
-a file for each controller of the pendulum.
+.../torque_limited_simple_pendulum (BSD-3-Clause). The URDFs are written from the numbers that these publish; columns
+are renamed, units made SI, the KR300's motor torques multiplied by the gear ratios. Files: ``robot.urdf``, ``A.csv`` to
+``C.csv`` and ``link_encoder_A.csv`` to ``_C.csv`` of the KR300; ``robot_A.urdf``, ``robot_C.urdf``, ``A_*.csv`` and
+``C_*.csv`` of the double pendulum's two designs; ``robot.urdf`` and a file for each controller of
+the pendulum.
 """
 
 from __future__ import annotations

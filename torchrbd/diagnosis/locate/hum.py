@@ -41,9 +41,10 @@ _PADDED = 4
 
 
 class Line(NamedTuple):
-    """A line in a spectrum: frequency [Hz], amplitude, and how often chance gives one."""
+    """A line in a spectrum: frequency, how well the longest run tells it, amplitude, and how often chance gives one."""
 
     frequency_hz: float
+    resolution_hz: float
     amplitude: float
     chance: float
 
@@ -51,11 +52,10 @@ class Line(NamedTuple):
 def hums(fit: Fit, model: str) -> tuple[Location, ...]:
     """Return the hums in what a fit leaves, the clearest first; ``model`` is its name."""
     scene, left = Scene.of(fit), fit.leftover()
-    resolution_hz = 1.0 / (scene.dt * max(map(len, long_runs(scene)), default=1))
     found = []
     for joint, line in lines(fit):
         power = float(np.mean(left[joint] ** 2, where=scene.samples.measured[joint]))
-        found.append(_location(scene, joint, line, power, resolution_hz, model))
+        found.append(_location(scene, joint, line, power, model))
     return tuple(sorted(found, key=lambda x: -x.gain))
 
 
@@ -77,9 +77,9 @@ def lines(fit: Fit, chance: float = CHANCE) -> list[tuple[int, Line]]:
     return [(j, line) for j in scene.seen for line in _lines(scene, runs, left[j], len(scene.seen), chance)]
 
 
-def _location(scene: Scene, joint: int, line: Line, power: float, resolution_hz: float, model: str) -> Location:
+def _location(scene: Scene, joint: int, line: Line, power: float, model: str) -> Location:
     name, rms = scene.robot.joint_names[joint], line.amplitude / 2**0.5
-    region, statement = described(scene.robot, joint, line.frequency_hz, line.amplitude, resolution_hz)
+    region, statement = described(scene.robot, joint, line.frequency_hz, line.amplitude, line.resolution_hz)
     return Location(
         model=model,
         joints=(name,),
@@ -136,7 +136,7 @@ def _lines(scene: Scene, runs: list[np.ndarray], signal: np.ndarray, trials: int
     peaks = peaks[(chance[peaks] < least) & (f[peaks] > SLOWEST_HZ)]
     top = df * (peaks + _beside(np.log(np.maximum(power, 1e-300)), peaks))
     return [
-        Line(float(at), float(amplitude[k] ** 0.5), max(float(chance[k]), 1e-300))
+        Line(float(at), 1.0 / (longest * scene.dt), float(amplitude[k] ** 0.5), max(float(chance[k]), 1e-300))
         for k, at in zip(peaks, top, strict=True)
     ]
 

@@ -13,6 +13,7 @@ Source: Percival, Walden, "Spectral analysis for physical applications", 1993, c
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal.windows import hann
@@ -35,19 +36,27 @@ DRIFT, _CHANCE = 0.01, 1e-6
 _INDEPENDENT = 0.5
 
 
+class Slow(NamedTuple):
+    """The slow part of a leftover: RMS, that in parts of the joint's torque RMS, and how often chance gives as much."""
+
+    rms: float
+    part: float
+    chance: float
+
+
 def wanders(fit: Fit, model: str) -> tuple[Location, ...]:
     """Return the joints whose leftover wanders, the largest first; ``model`` is the name of what leaves it."""
     scene, left = Scene.of(fit), fit.leftover()
     found = [
-        _location(scene, joint, left[joint], rms, chance, model)
-        for joint, (rms, chance) in slow_parts(fit).items()
-        if rms > DRIFT * np.sqrt(np.mean(scene.samples.tau[joint] ** 2)) and chance < _CHANCE
+        _location(scene, joint, left[joint], slow, model)
+        for joint, slow in slow_parts(fit).items()
+        if slow.part > DRIFT and slow.chance < _CHANCE
     ]
     return tuple(sorted(found, key=lambda x: -x.gain))
 
 
-def slow_parts(fit: Fit) -> dict[int, tuple[float, float]]:
-    """Return, by joint, the RMS of the slow part of what a fit leaves, and how often chance gives as much."""
+def slow_parts(fit: Fit) -> dict[int, Slow]:
+    """Return the slow part of what a fit leaves, by joint; nothing where there is none to be told from the motion."""
     scene, left = Scene.of(fit), fit.leftover()
     runs = _runs(scene)
     if not runs or NOISE_TO / scene.dt < 1.5 * NOISE_FROM_HZ or any(repeats(scene.samples.q[:, run]) for run in runs):
@@ -61,8 +70,8 @@ def _runs(scene: Scene) -> list[np.ndarray]:
     return [run for run in long_runs(scene) if lasts[of[run[0]]] > SHORTEST_S]
 
 
-def _slow(scene: Scene, runs: list[np.ndarray], left: np.ndarray, joint: int) -> tuple[float, float]:
-    """Return the RMS of the slow part of a leftover (M,), and how often chance gives as much."""
+def _slow(scene: Scene, runs: list[np.ndarray], left: np.ndarray, joint: int) -> Slow:
+    """Return the slow part of a leftover (M,)."""
     slow, usual, bins = 0.0, 0.0, 0.0
     for r in runs:
         a, h = scene.samples.weight[joint, r], hann(len(r), sym=False)
@@ -74,10 +83,12 @@ def _slow(scene: Scene, runs: list[np.ndarray], left: np.ndarray, joint: int) ->
         usual += np.median(power[noise]) / math.log(2.0) / len(runs)
         bins += _INDEPENDENT * below.sum()
     chance = gamma.sf(bins * slow / max(usual, 1e-300), bins)
-    return float(np.sqrt(2.0 * SLOW_HZ * scene.dt * max(slow - usual, 0.0))), float(max(chance, 1e-300))
+    rms = float(np.sqrt(2.0 * SLOW_HZ * scene.dt * max(slow - usual, 0.0)))
+    whole = float(np.sqrt(np.mean(scene.samples.tau[joint] ** 2)))
+    return Slow(rms, rms / max(whole, 1e-300), float(max(chance, 1e-300)))
 
 
-def _location(scene: Scene, joint: int, left: np.ndarray, rms: float, chance: float, model: str) -> Location:
+def _location(scene: Scene, joint: int, left: np.ndarray, slow: Slow, model: str) -> Location:
     name, unit = scene.robot.joint_names[joint], torque_unit(scene.robot, joint)
     power = float(np.mean((scene.samples.weight[joint] * left) ** 2, where=scene.samples.measured[joint]))
     return Location(
@@ -88,11 +99,11 @@ def _location(scene: Scene, joint: int, left: np.ndarray, rms: float, chance: fl
         depends_on=("t",),
         form="wander",
         course="slow",
-        gain=-math.log(chance),
-        torque_rms={name: rms},
-        share={name: min(rms**2 / max(power, 1e-300), 1.0)},
+        gain=-math.log(slow.chance),
+        torque_rms={name: slow.rms},
+        share={name: min(slow.rms**2 / max(power, 1e-300), 1.0)},
         curve=None,
         attack=None,
-        statement=f"{name}: a torque of {number(rms)} {unit} RMS that changes slowly is not explained; it follows no "
-        "signal that was tried.",
+        statement=f"{name}: a torque of {number(slow.rms)} {unit} RMS that changes slowly is not explained; it follows "
+        "no signal that was tried.",
     )
