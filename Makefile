@@ -2,6 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 OUT ?= demo-report
+# A worker a core, a thread each.
+TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 CONCEALED = concealed/dev $(if $(TORCHRBD_DATA),concealed/real)
 
 .PHONY: demo test slow check concealed-dev clean
@@ -10,10 +12,10 @@ demo: .venv/base
 	$(BIN)/torchrbd demo -o $(OUT)
 
 test: .venv/test
-	$(BIN)/python -m pytest
+	$(TESTS)
 
 slow: .venv/test
-	$(BIN)/python -m pytest -m slow
+	$(TESTS) -m slow
 
 check: .venv/dev
 	$(BIN)/ruff check .
