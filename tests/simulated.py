@@ -28,9 +28,10 @@ def joint_names(urdf: str) -> list[str]:
     return list(pin.buildModelFromXML(urdf).names)[1:]
 
 
-def inverse_dynamics(urdf: str, motion: Motion) -> np.ndarray:
+def inverse_dynamics(urdf: str, motion: Motion, gravity: tuple[float, ...] = (0.0, 0.0, -9.81)) -> np.ndarray:
     """Return Pinocchio's torques (N, n), joints in its order; revolute and prismatic joints only."""
     model = pin.buildModelFromXML(urdf)
+    model.gravity.linear = np.array(gravity)
     data = model.createData()
     rows = zip(motion.q, motion.qd, motion.qdd, strict=True)
     return np.stack([pin.rnea(model, data, *row).copy() for row in rows])
@@ -38,7 +39,7 @@ def inverse_dynamics(urdf: str, motion: Motion) -> np.ndarray:
 
 def record(
     urdf: str, seed: int, *, name: str = "simulated", extra=None, torque_noise: float = 0.02, encoder_noise: float =
-        1e-5, **motion_options
+        1e-5, gravity: tuple[float, ...] = (0.0, 0.0, -9.81), **motion_options
 ) -> Recording:  # fmt: skip
     """Record a motion.
 
@@ -49,10 +50,11 @@ def record(
         extra: function of a Motion that returns additional torque (N, n).
         torque_noise: white, part of each joint's torque RMS.
         encoder_noise: white, [rad] or [m].
+        gravity: in the base's axes [m/s^2].
     """
     names = joint_names(urdf)
     motion = multisine(len(names), seed, **motion_options)
-    tau = inverse_dynamics(urdf, motion) + (0.0 if extra is None else extra(motion))
+    tau = inverse_dynamics(urdf, motion, gravity) + (0.0 if extra is None else extra(motion))
     rng = np.random.default_rng(seed + 10_000)
     tau = tau + torque_noise * np.sqrt(np.mean(tau**2, 0)) * rng.standard_normal(tau.shape)
     return Recording.from_arrays(name, names, motion.t, motion.q + encoder_noise * rng.standard_normal(tau.shape), tau)

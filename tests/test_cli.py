@@ -228,6 +228,7 @@ BAD = {
     "unknown estimator": (("identify", "arm.urdf", "day.csv", "--estimator", "smother"), "did you mean 'smoother'?"),
     "estimator to compare": (("compare-estimators", "arm.urdf", "day.csv", "--estimators", "wsl"), "mean 'wls'?"),
     "auto to compare": (("compare-estimators", "arm.urdf", "day.csv", "--estimators", "auto"), "compare these two"),
+    "bad gravity": (("identify", "arm.urdf", "day.csv", "--gravity", "0", "inf", "0"), "three finite numbers"),
     "bad encoder noise": (("identify", "arm.urdf", "day.csv", "--encoder-noise", "fine"), "expected a number"),
     "no encoder noise": (("diagnose", "arm.urdf", "day.csv", "--encoder-noise", "0"), "standard deviation above 0"),
     "no mapping": (("identify", "arm.urdf", "day.csv", "--mapping", "map.yaml"), "map.yaml"),

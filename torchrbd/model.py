@@ -8,7 +8,7 @@ It is what a fit returns, what findings extend, what is exported, and what a lea
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import torch
@@ -18,7 +18,7 @@ from torchrbd.errors import PhysicalError
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, is_physical, to_log_cholesky
 from torchrbd.physics import Signals, Site, Term, effect
 from torchrbd.physics.plain_friction import plain_friction
-from torchrbd.robot import RobotModel
+from torchrbd.robot import STANDARD_GRAVITY, RobotModel
 
 REST_WIDTH = 1e-3
 """Softness of the sign of velocity [rad/s, m/s] where no recording has told it."""
@@ -63,9 +63,16 @@ class RigidBodyDynamics(nn.Module):
         self._terms = nn.ModuleList(terms)
 
     @classmethod
-    def from_urdf(cls, source: str | Path | bytes) -> RigidBodyDynamics:
-        """Read a URDF with the friction of its <dynamics> tags: the model that a simulator of it runs."""
-        robot = RobotModel.from_urdf(source)
+    def from_urdf(
+        cls, source: str | Path | bytes, *, gravity: Sequence[float] | Tensor = STANDARD_GRAVITY
+    ) -> RigidBodyDynamics:
+        """Read a URDF with the friction of its <dynamics> tags: the model that a simulator of it runs.
+
+        Args:
+            source: a path, or the text itself.
+            gravity: (3,) in the base's axes [m/s^2].
+        """
+        robot = RobotModel.from_urdf(source, gravity=gravity)
         return cls(robot, terms=urdf_friction(robot))
 
     @property

@@ -245,6 +245,16 @@ def test_a_known_payload_is_a_link_with_that_mass(kind: str) -> None:
     assert np.abs(values(given) - robot.pi.numpy()).max() < 0.2
 
 
+def test_a_robot_on_a_wall_falls_along_the_wall() -> None:
+    down = (0.0, 9.81, 0.0)
+    recording = record(URDF, 4, gravity=down)
+    on_the_wall, on_the_floor = identify(URDF, recording, gravity=down), identify(URDF, recording)
+    assert on_the_wall.fits["urdf"].mean_nmse < 1e-3 < 0.1 < on_the_floor.fits["urdf"].mean_nmse
+    assert any("gravity is (0, 9.81, 0) m/s^2" in note for note in on_the_wall.notes)
+    assert not any("gravity" in note for note in on_the_floor.notes)
+    assert on_the_wall.model.robot.gravity.tolist() == list(down)
+
+
 def test_options_that_do_not_fit_are_told(recording: Recording) -> None:
     cases = {
         r"payload for 'x.csv', which is no recording here; there are: simulated": {"payload": "x.csv=1,0,0,0"},
@@ -252,10 +262,15 @@ def test_options_that_do_not_fit_are_told(recording: Recording) -> None:
         r"cut-off 1000 Hz is too high for a recording at 200 Hz": {"cutoff_hz": 1000.0},
         r"cut-off -1.0 Hz": {"cutoff_hz": -1.0},
         r"held.csv: no such file": {"holdout": "held.csv"},
+        r"gravity is 'down'; expected three numbers": {"gravity": "down"},
+        r"gravity is .*; expected three numbers": {"gravity": (0.0, 9.81)},
+        r"gravity is .*; expected three finite numbers": {"gravity": (0.0, np.nan, 0.0)},
     }
     for message, options in cases.items():
         with pytest.raises(InputError, match=message):
             identify(WRONG, recording, **options)
+    with pytest.raises(InputError, match="a RobotModel has its own gravity; give it"):
+        identify(RobotModel.from_urdf(WRONG), recording, gravity=(0.0, 9.81, 0.0))
     with pytest.raises(InputError, match="no recording to fit"):
         identify(WRONG, [])
     with pytest.raises(InputError, match="two recordings are called 'simulated'"):

@@ -161,6 +161,13 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_requ
         **many,
     )
     model = sub.add_argument_group("model")
+    model.add_argument(
+        "--gravity",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        help="in the base's axes [m/s^2], e.g. 0 9.81 0 on a wall (default: 0 0 -9.81)",
+    )
     known = ", ".join(effects())
     place = "PLACE is a joint, a pair JOINT_OTHER or a link; @RECORDING=FROM:TO [s] after it for what acts for a time"
     model.add_argument(

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.errors import OptionError
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.data.simulated import motion_doubts
 from torchrbd.inference.estimators import estimate
@@ -33,7 +34,7 @@ from torchrbd.inference.shapes.refine import fit_with_shapes, refined
 from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, verdict_of
 from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base_parameters
 from torchrbd.recordings import Recording
-from torchrbd.robot import RobotModel
+from torchrbd.robot import STANDARD_GRAVITY, RobotModel
 
 Source = str | Path | Recording
 
@@ -51,10 +52,10 @@ def identify(
         robot: a robot or its URDF.
         recordings: files or opened recordings.
         progress: told how far the work is.
-        **options: holdout, holdout_fraction, time, joints, effects, exclude, trust, payload, simulated, mapping,
-            cutoff_hz, estimator, encoder_noise, kappa and seed; ``help(torchrbd.Settings)`` has their meaning, units
-            and defaults. ``effects`` are fitted beside the inertial parameters, at every joint
-            or where "id@place" says, and their nonlinear parameters (a Stribeck speed) refined.
+        **options: holdout, holdout_fraction, time, joints, effects, exclude, gravity, trust, payload, simulated,
+            mapping, cutoff_hz, estimator, encoder_noise, kappa and seed; ``help(torchrbd.Settings)`` has their
+            meaning, units and defaults. ``effects`` are fitted beside the inertial parameters, at every joint or where
+            "id@place" says, and their nonlinear parameters (a Stribeck speed) refined.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
@@ -82,9 +83,13 @@ def read_arguments(
     place: str,
 ) -> tuple[RobotModel, list[Source], Settings]:
     """Return robot, list of recordings and checked settings of a call; ``place`` is named in errors."""
-    robot = robot if isinstance(robot, RobotModel) else RobotModel.from_urdf(robot)
+    settings = Settings.from_mapping(options, place)
+    if not isinstance(robot, RobotModel):
+        robot = RobotModel.from_urdf(robot, gravity=settings.gravity or STANDARD_GRAVITY)
+    elif settings.gravity is not None:
+        raise OptionError(f"{place}: a RobotModel has its own gravity; give it to RobotModel.from_urdf")
     sources = [recordings] if isinstance(recordings, (str, Path, Recording)) else list(recordings)
-    return robot, sources, Settings.from_mapping(options, place)
+    return robot, sources, settings
 
 
 def _estimated(

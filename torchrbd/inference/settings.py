@@ -60,6 +60,7 @@ class Settings:
             ``identify`` and ``compare_estimators`` fit them (default: none), ``diagnose`` searches among them
             (default: all).
         exclude: effects not to use, by id. Default: none.
+        gravity: in the base's axes, (x, y, z) [m/s^2], of a robot that is given by its URDF. Default: (0, 0, -9.81).
         trust: links whose inertia is not re-fitted, by name. Default: none.
         payload: known loads: ``torchrbd.inference.Payload`` or "FILE=kg,x,y,z[@LINK]" [kg, m]. Default: none.
         simulated: recordings of a simulator with the same commands, one for each recording and then for each of
@@ -78,6 +79,7 @@ class Settings:
     joints: tuple[str, ...] | None = None
     effects: tuple[str, ...] | None = None
     exclude: tuple[str, ...] = ()
+    gravity: tuple[float, ...] | None = None
     trust: tuple[str, ...] = ()
     payload: tuple[Payload, ...] = ()
     simulated: tuple[Path | Recording, ...] = ()
@@ -126,6 +128,8 @@ class Settings:
         values["payload"] = tuple(
             p if isinstance(p, Payload) else Payload.parse(str(p)) for p in _listed(values.get("payload"))
         )
+        if values.get("gravity") is not None:
+            values["gravity"] = _vector(values["gravity"], place)
         if values.get("time") is not None:
             values["time"] = _interval(values["time"], place)
         if values.get("mapping") is not None:
@@ -231,6 +235,16 @@ def _number(value: Any, kind: type[int] | type[float], key: str, place: str) -> 
     if kind is int and number != float(value):
         raise OptionError(f"{place}: {key} is {value}; expected a whole number")
     return number
+
+
+def _vector(value: Any, place: str) -> tuple[float, ...]:
+    entries = _listed(value)
+    if len(entries) != 3:
+        raise OptionError(f"{place}: gravity is '{value}'; expected three numbers, e.g. 0, 0 and -9.81")
+    found = tuple(float(_number(entry, float, "gravity", place)) for entry in entries)
+    if not all(map(math.isfinite, found)):
+        raise OptionError(f"{place}: gravity is {value}; expected three finite numbers, e.g. 0, 0 and -9.81")
+    return found
 
 
 def _listed(value: Any) -> list[Any]:

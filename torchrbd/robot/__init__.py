@@ -1,11 +1,12 @@
 """The rigid body: reading robots, kinematics, inverse and forward dynamics, the regressor."""
 
 from torchrbd.robot.inertia import PARAMETERS, from_pseudo_inertia, inertia_matrix, pseudo_inertia, transform_inertia
-from torchrbd.robot.model import RobotModel
+from torchrbd.robot.model import STANDARD_GRAVITY, RobotModel
 from torchrbd.robot.tree import FoldedLink
 
 __all__ = [
     "PARAMETERS",
+    "STANDARD_GRAVITY",
     "FoldedLink",
     "RobotModel",
     "from_pseudo_inertia",

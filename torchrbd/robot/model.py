@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 EXACT = (torch.float64, torch.device("cpu"))
 """Where the constants are kept that those of other dtypes and devices are made from."""
 
+STANDARD_GRAVITY = (0.0, 0.0, -9.81)
+"""Of a robot whose base stands upright [m/s^2]."""
+
 
 class RobotModel:
     """A fixed-base tree of rigid bodies.
@@ -55,7 +58,7 @@ class RobotModel:
     velocity: Tensor
     effort: Tensor
 
-    def __init__(self, description: Description, *, gravity: Sequence[float] | Tensor = (0.0, 0.0, -9.81)) -> None:
+    def __init__(self, description: Description, *, gravity: Sequence[float] | Tensor = STANDARD_GRAVITY) -> None:
         tree = build_tree(description)
         self.description = description
         self.name = description.name
@@ -75,7 +78,7 @@ class RobotModel:
 
     @classmethod
     def from_urdf(
-        cls, source: str | Path | bytes, *, gravity: Sequence[float] | Tensor = (0.0, 0.0, -9.81)
+        cls, source: str | Path | bytes, *, gravity: Sequence[float] | Tensor = STANDARD_GRAVITY
     ) -> RobotModel:
         """Read a robot from a URDF file or URDF text.
 
@@ -94,7 +97,7 @@ class RobotModel:
         chain: Chain,
         inertials: Mapping[str, Tensor],
         *,
-        gravity: Sequence[float] | Tensor = (0.0, 0.0, -9.81),
+        gravity: Sequence[float] | Tensor = STANDARD_GRAVITY,
     ) -> RobotModel:
         """Take the kinematics from a pytorch-kinematics chain, whose offsets are exact to float32 only (about 1e-6).
 

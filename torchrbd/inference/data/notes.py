@@ -9,6 +9,7 @@ from torch import Tensor
 from torchrbd.inference.data.columns import Columns
 from torchrbd.inference.physical.prior import Prior, unphysical_bodies
 from torchrbd.recordings import Filtering, Survey, skipped_segments
+from torchrbd.robot import STANDARD_GRAVITY
 
 
 def input_notes(
@@ -33,6 +34,8 @@ def input_notes(
         f"the URDF's inertia of {body} is that of no extended body of its mass; the fit starts from the nearest that is"
         for body in unphysical_bodies(columns)
     ]
+    if robot.gravity.tolist() != [*STANDARD_GRAVITY]:
+        notes.append(f"gravity is ({', '.join(f'{x:.4g}' for x in robot.gravity.tolist())}) m/s^2 in the base's axes")
     massless = (n for b, n in enumerate(robot.body_names) if b not in prior.bodies and n not in held)
     return (
         *notes,
