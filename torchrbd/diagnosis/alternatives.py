@@ -11,7 +11,7 @@ import numpy as np
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import freedom, fresh_columns
-from torchrbd.diagnosis.search.options import COMMON, Option, instead, judged
+from torchrbd.diagnosis.search.options import COMMON, COMPETES, Option, instead, judged
 from torchrbd.diagnosis.search.partial import in_some_recordings, in_windows
 from torchrbd.diagnosis.search.pruning import plain_instead
 from torchrbd.diagnosis.search.select import Search
@@ -21,8 +21,6 @@ from torchrbd.inference.data.columns import Candidate
 from torchrbd.physics import Site, Window
 
 LARGEST_PROBABILITY, LEAST_PROBABILITY = 0.999, 0.01
-# Another effect competes with a term if it gains less than this part beside the term of what it gains without.
-COMPETES = 0.5
 # A term of which less than this is left beside another effect is a case of that one, which says no other thing.
 CONTAINED = 1e-3
 LONGEST = 50.0
@@ -67,14 +65,14 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
     Plain friction stands beside a name and its rivals, as in the search; what a name contains of it is a rival too.
     """
     found = []
-    still = {one.name: one.gain for one in search.grid.screened(fit)}
+    beside = search.grid.gains(fit)
     for term in fit.terms:
         others = without(fit.terms, term) if _is_plain(term) else plain_instead(search, fit.terms, term)
         rest = instead(fit, others, term)
         own = judged(rest, term)
         contained = [c for c in others if c not in fit.terms and {*c.labels} <= {*term.labels}]
         alike = [Rival(c, odds(own.worth, -freedom(rest, term) - PLAIN)) for c in contained]
-        for option in _instead(search, rest, term, still):
+        for option in _instead(search, rest, term, beside):
             c = option.candidate
             if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, rest, term, option):
                 more = freedom(rest, c) - freedom(rest, term)
@@ -85,17 +83,16 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
     return tuple(found)
 
 
-def _instead(search: Search, rest: Fit, term: Candidate, still: Mapping[tuple[str, Site], float]) -> list[Option]:
+def _instead(search: Search, rest: Fit, term: Candidate, beside: Mapping[tuple[str, Site], float]) -> list[Option]:
     """Return what may be added to a fit without a term, at all times or at the term's.
 
     Args:
         search: the search.
         rest: the fit.
         term: that is left out.
-        still: what others gain beside the fit with the term; what gains as much there is another matter.
+        beside: what others gain beside the fit with the term, by name.
     """
-    screened = [one for one in search.grid.screened(rest) if still.get(one.name, 0.0) <= COMPETES * one.gain]
-    site, always = term.site, search.shortlisted(rest, screened)
+    site, always = term.site, search.rivals(rest, beside)
     if site.always:
         return always
     windows = [Window(name) for name in site.recordings or ()] if site.window is None else [site.window]

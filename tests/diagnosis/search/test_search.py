@@ -84,6 +84,18 @@ def test_what_seems_best_and_is_refused_keeps_nothing_from_the_list(dragged: tup
     assert "quadratic_drag" in listed
 
 
+def test_a_term_is_chosen_again_among_what_explains_the_same() -> None:
+    search, fit = begun(5, lambda q, qd: 0.4 * q + 0.1 * qd * np.abs(qd))
+    spring = fit.rows.samples.columns.candidate(effect("joint_spring"), Site(1), {})
+    beside = search.grid.gains(Fit(fit.rows, (*fit.terms, spring)))
+    offered, rivals = (
+        {o.candidate.effect.id for o in found} for found in (search.options(fit), search.rivals(fit, beside))
+    )
+    assert {"joint_spring", "quadratic_drag"} <= offered
+    assert "joint_spring" in rivals
+    assert "quadratic_drag" not in rivals
+
+
 def test_nothing_is_chosen_instead_of_plain_friction() -> None:
     search, _ = begun(5, lambda q, qd: 0.3 * np.sign(qd))
     found = search.run()

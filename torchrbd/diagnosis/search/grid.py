@@ -57,6 +57,10 @@ class Grid:
                     best[one.name] = one
         return sorted(best.values(), key=lambda one: -one.score)
 
+    def gains(self, fit: Fit) -> dict[tuple[str, Site], float]:
+        """Return what each effect gains at each place beside a fit, in its best shape, by name."""
+        return {one.name: one.gain for one in self.screened(fit)}
+
 
 class Group:
     """Candidates that add to the torque of one joint, or of all (None), their columns side by side.

@@ -27,6 +27,8 @@ LEAST_RENOISED = 5.0
 # Not clearly worse: within so many standard errors or, without the best two blocks, log-likelihood units; or by less
 # than so many units or this part of the best one's gain.
 CLOSE_STD, CLOSE_REPEATED, CLOSE_GAIN, CLOSE_PART = 2.0, 6.0, 3.0, 0.003
+# Another effect competes with a term if it gains less than this part beside the term of what it gains without.
+COMPETES = 0.5
 # Of what was screened so many are tried on left-out blocks.
 SHORTLIST = 10
 # Parts of a joint's torque, RMS, that are nobody's business.

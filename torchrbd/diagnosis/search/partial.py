@@ -14,7 +14,7 @@ from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.search.grid import Grid, candidates
 from torchrbd.diagnosis.search.options import SHORTLIST, Option, clearly_worse, judged, preferred, takes
 from torchrbd.diagnosis.search.recordings import explained, recordings, screened_by_recordings, where_larger
-from torchrbd.diagnosis.search.terms import Terms, without
+from torchrbd.diagnosis.search.terms import Terms, names, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.physics import Window
 
@@ -35,6 +35,7 @@ def partial(search: Search, fit: Fit) -> Fit:
     if len(recordings(fit.rows.samples)) > 1:
         samples = replace(fit.rows.samples, whole_folds=False)
         fit = Fit(Rows(samples, search.prior, fit.rows.noise), fit.terms)
+    visited = {frozenset(names(fit.terms))}
     for number in range(MOST_PARTIAL):
         clear = _uncovered(search, fit)
         windowed = in_windows(search, fit, stretches(fit), clear) if number < MOST_WINDOWED else []
@@ -42,8 +43,11 @@ def partial(search: Search, fit: Fit) -> Fit:
         changed = (*fit.terms, preferred(fit, options).candidate) if options else _not_common(search, fit)
         if changed is None:
             break
-        terms = changed
-        fit = search.named(search.settled(fitted(fit.rows.samples, search.prior, terms, fit.rows.noise)))
+        settled = search.named(search.settled(fitted(fit.rows.samples, search.prior, changed, fit.rows.noise)))
+        if frozenset(names(settled.terms)) in visited:
+            break
+        fit, terms = settled, changed
+        visited.add(frozenset(names(fit.terms)))
         search.report(fit.terms)
     return started if terms is started.terms else fit
 

@@ -3,13 +3,13 @@
 Friction is the normal case: viscous and Coulomb friction and an offset stand at every joint from the start, so that
 they hide nothing, and go at the end where the data does without them. Between, the best addition is taken, as long as
 there is one that the left-out blocks accept; of several that are as good, the simplest. After each, all that was chosen
-is chosen again. Where names have ended, smooth functions of single signals may follow, and take the place of a name
-that they beat clearly: its law is not the one that acts there.
+is chosen again among what explains the same. Where names have ended, smooth functions of single signals may follow, and
+take the place of a name that they beat clearly: its law is not the one that acts there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from torchrbd.diagnosis.search.grid import Grid, Screened, candidates, fresh_col
 from torchrbd.diagnosis.search.lawless import challenged, lawful
 from torchrbd.diagnosis.search.options import (
     BACKGROUND,
+    COMPETES,
     LEAST_GAIN,
     SHORTLIST,
     Option,
@@ -177,6 +178,18 @@ class Search:
         """Return what may be added to a fit, shapes refined."""
         return self.shortlisted(fit, self.grid.screened(fit))
 
+    def rivals(self, rest: Fit, beside: Mapping[tuple[str, Site], float]) -> list[Option]:
+        """Return what may take the place of a term at all times, shapes refined.
+
+        What gains as much where the term is explains something else, and is no reason to do without the term.
+
+        Args:
+            rest: the fit without the term.
+            beside: what candidates gain beside the fit with it, by name.
+        """
+        screened = self.grid.screened(rest)
+        return self.shortlisted(rest, [o for o in screened if beside.get(o.name, 0.0) <= COMPETES * o.gain])
+
     def shortlisted(self, fit: Fit, screened: Sequence[Screened]) -> list[Option]:
         """Return the best of what was screened, shapes refined, with their left-out errors.
 
@@ -211,7 +224,8 @@ class Search:
             if is_smooth(term) or term.site.window is not None:
                 fit = fit if takes(judged(rest, term)) else rest
                 continue
-            others = self.options(rest) if term.site.always else in_some_recordings(self, rest)
+            always = term.site.always
+            others = self.rivals(rest, self.grid.gains(fit)) if always else in_some_recordings(self, rest)
             again = refined(rest, term)
             own = [judged(rest, again)] if plausible(rest, again) else []
             options = [o for o in (*others, *own) if takes(o)]
