@@ -281,6 +281,16 @@ def test_injected_counts_what_is_new() -> None:
     ]  # fmt: skip
 
 
+def test_what_contains_the_friction_that_was_there_is_new_if_it_names_the_injected() -> None:
+    case = truth(effect("stribeck_friction", "b"), tier="injected", baseline="0")
+    before = diagnosis(finding("coulomb_friction", "a"), finding("coulomb_friction", "b"))
+    after = diagnosis(finding("stribeck_friction", "b"), finding("stribeck_friction", "a"))
+    score = score_injected(case, after, before, 1.0)
+    assert score is not None
+    assert score.effects[0].exact
+    assert not score.false
+
+
 def test_injected_is_not_judged_if_it_was_there_before() -> None:
     case = truth(effect("torque_ripple", "b"), tier="injected", baseline="0")
     assert score_injected(case, diagnosis(), diagnosis(finding("torque_ripple", "b")), 1.0) is None
