@@ -13,7 +13,7 @@ from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.grid import Grid, freedom, fresh_columns
-from torchrbd.diagnosis.search.options import BACKGROUND, judged, plausible
+from torchrbd.diagnosis.search.options import BACKGROUND, coefficients, judged, plausible
 from torchrbd.diagnosis.search.recordings import explained, screened_by_recordings
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
@@ -110,3 +110,18 @@ def _at(fit: Fit, name: str):
     for site in effect(name).sites(columns.robot):
         for shape in effect(name).shapes(columns.scale(site)):
             yield columns.candidate(effect(name), site, shape)
+
+
+def test_friction_at_some_positions_only_may_be_a_little_below_zero_elsewhere() -> None:
+    def bump(motion: Motion) -> np.ndarray:
+        q, qd = motion.q[:, 1], motion.qd[:, 1]
+        return (np.sign(qd) * np.exp(-(((q - 0.2) / 0.3) ** 2)))[:, None] * (np.arange(3) == 1)
+
+    fit = fit_of(bump)
+    friction = effect("position_dependent_friction")
+    there = fit.rows.samples.columns.candidate(friction, Site(1), {"centre": 0.2, "width": 0.3})
+    nowhere = fit.rows.samples.columns.candidate(friction, Site(0), {"centre": 0.2, "width": 0.3})
+    elsewhere, at_centre = coefficients(fit, there)
+    assert -0.01 < elsewhere < 0 < at_centre
+    assert plausible(fit, there)
+    assert not plausible(fit_of(lambda m: -0.3 * np.sign(m.qd) * (np.arange(3) == 0)), nowhere)

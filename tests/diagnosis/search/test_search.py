@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from robot.random_robots import random_urdf
-from simulated import joint_names, record
+from simulated import inverse_dynamics, joint_names, record, with_wrong_inertials
 
 import torchrbd
 from torchrbd.diagnosis.rows.gain import Gain
@@ -94,6 +94,22 @@ def test_a_term_is_chosen_again_among_what_explains_the_same() -> None:
     assert {"joint_spring", "quadratic_drag"} <= offered
     assert "joint_spring" in rivals
     assert "quadratic_drag" not in rivals
+
+
+def test_the_limit_of_a_saturation_follows_the_load_as_it_becomes_known() -> None:
+    urdf, limits = arm(8), []
+
+    def saturated(motion):
+        tau = inverse_dynamics(urdf, motion)
+        limits.append(0.35 * np.abs(tau[:, 1]).max())
+        return (np.clip(tau, -limits[0], limits[0]) - tau) * (np.arange(3) == 1)
+
+    recording = record(urdf, 7, duration_s=20.0, rate_hz=125.0, extra=saturated)
+    prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(urdf, 1)), [recording], Settings(), ())
+    effects = [effect(name) for name in (*BACKGROUND, "torque_saturation")]
+    search = Search(read_samples(prepared, prepared.fit().pi), effects, prepared.prior)
+    (found,) = (c for c in search.named(search.start).terms if c not in search.background)
+    assert found.shape["limit"] == pytest.approx(limits[0], rel=0.05)
 
 
 def test_nothing_is_chosen_instead_of_plain_friction() -> None:

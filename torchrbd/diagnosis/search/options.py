@@ -126,15 +126,31 @@ def coefficients(fit: Fit, candidate: Candidate) -> list[float]:
 def plausible(fit: Fit, candidate: Candidate) -> bool:
     """Say whether the physics allows what a candidate's parameters are in a fit, or would be beside it.
 
-    Plain friction that may as well be none is none, unless the URDF says that there is some.
+    Plain friction that may as well be none is none, unless the URDF says that there is some. A part that is below zero
+    by chance, such as what friction over position is elsewhere, is none.
     """
     w = torch.tensor(coefficients(fit, candidate), dtype=torch.float64)
     moves = fit.rows.samples.features(candidate).reshape(len(w), -1).any(1)
     w[torch.from_numpy(~moves)] = torch.nan
     if candidate.effect.id in BACKGROUND and not w.any() and not fit.rows.samples.columns.urdf_value(candidate):
         return False
-    values = {k: float(v) for k, v in candidate.effect.parameters(w, candidate.shape).items()}
-    return candidate.effect.plausible(values, fit.rows.samples.columns.scale(candidate.site))
+
+    def allowed(w: torch.Tensor) -> bool:
+        values = {k: float(v) for k, v in candidate.effect.parameters(w, candidate.shape).items()}
+        return candidate.effect.plausible(values, fit.rows.samples.columns.scale(candidate.site))
+
+    if allowed(w) or len(w) == 1 or not (w < 0).any():
+        return allowed(w)
+    none = torch.where((w < 0) & (-w < INSIGNIFICANT * _deviations(fit, candidate)), 0.0, w)
+    return bool(none.nan_to_num().any()) and allowed(none)
+
+
+def _deviations(fit: Fit, candidate: Candidate) -> torch.Tensor:
+    """Return the standard deviations (K,) of a candidate's coefficients in a fit, or beside it."""
+    beside = fit if candidate in fit.terms else Fit(fit.rows, (*fit.terms, candidate))
+    known = {place: len(beside.x) - len(beside.places) + k for k, place in enumerate(beside.places)}
+    stds = [beside.std(known[candidate.place, label]) for label in candidate.labels]
+    return torch.tensor(stds, dtype=torch.float64) * torch.from_numpy(np.asarray(fit.rows.widths_of(candidate)))
 
 
 def matters(fit: Fit, candidate: Candidate) -> bool:

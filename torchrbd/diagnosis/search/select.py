@@ -136,6 +136,9 @@ class Search:
             else:
                 break
             fit = self.loaded(settled)
+            if fit is not settled:
+                # What follows the load may have other shapes now.
+                fit = self.settled(fit)
             visited.add(frozenset(names(fit.terms)))
             self.report(fit.terms)
         return fit
