@@ -66,12 +66,7 @@ class RigidBodyDynamics(nn.Module):
     def from_urdf(
         cls, source: str | Path | bytes, *, gravity: Sequence[float] | Tensor = STANDARD_GRAVITY
     ) -> RigidBodyDynamics:
-        """Read a URDF with the friction of its <dynamics> tags: the model that a simulator of it runs.
-
-        Args:
-            source: a path, or the text itself.
-            gravity: (3,) in the base's axes [m/s^2].
-        """
+        """Read a URDF, as ``RobotModel.from_urdf``, with the friction of its <dynamics> tags: what a simulator runs."""
         robot = RobotModel.from_urdf(source, gravity=gravity)
         return cls(robot, terms=urdf_friction(robot))
 

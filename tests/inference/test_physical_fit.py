@@ -44,9 +44,10 @@ def step_left(columns: Columns, prior: Prior, statistics: BlockStatistics, w: fl
     x = found.x.clone().requires_grad_()
     (slope,) = torch.autograd.grad(objective(columns, prior, statistics, w, x), x)
     slope = (prior.scale.T @ slope)[found.free]
-    w, V = torch.linalg.eigh(found.precision)
-    # Curvatures below rounding of the largest are not told from zero, nor are their signs.
-    return float((V.T @ slope / w.clamp(min=torch.finfo(w.dtype).eps * float(w.max())).sqrt()).norm())
+    curvature, V = torch.linalg.eigh(found.precision)
+    # Below rounding of the largest, curvature is not told from zero, nor is its sign.
+    told = curvature.clamp(min=torch.finfo(curvature.dtype).eps * float(curvature.max()))
+    return float((V.T @ slope / told.sqrt()).norm())
 
 
 @pytest.mark.parametrize(("seed", "n_joints", "weight"), [(0, 2, 1.0), (1, 3, 0.01), (2, 2, 300.0)])

@@ -71,14 +71,15 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
         rest = instead(fit, others, term)
         own = judged(rest, term)
         contained = [c for c in others if c not in fit.terms and {*c.labels} <= {*term.labels}]
-        alike = [Rival(c, odds(own.worth, -freedom(rest, term) - PLAIN)) for c in contained]
+        none = rival_odds(rest.errors, own.errors, fit.rows.counts, 0.0)
+        simpler = rival_odds(rest.errors, own.errors, fit.rows.counts, -freedom(rest, term) - PLAIN)
+        alike = [Rival(c, simpler) for c in contained]
         for option in _instead(search, rest, term, beside):
             c = option.candidate
             if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, rest, term, option):
                 more = freedom(rest, c) - freedom(rest, term)
                 more += PLAIN * (_is_plain(term) - _is_plain(c))
                 alike.append(Rival(c, rival_odds(option.errors, own.errors, fit.rows.counts, more)))
-        none = rival_odds(rest.errors, own.errors, fit.rows.counts, 0.0)
         found.append(Weighed(term, own.worth, none, tuple(alike)))
     return tuple(found)
 

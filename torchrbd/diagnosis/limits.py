@@ -89,7 +89,7 @@ def _coefficients(fit: Fit, candidate: Candidate) -> tuple[np.ndarray, np.ndarra
     None is fresh if the model imitates the candidate.
     """
     rows = fit.rows
-    known = {place: len(fit.x) - len(fit.places) + k for k, place in enumerate(fit.places)}
+    known = fit.numbers
     own = [known.get((candidate.place, label), -1) for label in candidate.labels]
     fresh = np.array([k < 0 for k in own])
     C = rows.columns(candidate)[1][:, fresh]

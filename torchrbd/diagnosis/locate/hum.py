@@ -41,7 +41,7 @@ _PADDED = 4
 
 
 class Line(NamedTuple):
-    """A line in a spectrum: frequency, how well the longest run tells it, amplitude, and how often chance gives one."""
+    """A line in a spectrum: frequency and how well the longest run tells it [Hz], amplitude, chance of it."""
 
     frequency_hz: float
     resolution_hz: float

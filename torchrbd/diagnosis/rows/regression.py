@@ -101,6 +101,11 @@ class Fit:
             e[own] = left
         return self.by_block(e)
 
+    @property
+    def numbers(self) -> dict[Place, int]:
+        """The index in x of each place."""
+        return {place: len(self.x) - len(self.places) + k for k, place in enumerate(self.places)}
+
     def precision(self, C: np.ndarray) -> np.ndarray:
         """Return the precision S (K, K) of the coefficients of columns C (N, K) beside the fit."""
         V = solve_triangular(self.L, self.X.T @ C, lower=True)

@@ -108,7 +108,7 @@ def coefficients(fit: Fit, candidate: Candidate) -> list[float]:
     often negative as positive.
     """
     rows, columns = fit.rows, fit.rows.samples.columns
-    known = {place: len(fit.x) - len(fit.places) + k for k, place in enumerate(fit.places)}
+    known = fit.numbers
     C, x, new = fresh_columns(fit, candidate), fit.x, iter(())
     if C.shape[1]:
         w = fit.addition(C).w
@@ -148,9 +148,8 @@ def plausible(fit: Fit, candidate: Candidate) -> bool:
 def _deviations(fit: Fit, candidate: Candidate) -> torch.Tensor:
     """Return the standard deviations (K,) of a candidate's coefficients in a fit, or beside it."""
     beside = fit if candidate in fit.terms else Fit(fit.rows, (*fit.terms, candidate))
-    known = {place: len(beside.x) - len(beside.places) + k for k, place in enumerate(beside.places)}
-    stds = [beside.std(known[candidate.place, label]) for label in candidate.labels]
-    return torch.tensor(stds, dtype=torch.float64) * torch.from_numpy(np.asarray(fit.rows.widths_of(candidate)))
+    stds = [beside.std(beside.numbers[candidate.place, label]) for label in candidate.labels]
+    return torch.from_numpy(np.array(stds) * fit.rows.widths_of(candidate))
 
 
 def matters(fit: Fit, candidate: Candidate) -> bool:

@@ -31,7 +31,7 @@ def partial(search: Search, fit: Fit) -> Fit:
 
     Of what one recording shows the others say nothing: parts of each are left out, not whole ones.
     """
-    started, terms = fit, fit.terms
+    started = fit
     if len(recordings(fit.rows.samples)) > 1:
         samples = replace(fit.rows.samples, whole_folds=False)
         fit = Fit(Rows(samples, search.prior, fit.rows.noise), fit.terms)
@@ -46,10 +46,10 @@ def partial(search: Search, fit: Fit) -> Fit:
         settled = search.named(search.settled(fitted(fit.rows.samples, search.prior, changed, fit.rows.noise)))
         if frozenset(names(settled.terms)) in visited:
             break
-        fit, terms = settled, changed
+        fit = settled
         visited.add(frozenset(names(fit.terms)))
         search.report(fit.terms)
-    return started if terms is started.terms else fit
+    return fit if len(visited) > 1 else started
 
 
 def _uncovered(search: Search, fit: Fit) -> Fit:
