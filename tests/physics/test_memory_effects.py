@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -120,6 +121,17 @@ class TestPreslidingHysteresis:
         z = dahl(q(t), q(t, 1), t, 0.05)
         exact = solve_ivp(rhs, (0, t[-1]), [z[0]], t_eval=t, max_step=2e-3, rtol=1e-8, atol=1e-10).y[0]
         assert np.abs(z - exact).max() < 2e-3  # the samples miss the very point of reversal
+
+    @pytest.mark.parametrize("distance", [0.02, 0.3])
+    def test_turning_points_are_all_it_knows_of_the_past(self, distance: float) -> None:
+        t, q = np.arange(0, 8, 0.005), motion(9, 1.0)
+        z, at = dahl(q(t), q(t, 1), t, distance), t >= 5
+        way = np.sign(np.diff(q(t[~at])))
+        turned = q(t[~at])[np.concatenate(([True], way[1:] != way[:-1], [True]))]
+        assert len(turned) > 4
+        now = replace(pendulum_signals(q, t[at]), turned=(torch.from_numpy(turned),))
+        (found,) = PreslidingHysteresis().features(now, Site(0), {"distance": distance}).values()
+        np.testing.assert_allclose(found, z[at], atol=1e-9)
 
     def test_depends_on_the_way_and_not_on_the_speed(self) -> None:
         t, q = np.arange(0, 4, 0.01), motion(5, 1.0)

@@ -52,6 +52,20 @@ def test_tiles_join_whatever_their_size(rows):
     assert np.allclose(np.diff(t), FILTERING.stride(0.004) * 0.004)
 
 
+@pytest.mark.parametrize("rows", [1, 100, 333])
+def test_a_tile_knows_where_joints_have_turned_before(rows):
+    recording = clean_recording(CLOCK)
+    (whole,) = tiles(recording, survey(recording), FILTERING, 10**9)
+    assert whole.turned == ()
+    first, *parts = tiles(recording, survey(recording), FILTERING, rows)
+    assert first.turned == ()
+    for part in parts:
+        k = int(torch.searchsorted(whole.t, part.t[0] - 1e-9))
+        for q, before in zip(whole.q, part.turned, strict=True):
+            turns = [q[i] for i in range(1, k - 1) if (q[i] - q[i - 1]) * (q[i + 1] - q[i]) < 0]
+            np.testing.assert_allclose(before, [q[0], *turns, q[k - 1]] if k > 1 else [q[0]], atol=1e-10)
+
+
 @pytest.mark.parametrize("rows", [7, 50, 1000])
 def test_result_does_not_depend_on_how_rows_are_chunked(rows, monkeypatch):
     rng = np.random.default_rng(0)

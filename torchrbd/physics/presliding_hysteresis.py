@@ -7,7 +7,8 @@ The bristles bend over the presliding distance d before they slip:
 Between two samples the direction does not change, and z has an exact solution in the distance |dq| moved, z_k = s +
 (z_(k-1) - s) exp(-|dq| / d) with s = sign(dq), whatever the speed. LuGre's bristle is the same z, with a Stribeck
 curve in place of the constant c and damping of its rate beside it. For motion that is long against d the term is plain
-Coulomb friction. What z was before the sequence is not known: it starts as if the joint had been sliding, which is
+Coulomb friction. Between two turning points the same solution holds for the whole way, so these are all that z needs to
+know of the past. What it was before a recording is not known: it starts as if the joint had been sliding, which is
 forgotten after a few d.
 
 Source: Dahl, "A solid friction model", Aerospace Corp. TOR-0158(3107-18)-1, 1968, with exponent 1. LuGre: Canudas de
@@ -41,7 +42,7 @@ class PreslidingHysteresis(JointEffect):
     export_note = (
         "<dcmotor> needs its other constants too; frictionloss of the same size is without the lag at reversals"
     )
-    # Parts of the range of motion. Shorter, it is Coulomb friction; longer, a spring that remembers beyond a tile.
+    # Parts of the range of motion. Shorter, it is Coulomb friction; longer, a spring that hardly slides.
     _SHORTEST, _LONGEST, _GRID_POINTS = 2e-3, 0.1, 4
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
@@ -53,10 +54,13 @@ class PreslidingHysteresis(JointEffect):
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         state.sequence()
-        d, moved = shape["distance"], torch.diff(state.q, dim=-1)
+        known = state.turned is not None
+        path = torch.cat((state.turned, state.q)) if known else state.q
+        d, moved = shape["distance"], torch.diff(path, dim=-1)
         exponent = -moved.abs() / d
-        z = recurrence(state.direction()[..., 0], torch.exp(exponent), -torch.sign(moved) * torch.expm1(exponent))
-        return {f"dahl({d:.6g})": z}
+        first = torch.sign(moved[0]) if known else state.direction()[..., 0]
+        z = recurrence(first, torch.exp(exponent), -torch.sign(moved) * torch.expm1(exponent))
+        return {f"dahl({d:.6g})": z[..., -state.q.shape[-1] :]}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"coulomb": coefficients[0], "distance": coefficients.new_tensor(shape["distance"])}

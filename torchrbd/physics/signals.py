@@ -23,7 +23,8 @@ class JointState:
 
     ``rest_width`` is the speed [rad/s, m/s] below which the direction of motion is not told: sign(qd) is tanh(qd /
     rest_width). ``load`` is given to effects that use it, with the ``friction`` beside it where there is any;
-    ``temperature`` and ``t`` as in ``Signals``.
+    ``temperature`` and ``t`` as in ``Signals``; ``turned`` (R,) are positions before the first one, at which the joint
+    turned [rad, m].
     """
 
     q: Tensor
@@ -34,6 +35,7 @@ class JointState:
     temperature: Tensor | None = None
     t: Tensor | None = None
     friction: Tensor | None = None
+    turned: Tensor | None = None
 
     @property
     def supplied(self) -> Tensor:
@@ -133,6 +135,7 @@ class Signals:
         temperature: (n, *batch) of the joints [deg C]; None where not recorded.
         friction: (n, 3) viscous and Coulomb coefficient and offset of each joint that its actuator supplies beside the
             load, see ``plain_friction``; none if None.
+        turned: per joint, where it has turned before the samples, see ``States``; empty where that is not known.
     """
 
     robot: RobotModel
@@ -145,6 +148,7 @@ class Signals:
     recording: str | None = None
     temperature: Tensor | None = None
     friction: Tensor | None = None
+    turned: tuple[Tensor, ...] = ()
 
     def joint(self, joint: int | None, *, load: bool = False) -> JointState:
         """Return the signals of one joint, with its load or without."""
@@ -153,7 +157,8 @@ class Signals:
         carried = self.load[joint] if load else None
         beside = None if carried is None or self.friction is None else self.friction_torque[joint]
         states = self.q[joint], self.qd[joint], self.qdd[joint]
-        return JointState(*states, float(self.rest_width[joint]), carried, warm, self.t, beside)
+        before = self.turned[joint] if self.turned else None
+        return JointState(*states, float(self.rest_width[joint]), carried, warm, self.t, beside, before)
 
     @cached_property
     def load(self) -> Tensor:

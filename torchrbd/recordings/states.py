@@ -15,6 +15,9 @@ from torchrbd.recordings.filtering import Filtering
 from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.survey import Survey
 
+# Turning points of a joint that a piece remembers of those before it.
+_MOST_TURNS = 256
+
 
 @dataclass(frozen=True)
 class States:
@@ -35,6 +38,8 @@ class States:
         q_link: (n, N) positions behind the gears [rad or m], low-passed as q is, NaN for joints without such an
             encoder; None where not recorded.
         temperature: (n, N) of the joints [deg C], low-passed as q is, NaN for joints without; None where not recorded.
+        turned: per joint, where the segment began and where the joint has turned since, before this piece (R_j,), the
+            last ones, oldest first [rad or m]; empty in a segment's first piece.
     """
 
     segment: int
@@ -51,6 +56,7 @@ class States:
     reference: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None = None
     q_link: torch.Tensor | None = None
     temperature: torch.Tensor | None = None
+    turned: tuple[torch.Tensor, ...] = ()
 
     @property
     def dt_out(self) -> float:
@@ -139,13 +145,14 @@ class _Cutter:
         self.produced = False
         self._segment, self._origin, self._index, self._x = -1, 0.0, 0, np.empty((0, 0))
         self._ends = 0, 0, 0
+        self._turned: tuple[torch.Tensor, ...] = ()
 
     def push(self, block: Block) -> Iterator[States]:
         """Add samples; yield the full tiles that they complete."""
         if block.segment != self._segment:
             yield from self.finish()
             self._segment, self._origin, self._index, self._x = block.segment, float(block.t[0]), 0, block.channels
-            self._ends = block.ends
+            self._ends, self._turned = block.ends, ()
         else:
             self._x = np.concatenate([self._x, block.channels], axis=1)
         while self._available() >= self._outputs:
@@ -178,11 +185,15 @@ class _Cutter:
         t = self._origin + self._dt * torch.arange(self._index + half, self._index + half + length, dtype=torch.float64)
         t_out = t[self._feature_half : length - self._feature_half : self._stride]
         tau = raw[n : 2 * n, half : half + length].clone()
-        self._x = self._x[:, outputs * self._stride :]
-        self._index += outputs * self._stride
+        passed = outputs * self._stride
+        self._x = self._x[:, passed:]
+        self._index += passed
         self.produced = True
         kernel, stride = self._feature_kernel, self._stride
-        optional = reference, q_link, temperature
+        optional = reference, q_link, temperature, self._turned
+        self._turned = tuple(
+            _turns(torch.cat(path)) for path in zip(self._turned or q[:, :0], q[:, :passed], strict=True)
+        )
         return States(self._segment, self._dt, t, q, qd, qdd, tau, t_out, kernel, stride, self._name, *optional)
 
     def _partly(self, x: torch.Tensor, there: torch.Tensor) -> torch.Tensor | None:
@@ -202,3 +213,11 @@ class _Cutter:
             self._responses[size] = torch.fft.rfft(self._kernels, size)
         spectrum = torch.fft.rfft(x, size) * self._responses[size][: len(kernels), None]
         return torch.fft.irfft(spectrum, size)[..., taps - 1 : samples]
+
+
+def _turns(path: torch.Tensor) -> torch.Tensor:
+    """Return the first and the last position of a path (N,), and those between at which it turns: (R,)."""
+    ways = torch.sign(torch.diff(path))
+    ends = ways.new_full((1,), torch.nan)
+    turns = torch.cat((ends, ways)) != torch.cat((ways, ends))
+    return path[turns][-_MOST_TURNS:]

@@ -205,7 +205,8 @@ class Columns:
     def signals(self, states: States) -> Signals:
         """Return the signals of a tile, time last."""
         signals = self.signals_at(states.q, states.qd, states.qdd)
-        return replace(signals, t=states.t, recording=states.recording, temperature=states.temperature)
+        signals = replace(signals, t=states.t, recording=states.recording, turned=states.turned)
+        return replace(signals, temperature=states.temperature)
 
     def signals_at(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Signals:
         """Return the signals of states (n_dof, N) that are no sequence."""
