@@ -54,11 +54,10 @@ class PreslidingHysteresis(JointEffect):
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         state.sequence()
-        known = state.turned is not None
-        path = torch.cat((state.turned, state.q)) if known else state.q
+        path = state.q if state.turned is None else torch.cat((state.turned, state.q))
         d, moved = shape["distance"], torch.diff(path, dim=-1)
         exponent = -moved.abs() / d
-        first = torch.sign(moved[0]) if known else state.direction()[..., 0]
+        first = state.direction()[..., 0] if state.turned is None else torch.sign(moved[0])
         z = recurrence(first, torch.exp(exponent), -torch.sign(moved) * torch.expm1(exponent))
         return {f"dahl({d:.6g})": z[..., -state.q.shape[-1] :]}
 

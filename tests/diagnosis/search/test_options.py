@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import torch
 from robot.random_robots import random_urdf
 from simulated import Motion, record
 
@@ -126,3 +127,18 @@ def test_friction_at_some_positions_only_may_be_a_little_below_zero_elsewhere() 
         elsewhere, more_at_centre = coefficients(fit, friction)
         assert elsewhere < 0 < more_at_centre
         assert plausible(fit, friction) == possible
+
+
+@pytest.mark.parametrize(("body", "possible"), [(1, True), (2, False)])
+def test_a_load_whose_mass_is_hardly_felt_may_seem_to_weigh_less_than_nothing(body: int, possible: bool) -> None:
+    robot = RobotModel.from_urdf(URDF)
+    lifted = torch.tensor([-0.3, 0.02, 0.01, 0.04, 0.01, 0, 0.01, 0, 0, 0.005], dtype=torch.float64)
+
+    def loaded(motion: Motion) -> np.ndarray:
+        Y = robot.regressor(*(torch.from_numpy(x) for x in (motion.q, motion.qd, motion.qdd)))
+        return friction(motion) + (Y[..., 10 * body : 10 * body + 10] @ lifted).numpy()
+
+    fit = fit_of(friction, loaded)
+    load = fit.rows.samples.columns.candidate(effect("payload"), Site(body=body, window=WHOLE), {})
+    assert coefficients(fit, load)[0] < 0
+    assert plausible(fit, load) == possible

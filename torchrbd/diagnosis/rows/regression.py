@@ -129,11 +129,14 @@ class Fit:
         kept = values > LEAST_DIRECTION * values.max(initial=0.0)
         return vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
 
+    def covariance(self, numbers: Sequence[int]) -> np.ndarray:
+        """Return the covariance (K, K) of some coefficients, in prior coordinates."""
+        V = solve_triangular(self.L, np.eye(len(self.x))[:, numbers], lower=True)
+        return V.T @ V
+
     def std(self, k: int) -> float:
         """Return the standard deviation of coefficient k, in prior coordinates."""
-        unit = np.zeros(len(self.x))
-        unit[k] = 1.0
-        return float(np.linalg.norm(solve_triangular(self.L, unit, lower=True)))
+        return float(np.sqrt(self.covariance([k])[0, 0]))
 
     def share_left(self, C: np.ndarray) -> float:
         """Return the largest part (0 to 1) of a column of C (N, K) that the model cannot imitate, however free it is.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +34,7 @@ SHORTLIST = 10
 # Parts of a joint's torque, RMS, that are nobody's business.
 LEAST_TORQUE = 0.01
 # Standard deviations within which plain friction is none.
-INSIGNIFICANT = 3.0
+INSIGNIFICANT, _STEPS = 3.0, 12
 BACKGROUND, UNEVEN = ("viscous_friction", "coulomb_friction", "torque_offset"), "asymmetric_coulomb_friction"
 # What is found on every robot.
 COMMON = (*BACKGROUND, UNEVEN)
@@ -126,8 +126,9 @@ def coefficients(fit: Fit, candidate: Candidate) -> list[float]:
 def plausible(fit: Fit, candidate: Candidate) -> bool:
     """Say whether the physics allows what a candidate's parameters are in a fit, or would be beside it.
 
-    Plain friction that may as well be none is none, unless the URDF says that there is some. A part that is below zero
-    by chance, such as what friction over position is elsewhere, is none.
+    Plain friction that may as well be none is none, unless the URDF says that there is some. Of several coefficients it
+    is enough that what lies within chance of them is allowed: friction over position that is below zero elsewhere, a
+    mass that few joints feel.
     """
     w = torch.tensor(coefficients(fit, candidate), dtype=torch.float64)
     moves = fit.rows.samples.features(candidate).reshape(len(w), -1).any(1)
@@ -139,17 +140,28 @@ def plausible(fit: Fit, candidate: Candidate) -> bool:
         values = {k: float(v) for k, v in candidate.effect.parameters(w, candidate.shape).items()}
         return candidate.effect.plausible(values, fit.rows.samples.columns.scale(candidate.site))
 
-    if allowed(w) or len(w) == 1 or not (w < 0).any():
-        return allowed(w)
-    none = torch.where((w < 0) & (-w < INSIGNIFICANT * _deviations(fit, candidate)), 0.0, w)
-    return bool(none.nan_to_num().any()) and allowed(none)
+    return allowed(w) or (len(w) > 1 and any(allowed(v) for v in _within_chance(fit, candidate, w)))
 
 
-def _deviations(fit: Fit, candidate: Candidate) -> torch.Tensor:
-    """Return the standard deviations (K,) of a candidate's coefficients in a fit, or beside it."""
+def _within_chance(fit: Fit, candidate: Candidate, w: torch.Tensor) -> Iterator[torch.Tensor]:
+    """Yield coefficients that are as good as w (K,) or nearly.
+
+    What is below zero by chance is zero; or one that the physics keeps from being negative is otherwise, and the others
+    are what they are expected to be then.
+    """
     beside = fit if candidate in fit.terms else Fit(fit.rows, (*fit.terms, candidate))
-    stds = [beside.std(beside.numbers[candidate.place, label]) for label in candidate.labels]
-    return torch.from_numpy(np.array(stds) * fit.rows.widths_of(candidate))
+    numbers, widths = (
+        [beside.numbers[candidate.place, label] for label in candidate.labels],
+        fit.rows.widths_of(candidate),
+    )
+    S = torch.from_numpy(beside.covariance(numbers) * widths * widths[:, None])
+    std = S.diagonal().sqrt()
+    none = torch.where((w < 0) & (-w < INSIGNIFICANT * std), 0.0, w)
+    if none.nan_to_num().any():
+        yield none
+    for k in (k for k in candidate.effect.prior.positive if std[k] > 0):
+        for step in np.linspace(-INSIGNIFICANT, INSIGNIFICANT, _STEPS):
+            yield w + step * S[:, k] / std[k]
 
 
 def matters(fit: Fit, candidate: Candidate) -> bool:
