@@ -11,6 +11,7 @@ import torch
 from inference.problems import columns_of, dense, recorded, statistics_of, stream
 
 from torchrbd.inference.data.columns import Columns
+from torchrbd.inference.data.scales import covered_scales
 from torchrbd.inference.data.sticking import stick_weight, undetermined
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.physical.prior import data_prior
@@ -18,7 +19,7 @@ from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.stick_levels import stick_levels
 from torchrbd.physics import effect
-from torchrbd.recordings import Recording
+from torchrbd.recordings import Filtering, Recording, survey
 from torchrbd.robot import RobotModel
 
 URDF = """<robot name="pendulum"><link name="base"/>
@@ -200,11 +201,22 @@ def test_no_friction_no_level() -> None:
     assert weight.mean() > 0.9
 
 
-def test_a_joint_that_never_moves_has_no_level(prepared: Prepared) -> None:
+def test_a_joint_that_never_moves_may_be_held_by_friction_that_is_not_told(prepared: Prepared) -> None:
     (scale,) = prepared.columns.scales
     still = unweighted(prepared).columns.at_scales([replace(scale, speed_max=2 * scale.rest_width)])
     statistics = prepared.reading.statistics(still, lambda *_: None)
-    assert not stick_levels(statistics, data_prior(statistics, (), 3.0)).any()
+    held = still.sticking(stick_levels(statistics, data_prior(statistics, (), 3.0)))
+    resting = torch.cat([held.stick_weight(replace(tile, qd=0 * tile.qd))[0] for tile in prepared.tiles(0)])
+    assert 0 < resting.max() < 0.05
+
+
+def test_a_joint_that_covers_some_steps_of_its_encoder_rests() -> None:
+    t, step = np.arange(0, 40, 0.004), 2 * np.pi / 2**15
+    for amplitude, moves in ((5.0, False), (500.0, True)):
+        q = np.round(amplitude * np.sin(0.2 * t))[:, None] * step
+        recording = Recording.from_arrays("quantised", ("hinge",), t, q, np.cos(t)[:, None])
+        (scale,) = covered_scales([survey(recording)], Filtering(6.0))
+        assert scale.moves == moves
 
 
 def test_levels_do_not_depend_on_units(prepared: Prepared) -> None:

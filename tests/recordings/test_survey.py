@@ -37,6 +37,15 @@ def test_quantisation_step_is_seen():
     assert np.all(seen.q_noise_std >= 0.99 * step / np.sqrt(12))
 
 
+def test_quantisation_step_of_a_joint_that_hardly_moves_is_seen():
+    step = 2 * np.pi / 2**14
+    q = motion(CLOCK)[0]
+    q[:, 1] = 0.3 + 2e-3 * np.tanh(CLOCK - 6)
+    seen = survey(clean_recording(CLOCK, q=np.round(np.round(q / step) * step, 7)))
+    assert seen.q_resolution == pytest.approx([step, step], rel=1e-3)
+    assert np.all(seen.q_noise_std >= 0.99 * step / np.sqrt(12))
+
+
 def test_cutoff_falls_with_noise_and_lies_above_the_motion():
     cutoffs = [survey(clean_recording(CLOCK, noise=noise)).cutoff_hz for noise in (0, 1e-5, 1e-3)]
     assert cutoffs[0] >= cutoffs[1] > cutoffs[2] > 0.8

@@ -13,6 +13,8 @@ from torchrbd.errors import InputError
 from torchrbd.physics.sites import Window
 from torchrbd.robot import RobotModel
 
+# A joint moves if it reaches so many times the speed below which its direction is not told.
+_MOVES = 3.0
 # Points of a curve.
 _SWEEP = 1000
 
@@ -84,6 +86,11 @@ class JointScale:
     load_max: float | None = None
     duration_s: float = 300.0
     temperature: tuple[float, float] | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether the joint moves faster than what passes for rest."""
+        return self.speed_max > _MOVES * self.rest_width
 
     def sweep(self, signal: str) -> JointState | None:
         """Return a joint in motion at its fastest while one of its signals runs through its range.

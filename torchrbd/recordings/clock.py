@@ -16,7 +16,7 @@ _REGULAR = 0.02
 _WRAP_TOLERANCE = 0.2
 _STENCIL = 4
 _FIRST_ROWS = 16384
-_ENOUGH_STEPS = 50
+_ENOUGH_STEPS, _MOSTLY_STILL = 50, 0.1
 _FEW = 20
 
 Ends = tuple[int, int, int]
@@ -82,8 +82,8 @@ class Census:
     def see_steps(self, steps: np.ndarray) -> None:
         """Look for a quantisation step in position changes (n, N): most are small multiples of the smallest."""
         for joint, changes in enumerate(np.abs(steps)):
-            changes = changes[changes > 0]
-            if len(changes) < _ENOUGH_STEPS:
+            still, changes = np.mean(changes > 0) < _MOSTLY_STILL, changes[changes > 0]
+            if len(changes) == 0 or (len(changes) < _ENOUGH_STEPS and not still):
                 continue
             smallest = np.percentile(changes, 1)
             # the smallest change carries the file's rounding: average over all that are one step

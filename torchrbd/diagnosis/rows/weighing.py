@@ -21,7 +21,8 @@ def weighed(fit: Fit) -> Fit:
         samples, rows = fit.rows.samples, fit.rows
         levels = samples.columns.stick_levels.clone()
         for term in fit.terms:
-            if term.effect.id == "coulomb_friction" and rows.counts[term.joint]:
+            moves = samples.columns.scale(term.site).moves
+            if term.effect.id == "coulomb_friction" and moves and rows.counts[term.joint]:
                 (coulomb,), j = fit.coefficients(term), term.joint
                 filters, scale = rows.noise[0][j], rows.noise[1][j]
                 level = abs(coulomb) / np.sqrt(autocovariance(filters, scale)[0])

@@ -15,6 +15,8 @@ from torchrbd.recordings import Filtering, Survey
 
 # Below this many standard deviations of its noise a velocity has no direction.
 _REST_NOISE, _REST_PART, _LEAST_REST = 2.0, 1e-3, 1e-6
+# A joint that has covered no more steps of its encoder rests: its control holds it, or it slips.
+_STEPS_AT_REST = 20.0
 
 
 def joint_scales(speed_max: Tensor, velocity_noise: Tensor, low: Tensor, high: Tensor) -> tuple[JointScale, ...]:
@@ -41,9 +43,11 @@ def covered_scales(surveys: Sequence[Survey], filtering: Filtering) -> tuple[Joi
     cold = np.min([s.temperature_min for s in surveys], axis=0)
     warm = np.max([s.temperature_max for s in surveys], axis=0)
     longest = max(s.segments[-1][1] for s in surveys)
+    step = torch.from_numpy(np.fmin.reduce([s.q_resolution for s in surveys]))
+    noise = torch.where(high - low <= _STEPS_AT_REST * step, speed, torch.stack(noise).amax(0))
     return tuple(
         replace(scale, duration_s=longest, temperature=None if np.isnan(c) else (float(c), float(w)))
-        for scale, c, w in zip(joint_scales(speed, torch.stack(noise).amax(0), low, high), cold, warm, strict=True)
+        for scale, c, w in zip(joint_scales(speed, noise, low, high), cold, warm, strict=True)
     )
 
 

@@ -22,8 +22,6 @@ from torchrbd.recordings import Filtering, States, Survey
 
 # Torque noise to start from is at least so much of what a fit on filtered states leaves.
 _LEAST_SHARE = 0.02
-# A joint moves if it reaches so many times the speed below which its direction is not told.
-_MOVES = 3.0
 
 
 @dataclass(frozen=True)
@@ -122,5 +120,5 @@ def smooth(
 
 def _friction(columns: Columns) -> Tensor:
     """Return the columns of friction at joints that move: a direction of motion that is never told bends everything."""
-    moving = [s.speed_max > _MOVES * s.rest_width for s in columns.scales]
-    return torch.tensor([k for c in columns.urdf_friction if moving[c.joint] for k in columns.of(c)], dtype=torch.long)
+    own = (c for c in columns.urdf_friction if columns.scale(c.site).moves)
+    return torch.tensor([k for c in own for k in columns.of(c)], dtype=torch.long)
