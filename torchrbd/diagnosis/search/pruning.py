@@ -12,7 +12,7 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.rows.whitening import Noise
 from torchrbd.diagnosis.search.grid import refined
-from torchrbd.diagnosis.search.options import UNEVEN, accepted, instead, least_gain, plausible
+from torchrbd.diagnosis.search.options import UNEVEN, accepted, instead, least_gain, matters, plausible
 from torchrbd.diagnosis.search.terms import Terms, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
@@ -34,7 +34,7 @@ def pruned(search: Search, fit: Fit) -> Fit:
     while fit.terms:
         rest = {c: _adapted(fit, plain_instead(search, fit.terms, c), c.place) for c in fit.terms}
         worth = {c: _lost(fit, instead(fit, r, c)) for c, r in rest.items()}
-        sound = [c for c in fit.terms if _allowed(search, c) and plausible(fit, c)]
+        sound = [c for c in fit.terms if _allowed(search, c) and plausible(fit, c) and not _trifle(fit, c)]
         idle = [c for c in fit.terms if c not in sound or not accepted(worth[c], least_gain(c))]
         normal = [c for c in idle if c in search.background and c in sound]
         if normal:
@@ -52,6 +52,11 @@ def _allowed(search: Search, term: Candidate) -> bool:
     known = is_smooth(term) or term.effect.id in {e.id for e in search.effects}
     site = replace(term.site, recordings=None)
     return known and site in sites.get(term.effect.id, (site,))
+
+
+def _trifle(fit: Fit, term: Candidate) -> bool:
+    """Say whether a term is an offset that does not matter: errors of other terms leave some constant torque."""
+    return term.effect.id == "torque_offset" and not matters(fit, term)
 
 
 def plain_instead(search: Search, terms: Terms, left_out: Candidate) -> Terms:
