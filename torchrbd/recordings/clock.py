@@ -16,7 +16,8 @@ _REGULAR = 0.02
 _WRAP_TOLERANCE = 0.2
 _STENCIL = 4
 _FIRST_ROWS = 16384
-_ENOUGH_STEPS, _MOSTLY_STILL = 50, 0.1
+# So many position changes show a step, or the latter of a joint that is still for most of the time.
+_ENOUGH_STEPS, _ENOUGH_WHERE_STILL, _MOSTLY_STILL = 50, 5, 0.1
 _FEW = 20
 
 Ends = tuple[int, int, int]
@@ -83,7 +84,7 @@ class Census:
         """Look for a quantisation step in position changes (n, N): most are small multiples of the smallest."""
         for joint, changes in enumerate(np.abs(steps)):
             still, changes = np.mean(changes > 0) < _MOSTLY_STILL, changes[changes > 0]
-            if len(changes) == 0 or (len(changes) < _ENOUGH_STEPS and not still):
+            if len(changes) < (_ENOUGH_WHERE_STILL if still else _ENOUGH_STEPS):
                 continue
             smallest = np.percentile(changes, 1)
             # the smallest change carries the file's rounding: average over all that are one step

@@ -150,10 +150,8 @@ def _within_chance(fit: Fit, candidate: Candidate, w: torch.Tensor) -> Iterator[
     are what they are expected to be then.
     """
     beside = fit if candidate in fit.terms else Fit(fit.rows, (*fit.terms, candidate))
-    numbers, widths = (
-        [beside.numbers[candidate.place, label] for label in candidate.labels],
-        fit.rows.widths_of(candidate),
-    )
+    numbers = [beside.numbers[candidate.place, label] for label in candidate.labels]
+    widths = fit.rows.widths_of(candidate)
     S = torch.from_numpy(beside.covariance(numbers) * widths * widths[:, None])
     std = S.diagonal().sqrt()
     none = torch.where((w < 0) & (-w < INSIGNIFICANT * std), 0.0, w)
