@@ -113,19 +113,23 @@ class Search:
     def _completed(self, fit: Fit) -> Fit:
         """Add names, then functions without one, and drop what is not needed."""
         fit = challenged(self, partial(self, self.named(fit)))
+        visited = {frozenset(names(fit.terms))}
         for _ in range(MOST_UNNAMED):
             smooth = self.smooth(fit)
             if smooth is None:
                 break
             fit = fitted(fit.rows.samples, self.prior, (*fit.terms, smooth.candidate), fit.rows.noise)
             fit = self.named(self.settled(fit))
+            if (reached := frozenset(names(fit.terms))) in visited:
+                break
+            visited.add(reached)
         fit = lawful(self, fit)
         if not all(plausible(fit, c) for c in fit.terms):
             fit = self.settled(fit)
         return pruned(self, fit)
 
     def named(self, fit: Fit) -> Fit:
-        """Add effects as long as one is accepted."""
+        """Add effects as long as one is accepted, and it leads to a set of effects that was not there before."""
         visited = {frozenset(names(fit.terms))}
         for _ in range(MOST_TERMS):
             for option in self.acceptable(fit):
@@ -139,8 +143,10 @@ class Search:
             if fit is not settled:
                 # What follows the load may have other shapes now.
                 fit = self.settled(fit)
-            visited.add(frozenset(names(fit.terms)))
             self.report(fit.terms)
+            if (reached := frozenset(names(fit.terms))) in visited:
+                break
+            visited.add(reached)
         return fit
 
     @property
