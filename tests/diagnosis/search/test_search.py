@@ -96,6 +96,22 @@ def test_a_term_is_chosen_again_among_what_explains_the_same() -> None:
     assert "quadratic_drag" not in rivals
 
 
+def test_what_leads_back_to_where_it_was_ends(dragged: tuple[Search, Fit], monkeypatch: pytest.MonkeyPatch) -> None:
+    """An effect that goes again once the load is known with it, and a function without a law whose names go with it."""
+    search, fit = dragged
+    rounds: list[str] = []
+    drag = judged(fit, next(c for c in search.grid.candidates if c.effect.id == "quadratic_drag"))
+    monkeypatch.setattr(search, "acceptable", lambda _: rounds.append("name") or [drag])
+    monkeypatch.setattr(search, "settled", lambda grown: grown)
+    monkeypatch.setattr(search, "loaded", lambda _: fit)
+    assert search.named(fit) is fit
+    assert rounds == ["name"]
+    monkeypatch.setattr(search, "smooth", lambda _: rounds.append("smooth") or drag)
+    monkeypatch.setattr(search, "named", lambda _: fit)
+    search._completed(fit)
+    assert rounds == ["name", "smooth"]
+
+
 def test_the_limit_of_a_saturation_follows_the_load_as_it_becomes_known() -> None:
     urdf, limits = arm(8), []
 
