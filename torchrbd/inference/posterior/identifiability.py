@@ -147,9 +147,12 @@ class _State:
 
     def share_after(self, H: Tensor) -> Tensor:
         """Return the shares (n_inertial,) with information H in y added."""
-        root = torch.linalg.cholesky(self.precision + H)
-        X = torch.linalg.solve_triangular(root, self.T[: len(self.believed)].T, upper=False)
-        return X.square().sum(0) / self.believed
+        # Friction of a joint that rested has a scale beyond all others: seen in coordinates of its own size.
+        precision = self.precision + H
+        size = precision.diagonal().rsqrt()
+        values, axes = torch.linalg.eigh(size[:, None] * precision * size)
+        X = axes.T @ (size[:, None] * self.T[: len(self.believed)].T)
+        return (X.square() / values.clamp_min(_LEAST)[:, None]).sum(0) / self.believed
 
     def untold(self, share: Tensor) -> Tensor:
         return ((share - self.floor) / (1.0 - self.floor).clamp_min(1e-12)).clamp(0.0, 1.0)
