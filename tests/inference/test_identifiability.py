@@ -16,7 +16,7 @@ from torchrbd.inference.data.block_statistics import assemble
 from torchrbd.inference.physical.fitting import FittedModel, fit_model
 from torchrbd.inference.physical.prior import divergence_hessian
 from torchrbd.inference.posterior.experiments import Motion, extent, in_words, information, states
-from torchrbd.inference.posterior.identifiability import Identifiability, identifiability
+from torchrbd.inference.posterior.identifiability import Identifiability, _State, identifiability
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.parameters import base_parameters
@@ -226,3 +226,14 @@ def test_noise_too_great_for_any_short_motion_is_said() -> None:
         if p.status == "unexcited":
             assert "at this noise no 10 s of motion would" in p.statement
             assert p.prior_share_after == p.prior_share
+
+
+def test_a_scale_beyond_all_others_upsets_no_share() -> None:
+    """Friction of a joint that rested, in motion."""
+    direction = torch.tensor([3.1e10, -0.7e10, 1.3e20], dtype=torch.float64)
+    eye, one = torch.eye(3, dtype=torch.float64), torch.ones(2, dtype=torch.float64)
+    for sign in (1.0, -1.0):
+        # A product of long sums is symmetric and definite but for rounding.
+        H = torch.outer(direction, direction) * (1.0 + sign * 1e-15 * eye)
+        share = _State(eye, eye, one, one, torch.zeros_like(one)).share_after(H)
+        assert bool(((share >= 0) & (share <= 1.0 + 1e-6)).all())
