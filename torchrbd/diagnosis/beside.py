@@ -20,7 +20,7 @@ import torch
 from torchrbd.diagnosis.refuting import allowed
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import fresh_columns
-from torchrbd.diagnosis.search.options import BACKGROUND, INSIGNIFICANT, UNEVEN
+from torchrbd.diagnosis.search.options import BACKGROUND, INSIGNIFICANT, OFFSET, UNEVEN
 from torchrbd.diagnosis.search.select import Search, Terms
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
@@ -31,7 +31,7 @@ from torchrbd.physics.plain_friction import PARTS
 # A term of which less than this is left beside others says what they say.
 LEAST_SHARE = 1e-3
 _SPANNED = 1e-9
-OFFSET, CONSTANT = "torque_offset", "1"
+CONSTANT = "1"
 
 
 def plain_beside(search: Search, fit: Fit) -> Terms:

@@ -10,8 +10,6 @@ from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
 from torchrbd.physics import effect, effects
 from torchrbd.robot import RobotModel
 
-# Normal on every robot: named after what is special.
-PLAIN = ("viscous_friction", "coulomb_friction", "torque_offset")
 # A finding that is less probable is one of several guesses.
 LIKELY = 0.5
 # What one sentence can hold; a card or table has the rest.

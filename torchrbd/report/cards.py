@@ -10,7 +10,8 @@ from markupsafe import Markup
 
 from torchrbd.diagnosis.numbers import measure, unit
 from torchrbd.diagnosis.results import Curve, Diagnosis, Finding, Unexplained
-from torchrbd.diagnosis.words import LIKELY, PLAIN, alternatives, at, guessed, most_changed, when, words_of
+from torchrbd.diagnosis.search.options import BACKGROUND
+from torchrbd.diagnosis.words import LIKELY, alternatives, at, guessed, most_changed, when, words_of
 from torchrbd.physics import effects
 from torchrbd.report.excerpt import telling_signal
 from torchrbd.report.inline import COLOURS, UNKNOWN
@@ -72,11 +73,11 @@ def finding_cards(findings: Sequence[Finding], pictures: Pictures) -> list[Card]
 
 def plain_rows(findings: Sequence[Finding], joints: Sequence[str]) -> list[PlainRow]:
     """Return plain friction that is likelier than not, a row per joint, if there is much of it."""
-    plain = [f for f in findings if f.effect in PLAIN and f.where.recordings is None and f.probability > LIKELY]
+    plain = [f for f in findings if f.effect in BACKGROUND and f.where.recordings is None and f.probability > LIKELY]
     here = [f for f in plain if len(f.joints) == 1 and f.joints[0] in joints]
     if len(here) < FOLDED:
         return []
-    rows, columns = [], [identifier for identifier in PLAIN if any(f.effect == identifier for f in here)]
+    rows, columns = [], [identifier for identifier in BACKGROUND if any(f.effect == identifier for f in here)]
     for joint in joints:
         mine = {f.effect: f for f in here if f.joints == (joint,)}
         other = [f"{words_of(f.effect)}: {', '.join(alternatives(f))}" for f in mine.values() if alternatives(f)]

@@ -35,7 +35,8 @@ SHORTLIST = 10
 LEAST_TORQUE = 0.01
 # Standard deviations within which plain friction is none.
 INSIGNIFICANT, _STEPS = 3.0, 12
-BACKGROUND, UNEVEN = ("viscous_friction", "coulomb_friction", "torque_offset"), "asymmetric_coulomb_friction"
+OFFSET, UNEVEN = "torque_offset", "asymmetric_coulomb_friction"
+BACKGROUND = ("viscous_friction", "coulomb_friction", OFFSET)
 # What is found on every robot.
 COMMON = (*BACKGROUND, UNEVEN)
 

@@ -12,7 +12,7 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.rows.whitening import Noise
 from torchrbd.diagnosis.search.grid import refined
-from torchrbd.diagnosis.search.options import UNEVEN, accepted, instead, least_gain, matters, plausible
+from torchrbd.diagnosis.search.options import OFFSET, UNEVEN, accepted, instead, least_gain, matters, plausible
 from torchrbd.diagnosis.search.terms import Terms, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
@@ -20,7 +20,7 @@ from torchrbd.inference.data.columns import Candidate
 if TYPE_CHECKING:
     from torchrbd.diagnosis.search.select import Search
 
-PARTS_OF_UNEVEN = ("coulomb_friction", "torque_offset")
+PARTS_OF_UNEVEN = ("coulomb_friction", OFFSET)
 
 
 def pruned(search: Search, fit: Fit) -> Fit:
@@ -56,7 +56,7 @@ def _allowed(search: Search, term: Candidate) -> bool:
 
 def _trifle(fit: Fit, term: Candidate) -> bool:
     """Say whether a term is an offset that does not matter: errors of other terms leave some constant torque."""
-    return term.effect.id == "torque_offset" and not matters(fit, term)
+    return term.effect.id == OFFSET and not matters(fit, term)
 
 
 def plain_instead(search: Search, terms: Terms, left_out: Candidate) -> Terms:
