@@ -29,10 +29,9 @@ from torchrbd.diagnosis.locate.wander import DRIFT, slow_parts
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.options import (
     LEAST_GAIN,
-    LEAST_GAIN_IN_SOME,
+    LEAST_GAIN_AT_TIMES,
     LEAST_REPEATED,
     LEAST_T,
-    LEAST_WINDOWED_GAIN,
     SHORTLIST,
     Option,
     judged,
@@ -45,8 +44,8 @@ from torchrbd.physics import effects
 
 LEAST = {
     "always": LEAST_GAIN,
-    "loads and forces in a stretch of time": LEAST_WINDOWED_GAIN,
-    "in some recordings only": LEAST_GAIN_IN_SOME,
+    "loads and forces in a stretch of time": LEAST_GAIN_AT_TIMES,
+    "in some recordings only": LEAST_GAIN_AT_TIMES,
     "functions without a law": LEAST_GAIN,
 }
 

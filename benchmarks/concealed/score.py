@@ -10,7 +10,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any
+from typing import Any, NamedTuple
+
+from torchrbd.diagnosis.search.options import COMMON
 
 from .matching import RIGID_BODY, Judgement, covers, judge, new_findings, relation
 from .overlap import end_errors, interval_iou, region_iou
@@ -59,6 +61,14 @@ class EffectScore:
     covered: tuple[bool, ...] = ()
 
 
+class Judged(NamedTuple):
+    """A finding's probability, whether it is right, and what it gains if it is more than plain friction, else None."""
+
+    probability: float
+    right: bool
+    gain: float | None
+
+
 @dataclass(frozen=True)
 class CaseScore:
     """What became of one case.
@@ -67,7 +77,7 @@ class CaseScore:
         case, tier, robot: of the truth.
         effects: what was concealed.
         background: of the friction that every robot has, at joints where nothing is concealed, whether it was found.
-        judgements: probability and rightness of every finding.
+        judgements: of every finding.
         false: findings that name nothing true: (effect, place, probability).
         alarms: of ``n_joints``, those with a false finding, or something located or unexplained where nothing is
             concealed.
@@ -82,7 +92,7 @@ class CaseScore:
     robot: str
     effects: tuple[EffectScore, ...]
     background: tuple[bool, ...]
-    judgements: tuple[tuple[float, bool], ...]
+    judgements: tuple[Judged, ...]
     false: tuple[tuple[str, str, float], ...]
     alarms: int
     n_joints: int
@@ -112,7 +122,9 @@ def score_case(truth: Json, diagnosis: Json, seconds: float, oracle: Json | None
         effects=tuple(_effect_score(e, diagnosis, truth, named.get(k)) for k, e in enumerate(truth["effects"])),
         background=_background(findings, truth),
         judgements=tuple(
-            (float(f["probability"]), j.right) for f, j in zip(findings, judged, strict=True) if j.kind != "companion"
+            Judged(float(f["probability"]), j.right, None if f["effect"] in COMMON else float(f["log_evidence_gain"]))
+            for f, j in zip(findings, judged, strict=True)
+            if j.kind != "companion"
         ),
         false=tuple((f["effect"], ", ".join((*f["joints"], *f["links"])), float(f["probability"])) for f in false),
         alarms=len(_alarmed(diagnosis, truth, false)),

@@ -17,6 +17,7 @@ from .figures import Figure, mean, median, rate, share, table
 from .score import CaseScore, EffectScore
 
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
+GAINS = (0.0, 30.0, 40.0, 60.0, 100.0, 300.0, math.inf)
 _ABOUT_8 = (0.07, 0.09)
 EFFECT_COLUMNS = ("named exactly", "in class", "parameter error", "shape error", "95 % intervals cover")
 PLACE_COLUMNS = (
@@ -69,16 +70,22 @@ def calibration(cases: Sequence[CaseScore]) -> list[tuple[float, float, float, F
     told = [j for c in cases for j in c.judgements]
     rows = []
     for low, high in pairwise(BINS):
-        own = [(p, right) for p, right in told if low < p <= high or (p == low == 0.0)]
-        middle = float(np.mean([p for p, _ in own])) if own else math.nan
-        rows.append((low, high, middle, rate(right for _, right in own)))
+        own = [j for j in told if low < j.probability <= high or (j.probability == low == 0.0)]
+        middle = float(np.mean([j.probability for j in own])) if own else math.nan
+        rows.append((low, high, middle, rate(j.right for j in own)))
     return rows
+
+
+def right_by_gain(cases: Sequence[CaseScore]) -> list[tuple[float, float, Figure]]:
+    """Return per bin of what names beside plain friction gain its ends and the share of them that are right."""
+    told = [j for c in cases for j in c.judgements if j.gain is not None]
+    return [(low, high, rate(j.right for j in told if low <= j.gain < high)) for low, high in pairwise(GAINS)]
 
 
 def sure_and_right(cases: Sequence[CaseScore]) -> tuple[Figure, Figure]:
     """Return the share of findings above .9 that are right, and the share of the right ones that are above .9."""
     told = [j for c in cases for j in c.judgements]
-    return rate(right for p, right in told if p > 0.9), rate(p > 0.9 for p, right in told if right)
+    return rate(j.right for j in told if j.probability > 0.9), rate(j.probability > 0.9 for j in told if j.right)
 
 
 def must_hold(cases: Sequence[CaseScore]) -> list[tuple[str, Figure, str, bool | None]]:
@@ -158,6 +165,9 @@ def markdown(cases: Sequence[CaseScore]) -> str:
         ("Cases", _figures("tier", {t: case_figures(own) for t, own in by_tier.items()})),
         ("Calibration", table(("probability", "findings", "mean probability", "right"), [
             (f"{low:g} to {high:g}", str(f.n), f"{p:.2f}", str(f)) for low, high, p, f in calibration(cases) if f.n
+        ])),
+        ("Names beside plain friction, by what they gain", table(("log-likelihood units", "names", "right"), [
+            (f"{low:g} to {high:g}", str(f.n), str(f)) for low, high, f in right_by_gain(cases) if f.n
         ])),
         ("False findings", table(("effect", "tier", "findings"), [
             (effect, tier, str(n)) for (effect, tier), n in wrong.most_common()

@@ -32,7 +32,7 @@ def finding(name: str, *joints: str, probability: float = 0.95, links: tuple[str
     """Return a finding of a diagnosis.json."""
     entry = {
         "effect": name, "joints": list(joints), "links": list(links), "probability": probability, "parameters": {},
-        "where": NOWHERE, "indistinguishable_from": [],
+        "where": NOWHERE, "indistinguishable_from": [], "log_evidence_gain": 50.0,
     }  # fmt: skip
     return {**entry, **changed}
 
@@ -64,7 +64,7 @@ def test_named_exactly_beside_background_and_a_false_one() -> None:
     score = score_case(truth(effect("torque_ripple", "b"), background=BACKGROUND), found, 3.0)
     (one,) = score.effects
     assert (one.exact, one.in_class, one.joint, one.probability) == (True, True, True, 0.95)
-    assert score.judgements == ((0.95, True), (0.9, True), (0.7, False))
+    assert score.judgements == ((0.95, True, 50.0), (0.9, True, None), (0.7, False, 50.0))
     assert score.false == (("joint_spring", "c", 0.7),)
     assert (score.alarms, score.n_joints, score.seconds) == (1, 3, 3.0)
     # Friction of joint a was asked for, that of the concealed effect's own joint was not; Coulomb friction is missing.

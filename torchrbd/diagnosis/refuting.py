@@ -12,7 +12,9 @@ from torchrbd.inference.physical.terms import significance, term_parameters
 
 
 def refuted(model: FittedModel, found: Sequence[Candidate]) -> list[Candidate]:
-    """Return the terms that physics forbids; without such, the one told least from zero, if within chance of it.
+    """Return the terms that physics forbids or whose parameters contradict each other.
+
+    Without such, the one told least from zero, if it is within chance of it.
 
     Of two alike the other may stand alone.
     """
@@ -37,6 +39,8 @@ def _sound(model: FittedModel, term: Candidate) -> bool:
     if term.effect.id in BACKGROUND:
         some = any(_but_chance(model, term, INSIGNIFICANT).values()) or model.columns.urdf_value(term) != 0
         return some and allowed(model, term, INSIGNIFICANT)
+    if term.effect.contradicted(term_parameters(model, term)):
+        return False
     return allowed(model, term) or allowed(model, term, INSIGNIFICANT)
 
 

@@ -133,6 +133,10 @@ class Effect(ABC):
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         """Say whether the physics allows these values (signs, order, ranges that the recording covers)."""
 
+    def contradicted(self, found: Mapping[str, tuple[float, float]]) -> bool:
+        """Say whether parameters, value and standard deviation of each, are those of another cause, beyond chance."""
+        return False
+
     def region(self, parameters: Mapping[str, float], scale: JointScale) -> tuple[float, float] | None:
         """Return the positions of its joint between which the effect acts [rad, m]; None if it acts everywhere."""
         return None

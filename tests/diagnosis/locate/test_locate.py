@@ -7,9 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnosis.locate.field import CONCEALED, Case, background, case
+from robot.random_robots import random_urdf
+from scipy.interpolate import CubicSpline
+from simulated import Motion, inverse_dynamics, joint_names, multisine
 
 from torchrbd.diagnosis import Location
 from torchrbd.diagnosis.locate import locate, stretches
+from torchrbd.recordings import Recording
 
 
 def located(one: Case, folder: Path) -> tuple[Location, ...]:
@@ -115,6 +119,23 @@ def test_nothing_is_located_in_some_seconds_of_nothing() -> None:
 
 def test_no_stretch_is_offered_where_nothing_is() -> None:
     assert stretches(background(case(50))) == []
+
+
+def test_what_acts_while_the_robot_rests_is_no_stretch() -> None:
+    """Friction that no motion shows, a cable's, may hold a joint that rests."""
+    urdf, pause = random_urdf(60, 4, kinds=("revolute",), branching=0.0, massless=0.0), (12.0, 15.0)
+    moved = multisine(4, 60, rate_hz=125.0)
+    rate = 1.0 - 0.5 * (np.tanh((moved.t - pause[0]) / 0.15) - np.tanh((moved.t - pause[1]) / 0.15))
+    at = np.cumsum(rate) * (moved.t[1] - moved.t[0])
+    q, qd, qdd = (CubicSpline(moved.t, x)(at) for x in (moved.q, moved.qd, moved.qdd))
+    motion = Motion(moved.t, q, qd * rate[:, None], qdd * rate[:, None] ** 2 + qd * np.gradient(rate, moved.t)[:, None])
+    tau = inverse_dynamics(urdf, motion) + 0.2 * motion.qd
+    tau[:, 1] += 4.0 * (rate < 0.01)
+    tau += 0.02 * np.sqrt(np.mean(tau**2, 0)) * np.random.default_rng(60).standard_normal(tau.shape)
+    recording = Recording.from_arrays("rests", joint_names(urdf), motion.t, q, tau)
+    fit = background(Case(urdf, urdf, recording, recording, None))
+    assert [w for w in stretches(fit) if overlap((w.start_s, w.end_s), pause) > 0.5] == []
+    assert any(x.joints == ("joint2",) for x in locate(fit)[0])
 
 
 @pytest.mark.slow

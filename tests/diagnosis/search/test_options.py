@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,12 +11,23 @@ import torch
 from robot.random_robots import random_urdf
 from simulated import Motion, record
 
-from torchrbd.diagnosis.rows.gain import gain
+from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.grid import Grid, freedom, fresh_columns
-from torchrbd.diagnosis.search.options import BACKGROUND, coefficients, judged, plausible
+from torchrbd.diagnosis.search.options import (
+    BACKGROUND,
+    LEAST_GAIN,
+    LEAST_GAIN_AT_TIMES,
+    LEAST_NAMED_GAIN,
+    Option,
+    coefficients,
+    judged,
+    plausible,
+    takes,
+)
 from torchrbd.diagnosis.search.recordings import explained, screened_by_recordings
+from torchrbd.diagnosis.search.unnamed import smooth_candidates
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.physics import Site, Window, effect, effects
@@ -127,6 +139,29 @@ def test_friction_at_some_positions_only_may_be_a_little_below_zero_elsewhere() 
         elsewhere, more_at_centre = coefficients(fit, friction)
         assert elsewhere < 0 < more_at_centre
         assert plausible(fit, friction) == possible
+
+
+def test_a_name_needs_more_than_plain_friction_and_more_at_times(partly: Fit) -> None:
+    columns = partly.rows.samples.columns
+    worth = Gain(total=35.0, std=5.0, repeated=25.0)
+
+    def taken(total: float, name: str, site: Site) -> bool:
+        candidate = columns.candidate(effect(name), site, {})
+        return takes(Option(candidate, partly.errors, replace(worth, total=total)))
+
+    in_one = Site(1, recordings=("b.csv",))
+    for name, site, least in (
+        ("coulomb_friction", Site(1), LEAST_GAIN),
+        ("joint_spring", Site(1), LEAST_NAMED_GAIN),
+        ("coulomb_friction", in_one, LEAST_GAIN_AT_TIMES),
+        ("joint_spring", in_one, LEAST_GAIN_AT_TIMES),
+        ("payload", Site(body=1, window=WHOLE), LEAST_GAIN_AT_TIMES),
+    ):
+        assert taken(least + 1.0, name, site)
+        assert not taken(least - 1.0, name, site)
+    (smooth, *_) = smooth_candidates(partly.rows.samples, [True] * 3)
+    assert takes(Option(smooth, partly.errors, replace(worth, total=LEAST_GAIN + 1.0)))
+    assert LEAST_GAIN < LEAST_NAMED_GAIN < LEAST_GAIN_AT_TIMES
 
 
 @pytest.mark.parametrize(("body", "possible"), [(1, True), (2, False)])

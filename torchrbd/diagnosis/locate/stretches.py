@@ -18,13 +18,15 @@ from torchrbd.physics import Window
 
 # Stretches that overlap more, over their union, are one.
 MOST_STRETCHES, EACH, SAME = 4, 2, 0.6
+# Where no joint moves by more than this part of its range, friction may hold whatever it can.
+AT_REST = 0.01
 
 
 def stretches(fit: Fit) -> list[Window]:
     """Return the stretches in which a load, a force, a torque or friction explains most of what a fit leaves.
 
     They are of one recording each, all of it where there are several; best first. None is returned where nothing gains
-    more than its freedom costs.
+    more than its freedom costs, or nothing moves.
     """
     if not enough(fit):
         return []
@@ -41,7 +43,8 @@ def stretches(fit: Fit) -> list[Window]:
     chosen: list[Interval] = []
     for one, features in sorted(found, key=lambda pair: -pair[0].gain):
         if len(chosen) < MOST_STRETCHES and not any(_overlap(one, other) > SAME for other in chosen):
-            chosen.append(_sharp(clear, clock, features, one))
+            sharp = _sharp(clear, clock, features, one)
+            chosen += [] if _at_rest(clock, sharp) else [sharp]
     return [clock.window(one) for one in chosen]
 
 
@@ -63,6 +66,13 @@ def _best(fit: Fit, clock: Clock, phi: Mapping[int, np.ndarray]) -> Iterator[Int
         yield best
         common = np.clip(np.minimum(high, best.high) - np.maximum(low, best.low), 0, None)
         free &= common <= SAME * (high - low + best.high - best.low - common)
+
+
+def _at_rest(clock: Clock, stretch: Interval) -> bool:
+    """Say whether the robot rests all through a stretch."""
+    q = clock.scene.samples.q
+    inside = q[:, (clock.axis >= stretch.low) & (clock.axis <= stretch.high)]
+    return not inside.size or bool((np.ptp(inside, axis=1) <= AT_REST * np.ptp(q, axis=1)).all())
 
 
 def _overlap(a: Interval, b: Interval) -> float:

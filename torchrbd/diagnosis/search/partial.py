@@ -12,6 +12,7 @@ from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.search.grid import Grid, candidates
+from torchrbd.diagnosis.search.joining import with_joined
 from torchrbd.diagnosis.search.options import SHORTLIST, Option, clearly_worse, judged, preferred, takes
 from torchrbd.diagnosis.search.recordings import explained, recordings, screened_by_recordings, where_larger
 from torchrbd.diagnosis.search.terms import Terms, names, without
@@ -43,7 +44,9 @@ def partial(search: Search, fit: Fit) -> Fit:
         changed = (*fit.terms, preferred(fit, options).candidate) if options else _not_common(search, fit)
         if changed is None:
             break
-        settled = search.named(search.settled(fitted(fit.rows.samples, search.prior, changed, fit.rows.noise)))
+        settled = search.settled(fitted(fit.rows.samples, search.prior, changed, fit.rows.noise))
+        joined = fitted(settled.rows.samples, search.prior, with_joined(search, settled), settled.rows.noise)
+        settled = search.named(joined)
         if frozenset(names(settled.terms)) in visited:
             break
         fit = settled
