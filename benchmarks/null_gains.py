@@ -30,6 +30,7 @@ from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.options import (
     LEAST_GAIN,
     LEAST_GAIN_AT_TIMES,
+    LEAST_NAMED_GAIN,
     LEAST_REPEATED,
     LEAST_T,
     SHORTLIST,
@@ -43,7 +44,7 @@ from torchrbd.inference.preparation import prepare
 from torchrbd.physics import effects
 
 LEAST = {
-    "always": LEAST_GAIN,
+    "always": LEAST_NAMED_GAIN,
     "loads and forces in a stretch of time": LEAST_GAIN_AT_TIMES,
     "in some recordings only": LEAST_GAIN_AT_TIMES,
     "functions without a law": LEAST_GAIN,
