@@ -7,8 +7,8 @@ import pytest
 from robot.random_robots import random_urdf
 from simulated import Motion, record
 
-from torchrbd.diagnosis.alternatives import rival_odds, weigh
-from torchrbd.diagnosis.rows.gain import gain
+from torchrbd.diagnosis.alternatives import LARGEST_PROBABILITY, Weighed, rival_odds, weigh
+from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.options import BACKGROUND
@@ -18,6 +18,7 @@ from torchrbd.inference.settings import Settings
 from torchrbd.physics import Site, effect
 from torchrbd.robot import RobotModel
 
+URDF = random_urdf(5, 3, kinds=("revolute",), branching=0.0, massless=0.0)
 BLOCKS, COUNTS = 20, np.array([2000])
 
 
@@ -45,21 +46,30 @@ def test_a_lead_of_chance_decides_for_neither(freedom: float) -> None:
 
 
 def test_plain_friction_is_a_rival_of_what_contains_it() -> None:
-    urdf = random_urdf(5, 3, kinds=("revolute",), branching=0.0, massless=0.0)
-
     def extra(motion: Motion) -> np.ndarray:
         qd = motion.qd[:, 1]
         return (np.sign(qd) * (0.5 + 0.5 * np.exp(-((qd / 0.3) ** 2))))[:, None] * (np.arange(3) == 1)
 
-    recording = record(urdf, 5, duration_s=20.0, rate_hz=125.0, extra=extra)
-    prepared = prepare(RobotModel.from_urdf(urdf), [recording], Settings(), ())
+    recording = record(URDF, 5, duration_s=20.0, rate_hz=125.0, extra=extra)
+    prepared = prepare(RobotModel.from_urdf(URDF), [recording], Settings(), ())
     names = (*BACKGROUND, "stribeck_friction", "time_delay", "quadratic_drag")
     search = Search(read_samples(prepared, prepared.fit().pi), [effect(n) for n in names], prepared.prior)
     (found,) = (one for one in weigh(search, search.run()) if one.term.effect.id == "stribeck_friction")
     plain = [r for r in found.rivals if r.candidate.effect.id == "coulomb_friction"]
     assert len(plain) == 1
     assert plain[0].odds < 1e-6
-    assert found.probability > 0.99
+    assert found.none + sum(r.odds for r in found.rivals) < 0.01
+
+
+def test_the_less_a_name_gains_the_likelier_it_imitates_something() -> None:
+    columns = prepare(RobotModel.from_urdf(URDF), [record(URDF, 5, duration_s=10.0)], Settings(), ()).columns
+
+    def probability(name: str, total: float) -> float:
+        term = columns.candidate(effect(name), Site(1), {})
+        return Weighed(term, Gain(total, 0.1 * total, 0.8 * total), 0.0, ()).probability
+
+    assert [probability("joint_spring", total) for total in (20.0, 40.0, 180.0)] == pytest.approx([1 / 2, 2 / 3, 0.9])
+    assert probability("coulomb_friction", 20.0) == LARGEST_PROBABILITY
 
 
 def test_a_loss_of_chance_makes_no_term_certainly_nothing() -> None:

@@ -90,6 +90,8 @@ def test_finding_with_a_shared_probability_says_so_and_shows_the_state_of_its_eq
     page = render(replace(result, findings=(inertia,), unexplained=()), tmp_path)
     assert "Something is missing here beyond doubt. The probability is shared" in page
     assert "residual of joint2 against acceleration" in page
+    alone = render(replace(result, findings=(replace(inertia, indistinguishable_from=()),), unexplained=()), tmp_path)
+    assert "a cause outside the list may look like it" in alone
     assert "shared" not in render(replace(result, unexplained=()), tmp_path)
 
 

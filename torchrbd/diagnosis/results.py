@@ -59,6 +59,7 @@ class Curve:
 class Finding:
     """One named effect; at no joint and no link if it acts on the whole robot.
 
+    ``probability`` is against none, its rivals in its place, and causes outside the list, which names imitate a little;
     ``depends_on`` are signals of other joints that it depends on, e.g. "q_joint2", ``curve`` is the function that shows
     it best, ``statement`` a sentence for a person.
     """

@@ -115,7 +115,9 @@ def _finding_card(finding: Finding, pictures: Pictures) -> Card:
     own = [f"{key}_{j}" for key in re.findall(r"\bq(?:dd?)?\b", equation) for j in finding.joints]
     regions = [r.signal for r in finding.where.region or ()]
     line = ""
-    if finding.indistinguishable_from and finding.probability < DOUBTFUL:
+    if not finding.indistinguishable_from and finding.probability < DOUBTFUL:
+        line = "It explains so little that a cause outside the list may look like it."
+    elif finding.probability < DOUBTFUL:
         line = "The probability is shared with what it could also be."
         if finding.log_evidence_gain > CERTAIN:
             line = "Something is missing here beyond doubt. " + line
