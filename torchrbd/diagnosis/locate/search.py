@@ -87,9 +87,9 @@ class Search:
         self.parts: tuple[Part, ...] = ()
         self._bases = {j: Bases(self.scene, j) for j in self.scene.seen}
 
-    def run(self) -> None:
-        """Find part after part."""
-        for _ in range(MOST_PARTS if enough(self.fit) else 0):
+    def run(self, most: int = MOST_PARTS) -> None:
+        """Find part after part, so many at most."""
+        for _ in range(most if enough(self.fit) else 0):
             found = self._best(list(self._candidates(self._clear())))
             if found is None or found[0].gain < LEAST_GAIN:
                 break

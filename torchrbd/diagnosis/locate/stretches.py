@@ -10,7 +10,7 @@ import numpy as np
 from torchrbd.diagnosis.locate.clock import Clock
 from torchrbd.diagnosis.locate.intervals import Interval, gains
 from torchrbd.diagnosis.locate.scene import Scene
-from torchrbd.diagnosis.locate.search import coefficients, common_noise, each_body, enough
+from torchrbd.diagnosis.locate.search import Search, coefficients, common_noise, each_body, enough
 from torchrbd.diagnosis.locate.signals import form_columns
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.white_rows import Rows
@@ -26,12 +26,15 @@ def stretches(fit: Fit) -> list[Window]:
     """Return the stretches in which a load, a force, a torque or friction explains most of what a fit leaves.
 
     They are of one recording each, all of it where there are several; best first. None is returned where nothing gains
-    more than its freedom costs, or nothing moves.
+    more than its freedom costs, or nothing moves. The one in which the leftover is located comes first: there each body
+    is tried, with the noise that is left beside it.
     """
     if not enough(fit):
         return []
-    scene = Scene.of(fit)
-    clock = Clock(scene)
+    search = Search(fit)
+    scene, clock = search.scene, search.clock
+    search.run(most=1)
+    located = [p.stretch for p in search.parts if p.stretch is not None and not _at_rest(clock, p.stretch)]
     clear = Fit(Rows(scene.samples, fit.rows.prior, common_noise(fit)), fit.terms, fit.extra)
     found: list[tuple[Interval, Mapping[int, np.ndarray] | np.ndarray]] = []
     for features in (scene.carried, scene.pressed):
@@ -45,7 +48,7 @@ def stretches(fit: Fit) -> list[Window]:
         if len(chosen) < MOST_STRETCHES and not any(_overlap(one, other) > SAME for other in chosen):
             sharp = _sharp(clear, clock, features, one)
             chosen += [] if _at_rest(clock, sharp) else [sharp]
-    return [clock.window(one) for one in chosen]
+    return [clock.window(one) for one in (*located, *chosen)]
 
 
 def _at(features: np.ndarray, scene: Scene) -> dict[int, np.ndarray]:
