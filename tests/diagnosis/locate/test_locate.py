@@ -111,6 +111,16 @@ def test_the_stretch_in_which_something_acts_is_offered_to_a_search(effect: str)
     assert max(overlap(span, one.truth.time_s) for span in mine if np.isfinite(span).all()) > 0.8
 
 
+@pytest.mark.parametrize("seed", [76, 77])
+def test_the_stretch_of_a_push_is_offered_to_its_ends(seed: int) -> None:
+    one = case(seed, CONCEALED["push"])
+    assert one.truth is not None
+    assert one.truth.time_s is not None
+    offered = stretches(background(one, one.recording, one.holdout))
+    mine = [(w.start_s, w.end_s) for w in offered if w.recording == "field"]
+    assert max(overlap(span, one.truth.time_s) for span in mine) > 0.95
+
+
 def test_nothing_is_located_in_some_seconds_of_nothing() -> None:
     fit = background(case(57, duration_s=12.0))
     assert locate(fit)[0] == ()
