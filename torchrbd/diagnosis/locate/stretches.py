@@ -16,8 +16,8 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.physics import Window
 
-# Stretches that overlap more, over their union, are one.
-MOST_STRETCHES, EACH, SAME = 4, 2, 0.6
+# Stretches that overlap more than SAME, over their union, are one; one that is located by more than EQUAL.
+MOST_STRETCHES, EACH, SAME, EQUAL = 4, 2, 0.6, 0.9
 # Where no joint moves by more than this part of its range, friction may hold whatever it can.
 AT_REST = 0.01
 
@@ -45,9 +45,10 @@ def stretches(fit: Fit) -> list[Window]:
             found += [(one, phi) for one in _best(clear, clock, phi)]
     chosen: list[Interval] = []
     for one, features in sorted(found, key=lambda pair: -pair[0].gain):
-        if len(chosen) < MOST_STRETCHES and not any(_overlap(one, other) > SAME for other in chosen):
+        if len(located) + len(chosen) < MOST_STRETCHES and not any(_overlap(one, other) > SAME for other in chosen):
             sharp = _sharp(clear, clock, features, one)
-            chosen += [] if _at_rest(clock, sharp) else [sharp]
+            known = any(_overlap(sharp, other) > EQUAL for other in located)
+            chosen += [] if known or _at_rest(clock, sharp) else [sharp]
     return [clock.window(one) for one in (*located, *chosen)]
 
 
