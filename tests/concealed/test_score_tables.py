@@ -10,20 +10,28 @@ import pytest
 from concealed import run
 from concealed.figures import mean, median, rate, share, wilson
 from concealed.rival_scores import range_errors, rivals_markdown, score_rivals
-from concealed.score import CaseScore, EffectScore
-from concealed.tables import calibration, case_figures, effect_figures, markdown, must_hold, sure_and_right
+from concealed.score import CaseScore, EffectScore, Judged
+from concealed.tables import (
+    calibration,
+    case_figures,
+    effect_figures,
+    markdown,
+    must_hold,
+    right_by_gain,
+    sure_and_right,
+)
 from scipy.stats import binomtest
 
 from torchrbd.errors import InputError
 
 HIT = EffectScore("joint_spring", 0.08, True, True, 0.99, True, None, None, False, errors=(0.01,), covered=(True,))
 MISS = EffectScore("torque_ripple", 0.08, False, False, None, False, None, None, False)
-CASE = CaseScore("1", "field", "arm", (HIT,), (True, True), ((0.99, True),), (), 0, 6, 0.9, 4.0)
+CASE = CaseScore("1", "field", "arm", (HIT,), (True, True), (Judged(0.99, True, 400.0),), (), 0, 6, 0.9, 4.0)
 WRONG = CaseScore(
-    "2", "field", "arm", (MISS,), (True, False), ((0.95, False), (0.8, True)), (("torque_offset", "a", 0.95),), 1, 6,
-    0.5, 6.0,
+    "2", "field", "arm", (MISS,), (True, False), (Judged(0.95, False, 35.0), Judged(0.8, True, 38.0)),
+    (("torque_scale", "a", 0.95),), 1, 6, 0.5, 6.0,
 )  # fmt: skip
-NULL = CaseScore("3", "null", "arm", (), (True,), ((0.6, True),), (), 0, 6, None, 5.0)
+NULL = CaseScore("3", "null", "arm", (), (True,), (Judged(0.6, True, None),), (), 0, 6, None, 5.0)
 
 
 @pytest.mark.parametrize(("hits", "n"), [(0, 7), (3, 11), (97, 100), (5, 5)])
@@ -86,6 +94,8 @@ def test_figures_of_known_cases() -> None:
     by_bin = {(low, high): (p, figure.value) for low, high, p, figure in calibration(cases) if figure.n}
     assert by_bin[0.9, 0.95] == (0.95, 0.0)
     assert by_bin[0.95, 1.0] == (0.99, 1.0)
+    by_gain = {low: (figure.n, figure.value) for low, _, figure in right_by_gain(cases) if figure.n}
+    assert by_gain == {30.0: (2, 0.5), 300.0: (1, 1.0)}
 
 
 def test_must_hold_says_what_holds() -> None:
@@ -99,7 +109,7 @@ def test_must_hold_says_what_holds() -> None:
 def test_markdown_has_every_tier_and_size() -> None:
     small = replace(CASE, case="4", effects=(replace(HIT, size=0.04),))
     text = markdown([CASE, WRONG, NULL, small])
-    for words in ("| field, 8 % |", "| field, 4 % |", "| null |", "| torque_offset | field | 1 |", "## Calibration"):
+    for words in ("| field, 8 % |", "| field, 4 % |", "| null |", "| torque_scale | field | 1 |", "## Calibration"):
         assert words in text
     widths = {block.count("|") for block in text.split("## Cases")[1].split("## ")[0].strip().splitlines()}
     assert len(widths) == 1
@@ -189,6 +199,7 @@ def test_scores_are_written_with_a_picture_of_the_calibration(tmp_path: Path) ->
     true = {"id": "one", "tier": "null", "robot": robot, "effects": [], "background": [], "companions": []}
     (folder / "truth" / "one.json").write_text(json.dumps(true))
     found = {"effect": "joint_spring", "joints": ["a"], "links": [], "probability": 0.8, "indistinguishable_from": []}
+    found["log_evidence_gain"] = 45.0
     (out / "one" / run.DIAGNOSIS).write_text(json.dumps({"findings": [found]}))
     (out / "one" / run.SECONDS).write_text('{"seconds": 1.0}')
     assert run.main(["score", str(folder), "-o", str(out)]) == 0
