@@ -45,8 +45,10 @@ def partial(search: Search, fit: Fit) -> Fit:
         if changed is None:
             break
         settled = search.settled(fitted(fit.rows.samples, search.prior, changed, fit.rows.noise))
-        joined = fitted(settled.rows.samples, search.prior, with_joined(search, settled), settled.rows.noise)
-        settled = search.named(joined)
+        joined = with_joined(search, settled)
+        if joined is not settled.terms:
+            settled = fitted(settled.rows.samples, search.prior, joined, settled.rows.noise)
+        settled = search.named(settled)
         if frozenset(names(settled.terms)) in visited:
             break
         fit = settled
