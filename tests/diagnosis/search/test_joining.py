@@ -17,6 +17,7 @@ from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.physics import Site, Window, effect
+from torchrbd.physics.smooth_torque import HUM
 from torchrbd.robot import RobotModel
 
 URDF, BODY, FILE = random_urdf(5, 3, kinds=("revolute",), branching=0.0, massless=0.0), 2, "a.csv"
@@ -24,8 +25,11 @@ FROM, CHANGES, TO = 4.0, 7.0, 14.0
 LIGHT, HEAVY = (torch.tensor([m, 0.1 * m, 0, 0.1 * m, 0, 0, 0, 0, 0, 0], dtype=torch.float64) for m in (0.3, 0.6))
 
 
-def searched(first: torch.Tensor, second: torch.Tensor) -> tuple[Search, Fit]:
-    """Return a search where a link carries a load from ``FROM`` on, another after ``CHANGES``, until ``TO``."""
+def searched(first: torch.Tensor, second: torch.Tensor, *, hum: float = 0.0) -> tuple[Search, Fit]:
+    """Return a search where a link carries a load from ``FROM`` on, another after ``CHANGES``, until ``TO``.
+
+    All joints hum at 5 Hz, ``hum`` [N m] high.
+    """
     robot = RobotModel.from_urdf(URDF)
 
     def carried(motion: Motion) -> np.ndarray:
@@ -36,6 +40,7 @@ def searched(first: torch.Tensor, second: torch.Tensor) -> tuple[Search, Fit]:
             (own @ first).numpy() * ((t >= FROM) & (t < CHANGES))
             + (own @ second).numpy() * ((t >= CHANGES) & (t < TO))
             + 0.2 * motion.qd
+            + hum * np.sin(2 * np.pi * 5.0 * t)
         )
 
     recording = record(URDF, 7, duration_s=20.0, rate_hz=125.0, extra=carried, name=FILE)
@@ -61,6 +66,11 @@ def test_two_stretches_are_one_if_one_load_does_as_well(second: torch.Tensor, ga
     assert timed == ([load(fit, FROM, TO)] if joined else [*pair])
 
 
-def test_without_stretches_nothing_changes() -> None:
-    search, fit = searched(LIGHT, LIGHT)
-    assert with_joined(search, fit) == fit.terms
+def test_what_is_no_load_is_never_joined() -> None:
+    """Hums and functions of time have a stretch too: the whole of their recording."""
+    search, fit = searched(LIGHT, LIGHT, hum=0.5)
+    whole = Site(0, window=Window(FILE))
+    hums = [fit.rows.samples.columns.candidate(HUM, whole, {"frequency": f}) for f in (5.0, 7.0)]
+    friction = [c for c in fit.terms if c.site.window is None]
+    fit = fitted(fit.rows.samples, search.prior, (*friction, *hums, load(fit, FROM, TO)), fit.rows.noise)
+    assert with_joined(search, fit) is fit.terms
