@@ -122,7 +122,7 @@ def score_case(truth: Json, diagnosis: Json, seconds: float, oracle: Json | None
         effects=tuple(_effect_score(e, diagnosis, truth, named.get(k)) for k, e in enumerate(truth["effects"])),
         background=_background(findings, truth),
         judgements=tuple(
-            Judged(float(f["probability"]), j.right, None if f["effect"] in COMMON else float(f["log_evidence_gain"]))
+            Judged(float(f["probability"]), j.right, None if _is_plain(f) else float(f["log_evidence_gain"]))
             for f, j in zip(findings, judged, strict=True)
             if j.kind != "companion"
         ),
@@ -133,6 +133,10 @@ def score_case(truth: Json, diagnosis: Json, seconds: float, oracle: Json | None
         seconds=seconds,
         error=diagnosis.get("error"),
     )
+
+
+def _is_plain(finding: Json) -> bool:
+    return finding["effect"] in COMMON and finding["where"]["recordings"] is None
 
 
 def score_injected(

@@ -11,7 +11,7 @@ import numpy as np
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import freedom, fresh_columns
-from torchrbd.diagnosis.search.options import COMMON, COMPETES, Option, instead, judged
+from torchrbd.diagnosis.search.options import COMPETES, Option, instead, is_plain, judged
 from torchrbd.diagnosis.search.partial import in_some_recordings, in_windows
 from torchrbd.diagnosis.search.pruning import plain_instead
 from torchrbd.diagnosis.search.select import Search
@@ -52,7 +52,7 @@ class Weighed:
     @property
     def nameless(self) -> float:
         """How many times as probable it is that a name imitates what is in no list; plain friction every robot has."""
-        if _is_plain(self.term) or is_smooth(self.term):
+        if is_plain(self.term) or is_smooth(self.term):
             return 0.0
         return IMITATED / max(self.worth.total, IMITATED)
 
@@ -65,7 +65,7 @@ class Weighed:
     @property
     def unlikely(self) -> bool:
         """Whether it is no finding: others in its place are far likelier. Plain friction stays, every robot has it."""
-        named = not _is_plain(self.term) and not is_smooth(self.term)
+        named = not is_plain(self.term) and not is_smooth(self.term)
         return named and bool(self.rivals) and self.probability < LEAST_PROBABILITY
 
 
@@ -77,7 +77,7 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
     found = []
     beside = search.grid.gains(fit)
     for term in fit.terms:
-        others = without(fit.terms, term) if _is_plain(term) else plain_instead(search, fit.terms, term)
+        others = without(fit.terms, term) if is_plain(term) else plain_instead(search, fit.terms, term)
         rest = instead(fit, others, term)
         own = judged(rest, term)
         contained = [c for c in others if c not in fit.terms and {*c.labels} <= {*term.labels}]
@@ -88,7 +88,7 @@ def weigh(search: Search, fit: Fit) -> tuple[Weighed, ...]:
             c = option.candidate
             if (c.effect.id, c.site) != (term.effect.id, term.site) and _competes(fit, rest, term, option):
                 more = freedom(rest, c) - freedom(rest, term)
-                more += PLAIN * (_is_plain(term) - _is_plain(c))
+                more += PLAIN * (is_plain(term) - is_plain(c))
                 alike.append(Rival(c, rival_odds(option.errors, own.errors, fit.rows.counts, more)))
         found.append(Weighed(term, own.worth, none, tuple(alike)))
     return tuple(found)
@@ -109,10 +109,6 @@ def _instead(search: Search, rest: Fit, term: Candidate, beside: Mapping[tuple[s
     windows = [Window(name) for name in site.recordings or ()] if site.window is None else [site.window]
     at_times = [*in_some_recordings(search, rest), *in_windows(search, rest, windows if len(windows) == 1 else ())]
     return [*always, *(o for o in at_times if place(o.candidate) != place(term))]
-
-
-def _is_plain(term: Candidate) -> bool:
-    return term.site.always and term.effect.id in COMMON
 
 
 def _competes(fit: Fit, rest: Fit, term: Candidate, option: Option) -> bool:

@@ -32,7 +32,7 @@ def allowed(model: FittedModel, term: Candidate, chance: float = 0.0) -> bool:
 
 
 def _sound(model: FittedModel, term: Candidate) -> bool:
-    """Say whether the physics allows what was found of a term.
+    """Say whether the physics allows what was found of a term, and its parameters agree.
 
     What is within chance of zero is no contradiction; plain friction that is so is none, unless the URDF has some.
     """

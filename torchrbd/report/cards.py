@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from torchrbd.diagnosis.numbers import measure, unit
 from torchrbd.diagnosis.results import Curve, Diagnosis, Finding, Unexplained
-from torchrbd.diagnosis.search.options import BACKGROUND
+from torchrbd.diagnosis.search.options import BACKGROUND, COMMON
 from torchrbd.diagnosis.words import LIKELY, alternatives, at, guessed, most_changed, when, words_of
 from torchrbd.physics import effects
 from torchrbd.report.excerpt import telling_signal
@@ -115,9 +115,9 @@ def _finding_card(finding: Finding, pictures: Pictures) -> Card:
     own = [f"{key}_{j}" for key in re.findall(r"\bq(?:dd?)?\b", equation) for j in finding.joints]
     regions = [r.signal for r in finding.where.region or ()]
     line = ""
-    if not finding.indistinguishable_from and finding.probability < DOUBTFUL:
+    if finding.probability < DOUBTFUL and not finding.indistinguishable_from and finding.effect not in COMMON:
         line = "It explains so little that a cause outside the list may look like it."
-    elif finding.probability < DOUBTFUL:
+    elif finding.probability < DOUBTFUL and finding.indistinguishable_from:
         line = "The probability is shared with what it could also be."
         if finding.log_evidence_gain > CERTAIN:
             line = "Something is missing here beyond doubt. " + line

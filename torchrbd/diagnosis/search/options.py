@@ -76,16 +76,20 @@ def instead(fit: Fit, terms: Sequence[Candidate], term: Candidate) -> Fit:
     return rest.renoised() if term.site.recordings is None else rest
 
 
+def is_plain(term: Candidate) -> bool:
+    """Say whether a term is what is found on every robot."""
+    return term.site.always and term.effect.id in COMMON
+
+
 def least_gain(candidate: Candidate) -> float:
     """Return the gain that a candidate needs.
 
     What is no law, or is found on every robot, needs the least; what acts at times that the leftover itself has shown,
     the most.
     """
-    always = candidate.site.always
-    if isinstance(candidate.effect, SmoothTorque) or (always and candidate.effect.id in COMMON):
+    if isinstance(candidate.effect, SmoothTorque) or is_plain(candidate):
         return LEAST_GAIN
-    return LEAST_NAMED_GAIN if always else LEAST_GAIN_AT_TIMES
+    return LEAST_NAMED_GAIN if candidate.site.always else LEAST_GAIN_AT_TIMES
 
 
 def accepted(worth: Gain, least: float = LEAST_GAIN) -> bool:
