@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import chain, pairwise
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from .figures import Figure, mean, median, rate, share, table
 from .score import CaseScore, EffectScore
@@ -76,10 +77,37 @@ def calibration(cases: Sequence[CaseScore]) -> list[tuple[float, float, float, F
     return rows
 
 
-def right_by_gain(cases: Sequence[CaseScore]) -> list[tuple[float, float, Figure]]:
-    """Return per bin of what names beside plain friction gain its ends and the share of them that are right."""
-    told = [j for c in cases for j in c.judgements if j.gain is not None]
-    return [(low, high, rate(j.right for j in told if low <= j.gain < high)) for low, high in pairwise(GAINS)]
+def right_by_gain(cases: Sequence[CaseScore]) -> list[tuple[float, float, float, Figure]]:
+    """Return per bin of what names beside plain friction gain its ends, the share that should be right, and that is.
+
+    What should be is the mean of 1 / (1 + a / gain) with the most likely a.
+    """
+    told, a = _gains(cases), imitated(cases)
+    rows = []
+    for low, high in pairwise(GAINS):
+        own = [(gain, right) for gain, right in told if low <= gain < high]
+        expected = float(np.mean([1.0 / (1.0 + a / gain) for gain, _ in own])) if own else math.nan
+        rows.append((low, high, expected, rate(right for _, right in own)))
+    return rows
+
+
+def imitated(cases: Sequence[CaseScore]) -> float:
+    """Return the most likely a, if the odds that a name beside plain friction is wrong are a over what it gains."""
+    told = _gains(cases)
+    if not told:
+        return math.nan
+    gain, right = np.array([g for g, _ in told]), np.array([r for _, r in told])
+
+    def unlikelihood(log_a: float) -> float:
+        odds = math.exp(log_a) / gain
+        return float(np.log1p(odds).sum() - np.log(odds[~right]).sum())
+
+    return math.exp(minimize_scalar(unlikelihood, bounds=(math.log(0.01), math.log(1e4)), method="bounded").x)
+
+
+def _gains(cases: Sequence[CaseScore]) -> list[tuple[float, bool]]:
+    """Return what names beside plain friction gain, at least one log-likelihood unit, and whether they are right."""
+    return [(max(j.gain, 1.0), j.right) for c in cases for j in c.judgements if j.gain is not None]
 
 
 def sure_and_right(cases: Sequence[CaseScore]) -> tuple[Figure, Figure]:
@@ -166,9 +194,10 @@ def markdown(cases: Sequence[CaseScore]) -> str:
         ("Calibration", table(("probability", "findings", "mean probability", "right"), [
             (f"{low:g} to {high:g}", str(f.n), f"{p:.2f}", str(f)) for low, high, p, f in calibration(cases) if f.n
         ])),
-        ("Names beside plain friction, by what they gain", table(("log-likelihood units", "names", "right"), [
-            (f"{low:g} to {high:g}", str(f.n), str(f)) for low, high, f in right_by_gain(cases) if f.n
-        ])),
+        ("Names beside plain friction, by what they gain", table(
+            ("log-likelihood units", "names", "right", f"1 / (1 + {imitated(cases):.3g} / gain)"),
+            [(f"{lo:g} to {hi:g}", str(f.n), str(f), f"{p:.2f}") for lo, hi, p, f in right_by_gain(cases) if f.n],
+        )),
         ("False findings", table(("effect", "tier", "findings"), [
             (effect, tier, str(n)) for (effect, tier), n in wrong.most_common()
         ])),

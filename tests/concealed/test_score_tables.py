@@ -15,6 +15,7 @@ from concealed.tables import (
     calibration,
     case_figures,
     effect_figures,
+    imitated,
     markdown,
     must_hold,
     right_by_gain,
@@ -94,8 +95,23 @@ def test_figures_of_known_cases() -> None:
     by_bin = {(low, high): (p, figure.value) for low, high, p, figure in calibration(cases) if figure.n}
     assert by_bin[0.9, 0.95] == (0.95, 0.0)
     assert by_bin[0.95, 1.0] == (0.99, 1.0)
-    by_gain = {low: (figure.n, figure.value) for low, _, figure in right_by_gain(cases) if figure.n}
+    by_gain = {low: (figure.n, figure.value) for low, _, _, figure in right_by_gain(cases) if figure.n}
     assert by_gain == {30.0: (2, 0.5), 300.0: (1, 1.0)}
+
+
+def test_most_likely_odds_of_names_that_imitate() -> None:
+    rng = np.random.default_rng(3)
+    gains = rng.uniform(30.0, 300.0, 4000)
+    told = [Judged(0.9, bool(rng.random() < 1 / (1 + 20 / gain)), gain) for gain in gains]
+    cases = [replace(NULL, judgements=(*told, Judged(0.1, False, None)))]
+    assert imitated(cases) == pytest.approx(20, rel=0.1)
+    for low, high, expected, right in right_by_gain(cases):
+        inside = [1 / (1 + imitated(cases) / gain) for gain in gains if low <= gain < high]
+        assert right.n == len(inside)
+        if inside:
+            assert expected == pytest.approx(np.mean(inside))
+            assert expected == pytest.approx(right.value, abs=0.06)
+    assert math.isnan(imitated([NULL]))
 
 
 def test_must_hold_says_what_holds() -> None:

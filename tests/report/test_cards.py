@@ -1,0 +1,146 @@
+"""A card says what was found, where, when and how sure, with its curve; plain friction is one table."""
+
+import re
+from dataclasses import replace
+
+from report.fabricated import curve, diagnosis, with_friction
+from report.rendered import Text, render, tidy
+
+from torchrbd.diagnosis.results import Alternative, Location, Quantity, Region, Where
+
+
+def test_finding_says_what_where_and_how_sure(tmp_path):
+    text = " ".join(Text(render(diagnosis(("joint1", "joint2", "joint3")), tmp_path)).words)
+    parts = """
+        Coulomb friction at joint2 | 1.000 ± 0.024 N m | 98 % | c sign(qd) | 0.0200 → 5.00·10⁻⁵ | in hold.csv |
+        4.0 to 7.0 s | Stribeck friction | joint2 resists motion with 1.0 N m. | Unexplained at joint2 | 42 % |
+        q_joint1 from −0.1 to 0.3 | where a finding holds | position of joint1 [rad]
+    """
+    for part in map(str.strip, parts.split("|")):
+        assert part in text
+
+
+def test_finding_on_a_link_is_shown_at_the_joint_that_gains(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    payload = replace(result.findings[0], effect="payload", joints=(), links=("tool",))
+    page = render(replace(result, findings=(payload,), unexplained=()), tmp_path)
+    assert "Payload on tool" in page
+    assert "<b>joint2, hold.csv</b>" in page
+
+
+def test_finding_with_a_shared_probability_says_so_and_shows_the_state_of_its_equation(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    inertia = replace(result.findings[0], effect="rotor_inertia", probability=0.5, where=Where())
+    page = render(replace(result, findings=(inertia,), unexplained=()), tmp_path)
+    assert "Something is missing here beyond doubt. The probability is shared" in page
+    assert "residual of joint2 against acceleration" in page
+    alone = render(replace(result, findings=(replace(inertia, indistinguishable_from=()),), unexplained=()), tmp_path)
+    assert "a cause outside the list may look like it" in alone
+    assert "shared" not in render(replace(result, unexplained=()), tmp_path)
+
+
+def test_friction_at_all_joints_is_one_table_behind_the_special_findings(tmp_path):
+    joints = tuple(f"joint{i + 1}" for i in range(7))
+    page = render(with_friction(diagnosis(joints)), tmp_path)
+    words = Text(page).words
+    assert re.findall(r'id="(finding-\d+|friction)"', page) == ["finding-1", "friction"]
+    assert words.index("Torque ripple at joint2") < words.index("Plain friction and offsets")
+    table = page.split('id="friction"')[1].split("</section>")[0]
+    assert table.count("<tr>") == 8
+    text = " ".join(Text(f"<body>{table[table.index('<table') :].split('</table>')[0]}</table></body>").words)
+    assert "viscous friction [N m s/rad] Coulomb friction [N m] could also be" in text
+    assert "joint1 0.50 ± 0.04 URDF 0.250 99 % 0.50 ± 0.04 URDF 0.250 99 % joint2" in tidy(text)
+    assert "joint7 0.50 ± 0.04 90 % 0.50 ± 0.04 90 % viscous friction: Stribeck friction at joint2;" in tidy(text)
+    assert "offset" not in text
+
+
+def test_little_friction_keeps_its_cards(tmp_path):
+    page = render(with_friction(diagnosis(("joint1",))), tmp_path)
+    assert re.findall(r'id="(finding-\d+|friction)"', page) == ["finding-1", "finding-2", "finding-3"]
+
+
+def test_cards_draw_curves_and_say_what_data_is(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    ripple = replace(result.findings[0], effect="torque_ripple", where=Where(), curve=curve("q_joint1"))
+    load = replace(ripple, effect="load_dependent_friction", curve=curve("tau_joint2"))
+    drag = replace(ripple, effect="cable_drag", curve=curve("q_joint2"))
+    left = replace(result.unexplained[0], curve=curve("t"))
+    page = render(replace(result, findings=(ripple, load, drag), unexplained=(left,)), tmp_path)
+    text = " ".join(Text(page).words)
+    assert text.count("joint2: what it adds ± 95 %, dots: data") == 2
+    assert text.count("joint2: what it adds ± 95 % ") == 2
+    for label in ("position of joint1 [rad]", "torque of the rigid body [N]", "force against the motion [N]"):
+        assert label in text
+    labels = re.findall(r'aria-label="torque added at joint2 against ([^"]*)"', page)
+    assert labels == ["position of joint1", "torque of the rigid body", "position", "time"]
+
+
+def test_a_hum_is_drawn_over_time(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    hum = Where(region=(Region("frequency", 2.9, 3.1),))
+    left = replace(result.unexplained[0], depends_on=("t",), where=hum, curve=None)
+    page = render(replace(result, unexplained=(left,)), tmp_path)
+    assert f'aria-label="residual of joint2 in {result.identification.series.recordings[0]}"' in page
+    text = " ".join(Text(page).words)
+    assert "frequency from 2.9 to 3.1 Hz" in tidy(text)
+
+
+def test_curve_of_a_signal_that_is_not_known_is_drawn(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    odd = replace(result.findings[0], curve=curve("voltage"))
+    assert "against voltage" in render(replace(result, findings=(odd,)), tmp_path)
+
+
+def test_what_was_located_in_the_last_leftover_is_shown_of_the_last_model(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    (left,) = result.unexplained
+    here = Location("extended", ("joint2",), (), Where(), (), "level", "", 9.0, {}, {}, None, None, left.statement)
+    alone = render(replace(result, findings=(), locations=(here,)), tmp_path)
+    both = render(replace(result, findings=()), tmp_path)
+    card = [page.split('class="panel card unnamed')[1].split("</section>")[0] for page in (alone, both)]
+    assert ["re-fitted rigid body" in c for c in card] == [False, True]
+
+
+def test_finding_in_a_stretch_of_time_shows_it_in_its_recording(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    load = replace(result.findings[0], effect="payload", joints=(), links=("tool",), where=Where(("fit.csv",), None))
+    text = " ".join(Text(render(replace(result, findings=(load,), unexplained=()), tmp_path)).words)
+    assert "joint2, fit.csv" in text
+    gone = replace(load, where=Where(("elsewhere.csv",), ((1.0, 2.0),)))
+    text = " ".join(Text(render(replace(result, findings=(gone,), unexplained=()), tmp_path)).words)
+    assert "joint2, held out" in text
+
+
+def test_many_quantities_are_a_list_and_a_pure_number_has_no_unit(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    many = {name: Quantity(0.1, 0.01, "1") for name in ("a", "b", "c", "d_e")}
+    listed = replace(result, findings=(replace(result.findings[0], parameters=many),))
+    text = " ".join(Text(render(listed, tmp_path)).words)
+    assert "c 0.100 ± 0.020 d e 0.100 ± 0.020 ± 95 %" in text
+
+
+def test_tilted_base_names_the_joints_that_change(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    worth = {"nmse_before": {"joint1": 0.02, "joint2": 0.5}, "nmse_after": {"joint1": 0.02, "joint2": 0.1}}
+    tilt = replace(result.findings[0], effect="base_tilt", joints=(), where=Where(), **worth)
+    text = " ".join(Text(render(replace(result, findings=(tilt,), unexplained=()), tmp_path)).words)
+    assert "Tilted base (whole robot)" in text
+    assert "nmse, joint2 0.500 → 0.100 (−80 %)" in text
+    assert "nmse, joint1" not in text
+
+
+def test_a_guess_leads_neither_card_nor_table(tmp_path):
+    result = with_friction(diagnosis(("joint1", "joint2", "joint3")))
+    rival = Alternative("torque_scale", ("joint3",))
+    guess = replace(
+        result.findings[0],
+        effect="torque_offset",
+        joints=("joint2",),
+        probability=0.01,
+        indistinguishable_from=(rival,),
+    )
+    page = render(replace(result, findings=(*result.findings, guess)), tmp_path)
+    titles = re.findall(r"<h3>(.*?)</h3>", page)
+    assert titles[0] == "Torque ripple at joint2"
+    assert titles[1].endswith("at joint3 or perhaps constant torque offset at joint2")
+    assert "constant torque offset [" not in page
