@@ -125,7 +125,7 @@ def test_shape_and_its_std_are_those_of_nonlinear_least_squares(arm: Truth) -> N
     for states in prepared.tiles(0):
         keep = ~prepared.kept_back("simulated", states.t_out)
         rows = prepared.robot.regressor(states.q.T, states.qd.T, states.qdd.T)[:, 1].T
-        weight = prepared.columns.stick_weight(states)[1].sqrt()
+        weight = prepared.columns.weight(states)[1].sqrt()
         weights.append(weight[keep])
         Y.append((weight * states.decimate(rows))[:, keep])
         tau.append((weight * states.decimate(states.tau[1:2]))[:, keep])

@@ -123,7 +123,7 @@ def test_moments_are_those_of_weighted_rows() -> None:
     robot, recording = recorded(2, 3)
     columns = columns_of(robot).sticking(torch.tensor([0.0, 3.0, 30.0], dtype=torch.float64))
     full, (states,) = dense(columns, recording), stream(recording, 10**7)
-    weight = columns.stick_weight(states).numpy()
+    weight = columns.weight(states).numpy()
     assert (weight[0] == 1).all()
     assert (weight[1:] < 0.5).any()
     assert weight.min() > 0
@@ -166,7 +166,7 @@ def test_samples_that_see_nothing_but_rest_count_little_and_those_of_sliding_all
         speed = torch.from_numpy(np.abs(sticky.qd[first : first + len(states.t)]))
         taps, stride = len(prepared.filtering.feature_kernel(states.dt)), prepared.filtering.stride(states.dt)
         windows = speed.unfold(0, taps, stride)
-        weights.append(prepared.columns.stick_weight(states)[0])
+        weights.append(prepared.columns.weight(states)[0])
         rests.append((windows < 0.3 * width).all(1))
         slides.append((windows > 20 * width).all(1))
     weight, rest, slide = torch.cat(weights), torch.cat(rests), torch.cat(slides)
@@ -197,7 +197,7 @@ def test_no_friction_no_level() -> None:
     """All rest counts, where nothing holds the joint but its torque."""
     free = prepared_of(pendulum(6, 0.0, 15.0))
     assert float(free.columns.stick_levels) < 0.5
-    weight = torch.cat([free.columns.stick_weight(states)[0] for states in free.tiles(0)])
+    weight = torch.cat([free.columns.weight(states)[0] for states in free.tiles(0)])
     assert weight.mean() > 0.9
 
 
@@ -206,7 +206,7 @@ def test_a_joint_that_never_moves_may_be_held_by_friction_that_is_not_told(prepa
     still = unweighted(prepared).columns.at_scales([replace(scale, speed_max=2 * scale.rest_width)])
     statistics = prepared.reading.statistics(still, lambda *_: None)
     held = still.sticking(stick_levels(statistics, data_prior(statistics, (), 3.0)))
-    resting = torch.cat([held.stick_weight(replace(tile, qd=0 * tile.qd))[0] for tile in prepared.tiles(0)])
+    resting = torch.cat([held.weight(replace(tile, qd=0 * tile.qd))[0] for tile in prepared.tiles(0)])
     assert 0 < resting.max() < 0.05
 
 

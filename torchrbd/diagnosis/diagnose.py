@@ -13,7 +13,7 @@ from torchrbd.diagnosis.beside import fit_beside, plain_beside
 from torchrbd.diagnosis.deflection import deflections
 from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.limits import limits
-from torchrbd.diagnosis.locate import hums, locate, wanders
+from torchrbd.diagnosis.locate import hums, locate, shocks, wanders
 from torchrbd.diagnosis.nameless import nameless
 from torchrbd.diagnosis.proof import doubt, proofs
 from torchrbd.diagnosis.refuting import refuted
@@ -73,7 +73,7 @@ def diagnose(
     locations, maps = locate(search.start)
     # Plain friction that is too little to be found shall not be located as unexplained either.
     left, more = locate(search.with_background(fit), "extended")
-    left = (*left, *hums(fit, "extended"), *wanders(fit, "extended"))
+    left = (*left, *hums(fit, "extended"), *wanders(fit, "extended"), *shocks(fit, "extended"))
     rest = nameless(fit, extended, left)
     verdict = _verdict(findings, rest, _refit_matters(fit))
     simulated = tuple(one.name for one in prepared.reading.simulated)

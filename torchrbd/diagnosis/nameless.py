@@ -33,7 +33,7 @@ def nameless(fit: Fit, model: FittedModel, left: Sequence[Location]) -> tuple[Un
     found = [_described(fit, searched, model, term) for searched, term in pairs if is_smooth(term)]
     known = {(x.joints, x.depends_on[:1]) for x in found}
     # A function of time in the model is not what is left beside it.
-    rest = [x for x in left if x.form in ("hum", "wander") or (x.joints, x.depends_on[:1]) not in known]
+    rest = [x for x in left if x.form in ("hum", "wander", "shock") or (x.joints, x.depends_on[:1]) not in known]
     return (*found, *(_from_location(x) for x in rest))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from torchrbd.inference.data.columns import Candidate, Columns
+from torchrbd.inference.data.shocks import shock
 from torchrbd.inference.preparation import Prepared
 from torchrbd.physics import Signals
 from torchrbd.recordings import States
@@ -45,7 +46,7 @@ class Samples:
         rigid: (n, M, n_params) regressor.
         tau: (n, M) measured torque less what the URDF's friction takes; 0 where ``measured`` (n, M) is not.
         q, qd, qdd, direction: (n, M) band-limited states, and sign(qd).
-        weight: (n, M) root of what a sample counts, 0 to 1: less where a joint may stick.
+        weight: (n, M) root of what a sample counts, 0 to 1: less where a joint may stick, 0 at shocks.
         run: (M,) number of the uninterrupted run that a sample belongs to.
         block: (M,) number of the block of statistics that it belongs to.
         recording: (M,) index into ``recordings``.
@@ -110,9 +111,25 @@ class Samples:
 
     def sticking(self, levels: torch.Tensor) -> Samples:
         """Return the same samples weighed for joints whose dry friction has these levels (n,), see ``Columns``."""
-        columns = self.columns.sticking(levels)
-        parts = [columns.stick_weight(tile.states).sqrt()[:, tile.kept].numpy() for tile in self.tiles]
+        return self._counted(self.columns.sticking(levels))
+
+    def without_shocks(self, levels: torch.Tensor) -> Samples:
+        """Return the same samples, of which those with shocks above these levels (n,) count nothing."""
+        return self._counted(self.columns.without_shocks(levels))
+
+    def _counted(self, columns: Columns) -> Samples:
+        parts = [columns.weight(tile.states).sqrt()[:, tile.kept].numpy() for tile in self.tiles]
         return replace(self, columns=columns, weight=np.concatenate(parts, axis=1))
+
+    @property
+    def shocks(self) -> np.ndarray:
+        """How far accelerations leave their course, (n, M) [rad/s^2, m/s^2], see ``shocks.py``."""
+        parts = []
+        for tile in self.tiles:
+            states = tile.states
+            at = torch.searchsorted(states.t.contiguous(), states.t_out.contiguous()).clamp_max(len(states.t) - 1)
+            parts.append(shock(states.qdd, states.dt)[:, at[tile.kept]].numpy())
+        return np.concatenate(parts, axis=1)
 
     def around(self, pi: torch.Tensor, friction: torch.Tensor | None = None) -> Samples:
         """Return the same samples with the torque of pi (n_params,) as load, and friction (n, 3) beside it."""
@@ -147,7 +164,7 @@ def read_samples(prepared: Prepared, pi: torch.Tensor) -> Samples:
         tile = Tile(states, columns.signals(states), kept)
         tiles.append(tile)
         outputs = {"tau": tau, "measured": measured.expand_as(tau), **_signals(columns, tile)}
-        outputs["weight"] = columns.stick_weight(states).sqrt()
+        outputs["weight"] = columns.weight(states).sqrt()
         part = {name: x[:, kept].numpy() for name, x in outputs.items()}
         of = torch.tensor([k, states.segment, states.dt_out], dtype=torch.float64)
         part["place"] = torch.cat((states.t_out[kept, None], of.expand(int(kept.sum()), 3)), 1).numpy()

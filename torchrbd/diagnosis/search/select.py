@@ -17,6 +17,7 @@ import torch
 
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples
+from torchrbd.diagnosis.rows.shocks import without_shocks
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.search.grid import Grid, Screened, candidates, fresh_columns, refined
 from torchrbd.diagnosis.search.lawless import challenged, lawful
@@ -63,7 +64,7 @@ class Search:
 
     Attributes:
         background: friction and offset of every joint, and the hums that these leave.
-        start: the fit with nothing but those.
+        start: the fit with nothing but those, without shocks if they spoil it.
     """
 
     def __init__(
@@ -82,10 +83,10 @@ class Search:
             for joint in np.flatnonzero(samples.seen).tolist()
             for name in BACKGROUND
         )
-        self.start = weighed(fitted(samples, prior, self.background))
+        self.start = without_shocks(weighed(fitted(samples, prior, self.background)))
         if hums := tuple(humming(self.start)):
             self.background = (*self.background, *hums)
-            self.start = weighed(fitted(samples, prior, self.background))
+            self.start = weighed(fitted(self.start.rows.samples, prior, self.background))
         self.grid = Grid(self.start.rows.samples, candidates(columns, self.effects, samples.seen))
 
     def run(self) -> Fit:

@@ -156,7 +156,7 @@ def block_statistics(
     blocks: dict[tuple[int, int], tuple[Block, list[Tensor], Tensor]] = {}
     for states in tiles:
         rows, torque = filtered_rows(columns, states)
-        weights = independent_rate_hz * states.dt_out * columns.stick_weight(states) * measured.unsqueeze(1)
+        weights = independent_rate_hz * states.dt_out * columns.weight(states) * measured.unsqueeze(1)
         number = (states.t_out / block_s).floor().long()
         for b in number.unique().tolist():
             here = number == b

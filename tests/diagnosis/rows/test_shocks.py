@@ -1,0 +1,100 @@
+"""Shocks are seen where they are, spoil a fit, and are left out and told where they do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from robot.random_robots import random_urdf
+from simulated import inverse_dynamics, joint_names, multisine
+
+import torchrbd
+from torchrbd.diagnosis.rows.regression import Fit, fitted
+from torchrbd.diagnosis.rows.samples import Samples, read_samples
+from torchrbd.diagnosis.rows.shocks import without_shocks
+from torchrbd.diagnosis.search.options import BACKGROUND
+from torchrbd.diagnosis.search.select import Search
+from torchrbd.inference.data.shocks import shock
+from torchrbd.inference.preparation import prepare
+from torchrbd.inference.settings import Settings
+from torchrbd.physics import effect
+from torchrbd.recordings import Recording
+from torchrbd.robot import RobotModel
+
+URDF, JOINT, PLAY, CROSSING_S = random_urdf(5, 3, kinds=("revolute",), branching=0.0, massless=0.0), 1, 0.04, 0.03
+DT = 0.005
+
+
+def recorded(play: float, seed: int = 3) -> Recording:
+    """Record a robot whose motor at one joint crosses the play of its gear at once as the load changes its sign."""
+    motion = multisine(3, seed, duration_s=30.0, rate_hz=1 / DT, fastest_hz=0.5)
+    tau = inverse_dynamics(URDF, motion)
+    sides, width = np.sign(tau[:, JOINT]), round(CROSSING_S / DT)
+    smooth = np.hanning(2 * width + 3)[1:-1]
+    ahead = np.convolve(np.pad(sides, width, mode="edge"), smooth / smooth.sum(), mode="valid")
+    rng = np.random.default_rng(seed)
+    q = motion.q + 1e-5 * rng.standard_normal(motion.q.shape)
+    q[:, JOINT] += 0.5 * play * ahead
+    tau = tau + 0.02 * np.sqrt(np.mean(tau**2, 0)) * rng.standard_normal(tau.shape)
+    return Recording.from_arrays("play", joint_names(URDF), motion.t, q, tau)
+
+
+def search(play: float) -> tuple[Search, Samples]:
+    prepared = prepare(RobotModel.from_urdf(URDF), [recorded(play)], Settings.from_mapping({"cutoff_hz": 10.0}, "test"), ())
+    samples = read_samples(prepared, prepared.fit().pi)
+    return Search(samples, [effect(name) for name in BACKGROUND], prepared.prior), samples
+
+
+def error(fit: Fit) -> np.ndarray:
+    """Return how far the torque of what was fitted is from the true one, (n,), in parts of its RMS."""
+    samples = fit.rows.samples
+    true, of = samples.rigid @ samples.columns.robot.pi.numpy(), samples.rigid @ fit.pi.numpy()
+    return np.sqrt(np.mean((of - true) ** 2, axis=1) / np.mean(true**2, axis=1))
+
+
+def test_a_pulse_is_a_shock_and_a_step_is_none() -> None:
+    t = DT * torch.arange(2000, dtype=torch.float64)
+    course = 3.0 * torch.sin(2 * np.pi * 0.4 * t)
+    pulse = torch.where((t - 4.0).abs() < 0.011, 20.0, 0.0)
+    step = torch.where(t > 7.0, 20.0, 0.0)
+    found = shock(torch.stack((course, course + pulse, course + step)), DT)
+    near = (t - 4.0).abs() < 0.1
+    assert found[1, near].min() == pytest.approx(20.0, rel=0.1)
+    usual = found[0].max()
+    assert usual < 1.0
+    for k, elsewhere in ((1, (t - 4.0).abs() > 0.5), (2, t > 0)):
+        assert found[k, elsewhere].max() < 1.5 * usual
+
+
+def test_shocks_spoil_the_fit_and_are_left_out() -> None:
+    found, samples = search(PLAY)
+    counted = found.start.rows.samples.weight.any(0)
+    crossings = (np.diff(np.sign(samples.rigid @ found.robot.pi.numpy())[JOINT]) != 0).sum()
+    assert crossings > 10
+    assert 0.5 < counted.mean() < 0.95
+    spoiled = fitted(samples, found.prior, found.background)
+    assert (error(found.start) < 0.2 * error(spoiled)).any()
+    assert error(found.start).max() < 0.1
+
+
+def test_what_does_not_spoil_stays() -> None:
+    found, samples = search(0.0)
+    assert found.start.rows.samples.columns.shock_levels.isinf().all()
+    assert (samples.weight > 0).all()
+    assert without_shocks(found.start) is found.start
+
+
+def test_shocks_without_a_name_are_told() -> None:
+    result = torchrbd.diagnose(URDF, recorded(PLAY), exclude=["backlash"], cutoff_hz=10.0)
+    (left,) = [x for x in result.unexplained if "shocks" in x.statement]
+    assert left.joints == (joint_names(URDF)[JOINT],)
+    assert left.depends_on == (f"qdd_{left.joints[0]}",)
+    assert result.verdict in ("unexplained", "missing_physics")
+    assert max((f.probability for f in result.findings), default=0.0) < 0.9
+
+
+@pytest.mark.parametrize("play", [0.01, PLAY])
+def test_play_is_named_where_its_shocks_had_spoiled_the_fit(play: float) -> None:
+    (found,) = torchrbd.diagnose(URDF, recorded(play), cutoff_hz=10.0).findings
+    assert (found.effect, found.joints) == ("backlash", (joint_names(URDF)[JOINT],))
+    assert found.parameters["backlash"].value == pytest.approx(play, rel=0.2)

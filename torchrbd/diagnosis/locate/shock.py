@@ -1,0 +1,50 @@
+"""Shocks that were left out of the fit, since they spoil it: at which joint, how often, how far the torque errs there.
+
+What no fit has seen is not explained by any, unless a play in a gear was found, which makes such shocks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from torchrbd.diagnosis.locate.scene import Scene
+from torchrbd.diagnosis.results import Location, Where
+from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.diagnosis.words import number, percent, torque_unit
+
+
+def shocks(fit: Fit, model: str) -> tuple[Location, ...]:
+    """Return the joint that jumps most where shocks were left out; ``model`` is the name of what leaves them."""
+    scene, samples = Scene.of(fit), fit.rows.samples
+    levels = samples.columns.shock_levels.numpy()
+    if np.isinf(levels).all() or any(term.effect.id == "backlash" for term in fit.terms):
+        return ()
+    jumps = (samples.shocks / np.maximum(levels, 1e-300)[:, None]).max(1)
+    joint = max(scene.seen, key=lambda j: float(jumps[j]))
+    here = samples.measured[joint] & (samples.weight[joint] == 0.0)
+    left, name = fit.leftover()[joint], scene.robot.joint_names[joint]
+    inside, elsewhere = (float(np.mean(left[at] ** 2)) for at in (here, samples.measured[joint] & ~here))
+    share = here.mean() * inside / (here.mean() * inside + (1.0 - here.mean()) * elsewhere)
+    unit = torque_unit(scene.robot, joint)
+    statement = (
+        f"{name}: it jumps, and at its shocks, {percent(float(here.mean()))} of the time, the torque errs by "
+        f"{number(np.sqrt(inside))} {unit} RMS, elsewhere by {number(np.sqrt(elsewhere))} {unit}. They mislead the "
+        "inertial parameters, and count nothing. Play in a gear does that, or a robot that hits something."
+    )
+    return (
+        Location(
+            model=model,
+            joints=(name,),
+            links=(),
+            where=Where(),
+            depends_on=(f"qdd_{name}",),
+            form="shock",
+            course="bursts",
+            gain=0.5 * float(here.sum()) * float(np.log(max(inside / elsewhere, 1.0))),
+            torque_rms={name: float(np.sqrt(inside))},
+            share={name: float(share)},
+            curve=None,
+            attack=None,
+            statement=statement,
+        ),
+    )
