@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from torchrbd.diagnosis.beside import fit_beside, plain_beside
 from torchrbd.diagnosis.deflection import deflections
 from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.limits import limits
-from torchrbd.diagnosis.locate import hums, locate, shocks, wanders
+from torchrbd.diagnosis.locate import hums, locate, shock_notes, shocks, wanders
 from torchrbd.diagnosis.nameless import nameless
 from torchrbd.diagnosis.proof import doubt, proofs
 from torchrbd.diagnosis.refuting import refuted
@@ -65,6 +66,7 @@ def diagnose(
     prepared = prepare(robot, sources, settings, (), progress)
     search = _search(prepared, prepared.fit().pi, effects, progress)
     prepared, fit, extended, weighed = _extended(prepared, search, progress)
+    prepared = replace(prepared, notes=(*prepared.notes, *shock_notes(fit)))
     models = {"rigid_body": prepared.fit(), "extended": extended}
     identification = summarise(prepared, models, settings, progress)
     springs = deflections(prepared, extended)

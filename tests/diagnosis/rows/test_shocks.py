@@ -21,8 +21,8 @@ from torchrbd.physics import effect
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
-URDF, JOINT, PLAY, CROSSING_S = random_urdf(5, 3, kinds=("revolute",), branching=0.0, massless=0.0), 1, 0.04, 0.03
-DT = 0.005
+URDF, JOINT = random_urdf(5, 3, kinds=("revolute",), branching=0.0, massless=0.0), 1
+PLAY, CROSSING_S, DT = 0.04, 0.03, 0.005
 
 
 def recorded(play: float, seed: int = 3) -> Recording:
@@ -40,7 +40,9 @@ def recorded(play: float, seed: int = 3) -> Recording:
 
 
 def search(play: float) -> tuple[Search, Samples]:
-    prepared = prepare(RobotModel.from_urdf(URDF), [recorded(play)], Settings.from_mapping({"cutoff_hz": 10.0}, "test"), ())
+    prepared = prepare(
+        RobotModel.from_urdf(URDF), [recorded(play)], Settings.from_mapping({"cutoff_hz": 10.0}, "test"), ()
+    )
     samples = read_samples(prepared, prepared.fit().pi)
     return Search(samples, [effect(name) for name in BACKGROUND], prepared.prior), samples
 
@@ -95,6 +97,9 @@ def test_shocks_without_a_name_are_told() -> None:
 
 @pytest.mark.parametrize("play", [0.01, PLAY])
 def test_play_is_named_where_its_shocks_had_spoiled_the_fit(play: float) -> None:
-    (found,) = torchrbd.diagnose(URDF, recorded(play), cutoff_hz=10.0).findings
+    result = torchrbd.diagnose(URDF, recorded(play), cutoff_hz=10.0)
+    (found,) = result.findings
     assert (found.effect, found.joints) == ("backlash", (joint_names(URDF)[JOINT],))
     assert found.parameters["backlash"].value == pytest.approx(play, rel=0.2)
+    assert result.unexplained == ()
+    assert "counts nothing" in result.identification.notes[-1]

@@ -2,8 +2,8 @@
 
 from torchrbd.diagnosis.locate.hum import hums
 from torchrbd.diagnosis.locate.locate import locate
-from torchrbd.diagnosis.locate.shock import shocks
+from torchrbd.diagnosis.locate.shock import shock_notes, shocks
 from torchrbd.diagnosis.locate.stretches import stretches
 from torchrbd.diagnosis.locate.wander import wanders
 
-__all__ = ["hums", "locate", "shocks", "stretches", "wanders"]
+__all__ = ["hums", "locate", "shock_notes", "shocks", "stretches", "wanders"]

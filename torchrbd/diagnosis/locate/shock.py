@@ -13,14 +13,24 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.words import number, percent, torque_unit
 
 
+def shock_notes(fit: Fit) -> tuple[str, ...]:
+    """Say that shocks were left out, if they were."""
+    samples, joint = fit.rows.samples, _jumping(fit)
+    if joint is None:
+        return ()
+    share = percent(float((~samples.weight.any(0)).mean()))
+    name = samples.columns.robot.joint_names[joint]
+    return (
+        f"The motion has shocks, most of all that of {name}, which mislead the inertial parameters; {share} of the "
+        "time counts nothing therefore, neither in fits nor in errors on held-out time.",
+    )
+
+
 def shocks(fit: Fit, model: str) -> tuple[Location, ...]:
     """Return the joint that jumps most where shocks were left out; ``model`` is the name of what leaves them."""
-    scene, samples = Scene.of(fit), fit.rows.samples
-    levels = samples.columns.shock_levels.numpy()
-    if np.isinf(levels).all() or any(term.effect.id == "backlash" for term in fit.terms):
+    scene, samples, joint = Scene.of(fit), fit.rows.samples, _jumping(fit)
+    if joint is None or any(term.effect.id == "backlash" for term in fit.terms):
         return ()
-    jumps = (samples.shocks / np.maximum(levels, 1e-300)[:, None]).max(1)
-    joint = max(scene.seen, key=lambda j: float(jumps[j]))
     here = samples.measured[joint] & (samples.weight[joint] == 0.0)
     left, name = fit.leftover()[joint], scene.robot.joint_names[joint]
     inside, elsewhere = (float(np.mean(left[at] ** 2)) for at in (here, samples.measured[joint] & ~here))
@@ -28,8 +38,8 @@ def shocks(fit: Fit, model: str) -> tuple[Location, ...]:
     unit = torque_unit(scene.robot, joint)
     statement = (
         f"{name}: it jumps, and at its shocks, {percent(float(here.mean()))} of the time, the torque errs by "
-        f"{number(np.sqrt(inside))} {unit} RMS, elsewhere by {number(np.sqrt(elsewhere))} {unit}. They mislead the "
-        "inertial parameters, and count nothing. Play in a gear does that, or a robot that hits something."
+        f"{number(np.sqrt(inside))} {unit} RMS, elsewhere by {number(np.sqrt(elsewhere))} {unit}. Play in a gear does "
+        "that, or a robot that hits something."
     )
     return (
         Location(
@@ -48,3 +58,13 @@ def shocks(fit: Fit, model: str) -> tuple[Location, ...]:
             statement=statement,
         ),
     )
+
+
+def _jumping(fit: Fit) -> int | None:
+    """Return the joint with the largest shocks, in parts of those that are left out; None where none are."""
+    samples = fit.rows.samples
+    levels = samples.columns.shock_levels.numpy()
+    if np.isinf(levels).all():
+        return None
+    jumps = (samples.shocks / np.maximum(levels, 1e-300)[:, None]).max(1)
+    return max(Scene.of(fit).seen, key=lambda j: float(jumps[j]))
