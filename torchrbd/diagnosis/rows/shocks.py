@@ -15,22 +15,31 @@ from torchrbd.diagnosis.rows.weighing import weighed
 
 # A shock is so many times what is usual at a joint (the median of its samples).
 _SHOCK = 4.0
-# They spoil a fit that leaves, at some joint and elsewhere, more than 1 / this of what one without them does. In 50
-# concealed cases of all kinds without play that ratio is .73 to 1.2, in three of five with play of 7 % and more .05
-# to .11.
-_SPOILED = 0.5
+# They spoil a fit if one without them leaves less than this part elsewhere (benchmarks/shocks.py).
+SPOILED = 0.5
 # So much of the recording must remain.
 _LEAST_CALM = 0.3
 
 
 def without_shocks(fit: Fit) -> Fit:
     """Return the fit of the same terms without shocks if they spoil it, else the fit."""
+    calm = calmed(fit)
+    return calm if left_elsewhere(fit, calm) < SPOILED else fit
+
+
+def calmed(fit: Fit) -> Fit:
+    """Return the fit of the same terms without shocks; the fit itself where there are none, or little else."""
     samples = fit.rows.samples
-    levels = _SHOCK * np.median(samples.shocks, axis=1)
-    calm = samples.without_shocks(torch.from_numpy(levels))
+    calm = samples.without_shocks(torch.from_numpy(_SHOCK * np.median(samples.shocks, axis=1)))
     counts = calm.weight.any(0)
     if counts.all() or counts.mean() < _LEAST_CALM:
         return fit
-    other = weighed(fitted(calm, fit.rows.prior, fit.terms, fit.rows.noise, fit.extra))
-    before, after = (np.sqrt(np.mean((calm.weight * f.leftover())[:, counts] ** 2, axis=1)) for f in (fit, other))
-    return other if (after < _SPOILED * before).any() else fit
+    return weighed(fitted(calm, fit.rows.prior, fit.terms, fit.rows.noise, fit.extra))
+
+
+def left_elsewhere(fit: Fit, calm: Fit) -> float:
+    """Return the RMS that the calm fit leaves elsewhere, in parts of the fit's, at the joint where it is least."""
+    samples = calm.rows.samples
+    counts, seen = samples.weight.any(0), samples.seen
+    left = [np.sqrt(np.mean((samples.weight * f.leftover())[seen][:, counts] ** 2, axis=1)) for f in (fit, calm)]
+    return float((left[1] / np.maximum(left[0], 1e-300)).min())

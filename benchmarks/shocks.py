@@ -1,0 +1,72 @@
+"""How far shocks spoil the fit of the inertial parameters: the numbers behind the rule that leaves them out.
+
+    python -m benchmarks.concealed generate --set development --tiers clean field null --count 40 --seed 7 -o dev
+    python -m benchmarks.shocks dev
+
+With friction and offsets at every joint each recording is fitted with shocks and without. Listed are the cases in which
+the fit without leaves least elsewhere, in parts of what the fit with them leaves there
+(``torchrbd/diagnosis/rows/shocks.py``), beside what is concealed in them. Not for final cases.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from benchmarks.concealed.run import recordings
+from torchrbd.diagnosis.rows.regression import fitted
+from torchrbd.diagnosis.rows.samples import read_samples
+from torchrbd.diagnosis.rows.shocks import SPOILED, calmed, left_elsewhere
+from torchrbd.diagnosis.rows.weighing import weighed
+from torchrbd.diagnosis.search.select import Search
+from torchrbd.inference.identify import read_arguments
+from torchrbd.inference.preparation import prepare
+
+
+class Spoiling(NamedTuple):
+    """A case, what is concealed in it, the part of its samples at shocks, and what is left elsewhere without them."""
+
+    case: str
+    concealed: str
+    at_shocks: float
+    left: float
+
+
+def spoiling(folder: Path, name: str) -> Spoiling:
+    """Fit a case with shocks and without."""
+    fit, holdout = (list(map(str, files)) for files in recordings(folder / "cases" / name))
+    urdf = str(folder / "cases" / name / "robot.urdf")
+    robot, sources, settings = read_arguments(urdf, fit, {"holdout": holdout}, "shocks")
+    prepared = prepare(robot, sources, settings, (), lambda *_: None)
+    samples = read_samples(prepared, prepared.fit().pi)
+    with_them = weighed(fitted(samples, prepared.prior, Search(samples, (), prepared.prior).background))
+    calm = calmed(with_them)
+    truth = json.loads((folder / "truth" / f"{name}.json").read_text(encoding="utf-8"))
+    concealed = ", ".join(f"{e['effect']} {e['size']:.2f}" for e in truth["effects"])
+    at_shocks = 1.0 - float(calm.rows.samples.weight.any(0).mean())
+    return Spoiling(name, concealed, at_shocks, left_elsewhere(with_them, calm))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="folders of concealed cases")
+    parser.add_argument("--rows", type=int, default=20, help="how many cases to list (default: 20)")
+    options = parser.parse_args(arguments)
+    cases = [(folder, path.name) for folder in options.folders for path in sorted((folder / "cases").iterdir())]
+    found = sorted((spoiling(*case) for case in track(cases, "fitting")), key=lambda one: one.left)
+    table = Table("case", "concealed", "at shocks", "left elsewhere", title=f"{len(cases)} cases; spoiled < {SPOILED}")
+    for one in found[: options.rows]:
+        table.add_row(one.case, one.concealed, f"{100 * one.at_shocks:.0f} %", f"{one.left:.2f}")
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
