@@ -9,6 +9,7 @@ from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, joint_names, multisine
 
 import torchrbd
+from torchrbd.diagnosis.locate import shocks
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples, read_samples
 from torchrbd.diagnosis.rows.shocks import without_shocks
@@ -84,6 +85,13 @@ def test_what_does_not_spoil_stays() -> None:
     assert found.start.rows.samples.columns.shock_levels.isinf().all()
     assert (samples.weight > 0).all()
     assert without_shocks(found.start) is found.start
+
+
+def test_shocks_at_which_the_model_is_right_are_not_told() -> None:
+    found, samples = search(0.0)
+    calm = samples.without_shocks(torch.from_numpy(2.0 * np.median(samples.shocks, axis=1)))
+    assert 0.05 < (calm.weight == 0).mean() < 0.95
+    assert shocks(fitted(calm, found.prior, found.background), "extended") == ()
 
 
 def test_shocks_without_a_name_are_told() -> None:

@@ -1,6 +1,7 @@
 """Shocks that were left out of the fit, since they spoil it: at which joint, how often, how far the torque errs there.
 
-What no fit has seen is not explained by any, unless a play in a gear was found, which makes such shocks.
+What no fit has seen may be explained all the same: by play in a gear, which makes such shocks, or by a model that errs
+there no more than elsewhere.
 """
 
 from __future__ import annotations
@@ -11,6 +12,9 @@ from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.results import Location, Where
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.words import number, percent, torque_unit
+
+# What errs at shocks by so many times what it does elsewhere is not explained there.
+_MORE = 2.0
 
 
 def shock_notes(fit: Fit) -> tuple[str, ...]:
@@ -34,6 +38,8 @@ def shocks(fit: Fit, model: str) -> tuple[Location, ...]:
     here = samples.measured[joint] & (samples.weight[joint] == 0.0)
     left, name = fit.leftover()[joint], scene.robot.joint_names[joint]
     inside, elsewhere = (float(np.mean(left[at] ** 2)) for at in (here, samples.measured[joint] & ~here))
+    if inside < _MORE**2 * elsewhere:
+        return ()
     share = here.mean() * inside / (here.mean() * inside + (1.0 - here.mean()) * elsewhere)
     unit = torque_unit(scene.robot, joint)
     statement = (
