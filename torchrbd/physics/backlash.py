@@ -80,8 +80,7 @@ class Backlash(Effect):
         return {label: slope_along(signals, site, x / play)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        links = coefficients.new_tensor(float(shape["link_friction"] != 0.0))
-        return {"backlash": coefficients[0], "flight": coefficients.new_tensor(shape["flight"]), "link_friction": links}
+        return {"backlash": coefficients[0], **{name: coefficients.new_tensor(v) for name, v in shape.items()}}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
         return (parameters["backlash"],), {name: parameters[name] for name in ("flight", "link_friction")}
