@@ -33,7 +33,7 @@ from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import WITH_INTERVALS
 from torchrbd.inference.shapes.refine import refined_from
-from torchrbd.inference.shapes.reread import reread
+from torchrbd.inference.shapes.reread import judged_at_shocks, reread
 from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
 
@@ -66,7 +66,7 @@ def diagnose(
     prepared = prepare(robot, sources, settings, (), progress)
     search = _search(prepared, prepared.fit().pi, effects, progress)
     prepared, fit, extended, weighed = _extended(prepared, search, progress)
-    prepared = replace(prepared, notes=(*prepared.notes, *shock_notes(fit)))
+    prepared = judged_at_shocks(replace(prepared, notes=(*prepared.notes, *shock_notes(fit))), progress)
     models = {"rigid_body": prepared.fit(), "extended": extended}
     identification = summarise(prepared, models, settings, progress)
     springs = deflections(prepared, extended)

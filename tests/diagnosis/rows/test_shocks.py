@@ -111,3 +111,10 @@ def test_play_is_named_where_its_shocks_had_spoiled_the_fit(play: float) -> None
     assert found.parameters["backlash"].value == pytest.approx(play, rel=0.2)
     assert result.unexplained == ()
     assert "counts nothing" in result.identification.notes[-1]
+
+
+def test_held_out_errors_count_shocks() -> None:
+    identified = torchrbd.identify(URDF, recorded(PLAY), cutoff_hz=10.0)
+    diagnosed = torchrbd.diagnose(URDF, recorded(PLAY), cutoff_hz=10.0).identification
+    assert "counts nothing" in diagnosed.notes[-1]
+    assert diagnosed.fits["urdf"].nmse == pytest.approx(identified.fits["urdf"].nmse, rel=1e-9)

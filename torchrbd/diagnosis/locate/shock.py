@@ -26,7 +26,7 @@ def shock_notes(fit: Fit) -> tuple[str, ...]:
     name = samples.columns.robot.joint_names[joint]
     return (
         f"The motion has shocks, most of all that of {name}, which mislead the inertial parameters; {share} of the "
-        "time counts nothing therefore, neither in fits nor in errors on held-out time.",
+        "time counts nothing in fits therefore. Errors on held-out time are those of all of it.",
     )
 
 
