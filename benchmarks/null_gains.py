@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmarks.concealed.run import recordings
+from benchmarks.concealed.run import prepared
 from torchrbd.diagnosis.locate import stretches
 from torchrbd.diagnosis.locate.hum import CHANCE, lines
 from torchrbd.diagnosis.locate.wander import DRIFT, slow_parts
@@ -39,8 +39,6 @@ from torchrbd.diagnosis.search.options import (
 )
 from torchrbd.diagnosis.search.partial import in_some_recordings, in_windows
 from torchrbd.diagnosis.search.select import Search
-from torchrbd.inference.identify import read_arguments
-from torchrbd.inference.preparation import prepare
 from torchrbd.physics import effects
 
 LEAST = {
@@ -67,10 +65,8 @@ class Null(NamedTuple):
 
 def best(case: Path) -> Null:
     """Return what looks most like something in a case."""
-    fit, holdout = (list(map(str, files)) for files in recordings(case))
-    robot, sources, settings = read_arguments(str(case / "robot.urdf"), fit, {"holdout": holdout}, "null_gains")
-    prepared = prepare(robot, sources, settings, (), lambda *_: None)
-    search = Search(read_samples(prepared, prepared.fit().pi), effects().values(), prepared.prior)
+    data = prepared(case, "null_gains")
+    search = Search(read_samples(data, data.fit().pi), effects().values(), data.prior)
     beside = search.loaded(search.start)
     options = (
         search.options(beside),

@@ -33,6 +33,8 @@ import torchrbd
 from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.errors import InputError
 from torchrbd.export import write_diagnosis
+from torchrbd.inference.identify import read_arguments
+from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.robot import RobotModel
 
 from .oracle import offered, oracle_errors
@@ -51,6 +53,13 @@ Work = Callable[[Path, Path], None]
 def recordings(case: Path) -> tuple[list[Path], list[Path]]:
     """Return the recordings of a case to fit and those to hold out."""
     return sorted(case.glob("fit_*.parquet")), sorted(case.glob("holdout*.parquet"))
+
+
+def prepared(case: Path, job: str) -> Prepared:
+    """Read a case as a diagnosis does; ``job`` is named in errors."""
+    fit, holdout = (list(map(str, files)) for files in recordings(case))
+    robot, sources, settings = read_arguments(str(case / "robot.urdf"), fit, {"holdout": holdout}, job)
+    return prepare(robot, sources, settings, ())
 
 
 def diagnose_case(case: Path, out: Path) -> None:

@@ -114,19 +114,22 @@ def _finding_card(finding: Finding, pictures: Pictures) -> Card:
     title = guessed(finding) + (at(finding.joints, finding.links) or " (whole robot)")
     own = [f"{key}_{j}" for key in re.findall(r"\bq(?:dd?)?\b", equation) for j in finding.joints]
     regions = [r.signal for r in finding.where.region or ()]
-    line = ""
-    if finding.probability < DOUBTFUL and not finding.indistinguishable_from and finding.effect not in COMMON:
-        line = "It explains so little that a cause outside the list may look like it."
-    elif finding.probability < DOUBTFUL and finding.indistinguishable_from:
-        line = "The probability is shared with what it could also be."
-        if finding.log_evidence_gain > CERTAIN:
-            line = "Something is missing here beyond doubt. " + line
     joint = most_changed(finding) or next((j for j in finding.joints), None)
     shown = _pictures(
         finding, joint if joint in pictures.joints else None, (*regions, *finding.depends_on, *own), pictures
     )
     where = when(finding.where, pictures.unit_of)
-    return Card(finding, title[0].upper() + title[1:], equation, where, _told(finding), line, shown)
+    return Card(finding, title[0].upper() + title[1:], equation, where, _told(finding), _doubt(finding), shown)
+
+
+def _doubt(finding: Finding) -> str:
+    """Say why a finding is not surer; nothing where it is sure, or where it is common."""
+    if finding.probability >= DOUBTFUL:
+        return ""
+    if finding.indistinguishable_from:
+        line = "The probability is shared with what it could also be."
+        return f"Something is missing here beyond doubt. {line}" if finding.log_evidence_gain > CERTAIN else line
+    return "" if finding.effect in COMMON else "It explains so little that a cause outside the list may look like it."
 
 
 def _told(finding: Finding) -> list[str]:

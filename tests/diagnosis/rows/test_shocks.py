@@ -7,12 +7,20 @@ import pytest
 import torch
 from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, joint_names, multisine
+from vision_head.motion import Motion
 
 import torchrbd
 from torchrbd.diagnosis.locate import shocks
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples, read_samples
-from torchrbd.diagnosis.rows.shocks import without_shocks
+from torchrbd.diagnosis.rows.shocks import (
+    MISFIT,
+    SPOILED,
+    calmed,
+    left_elsewhere,
+    misfit_ratio,
+    without_shocks,
+)
 from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.inference.data.shocks import shock
@@ -40,10 +48,23 @@ def recorded(play: float, seed: int = 3) -> Recording:
     return Recording.from_arrays("play", joint_names(URDF), motion.t, q, tau)
 
 
-def search(play: float) -> tuple[Search, Samples]:
-    prepared = prepare(
-        RobotModel.from_urdf(URDF), [recorded(play)], Settings.from_mapping({"cutoff_hz": 10.0}, "test"), ()
-    )
+def bursts(gain: float, seed: int = 3) -> Recording:
+    """Record a robot that shakes for a moment now and then, with a wrong torque constant at one joint."""
+    motion = multisine(3, seed, duration_s=30.0, rate_hz=1 / DT, fastest_hz=0.5)
+    phase = motion.t % 2.0 / 0.25
+    pulse = np.outer(np.where(phase < 1.0, 0.05 * np.sin(np.pi * phase) ** 4, 0.0), (1.0, -0.7, 0.5))
+    speed = np.gradient(pulse, DT, axis=0)
+    motion = Motion(motion.t, motion.q + pulse, motion.qd + speed, motion.qdd + np.gradient(speed, DT, axis=0))
+    tau = inverse_dynamics(URDF, motion)
+    tau[:, JOINT] *= gain
+    rng = np.random.default_rng(seed)
+    q = motion.q + 1e-5 * rng.standard_normal(motion.q.shape)
+    tau = tau + 0.02 * np.sqrt(np.mean(tau**2, 0)) * rng.standard_normal(tau.shape)
+    return Recording.from_arrays("bursts", joint_names(URDF), motion.t, q, tau)
+
+
+def search(recording: Recording) -> tuple[Search, Samples]:
+    prepared = prepare(RobotModel.from_urdf(URDF), [recording], Settings.from_mapping({"cutoff_hz": 10.0}, "test"), ())
     samples = read_samples(prepared, prepared.fit().pi)
     return Search(samples, [effect(name) for name in BACKGROUND], prepared.prior), samples
 
@@ -70,7 +91,7 @@ def test_a_pulse_is_a_shock_and_a_step_is_none() -> None:
 
 
 def test_shocks_spoil_the_fit_and_are_left_out() -> None:
-    found, samples = search(PLAY)
+    found, samples = search(recorded(PLAY))
     counted = found.start.rows.samples.weight.any(0)
     crossings = (np.diff(np.sign(samples.rigid @ found.robot.pi.numpy())[JOINT]) != 0).sum()
     assert crossings > 10
@@ -81,17 +102,27 @@ def test_shocks_spoil_the_fit_and_are_left_out() -> None:
 
 
 def test_what_does_not_spoil_stays() -> None:
-    found, samples = search(0.0)
+    found, samples = search(recorded(0.0))
     assert found.start.rows.samples.columns.shock_levels.isinf().all()
     assert (samples.weight > 0).all()
     assert without_shocks(found.start) is found.start
 
 
-def test_shocks_at_which_the_model_is_right_are_not_told() -> None:
-    found, samples = search(0.0)
+def test_a_model_that_is_right_errs_at_shocks_as_elsewhere() -> None:
+    found, samples = search(recorded(0.0))
     calm = samples.without_shocks(torch.from_numpy(2.0 * np.median(samples.shocks, axis=1)))
     assert 0.05 < (calm.weight == 0).mean() < 0.95
-    assert shocks(fitted(calm, found.prior, found.background), "extended") == ()
+    right = fitted(calm, found.prior, found.background)
+    assert misfit_ratio(right).max() < MISFIT
+    assert shocks(right, "extended") == ()
+
+
+def test_a_fit_that_errs_with_the_size_of_the_torque_keeps_its_shocks() -> None:
+    """A gain of a half at one joint, and bursts: errors are largest there, as the torques are, but no larger."""
+    found, samples = search(bursts(gain=0.5))
+    spoiled = fitted(samples, found.prior, found.background)
+    assert left_elsewhere(spoiled, calmed(spoiled)) < SPOILED
+    assert (found.start.rows.samples.weight > 0).all()
 
 
 def test_shocks_without_a_name_are_told() -> None:

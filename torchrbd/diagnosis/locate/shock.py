@@ -6,15 +6,15 @@ there no more than elsewhere.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.results import Location, Where
 from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.diagnosis.rows.shocks import MISFIT, misfit, misfit_ratio
 from torchrbd.diagnosis.words import number, percent, torque_unit
-
-# What errs at shocks by so many times what it does elsewhere is not explained there.
-_MORE = 2.0
 
 
 def shock_notes(fit: Fit) -> tuple[str, ...]:
@@ -35,17 +35,15 @@ def shocks(fit: Fit, model: str) -> tuple[Location, ...]:
     scene, samples, joint = Scene.of(fit), fit.rows.samples, _jumping(fit)
     if joint is None or any(term.effect.id == "backlash" for term in fit.terms):
         return ()
-    here = samples.measured[joint] & (samples.weight[joint] == 0.0)
-    left, name = fit.leftover()[joint], scene.robot.joint_names[joint]
-    inside, elsewhere = (float(np.mean(left[at] ** 2)) for at in (here, samples.measured[joint] & ~here))
-    if inside < _MORE**2 * elsewhere:
+    if misfit_ratio(fit)[joint] < MISFIT:
         return ()
-    share = here.mean() * inside / (here.mean() * inside + (1.0 - here.mean()) * elsewhere)
-    unit = torque_unit(scene.robot, joint)
+    inside, elsewhere = (float(rms[joint]) for rms in misfit(fit))
+    measured = samples.measured[joint]
+    shocked = int((measured & (samples.weight[joint] == 0.0)).sum())
+    part, name, unit = shocked / measured.sum(), scene.robot.joint_names[joint], torque_unit(scene.robot, joint)
     statement = (
-        f"{name}: it jumps, and at its shocks, {percent(float(here.mean()))} of the time, the torque errs by "
-        f"{number(np.sqrt(inside))} {unit} RMS, elsewhere by {number(np.sqrt(elsewhere))} {unit}. Play in a gear does "
-        "that, or a robot that hits something."
+        f"{name}: it jumps, and at its shocks, {percent(part)} of the time, the torque errs by {number(inside)} {unit} "
+        f"RMS, elsewhere by {number(elsewhere)} {unit}. Play in a gear does that, or a robot that hits something."
     )
     return (
         Location(
@@ -56,9 +54,9 @@ def shocks(fit: Fit, model: str) -> tuple[Location, ...]:
             depends_on=(f"qdd_{name}",),
             form="shock",
             course="bursts",
-            gain=0.5 * float(here.sum()) * float(np.log(max(inside / elsewhere, 1.0))),
-            torque_rms={name: float(np.sqrt(inside))},
-            share={name: float(share)},
+            gain=shocked * math.log(inside / elsewhere),
+            torque_rms={name: inside},
+            share={name: part * inside**2 / (part * inside**2 + (1.0 - part) * elsewhere**2)},
             curve=None,
             attack=None,
             statement=statement,

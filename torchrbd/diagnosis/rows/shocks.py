@@ -1,8 +1,9 @@
-"""Whether shocks spoil the fit: what is fitted without them leaves far less elsewhere.
+"""Whether shocks spoil the fit: what is fitted without them leaves far less elsewhere, and errs at them far more.
 
 At a shock the recorded positions are not those of what the torque moves (``inference/data/shocks.py``), and a model
-that is to fit both has inertial parameters that fit neither. In recordings whose shocks are those of the bodies,
-leaving them out changes little.
+that is to fit both has inertial parameters that fit neither. Where shocks are those of the bodies, leaving them out
+may still help, as the largest torques are found there and what is missing may grow with them: but then what fits
+elsewhere errs at shocks no more.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from torchrbd.diagnosis.rows.weighing import weighed
 _SHOCK = 4.0
 # They spoil a fit if one without them leaves less than this part elsewhere (benchmarks/shocks.py).
 SPOILED = 0.5
+# and errs at shocks by more than so many times what it does elsewhere.
+MISFIT = 5.0
 # So much of the recording must remain.
 _LEAST_CALM = 0.3
 
@@ -24,7 +27,7 @@ _LEAST_CALM = 0.3
 def without_shocks(fit: Fit) -> Fit:
     """Return the fit of the same terms without shocks if they spoil it, else the fit."""
     calm = calmed(fit)
-    return calm if left_elsewhere(fit, calm) < SPOILED else fit
+    return calm if left_elsewhere(fit, calm) < SPOILED and misfit_ratio(calm).max() > MISFIT else fit
 
 
 def calmed(fit: Fit) -> Fit:
@@ -43,3 +46,22 @@ def left_elsewhere(fit: Fit, calm: Fit) -> float:
     counts, seen = samples.weight.any(0), samples.seen
     left = [np.sqrt(np.mean((samples.weight * f.leftover())[seen][:, counts] ** 2, axis=1)) for f in (fit, calm)]
     return float((left[1] / np.maximum(left[0], 1e-300)).min())
+
+
+def misfit(calm: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Return the RMS that a fit without shocks leaves at them, and elsewhere, (n,) each [N m] or [N].
+
+    Zero where a joint's torque is not measured.
+    """
+    samples, square = calm.rows.samples, calm.leftover() ** 2
+    shocked = samples.measured & (samples.weight == 0.0)
+    at, elsewhere = (
+        np.sqrt((square * here).sum(1) / np.maximum(here.sum(1), 1)) for here in (shocked, samples.measured & ~shocked)
+    )
+    return at, elsewhere
+
+
+def misfit_ratio(calm: Fit) -> np.ndarray:
+    """Return the first in parts of the second, (n,)."""
+    at, elsewhere = misfit(calm)
+    return at / np.maximum(elsewhere, 1e-300)

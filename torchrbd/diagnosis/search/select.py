@@ -53,6 +53,15 @@ MOST_UNNAMED = 4
 MOST_TERMS, SHORT_OF_BEST = 12, 0.5
 
 
+def plain_background(samples: Samples) -> Terms:
+    """Return friction and offset of every joint whose torque is seen."""
+    return tuple(
+        samples.columns.candidate(effect(name), Site(joint), {})
+        for joint in np.flatnonzero(samples.seen).tolist()
+        for name in BACKGROUND
+    )
+
+
 class Search:
     """The search for the terms of one robot's model.
 
@@ -77,17 +86,12 @@ class Search:
         self.effects, self.prior, self.report = tuple(effects), prior, report
         self._smooth: Grid | None = None
         self._refuted: set[tuple[object, ...]] = set()
-        columns = samples.columns
-        self.background: Terms = tuple(
-            columns.candidate(effect(name), Site(joint), {})
-            for joint in np.flatnonzero(samples.seen).tolist()
-            for name in BACKGROUND
-        )
+        self.background = plain_background(samples)
         self.start = without_shocks(weighed(fitted(samples, prior, self.background)))
         if hums := tuple(humming(self.start)):
             self.background = (*self.background, *hums)
             self.start = weighed(fitted(self.start.rows.samples, prior, self.background))
-        self.grid = Grid(self.start.rows.samples, candidates(columns, self.effects, samples.seen))
+        self.grid = Grid(self.start.rows.samples, candidates(samples.columns, self.effects, samples.seen))
 
     def run(self) -> Fit:
         """Return the fit with the chosen terms."""
