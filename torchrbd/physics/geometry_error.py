@@ -12,10 +12,11 @@ from torch import Tensor
 
 from torchrbd.physics.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.physics.mjcf import quaternion
-from torchrbd.physics.placed import telling
+from torchrbd.physics.placed import moved
 from torchrbd.physics.signals import JointScale, Signals
 from torchrbd.physics.sites import Site, Window
 from torchrbd.robot import RobotModel
+from torchrbd.robot.inertia import PARAMETERS
 
 
 class GeometryError(Effect):
@@ -23,7 +24,8 @@ class GeometryError(Effect):
 
     Both in the parent link's axes, as in the description's <origin>. First order: the error grows with the square of e,
     .02 rad or 2 % of a link's length leave about 2 % of the effect. Turning a joint about its own axis is an encoder
-    offset; turning one that stands on the base is a tilted base, and shifting it nothing: such a joint is no site.
+    offset, and shifting it along that the same as shifting the next one; turning a joint that stands on the base is a
+    tilted base, and shifting it nothing: such a joint is no site.
     """
 
     id = "geometry_error"
@@ -40,7 +42,7 @@ class GeometryError(Effect):
     _FURTHEST_M, _LARGEST_RAD = 0.1, 0.2
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
-        return telling(self, robot, tuple(Site(joint) for joint in range(robot.n_dof)))
+        return moved(self, robot, tuple(Site(joint) for joint in range(robot.n_dof) if _carried(robot, joint)))
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         assert site.joint is not None
@@ -59,8 +61,15 @@ class GeometryError(Effect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         limits = {"m": self._FURTHEST_M, "rad": self._LARGEST_RAD}
-        return all(abs(value) <= limits[self.units[name]] for name, value in parameters.items())
+        # What no torque feels is not a number, and contradicts nothing.
+        return not any(abs(value) > limits[self.units[name]] for name, value in parameters.items())
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         x, y, z, *turn = (parameters[name] for name in self.units)
         return {"body": {"pos": (x, y, z), "quat": quaternion(turn)}}
+
+
+def _carried(robot: RobotModel, joint: int) -> bool:
+    """Say whether another joint moves this one."""
+    own = len(PARAMETERS) * robot.joint_bodies[joint]
+    return any(own in robot.columns(other) for other in range(robot.n_dof) if other != joint)
