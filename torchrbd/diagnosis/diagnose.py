@@ -22,6 +22,7 @@ from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import read_samples
+from torchrbd.diagnosis.rows.shocks import without_shocks
 from torchrbd.diagnosis.search.options import accepted
 from torchrbd.diagnosis.search.select import Search, Terms
 from torchrbd.diagnosis.springs import with_springs
@@ -64,8 +65,8 @@ def diagnose(
         )
     effects = settings.chosen_effects()
     prepared = prepare(robot, sources, settings, (), progress)
-    search = _search(prepared, prepared.fit().pi, effects, progress)
-    prepared, fit, extended, weighed = _extended(prepared, search, progress)
+    search, fit = _searched(prepared, prepared.fit().pi, effects, progress)
+    prepared, fit, extended, weighed = _extended(prepared, search, fit, progress)
     prepared = judged_at_shocks(replace(prepared, notes=(*prepared.notes, *shock_notes(fit))), progress)
     models = {"rigid_body": prepared.fit(), "extended": extended}
     identification = summarise(prepared, models, settings, progress)
@@ -88,8 +89,8 @@ def diagnose(
     return Diagnosis(identification, verdict, statement, findings, rest, *where, absent, springs, simulated, proof)
 
 
-def _search(prepared: Prepared, pi: Tensor, effects: Sequence[Effect], progress: Progress) -> Search:
-    """Return the search among effects, on what is not held out."""
+def _searched(prepared: Prepared, pi: Tensor, effects: Sequence[Effect], progress: Progress) -> tuple[Search, Fit]:
+    """Search among effects, on what is not held out; again without shocks if they spoil what was found."""
     robot = prepared.robot
 
     def tell(found: Terms) -> None:
@@ -97,20 +98,26 @@ def _search(prepared: Prepared, pi: Tensor, effects: Sequence[Effect], progress:
         progress(f"searching for missing physics, {len(found)} terms{last}", 0.0)
 
     progress("searching for missing physics", 0.0)
-    return Search(read_samples(prepared, pi), effects, prepared.prior, tell)
+    samples = read_samples(prepared, pi)
+    search = Search(samples, effects, prepared.prior, tell)
+    fit = search.run()
+    levels = without_shocks(fit).rows.samples.columns.shock_levels
+    if levels.isinf().all():
+        return search, fit
+    search = Search(samples.without_shocks(levels), effects, prepared.prior, tell)
+    return search, search.run()
 
 
 def _extended(
-    prepared: Prepared, search: Search, progress: Progress
+    prepared: Prepared, search: Search, fit: Fit, progress: Progress
 ) -> tuple[Prepared, Fit, FittedModel, tuple[Weighed, ...]]:
-    """Search, and fit what was found to all that is not held out: physically valid, shapes as fine as the data tells.
+    """Fit what was found to all that is not held out: physically valid, shapes as fine as the data tells.
 
     Plain friction that was too little to be found is fitted beside it.
 
     Where a term has parameters then that no physics allows, or that may as well be zero, or others in its place are far
     likelier, the search goes on without it.
     """
-    fit = search.run()
     while True:
         terms: Terms = (*fit.terms, *plain_beside(search, fit))
         columns = fit.rows.samples.columns.of_candidates(terms, fit.pi)

@@ -1,9 +1,8 @@
-"""Whether shocks spoil the fit: what is fitted without them leaves far less elsewhere, and errs at them far more.
+"""Whether shocks spoil a fit: the same terms fitted without them leave less elsewhere, and err at them far more.
 
 At a shock the recorded positions are not those of what the torque moves (``inference/data/shocks.py``), and a model
-that is to fit both has inertial parameters that fit neither. Where shocks are those of the bodies, leaving them out
-may still help, as the largest torques are found there and what is missing may grow with them: but then what fits
-elsewhere errs at shocks no more.
+that is to fit both has inertial parameters that fit neither. That is asked of what the search has found: where a term
+is missing that grows with the torque, shocks have the largest errors too, until it is found.
 """
 
 from __future__ import annotations
@@ -16,10 +15,9 @@ from torchrbd.diagnosis.rows.weighing import weighed
 
 # A shock is so many times what is usual at a joint (the median of its samples).
 _SHOCK = 4.0
-# They spoil a fit if one without them leaves less than this part elsewhere (benchmarks/shocks.py).
-SPOILED = 0.5
-# and errs at shocks by more than so many times what it does elsewhere.
-MISFIT = 5.0
+# They spoil a fit if one without them leaves less than this part elsewhere, and errs at them by more than so many times
+# what it does elsewhere (benchmarks/shocks.py).
+SPOILED, MISFIT = 0.8, 5.0
 # So much of the recording must remain.
 _LEAST_CALM = 0.3
 

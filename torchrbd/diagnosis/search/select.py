@@ -17,7 +17,6 @@ import torch
 
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples
-from torchrbd.diagnosis.rows.shocks import without_shocks
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.search.grid import Grid, Screened, candidates, fresh_columns, refined
 from torchrbd.diagnosis.search.lawless import challenged, lawful
@@ -73,7 +72,7 @@ class Search:
 
     Attributes:
         background: friction and offset of every joint, and the hums that these leave.
-        start: the fit with nothing but those, without shocks if they spoil it.
+        start: the fit with nothing but those.
     """
 
     def __init__(
@@ -87,7 +86,7 @@ class Search:
         self._smooth: Grid | None = None
         self._refuted: set[tuple[object, ...]] = set()
         self.background = plain_background(samples)
-        self.start = without_shocks(weighed(fitted(samples, prior, self.background)))
+        self.start = weighed(fitted(samples, prior, self.background))
         if hums := tuple(humming(self.start)):
             self.background = (*self.background, *hums)
             self.start = weighed(fitted(self.start.rows.samples, prior, self.background))
