@@ -25,7 +25,15 @@ from torchrbd.physics import Site, effect
 from torchrbd.physics.smooth_torque import SMOOTH, SmoothTorque
 from torchrbd.robot import RobotModel
 
-EFFECTS = (*BACKGROUND, "stribeck_friction", "joint_spring", "quadratic_drag", "torque_ripple", "encoder_offset")
+EFFECTS = (
+    *BACKGROUND,
+    "stribeck_friction",
+    "joint_spring",
+    "quadratic_drag",
+    "torque_ripple",
+    "encoder_offset",
+    "cable_drag",
+)
 
 
 def arm(seed: int) -> str:
@@ -73,6 +81,20 @@ def test_what_acts_is_screened_first_and_chosen(dragged: tuple[Search, Fit]) -> 
     assert (first.effect.id, first.joint) == ("quadratic_drag", 1)
     chosen = [(c.effect.id, c.site.joint) for c in search.run().terms]
     assert chosen == [("quadratic_drag", 1)]
+
+
+def test_of_several_shapes_the_best_that_the_physics_allows_is_screened() -> None:
+    """Beside Coulomb friction, drag over the upper part of the range is what pushes over the lower part."""
+
+    def dragging(q, qd):
+        return 0.4 * np.sign(qd) * (q > q.min() + 0.6 * np.ptp(q))
+
+    search, fit = begun(5, dragging)
+    (drag,) = (o for o in search.grid.screened(fit) if o.name == ("cable_drag", Site(1)))
+    scale = fit.rows.samples.columns.scale(Site(1))
+    assert drag.candidate.shape["start"] > 0.5 * (scale.q_low + scale.q_high)
+    (found,) = (c for c in search.run().terms if c not in search.background)
+    assert (found.effect.id, found.joint) == ("cable_drag", 1)
 
 
 def test_what_seems_best_and_is_refused_keeps_nothing_from_the_list(dragged: tuple[Search, Fit]) -> None:

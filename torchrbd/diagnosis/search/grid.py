@@ -94,7 +94,7 @@ class Group:
             if fresh:
                 own = r[fresh]
                 among = S[np.ix_(fresh, fresh)]
-                gain = 0.5 * float(own @ np.linalg.solve(among, own))
+                gain = 0.0 if _pushes(c, own) else 0.5 * float(own @ np.linalg.solve(among, own))
                 yield Screened(c, gain, gain - freedom(fit, c, among))
 
     def widened(self, rows: Rows) -> np.ndarray:
@@ -108,6 +108,16 @@ class Group:
                 free = rows.widths(self.place, f)
                 C[:, at] *= rows.widths(self.place, f, own) / np.where(free > 0, free, 1.0)
         return C
+
+
+def _pushes(candidate: Candidate, slopes: np.ndarray) -> bool:
+    """Say whether the one coefficient of a candidate with a shape would be negative where physics forbids it.
+
+    Its best is zero then: another shape may gain less, but in the right direction.
+    """
+    return (
+        bool(candidate.shape) and len(candidate.labels) == 1 == len(candidate.effect.prior.positive) and slopes[0] < 0
+    )
 
 
 def complexity(fit: Fit, candidate: Candidate) -> int:
