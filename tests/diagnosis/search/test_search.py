@@ -13,7 +13,7 @@ import torchrbd
 from torchrbd.diagnosis.rows.gain import Gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import read_samples
-from torchrbd.diagnosis.search.grid import complexity, fresh_columns, refined
+from torchrbd.diagnosis.search.grid import complexity, fresh_columns, refined, refinements
 from torchrbd.diagnosis.search.lawless import challenged, lawful
 from torchrbd.diagnosis.search.options import BACKGROUND, accepted, clearly_worse, judged, preferred
 from torchrbd.diagnosis.search.pruning import pruned
@@ -85,16 +85,23 @@ def test_what_acts_is_screened_first_and_chosen(dragged: tuple[Search, Fit]) -> 
 
 def test_of_several_shapes_the_best_that_the_physics_allows_is_screened() -> None:
     """Beside Coulomb friction, drag over the upper part of the range is what pushes over the lower part."""
-
-    def dragging(q, qd):
-        return 0.4 * np.sign(qd) * (q > q.min() + 0.6 * np.ptp(q))
-
-    search, fit = begun(5, dragging)
+    search, fit = begun(5, lambda q, qd: 0.4 * np.sign(qd) * (q > q.min() + 0.6 * np.ptp(q)))
     (drag,) = (o for o in search.grid.screened(fit) if o.name == ("cable_drag", Site(1)))
     scale = fit.rows.samples.columns.scale(Site(1))
     assert drag.candidate.shape["start"] > 0.5 * (scale.q_low + scale.q_high)
     (found,) = (c for c in search.run().terms if c not in search.background)
     assert (found.effect.id, found.joint) == ("cable_drag", 1)
+
+
+def test_shapes_are_refined_from_several_of_the_grids() -> None:
+    search, fit = begun(5, lambda q, qd: 0.4 * np.sign(qd) * (q > q.min() + 0.6 * np.ptp(q)))
+    (drag,) = (o for o in search.grid.screened(fit) if o.name == ("cable_drag", Site(1)))
+    shapes = [c for c in search.grid.candidates if (c.effect.id, c.site) == drag.name]
+    assert 0 < len(drag.others) < len(shapes) - 1
+    lowest = min(shapes, key=lambda c: c.shape["end"])
+    (astray,) = refinements(fit, replace(drag, candidate=lowest, others=()))
+    first, second = refinements(fit, replace(drag, candidate=lowest, others=(drag.candidate,)))
+    assert (first.shape, second.shape) == (refined(fit, drag.candidate).shape, astray.shape)
 
 
 def test_what_seems_best_and_is_refused_keeps_nothing_from_the_list(dragged: tuple[Search, Fit]) -> None:

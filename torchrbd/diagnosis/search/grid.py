@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from heapq import nlargest
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -17,15 +18,25 @@ from torchrbd.inference.shapes.slope import axes
 from torchrbd.physics import Effect, Site, Window
 
 _EVALUATIONS, _SWEEPS, _CLOSE = 10, 2, 0.03
+# Shapes of several parameters are refined from so many of the grid's, if they gain this part of the best one's.
+_STARTS, _NEARLY = 3, 0.5
 
 
 @dataclass(frozen=True)
 class Screened:
-    """A candidate, what it gains beside a fit on the rows seen, and the same less the cost of its freedom."""
+    """A candidate beside a fit.
+
+    Attributes:
+        candidate: in the shape of the grid with the best score.
+        gain: on the rows seen, in log-likelihood units.
+        score: the same less the cost of its freedom.
+        others: in shapes that gain nearly as much; a better one between may be reached from one of them only.
+    """
 
     candidate: Candidate
     gain: float
     score: float
+    others: tuple[Candidate, ...] = ()
 
     @property
     def name(self) -> tuple[str, Site]:
@@ -50,12 +61,12 @@ class Grid:
 
     def screened(self, fit: Fit) -> list[Screened]:
         """Return the best shape of each effect at each place, best score first."""
-        best: dict[tuple[str, Site], Screened] = {}
+        by_name: dict[tuple[str, Site], list[Screened]] = {}
         for group in self.groups:
             for one in group.screened(fit):
-                if one.name not in best or one.score > best[one.name].score:
-                    best[one.name] = one
-        return sorted(best.values(), key=lambda one: -one.score)
+                by_name.setdefault(one.name, []).append(one)
+        best = [_with_others(shapes) for shapes in by_name.values()]
+        return sorted(best, key=lambda one: -one.score)
 
     def gains(self, fit: Fit) -> dict[tuple[str, Site], float]:
         """Return what each effect gains at each place beside a fit, in its best shape, by name."""
@@ -108,6 +119,14 @@ class Group:
                 free = rows.widths(self.place, f)
                 C[:, at] *= rows.widths(self.place, f, own) / np.where(free > 0, free, 1.0)
         return C
+
+
+def _with_others(shapes: Sequence[Screened]) -> Screened:
+    """Return the best of the shapes of an effect at a place, with the others to start from."""
+    first, *others = nlargest(_STARTS, shapes, key=lambda one: one.score)
+    several = len(first.candidate.shape) > 1
+    nearly = [o.candidate for o in others if several and o.gain > _NEARLY * first.gain]
+    return replace(first, others=tuple(nearly))
 
 
 def _pushes(candidate: Candidate, slopes: np.ndarray) -> bool:
@@ -177,6 +196,12 @@ def refined(fit: Fit, candidate: Candidate) -> Candidate:
         for name, axis in grid.items():
             candidate = _along(fit, candidate, name, axis.limits(candidate.shape[name]))
     return candidate
+
+
+def refinements(fit: Fit, one: Screened) -> list[Candidate]:
+    """Return what was screened with its shapes refined, what gains most first."""
+    found = [refined(fit, c) for c in (one.candidate, *one.others)]
+    return sorted(found, key=lambda c: -_gain(fit, c)) if len(found) > 1 else found
 
 
 def _along(fit: Fit, candidate: Candidate, name: str, bounds: tuple[float, float]) -> Candidate:

@@ -18,7 +18,7 @@ import torch
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.weighing import weighed
-from torchrbd.diagnosis.search.grid import Grid, Screened, candidates, fresh_columns, refined
+from torchrbd.diagnosis.search.grid import Grid, Screened, candidates, fresh_columns, refined, refinements
 from torchrbd.diagnosis.search.lawless import challenged, lawful
 from torchrbd.diagnosis.search.options import (
     BACKGROUND,
@@ -214,8 +214,8 @@ class Search:
             if one.score <= max(least, 0.0):
                 break
             if fit.share_left(fresh_columns(fit, one.candidate)) > LEAST_SHARE:
-                c = refined(fit, one.candidate)
-                if plausible(fit, c) and matters(fit, c):
+                allowed = (c for c in refinements(fit, one) if plausible(fit, c) and matters(fit, c))
+                if c := next(allowed, None):
                     found.append(judged(fit, c))
                     least = max(least, SHORT_OF_BEST * one.score) if takes(found[-1]) else least
         return found
