@@ -13,14 +13,17 @@ import torchrbd
 from torchrbd.diagnosis.rows.gain import Gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import read_samples
+from torchrbd.diagnosis.search import grid
 from torchrbd.diagnosis.search.grid import complexity, fresh_columns, refined, refinements
 from torchrbd.diagnosis.search.lawless import challenged, lawful
 from torchrbd.diagnosis.search.options import BACKGROUND, accepted, clearly_worse, judged, preferred
 from torchrbd.diagnosis.search.pruning import pruned
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.unnamed import smooth_candidates
+from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
+from torchrbd.inference.shapes.slope import axes
 from torchrbd.physics import Site, effect
 from torchrbd.physics.smooth_torque import SMOOTH, SmoothTorque
 from torchrbd.robot import RobotModel
@@ -33,6 +36,7 @@ EFFECTS = (
     "torque_ripple",
     "encoder_offset",
     "cable_drag",
+    "position_dependent_friction",
 )
 
 
@@ -102,6 +106,24 @@ def test_shapes_are_refined_from_several_of_the_grids() -> None:
     (astray,) = refinements(fit, replace(drag, candidate=lowest, others=()))
     first, second = refinements(fit, replace(drag, candidate=lowest, others=(drag.candidate,)))
     assert (first.shape, second.shape) == (refined(fit, drag.candidate).shape, astray.shape)
+
+
+def test_what_gains_over_a_narrow_range_is_refined(
+    dragged: tuple[Search, Fit], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A peak a tenth as wide as the way to the next values on the grid, and a lower one on the other side."""
+    search, fit = dragged
+    start = next(o for o in search.grid.screened(fit) if o.name == ("position_dependent_friction", Site(1))).candidate
+    now = start.shape["centre"]
+    low, high = axes(fit.rows.samples.columns, start)["centre"].limits(now)
+    peak, lower, width = now + 0.08 * (high - now), low + 0.38 * (high - low), 0.05 * (high - low)
+
+    def gained(_: Fit, c: Candidate) -> float:
+        x = c.shape["centre"]
+        return 10.0 * np.exp(-(((x - peak) / width) ** 2)) + 2.0 * np.exp(-0.5 * ((x - lower) / width) ** 2)
+
+    monkeypatch.setattr(grid, "_gain", gained)
+    assert refined(fit, start).shape["centre"] == pytest.approx(peak, abs=0.4 * width)
 
 
 def test_what_seems_best_and_is_refused_keeps_nothing_from_the_list(dragged: tuple[Search, Fit]) -> None:

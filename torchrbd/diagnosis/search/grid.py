@@ -18,6 +18,8 @@ from torchrbd.inference.shapes.slope import axes
 from torchrbd.physics import Effect, Site, Window
 
 _EVALUATIONS, _SWEEPS, _CLOSE = 10, 2, 0.03
+# Along a parameter these parts of the way to the next values on the grid are tried first: what gains may be narrow.
+_PARTS = (0.125, 0.5)
 # Shapes of several parameters are refined from so many of the grid's, if they gain this part of the best one's.
 _STARTS, _NEARLY = 3, 0.5
 
@@ -210,9 +212,17 @@ def _along(fit: Fit, candidate: Candidate, name: str, bounds: tuple[float, float
     def at(value: float) -> Candidate:
         return columns.candidate(candidate.effect, candidate.site, {**candidate.shape, name: float(value)})
 
-    options = {"xatol": _CLOSE * (bounds[1] - bounds[0]), "maxiter": _EVALUATIONS}
-    found = minimize_scalar(lambda value: -_gain(fit, at(value)), bounds=bounds, method="bounded", options=options)
-    return at(found.x) if -found.fun > _gain(fit, candidate) else candidate
+    def loss(value: float) -> float:
+        return -_gain(fit, at(value))
+
+    now, (low, high) = candidate.shape[name], bounds
+    values = sorted({now, *(now + part * (end - now) for end in bounds for part in _PARTS)})
+    losses = [loss(value) for value in values]
+    best = int(np.argmin(losses))
+    low, *_, high = [low, *values, high][best : best + 3]
+    options = {"xatol": _CLOSE * (high - low), "maxiter": _EVALUATIONS}
+    found = minimize_scalar(loss, bounds=(low, high), method="bounded", options=options)
+    return at(found.x if found.fun < losses[best] else values[best])  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _gain(fit: Fit, candidate: Candidate) -> float:
