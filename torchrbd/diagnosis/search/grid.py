@@ -230,4 +230,6 @@ def _gain(fit: Fit, candidate: Candidate) -> float:
     known = set(fit.places)
     fresh = [k for k, label in enumerate(candidate.labels) if (candidate.place, label) not in known]
     features = fit.rows.samples.evaluated(candidate)[fresh]
-    return fit.addition(fit.rows.widened(candidate.place, features)).gain if fresh else 0.0
+    if not fresh or not np.isfinite(features).all():
+        return 0.0
+    return fit.addition(fit.rows.widened(candidate.place, features)).gain
