@@ -127,12 +127,11 @@ def test_what_gains_over_a_narrow_range_is_refined(
 
 
 def test_a_shape_that_has_no_features_is_no_refinement(dragged: tuple[Search, Fit]) -> None:
-    """A range that ends where it starts, among those that refining tries."""
+    """A secant over no time, among those that refining tries."""
     _, fit = dragged
-    scale, columns = fit.rows.samples.columns.scale(Site(1)), fit.rows.samples.columns
-    middle = 0.5 * (scale.q_low + scale.q_high)
-    empty = columns.candidate(effect("cable_drag"), Site(1), {"start": middle, "end": middle})
-    assert np.isfinite(list(refined(fit, empty).shape.values())).all()
+    nothing = fit.rows.samples.columns.candidate(effect("time_delay"), Site(1), {"step": 0.0})
+    assert not np.isfinite(fit.rows.samples.evaluated(nothing)).all()
+    assert refined(fit, nothing).shape["step"] != 0.0
 
 
 def test_what_seems_best_and_is_refused_keeps_nothing_from_the_list(dragged: tuple[Search, Fit]) -> None:
