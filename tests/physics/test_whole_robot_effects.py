@@ -198,7 +198,7 @@ def test_what_is_not_plausible() -> None:
     geometry = dict.fromkeys(GeometryError.units, 0.01)
     assert GeometryError().plausible(geometry, SCALE)
     assert GeometryError().plausible({**geometry, "z": math.nan}, SCALE), "what no torque feels contradicts nothing"
-    assert not GeometryError().plausible({**geometry, "y": 0.15}, SCALE)
+    assert not GeometryError().plausible({**geometry, "y": 0.25}, SCALE)
     assert not GeometryError().plausible({**geometry, "rz": -0.3}, SCALE)
     load = {**dict.fromkeys(Payload.units, 0.01), "mass": 1.0}
     assert Payload().plausible(load, SCALE)

@@ -39,7 +39,8 @@ class GeometryError(Effect):
         "Descriptions are right to some centimetres and hundredths of a rad.", std=(*[0.02] * 3, *[0.05] * 3)
     )
     export_note = "pos adds to that of the joint's body, quat turns it from the left"
-    _FURTHEST_M, _LARGEST_RAD = 0.1, 0.2
+    # Links of another size of the same machine are a decimetre or two off.
+    _FURTHEST_M, _LARGEST_RAD = 0.2, 0.2
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         return moved(self, robot, tuple(Site(joint) for joint in range(robot.n_dof) if _carried(robot, joint)))
