@@ -203,6 +203,7 @@ def test_what_is_not_plausible() -> None:
     load = {**dict.fromkeys(Payload.units, 0.01), "mass": 1.0}
     assert Payload().plausible(load, SCALE)
     assert not Payload().plausible({**load, "mass": -1.0}, SCALE)
+    assert Payload().plausible({**load, "mass": 0.0}, SCALE), "a mass within chance of zero is taken for zero"
     unfelt = {**dict.fromkeys(Payload.units, math.nan), "Izz": 0.2}
     assert Payload().plausible(unfelt, SCALE)
     assert not Payload().plausible({**unfelt, "Izz": -0.2}, SCALE)

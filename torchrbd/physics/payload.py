@@ -68,10 +68,11 @@ class Payload(Effect):
         return (m, m * x, m * y, m * z, *inertia), {}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        # What no joint feels is not a number, and contradicts nothing.
+        # What no joint feels is not a number, and contradicts nothing; nor does a mass that may as well be zero where
+        # its moments are told.
         far = any(abs(parameters[axis]) > self._FURTHEST_M for axis in "xyz")
         felt = ("Ixx", "Iyy", "Izz") if math.isnan(parameters["mass"]) else ("mass",)
-        return not far and not any(parameters[name] <= 0 for name in felt)
+        return not far and not any(parameters[name] < 0 for name in felt)
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         m, *centre = (parameters[name] for name in ("mass", *"xyz"))

@@ -220,6 +220,16 @@ def test_the_simpler_of_equals_is_preferred(dragged: tuple[Search, Fit]) -> None
     assert preferred(fit, options).candidate.effect.id == "quadratic_drag"
 
 
+def test_options_are_compared_with_each_other_whatever_view_they_gained_over(dragged: tuple[Search, Fit]) -> None:
+    _, fit = dragged
+    columns = fit.rows.samples.columns
+    true = judged(fit, columns.candidate(effect("power_law_friction"), Site(1), {"exponent": 1.99}))
+    simple = judged(fit, columns.candidate(effect("quadratic_drag"), Site(0), {}))
+    assert complexity(fit, simple.candidate) < complexity(fit, true.candidate)
+    praised = replace(simple, worth=replace(true.worth, total=2.0 * true.worth.total))
+    assert preferred(fit, [praised, true]) is true
+
+
 def test_one_lucky_block_is_not_accepted_and_a_rare_effect_is() -> None:
     assert accepted(Gain(total=40.0, std=10.0, repeated=30.0))
     assert accepted(Gain(total=100.0, std=60.0, repeated=40.0))

@@ -184,8 +184,11 @@ def matters(fit: Fit, candidate: Candidate) -> bool:
 
 
 def preferred(fit: Fit, options: Sequence[Option]) -> Option:
-    """Return the simplest of the options that are not clearly worse than the best."""
-    best = max(options, key=lambda o: o.worth.total)
-    counts = fit.rows.counts
+    """Return the simplest of the options that are not clearly worse than the best.
+
+    Errors tell which that is: gains may be those over different views of a fit.
+    """
+    counts, first = fit.rows.counts, options[0]
+    best = max(options, key=lambda o: gain(first.errors, o.errors, counts).total)
     rivals = [o for o in options if not clearly_worse(gain(o.errors, best.errors, counts), best.worth.total)]
     return min(rivals, key=lambda o: (complexity(fit, o.candidate), -o.worth.total))
