@@ -126,6 +126,18 @@ def test_what_gains_over_a_narrow_range_is_refined(
     assert refined(fit, start).shape["centre"] == pytest.approx(peak, abs=0.4 * width)
 
 
+@pytest.mark.parametrize("beyond", [-1.0, 1.0])
+def test_a_shape_beyond_the_grids_limits_is_refined(dragged: tuple[Search, Fit], beyond: float) -> None:
+    """As one is that stands there from an earlier refinement."""
+    search, fit = dragged
+    start = next(o for o in search.grid.screened(fit) if o.name == ("position_dependent_friction", Site(1))).candidate
+    low, high = axes(fit.rows.samples.columns, start)["centre"].limits(100.0 * beyond)
+    far = 0.5 * (low + high) + beyond * (high - low)
+    shape = {**start.shape, "centre": far}
+    found = refined(fit, fit.rows.samples.columns.candidate(start.effect, start.site, shape))
+    assert min(low, far) <= found.shape["centre"] <= max(high, far)
+
+
 def test_a_shape_that_has_no_features_is_no_refinement(dragged: tuple[Search, Fit]) -> None:
     """A secant over no time, among those that refining tries."""
     _, fit = dragged

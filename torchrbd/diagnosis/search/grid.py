@@ -215,14 +215,14 @@ def _along(fit: Fit, candidate: Candidate, name: str, bounds: tuple[float, float
     def loss(value: float) -> float:
         return -_gain(fit, at(value))
 
-    now, (low, high) = candidate.shape[name], bounds
-    values = sorted({now, *(now + part * (end - now) for end in bounds for part in _PARTS)})
-    losses = [loss(value) for value in values]
-    best = int(np.argmin(losses))
-    low, *_, high = [low, *values, high][best : best + 3]
+    now = candidate.shape[name]
+    losses = {value: loss(value) for value in (now, *(now + part * (end - now) for end in bounds for part in _PARTS))}
+    best = min(losses, key=lambda value: losses[value])
+    low = max((value for value in (*losses, *bounds) if value < best), default=best)
+    high = min((value for value in (*losses, *bounds) if value > best), default=best)
     options = {"xatol": _CLOSE * (high - low), "maxiter": _EVALUATIONS}
     found = minimize_scalar(loss, bounds=(low, high), method="bounded", options=options)
-    return at(found.x if found.fun < losses[best] else values[best])  # pyright: ignore[reportAttributeAccessIssue]
+    return at(found.x if found.fun < losses[best] else best)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _gain(fit: Fit, candidate: Candidate) -> float:
