@@ -13,7 +13,7 @@ from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.diagnosis.words import finding_sentence, strongest_first
 from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.physical.fitting import FittedModel, judge
-from torchrbd.inference.physical.terms import term_parameters
+from torchrbd.inference.physical.terms import told_parameters
 from torchrbd.inference.preparation import Prepared
 from torchrbd.physics import Site
 from torchrbd.robot import RobotModel
@@ -82,7 +82,7 @@ def _finding(
     prismatic = term.site.joint is not None and bool(robot.prismatic[term.site.joint])
     quantities = {
         name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic), columns.urdf_value(term))
-        for name, (value, std) in term_parameters(model, term).items()
+        for name, (value, std) in told_parameters(model, term).items()
     }
     alike = tuple(
         Alternative(r.candidate.effect.id, *places(robot, r.candidate.site), driven_by(r.candidate, robot))

@@ -14,6 +14,8 @@ from torchrbd.inference.shapes.slope import Axis, ShapeSlope, axes
 
 # Of the range of a shape on the grid.
 _DIFFERENCE = 1e-3
+# A coefficient is told from so many standard deviations on; one is not that may be so many times what is believed.
+_TOLD, _UNTOLD = 3.0, 10.0
 
 
 def term_estimates(model: FittedModel) -> list[ParameterEstimate]:
@@ -22,7 +24,7 @@ def term_estimates(model: FittedModel) -> list[ParameterEstimate]:
     for candidate in model.proper_terms:
         place, joint = candidate.site.name(robot), candidate.site.joint
         urdf = model.columns.urdf_value(candidate)
-        for name, (value, std) in term_parameters(model, candidate).items():
+        for name, (value, std) in told_parameters(model, candidate).items():
             unit = candidate.effect.unit(name, prismatic=joint is not None and bool(robot.prismatic[joint]))
             found.append(
                 ParameterEstimate(f"{candidate.effect.id}_{place}.{name}", place, unit, urdf, value, std, 0.0, "term")
@@ -56,6 +58,22 @@ def term_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple
         g = torch.zeros(len(model.free), dtype=torch.float64).index_add(0, at[seen], slope[seen])
         found[name] = (float(value.detach()), (_variance(model, g) + float(slope.square() @ grid_only)) ** 0.5)
     return found
+
+
+def told_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple[float, float]]:
+    """Return the same; what the data leave far more open than what is believed of it without them is not a number.
+
+    Of several coefficients what is believed are proportions: the size is that of those that are told.
+    """
+    found, believed = term_parameters(model, candidate), candidate.effect.prior.proportions
+    if len(believed) != len(found):
+        return found
+    sizes = [abs(v) / own for (v, std), own in zip(found.values(), believed, strict=True) if abs(v) > _TOLD * std]
+    widest = _UNTOLD * max([1.0, *sizes])
+    return {
+        name: (math.nan, math.nan) if std > widest * own else (v, std)
+        for (name, (v, std)), own in zip(found.items(), believed, strict=True)
+    }
 
 
 def significance(model: FittedModel, candidate: Candidate) -> float:
