@@ -136,9 +136,8 @@ def _pushes(candidate: Candidate, slopes: np.ndarray) -> bool:
 
     Its best is zero then: another shape may gain less, but in the right direction.
     """
-    return (
-        bool(candidate.shape) and len(candidate.labels) == 1 == len(candidate.effect.prior.positive) and slopes[0] < 0
-    )
+    one = len(candidate.labels) == len(candidate.effect.prior.positive) == 1
+    return one and bool(candidate.shape) and bool(slopes[0] < 0)
 
 
 def complexity(fit: Fit, candidate: Candidate) -> int:

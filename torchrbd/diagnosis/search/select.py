@@ -52,15 +52,6 @@ MOST_UNNAMED = 4
 MOST_TERMS, SHORT_OF_BEST = 12, 0.5
 
 
-def plain_background(samples: Samples) -> Terms:
-    """Return friction and offset of every joint whose torque is seen."""
-    return tuple(
-        samples.columns.candidate(effect(name), Site(joint), {})
-        for joint in np.flatnonzero(samples.seen).tolist()
-        for name in BACKGROUND
-    )
-
-
 class Search:
     """The search for the terms of one robot's model.
 
@@ -85,7 +76,11 @@ class Search:
         self.effects, self.prior, self.report = tuple(effects), prior, report
         self._smooth: Grid | None = None
         self._refuted: set[tuple[object, ...]] = set()
-        self.background = plain_background(samples)
+        self.background: Terms = tuple(
+            samples.columns.candidate(effect(name), Site(joint), {})
+            for joint in np.flatnonzero(samples.seen).tolist()
+            for name in BACKGROUND
+        )
         self.start = weighed(fitted(samples, prior, self.background))
         if hums := tuple(humming(self.start)):
             self.background = (*self.background, *hums)
