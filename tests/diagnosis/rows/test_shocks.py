@@ -13,13 +13,7 @@ import torchrbd
 from torchrbd.diagnosis.locate import shocks
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples, read_samples
-from torchrbd.diagnosis.rows.shocks import (
-    MISFIT,
-    calmed,
-    left_elsewhere,
-    misfit_ratio,
-    without_shocks,
-)
+from torchrbd.diagnosis.rows.shocks import MISFIT, calmed, left_elsewhere, misfit_ratio, without_shocks
 from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.inference.data.shocks import shock

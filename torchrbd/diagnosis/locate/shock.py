@@ -13,7 +13,7 @@ import numpy as np
 from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.results import Location, Where
 from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.diagnosis.rows.shocks import MISFIT, misfit, misfit_ratio
+from torchrbd.diagnosis.rows.shocks import MISFIT, misfit
 from torchrbd.diagnosis.words import number, percent, torque_unit
 
 
@@ -35,9 +35,9 @@ def shocks(fit: Fit, model: str) -> tuple[Location, ...]:
     scene, samples, joint = Scene.of(fit), fit.rows.samples, _jumping(fit)
     if joint is None or any(term.effect.id == "backlash" for term in fit.terms):
         return ()
-    if misfit_ratio(fit)[joint] < MISFIT:
-        return ()
     inside, elsewhere = (float(rms[joint]) for rms in misfit(fit))
+    if inside < MISFIT * elsewhere:
+        return ()
     measured = samples.measured[joint]
     shocked = int((measured & (samples.weight[joint] == 0.0)).sum())
     part, name, unit = shocked / measured.sum(), scene.robot.joint_names[joint], torque_unit(scene.robot, joint)
