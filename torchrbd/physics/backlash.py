@@ -68,9 +68,7 @@ class Backlash(Effect):
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, play, joint = signals.sequence(), shape["flight"], site.joint
         assert joint is not None
-        still, pushed = torch.zeros_like(signals.q), torch.zeros_like(signals.q)
-        pushed[joint] = 1.0
-        M = signals.load_slope(still, still, pushed)[joint]
+        M = signals.load_slopes[2, joint, joint]
         friction = M.new_zeros(3)
         if signals.friction is not None and shape["link_friction"]:
             friction = signals.friction[joint]

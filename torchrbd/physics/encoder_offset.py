@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import torch
 from torch import Tensor
 
 from torchrbd.physics.base import CoefficientPrior, Effect, Mjcf, Shape
@@ -36,9 +35,7 @@ class EncoderOffset(Effect):
         return telling(self, robot, tuple(Site(joint) for joint in range(robot.n_dof)))
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        still, moved = torch.zeros_like(signals.q), torch.zeros_like(signals.q)
-        moved[site.joint] = -1.0
-        return {f"-dtau/dq_{site.name(signals.robot)}": signals.load_slope(moved, still, still)}
+        return {f"-dtau/dq_{site.name(signals.robot)}": -signals.load_slopes[0, :, site.joint]}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"offset": coefficients[0]}

@@ -75,6 +75,5 @@ def below(x: Tensor, dt: float, hz: float) -> Tensor:
 def slope_along(signals: Signals, site: Site, shift: Tensor) -> Tensor:
     """Return what the load changes by, (n, *batch), as a joint's link deviates by ``shift`` (*batch) over time."""
     speed = signals.rate(shift)
-    directions = torch.zeros(3, *signals.q.shape, dtype=shift.dtype, device=shift.device)
-    directions[:, site.joint] = torch.stack((shift, speed, signals.rate(speed)))
-    return signals.load_slope(*directions)
+    deviation = torch.stack((shift, speed, signals.rate(speed)))
+    return (signals.load_slopes[:, :, site.joint] * deviation[:, None]).sum(0)

@@ -186,10 +186,6 @@ class Signals:
         """Torque that the actuators supply to the rigid body and to friction, (n, *batch) [N m] or [N]."""
         return self.load + self.friction_torque
 
-    def load_slope(self, dq: Tensor, dqd: Tensor, dqdd: Tensor) -> Tensor:
-        """Return d tau/dq dq + d tau/dqd dqd + d tau/dqdd dqdd of the load, (n, *batch); all arguments as q."""
-        return (self._slopes * torch.stack((dq, dqd, dqdd))[:, None]).sum((0, 2))
-
     @cached_property
     def origin_slopes(self) -> Tensor:
         """Derivatives of the load by shifts and turns of the joints' origins, (*batch, n, n, 6)."""
@@ -201,8 +197,8 @@ class Signals:
         return self.robot.regressor(*self._states)
 
     @cached_property
-    def _slopes(self) -> Tensor:
-        """Derivatives of the load by q, qd and qdd, (3, n, n, *batch)."""
+    def load_slopes(self) -> Tensor:
+        """Derivatives of the load of each joint by q, qd and qdd of each, (3, n, n, *batch)."""
         return self.robot.torque_slopes(*self._states, self._own_pi).movedim((-3, -2, -1), (0, 1, 2))
 
     @property
