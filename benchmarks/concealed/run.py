@@ -236,14 +236,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="with cases and truth")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the outputs of all of them")
     parser.add_argument("-j", "--jobs", type=_positive, default=1, help="processes")
-    parser.add_argument("--every", type=_positive, default=1, help="rivals: run over one of so many cases")
+    parser.add_argument("--every", type=_positive, default=1, help="diagnose, rivals: run over one of so many cases")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     out, jobs = options.output, options.jobs
     try:
         for folder in options.folders if options.work != "score" else ():
             if options.work == "diagnose":
-                for_each_case(folder, out, DIAGNOSIS, diagnose_case, jobs=jobs)
+                for_each_case(folder, out, DIAGNOSIS, diagnose_case, jobs=jobs, every=options.every)
             elif options.work == "rivals":
                 for_each_case(folder, out, RIVALS, _rivals_case, jobs=jobs, every=options.every)
             else:
