@@ -208,3 +208,12 @@ def test_what_is_not_plausible() -> None:
     assert Payload().plausible(unfelt, SCALE)
     assert not Payload().plausible({**unfelt, "Izz": -0.2}, SCALE)
     assert not Payload().plausible({**load, "z": 1.5}, SCALE)
+
+
+def test_what_no_joint_feels_of_a_load_leaves_the_rest_differentiable() -> None:
+    """On a planar arm one coordinate of a load's centre moves nothing, and is not a number: the others have slopes."""
+    w = torch.tensor([2.0, 0.4, torch.nan, 0.2, *[0.1] * 6], dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(Payload().parameters(w, {})["x"], w)
+    expected = torch.zeros_like(slope)
+    expected[0], expected[1] = -0.4 / 2.0**2, 1 / 2.0
+    torch.testing.assert_close(slope, expected)

@@ -61,7 +61,7 @@ class Payload(Effect):
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         m, mc, inertia = coefficients[0], coefficients[1:4], coefficients[4:]
-        return dict(zip(self.units, (m, *(mc / m), *inertia), strict=True))
+        return dict(zip(self.units, (m, *(c / m for c in mc), *inertia), strict=True))
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
         m, x, y, z, *inertia = (parameters[name] for name in self.units)
