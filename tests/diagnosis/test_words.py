@@ -224,6 +224,14 @@ def test_a_sentence_holds_the_first_few_of_many_quantities() -> None:
     )
 
 
+def test_a_sentence_says_where_no_number_is_told_from_zero() -> None:
+    load = {"mass": Quantity(math.nan, math.nan, "kg"), "Iyy": Quantity(-0.03, 0.09, "kg m^2")}
+    untold = "No number of it is told from zero; together they are."
+    assert finding_sentence(finding("payload", links=("hand",), parameters=load)).endswith(untold)
+    told = load | {"Izz": Quantity(0.03, 0.009, "kg m^2")}
+    assert untold not in finding_sentence(finding("payload", links=("hand",), parameters=told))
+
+
 def test_a_sentence_does_not_say_a_region_twice() -> None:
     ends = {"start": Quantity(0.1, 0.01, "rad"), "end": Quantity(0.5, 0.01, "rad")}
     drag = finding("cable_drag", "joint1", parameters=ends, where=Where(region=(Region("q_joint1", 0.1, 0.5),)))

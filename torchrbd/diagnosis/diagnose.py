@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-from torch import Tensor
+from typing import Any, NamedTuple
 
 from torchrbd.diagnosis.alternatives import Weighed, weigh
 from torchrbd.diagnosis.beside import fit_beside, plain_beside
@@ -23,8 +21,10 @@ from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.shocks import without_shocks
-from torchrbd.diagnosis.search.options import accepted
-from torchrbd.diagnosis.search.select import Search, Terms
+from torchrbd.diagnosis.search.options import BACKGROUND, accepted
+from torchrbd.diagnosis.search.select import Search
+from torchrbd.diagnosis.search.terms import Terms, names
+from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.errors import OptionError
@@ -37,6 +37,16 @@ from torchrbd.inference.shapes.refine import refined_from
 from torchrbd.inference.shapes.reread import judged_at_shocks, reread
 from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
+
+
+class _Extended(NamedTuple):
+    """What of a search stands in the fit to all data that is not held out."""
+
+    search: Search
+    fit: Fit
+    prepared: Prepared
+    model: FittedModel
+    weighed: tuple[Weighed, ...]
 
 
 def diagnose(
@@ -65,8 +75,7 @@ def diagnose(
         )
     effects = settings.chosen_effects()
     prepared = prepare(robot, sources, settings, (), progress)
-    search, fit = _searched(prepared, prepared.fit().pi, effects, progress)
-    prepared, fit, extended, weighed = _extended(prepared, search, fit, progress)
+    search, fit, prepared, extended, weighed = _explained(prepared, effects, progress)
     prepared = judged_at_shocks(replace(prepared, notes=(*prepared.notes, *shock_notes(fit))), progress)
     models = {"rigid_body": prepared.fit(), "extended": extended}
     identification = summarise(prepared, models, settings, progress)
@@ -89,8 +98,11 @@ def diagnose(
     return Diagnosis(identification, verdict, statement, findings, rest, *where, absent, springs, simulated, proof)
 
 
-def _searched(prepared: Prepared, pi: Tensor, effects: Sequence[Effect], progress: Progress) -> tuple[Search, Fit]:
-    """Search among effects, on what is not held out; again without shocks if they spoil what was found."""
+def _explained(prepared: Prepared, effects: Sequence[Effect], progress: Progress) -> _Extended:
+    """Search among effects, on what is not held out, and extend the model; without shocks if they spoil what was found.
+
+    They count all the same where they tell a name: it is found with them and without, and stands with them alone.
+    """
     robot = prepared.robot
 
     def tell(found: Terms) -> None:
@@ -98,19 +110,27 @@ def _searched(prepared: Prepared, pi: Tensor, effects: Sequence[Effect], progres
         progress(f"searching for missing physics, {len(found)} terms{last}", 0.0)
 
     progress("searching for missing physics", 0.0)
-    samples = read_samples(prepared, pi)
+    samples = read_samples(prepared, prepared.fit().pi)
     search = Search(samples, effects, prepared.prior, tell)
     fit = search.run()
     levels = without_shocks(fit).rows.samples.columns.shock_levels
     if levels.isinf().all():
-        return search, fit
-    search = Search(samples.without_shocks(levels), effects, prepared.prior, tell)
-    return search, search.run()
+        return _extended(prepared, search, fit, progress)
+    calm = Search(samples.without_shocks(levels), effects, prepared.prior, tell)
+    calm_fit = calm.run()
+    extended = _extended(prepared, calm, calm_fit, progress)
+    refuted_without = _named(fit) & _named(calm_fit) - _named(extended.fit)
+    if not refuted_without:
+        return extended
+    shocked = _extended(prepared, search, fit, progress)
+    return shocked if refuted_without & _named(shocked.fit) else extended
 
 
-def _extended(
-    prepared: Prepared, search: Search, fit: Fit, progress: Progress
-) -> tuple[Prepared, Fit, FittedModel, tuple[Weighed, ...]]:
+def _named(fit: Fit) -> set[tuple[str, object]]:
+    return set(names(tuple(c for c in fit.terms if c.effect.id not in BACKGROUND and not is_smooth(c))))
+
+
+def _extended(prepared: Prepared, search: Search, fit: Fit, progress: Progress) -> _Extended:
     """Fit what was found to all that is not held out: physically valid, shapes as fine as the data tells.
 
     Plain friction that was too little to be found is fitted beside it.
@@ -132,7 +152,7 @@ def _extended(
             weighed = weigh(search, fit)
             wrong = [one.term for one in weighed if one.unlikely]
             if not wrong:
-                return prepared, fit, model, weighed
+                return _Extended(search, fit, prepared, model, weighed)
         fit = search.without(fit, wrong)
 
 

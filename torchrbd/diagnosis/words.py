@@ -134,7 +134,7 @@ def finding_sentence(finding: Finding, *, more: bool = False) -> str:
     sentence = f"{subject}: {guessed(finding)}{f' ({inside})' if inside else ''}"
     sentence += f", {', '.join(told)}{certain}" if told else ""
     sentence += ", on top of that of all recordings." if more else "."
-    return " ".join(filter(None, (sentence, _worth(finding), _alike(finding))))
+    return " ".join(filter(None, (sentence, _untold(finding), _worth(finding), _alike(finding))))
 
 
 def most_changed(finding: Finding) -> str | None:
@@ -143,6 +143,14 @@ def most_changed(finding: Finding) -> str | None:
     gains = {j: gain for j, gain in gains.items() if math.isfinite(gain)}
     own = [j for j in finding.joints if j in gains]
     return own[0] if own else max(gains, key=lambda j: gains[j], default=None)
+
+
+def _untold(finding: Finding) -> str:
+    """Say that no number is told from zero; of several correlated ones, all may still be."""
+    numbers = [q for q in finding.parameters.values() if not math.isnan(q.value)]
+    if len(finding.parameters) < 2 or any(abs(q.value) >= 1.96 * q.std for q in numbers):
+        return ""
+    return "No number of it is told from zero; together they are."
 
 
 def _worth(finding: Finding) -> str:

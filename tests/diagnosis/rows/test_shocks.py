@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 import torch
@@ -11,12 +14,15 @@ from vision_head.motion import Motion
 
 import torchrbd
 from torchrbd.diagnosis.locate import shocks
+from torchrbd.diagnosis.refuting import refuted
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples, read_samples
 from torchrbd.diagnosis.rows.shocks import MISFIT, calmed, left_elsewhere, misfit_ratio, without_shocks
 from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.diagnosis.search.select import Search
+from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.data.shocks import shock
+from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.physics import effect
@@ -141,3 +147,24 @@ def test_held_out_errors_count_shocks() -> None:
     diagnosed = torchrbd.diagnose(URDF, recorded(PLAY), cutoff_hz=10.0).identification
     assert "counts nothing" in diagnosed.notes[-1]
     assert diagnosed.fits["urdf"].nmse == pytest.approx(identified.fits["urdf"].nmse, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_what_is_refuted_without_shocks_may_stand_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of the data can be too little to tell a play from none."""
+    seen = set()
+
+    def with_shocks_alone(model: FittedModel, found: Sequence[Candidate]) -> list[Candidate]:
+        calm = not model.columns.shock_levels.isinf().all()
+        seen.add(calm)
+        return [c for c in found if calm and c.effect.id == "backlash"] or refuted(model, found)
+
+    monkeypatch.setattr(sys.modules[torchrbd.diagnose.__module__], "refuted", with_shocks_alone)
+    for bound, value in (("SPOILED", 1.0), ("MISFIT", 0.0)):
+        monkeypatch.setattr(f"torchrbd.diagnosis.rows.shocks.{bound}", value)
+    result = torchrbd.diagnose(URDF, recorded(0.008), effects=["backlash"], cutoff_hz=10.0)
+    assert seen == {True, False}
+    (finding,) = result.findings
+    assert (finding.effect, finding.joints) == ("backlash", (joint_names(URDF)[JOINT],))
+    assert finding.parameters["backlash"].value == pytest.approx(0.008, rel=0.15)
+    assert not any("shocks" in note for note in result.identification.notes)
