@@ -23,9 +23,11 @@ from torchrbd.diagnosis.search.select import Search
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.data.shocks import shock
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.preparation import prepare
+from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.physics import effect
+from torchrbd.inference.shapes.refine import fit_with_shapes, refined_from
+from torchrbd.inference.shapes.reread import reread
+from torchrbd.physics import Site, effect
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
@@ -147,6 +149,32 @@ def test_held_out_errors_count_shocks() -> None:
     diagnosed = torchrbd.diagnose(URDF, recorded(PLAY), cutoff_hz=10.0).identification
     assert "counts nothing" in diagnosed.notes[-1]
     assert diagnosed.fits["urdf"].nmse == pytest.approx(identified.fits["urdf"].nmse, rel=1e-9)
+
+
+def read_with(play: float, flight: float) -> tuple[Prepared, Candidate]:
+    """Read a recording without shocks, with the columns of a play."""
+    settings = Settings.from_mapping({"cutoff_hz": 10.0}, "test")
+    prepared = prepare(RobotModel.from_urdf(URDF), [recorded(play)], settings, ())
+    samples = read_samples(prepared, prepared.fit().pi)
+    columns = samples.without_shocks(torch.from_numpy(2.0 * np.median(samples.shocks, axis=1))).columns
+    term = columns.candidate(effect("backlash"), Site(JOINT), {"flight": flight, "link_friction": 1.0})
+    return reread(prepared, columns.of_candidates((term,), columns.robot.pi), lambda *_: None), term
+
+
+def test_a_flight_that_is_over_at_once_stays_so_without_shocks() -> None:
+    """The motor crosses this play, not the link."""
+    prepared, term = read_with(PLAY, 0.001)
+    prepared, (term,) = refined_from(prepared, (term,), lambda *_: None)
+    (width,), _ = fit_with_shapes(prepared, (term,)).coefficients(term)
+    assert float(width) == pytest.approx(PLAY, rel=0.1)
+    assert term.shape["flight"] < 0.1 * PLAY
+
+
+def test_a_flight_that_nothing_tells_is_as_wide_as_the_play_without_shocks() -> None:
+    prepared, term = read_with(0.0, 0.01)
+    prepared, (term,) = refined_from(prepared, (term,), lambda *_: None)
+    (width,), _ = fit_with_shapes(prepared, (term,)).coefficients(term)
+    assert term.shape["flight"] == pytest.approx(max(2e-4, float(width)), rel=0.1)
 
 
 @pytest.mark.slow
