@@ -117,10 +117,8 @@ def deviation(
     driven = tau + viscous * qd + offset
     signals = torch.stack((driven, M, qd, driven - M * qdd)).detach().cpu().reshape(4, -1, tau.shape[-1]).unbind(1)
     courses = [_course(*row.tolist(), coulomb=coulomb.item(), dt=dt, play=play) for row in signals]
-    side, left, begun, rests, direction, stuck = (
-        torch.tensor(column, device=tau.device, dtype=tau.dtype).reshape(tau.shape)
-        for column in zip(*courses, strict=True)
-    )
+    course = torch.from_numpy(np.array(courses, dtype=float)).to(tau)
+    side, left, begun, rests, direction, stuck = (column.reshape(tau.shape) for column in course.unbind(1))
     free, left, begun = left >= 0, left.clamp_min(0).long(), begun.long()
     speed = _integral(-(driven + coulomb * direction) / M, dt)
     speed = speed - speed.gather(-1, begun) - rests * qd.gather(-1, begun)
