@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
+from rich.progress import track
 from scipy.interpolate import CubicSpline
 
 import torchrbd
@@ -57,7 +59,7 @@ def left_out_in_turn(urdf: str | Path, recordings: Sequence[Path], **options) ->
     return LeftOut(
         {
             judged.name: torchrbd.diagnose(urdf, [r for r in recordings if r != judged], holdout=[judged], **options)
-            for judged in recordings
+            for judged in track(recordings, "each left out in turn", console=Console(stderr=True), transient=True)
         }
     )
 
