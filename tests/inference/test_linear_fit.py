@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -94,6 +96,13 @@ def test_parameters_that_are_used_up_do_not_count_as_samples() -> None:
     corrected = residual_variance(statistics, x, one, variance)
     torch.testing.assert_close(corrected[1], plain[1] * count[1] / (count[1] - 1))
     assert corrected[0] == plain[0]
+    # States use up their share of what samples count, which is little where a joint may stick.
+    share = torch.tensor([0.0, 0.25, 0.5], dtype=torch.float64)
+    for counted in (1.0, 0.1):
+        moments = tuple(counted * m for m in statistics.moments)
+        weighed = replace(statistics, torque=counted * statistics.torque, moments=moments)
+        left = residual_variance(weighed, x, none, variance, share)
+        torch.testing.assert_close(left, plain / (1.0 - share))
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.2])

@@ -34,7 +34,7 @@ from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import WITH_INTERVALS
 from torchrbd.inference.shapes.refine import refined_from
-from torchrbd.inference.shapes.reread import judged_at_shocks, reread
+from torchrbd.inference.shapes.reread import judged_at_shocks, reread, with_input_noise
 from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
 
@@ -144,6 +144,8 @@ def _extended(prepared: Prepared, search: Search, fit: Fit, progress: Progress) 
         prepared = reread(prepared, columns, progress)
         if any(c.effect.uses_load or c.shape for c in terms):
             prepared, terms = refined_from(prepared, terms, progress)
+        else:
+            prepared = with_input_noise(prepared, terms)
         found = terms[: len(fit.terms)]
         model = fit_beside(prepared, found, terms[len(found) :])
         wrong = refuted(model, found)

@@ -82,16 +82,16 @@ def residual_variance(
 ) -> Tensor:
     """Return the noise that a fit leaves.
 
-        sigma_j^2 = RSS_j / (n_j - gamma_j - s_j),   gamma_j = tr(cov(x) A_j) / sigma_j^2
+        sigma_j^2 = RSS_j / ((1 - s_j) n_j - gamma_j),   gamma_j = tr(cov(x) A_j) / sigma_j^2
 
-    with gamma_j the number of parameters that the joint's data has used up, and s_j what estimated states have.
+    with gamma_j the number of parameters that the joint's data has used up, and s_j the share that states have.
 
     Args:
         statistics: the blocks fitted.
         x: (n,) fitted coefficients.
         covariance: (n, n) of x.
         variance: (n_dof,) noise that the fit assumed.
-        states: s (n_dof,); none by default.
+        states: s (n_dof,), if states were estimated.
     """
     used = torch.stack(
         [
@@ -100,7 +100,7 @@ def residual_variance(
         ]
     )
     count = _count(statistics)
-    left = count if states is None else (count - states).clamp_min(_LEAST_FREEDOM * count)
+    left = count if states is None else count * (1.0 - states).clamp_min(_LEAST_FREEDOM)
     return _bounded(statistics, statistics.squared_error(x).sum(0) / (left - used).clamp_min(0.1 * left))
 
 

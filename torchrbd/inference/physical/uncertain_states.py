@@ -23,7 +23,7 @@ class UncertainStates:
     Attributes:
         gram: H (n, n) there.
         lost: L (n, n) there.
-        used: (n_dof,) torque samples that the states have used up.
+        used: (n_dof,) share of the torque samples that the states have used up.
         torque_variance: (n_dof,) noise there.
     """
 

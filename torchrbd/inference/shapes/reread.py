@@ -13,7 +13,6 @@ from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.input_noise import input_noise
 from torchrbd.inference.physical.fitting import fit_model
 from torchrbd.inference.physical.prior import data_prior
-from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.slope import ShapeSlope, axes
 from torchrbd.inference.smoothing.smooth import Trajectory
@@ -66,4 +65,4 @@ def with_input_noise(prepared: Prepared, terms: Sequence[Candidate]) -> Prepared
     smoother = StateSmoother(prepared.columns, prepared.prior, stretches, silent, x, variance.sqrt(), encoder)
     smoother.trajectories = nn.ParameterList([c for _, c in parts])
     said = smoother.refresh(torch.arange(prepared.columns.n))
-    return replace(prepared, states=UncertainStates(said.gram, said.lost, said.spread / variance, variance))
+    return replace(prepared, states=said.uncertain_states(variance))

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.data.columns import Columns
+from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.smoothing.block_tridiagonal import BlockCholesky, fold, fold_rows
 from torchrbd.inference.smoothing.linearisation import Linearisation, linearise
 from torchrbd.inference.smoothing.stretch import Stretch
@@ -52,6 +53,11 @@ class Information:
 
     def __add__(self, other: Information) -> Information:
         return Information(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    def uncertain_states(self, torque_variance: Tensor) -> UncertainStates:
+        """Return what the states take from the information on all columns, at a torque noise (n_dof,)."""
+        used = self.spread / (torque_variance * self.count.clamp_min(1e-300))
+        return UncertainStates(self.gram, self.lost, used, torque_variance)
 
 
 def distance(stretch: Stretch, c: Tensor) -> Tensor:

@@ -114,8 +114,7 @@ def smooth(
         Trajectory(tuple((s, next(moved).detach() if bool(s.counts.any()) else s.encoder) for s in own))
         for own in found
     )
-    states = UncertainStates(said.gram, said.lost, said.spread / torque.square(), torque.square())
-    return Smoothed(trajectories, sharper, states, encoder)
+    return Smoothed(trajectories, sharper, said.uncertain_states(torque.square()), encoder)
 
 
 def _friction(columns: Columns) -> Tensor:
