@@ -65,20 +65,27 @@ def test_kuka_all_splits(folder: Path) -> None:
         check_gears(diagnosis)
 
 
+def double_pendulum(folder: Path, urdf: str) -> Diagnosis:
+    """Diagnose the recordings of design A, the last two held out, which are more than half of the time."""
+    recordings = real.recordings_of(folder, "A")
+    return torchrbd.diagnose(urdf, recordings[:-2], holdout=recordings[-2:], cutoff_hz=real.PENDULUM_CUTOFF_HZ)
+
+
 @pytest.mark.slow
 def test_double_pendulum_from_wrong_inertials(folder: Path) -> None:
-    result = real.double_pendulum(folder, "A")
-    assert result.nmse("extended").mean() < 0.05
-    for diagnosis in result.diagnoses.values():
-        for name, value in real.first_moments(diagnosis, real.LINK_LENGTH["A"]).items():
-            assert value == pytest.approx(real.PUBLISHED_FIRST_MOMENTS[name], rel=0.1)
+    urdf = (folder / "dfki_double_pendulum" / "robot_A.urdf").read_text()
+    diagnosis = double_pendulum(folder, real.spoiled(urdf))
+    fits = diagnosis.identification.fits
+    assert fits["extended"].mean_nmse < 0.5 * fits["rigid_body"].mean_nmse
+    assert joints_with_friction(diagnosis) | {"elbow"} == {"shoulder", "elbow"}
+    for name, value in real.first_moments(diagnosis, real.LINK_LENGTH["A"]).items():
+        assert value == pytest.approx(real.PUBLISHED_FIRST_MOMENTS[name], rel=0.15)
 
 
 @pytest.mark.slow
 def test_double_pendulum_with_wrong_lengths(folder: Path) -> None:
-    right, wrong = real.double_pendulum(folder, "A"), real.double_pendulum(folder, "C")
-    assert wrong.nmse("extended").mean() > 1.3 * right.nmse("extended").mean()
-    for diagnosis in wrong.diagnoses.values():
-        assert diagnosis.verdict != "consistent"
-        assert {joint for u in diagnosis.unexplained for joint in u.joints} == {"shoulder", "elbow"}
-        assert all(u.where.region for u in diagnosis.unexplained)
+    """The URDF of the other design puts the elbow 0.1 m too near the shoulder."""
+    diagnosis = double_pendulum(folder, (folder / "dfki_double_pendulum" / "robot_C.urdf").read_text())
+    (geometry,) = [f for f in diagnosis.findings if f.effect == "geometry_error"]
+    assert geometry.joints == ("elbow",)
+    assert geometry.parameters["z"].value == pytest.approx(-0.1, abs=0.02)
