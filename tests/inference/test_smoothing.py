@@ -15,11 +15,14 @@ from simulated import record
 import torchrbd
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
+from torchrbd.inference.shapes.refine import refined_from
+from torchrbd.inference.shapes.reread import reread
 from torchrbd.inference.smoothing.block_tridiagonal import BlockCholesky, fold, fold_rows
 from torchrbd.inference.smoothing.information import eliminate
 from torchrbd.inference.smoothing.linearisation import linearise, residual
 from torchrbd.inference.smoothing.smoother import StateSmoother
 from torchrbd.inference.smoothing.stretch import Stretch, stretches
+from torchrbd.physics import Site, effect
 from torchrbd.robot import RobotModel
 
 URDF = development_robots(1)["random0"]
@@ -255,6 +258,33 @@ def test_held_out_torque_is_not_looked_at() -> None:
     one, two = (p.fit().x for p in (first, second))
     assert core.any()
     torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-6)
+
+
+def test_what_is_known_of_states_follows_the_columns() -> None:
+    """Plain friction has no shape to refine; its columns are new all the same."""
+    recording, _ = noisy_recording(URDF, 41, duration_s=12.0, rate_hz=250.0, encoder_noise=LOUD)
+    robot = RobotModel.from_urdf(perturbed(URDF, 42))
+    prepared = prepare(robot, [recording], Settings(cutoff_hz=8.0, estimator="smoother"), ())
+    offset = prepared.columns.candidate(effect("torque_offset"), Site(0), {})
+    columns = prepared.columns.of_candidates((offset,), None)
+    assert prepared.states is not None
+    assert columns.n == prepared.columns.n + 1 == len(prepared.states.gram) + 1
+    again, terms = refined_from(reread(prepared, columns, lambda *_: None), (offset,), lambda *_: None)
+    assert terms == (offset,)
+    assert again.states is not None
+    assert again.states.gram.shape == again.states.lost.shape == (columns.n, columns.n)
+    fitted = again.fit(terms)
+    assert fitted.noise_variance.max() < 10.0 * prepared.fit().noise_variance.max()
+
+
+def test_states_use_up_a_share_of_the_torque_samples(prepared: Prepared, pieces: tuple[Stretch, ...]) -> None:
+    smoother = smoother_of(prepared, pieces)
+    said = smoother.refresh(torch.arange(prepared.columns.n))
+    variance = prepared.fit().noise_variance
+    share = said.uncertain_states(variance).used
+    torch.testing.assert_close(share * said.count * variance, said.spread)
+    assert (share > 0).all()
+    assert (share < 1).all()
 
 
 @pytest.mark.parametrize(("fastest_hz", "per_output"), [(1.0, 1), (5.0, 2)])

@@ -21,10 +21,10 @@ from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.shocks import without_shocks
-from torchrbd.diagnosis.search.options import BACKGROUND, accepted
+from torchrbd.diagnosis.search.options import accepted
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.terms import Terms, names
-from torchrbd.diagnosis.search.unnamed import is_smooth
+from torchrbd.diagnosis.search.unnamed import proper
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.errors import OptionError
@@ -34,12 +34,12 @@ from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import WITH_INTERVALS
 from torchrbd.inference.shapes.refine import refined_from
-from torchrbd.inference.shapes.reread import judged_at_shocks, reread, with_input_noise
+from torchrbd.inference.shapes.reread import judged_at_shocks, reread
 from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
 
 
-class _Extended(NamedTuple):
+class _Explanation(NamedTuple):
     """What of a search stands in the fit to all data that is not held out."""
 
     search: Search
@@ -98,7 +98,7 @@ def diagnose(
     return Diagnosis(identification, verdict, statement, findings, rest, *where, absent, springs, simulated, proof)
 
 
-def _explained(prepared: Prepared, effects: Sequence[Effect], progress: Progress) -> _Extended:
+def _explained(prepared: Prepared, effects: Sequence[Effect], progress: Progress) -> _Explanation:
     """Search among effects, on what is not held out, and extend the model; without shocks if they spoil what was found.
 
     They count all the same where they tell a name: it is found with them and without, and stands with them alone.
@@ -119,18 +119,15 @@ def _explained(prepared: Prepared, effects: Sequence[Effect], progress: Progress
     calm = Search(samples.without_shocks(levels), effects, prepared.prior, tell)
     calm_fit = calm.run()
     extended = _extended(prepared, calm, calm_fit, progress)
-    refuted_without = _named(fit) & _named(calm_fit) - _named(extended.fit)
+    found, found_calm, stand = (set(names(proper(f.terms))) for f in (fit, calm_fit, extended.fit))
+    refuted_without = found & found_calm - stand
     if not refuted_without:
         return extended
     shocked = _extended(prepared, search, fit, progress)
-    return shocked if refuted_without & _named(shocked.fit) else extended
+    return shocked if refuted_without.intersection(names(shocked.fit.terms)) else extended
 
 
-def _named(fit: Fit) -> set[tuple[str, object]]:
-    return set(names(tuple(c for c in fit.terms if c.effect.id not in BACKGROUND and not is_smooth(c))))
-
-
-def _extended(prepared: Prepared, search: Search, fit: Fit, progress: Progress) -> _Extended:
+def _extended(prepared: Prepared, search: Search, fit: Fit, progress: Progress) -> _Explanation:
     """Fit what was found to all that is not held out: physically valid, shapes as fine as the data tells.
 
     Plain friction that was too little to be found is fitted beside it.
@@ -141,11 +138,7 @@ def _extended(prepared: Prepared, search: Search, fit: Fit, progress: Progress) 
     while True:
         terms: Terms = (*fit.terms, *plain_beside(search, fit))
         columns = fit.rows.samples.columns.of_candidates(terms, fit.pi)
-        prepared = reread(prepared, columns, progress)
-        if any(c.effect.uses_load or c.shape for c in terms):
-            prepared, terms = refined_from(prepared, terms, progress)
-        else:
-            prepared = with_input_noise(prepared, terms)
+        prepared, terms = refined_from(reread(prepared, columns, progress), terms, progress)
         found = terms[: len(fit.terms)]
         model = fit_beside(prepared, found, terms[len(found) :])
         wrong = refuted(model, found)
@@ -154,7 +147,7 @@ def _extended(prepared: Prepared, search: Search, fit: Fit, progress: Progress) 
             weighed = weigh(search, fit)
             wrong = [one.term for one in weighed if one.unlikely]
             if not wrong:
-                return _Extended(search, fit, prepared, model, weighed)
+                return _Explanation(search, fit, prepared, model, weighed)
         fit = search.without(fit, wrong)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from torchrbd.diagnosis.search.options import BACKGROUND, INSIGNIFICANT
-from torchrbd.diagnosis.search.unnamed import is_smooth
+from torchrbd.diagnosis.search.unnamed import proper
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.terms import significance, term_parameters
@@ -21,7 +21,7 @@ def refuted(model: FittedModel, found: Sequence[Candidate]) -> list[Candidate]:
     forbidden = [c for c in found if not _sound(model, c)]
     if forbidden:
         return forbidden
-    told = {c: significance(model, c) for c in found if c.effect.id not in BACKGROUND and not is_smooth(c)}
+    told = {c: significance(model, c) for c in proper(found)}
     weakest = min(told, key=lambda c: told[c], default=None)
     return [weakest] if weakest is not None and told[weakest] < INSIGNIFICANT else []
 

@@ -138,7 +138,7 @@ class Effect(ABC):
         return False
 
     def shape_without_shocks(self, coefficients: Tensor, shape: Shape) -> Shape:
-        """Return the shape to try where samples at shocks count nothing: what they would tell as coefficients do."""
+        """Return the shape to try where shocks count nothing: what they would tell of it is what coefficients say."""
         return shape
 
     def region(self, parameters: Mapping[str, float], scale: JointScale) -> tuple[float, float] | None:

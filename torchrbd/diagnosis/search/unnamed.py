@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from torchrbd.diagnosis.locate.hum import lines
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import Samples
+from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.physics import Site, Window
 from torchrbd.physics.smooth_torque import HUM, SMOOTH, SmoothTorque
@@ -60,6 +61,11 @@ def _ends(lower: str, upper: str, v: np.ndarray, *, rate: bool) -> dict[str, flo
 def is_smooth(candidate: Candidate) -> bool:
     """Say whether a term is a function without a law."""
     return isinstance(candidate.effect, SmoothTorque)
+
+
+def proper(terms: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    """Return the terms that are names beside plain friction, and have a law."""
+    return tuple(c for c in terms if c.effect.id not in BACKGROUND and not is_smooth(c))
 
 
 def depends_on(candidate: Candidate, joint_names: Sequence[str]) -> tuple[str, ...]:

@@ -132,13 +132,18 @@ def refined(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) 
         terms: one candidate for every term; at which of its shapes does not matter.
         progress: told how far the work is.
     """
-    if not any(c.effect.uses_load or c.shape for c in terms):
+    if not _refinable(terms):
         return prepared, tuple(terms)
     return refined_from(prepared, best_on_grid(prepared, terms), progress)
 
 
 def refined_from(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) -> tuple[Prepared, Terms]:
-    """Return the same, from shapes that are good already; ``prepared`` has columns for these at least."""
+    """Return the same, from shapes that are good already; ``prepared`` has columns for these at least.
+
+    What is known of the states is that for these columns, whether or not there is a shape to refine.
+    """
+    if not _refinable(terms):
+        return with_input_noise(prepared, terms), tuple(terms)
     now = _read(prepared, terms, _carried(prepared, terms, _fitted(prepared, terms)[0]), progress)
     best = [(c.shape, now.loss_of(k)) for k, c in enumerate(now.terms)]
     for _ in range(_MOST_PASSES):
@@ -152,6 +157,10 @@ def refined_from(prepared: Prepared, terms: Sequence[Candidate], progress: Progr
             return _finished(now, progress)
         now = _read(now.prepared, now.moved(shapes), now.carried, progress)
     return _finished(_read(now.prepared, now.moved([shape for shape, _ in best]), now.carried, progress), progress)
+
+
+def _refinable(terms: Sequence[Candidate]) -> bool:
+    return any(c.effect.uses_load or c.shape for c in terms)
 
 
 def _finished(last: _Pass, progress: Progress) -> tuple[Prepared, Terms]:
