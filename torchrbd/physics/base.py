@@ -78,6 +78,7 @@ class Effect(ABC):
         of_several_shapes: True if one place may have several of them that differ in shape.
         sees_friction: True if the features depend on the plain friction beside that torque (``Signals.supplied``).
         prior: what is believed of the coefficients.
+        first_order: the shape at which it is linear in its size, where that is small; None where shapes are free.
         needs: what a recording must hold beside positions and torques, in words.
         export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
     """
@@ -94,6 +95,7 @@ class Effect(ABC):
     of_several_shapes: ClassVar[bool] = False
     sees_friction: ClassVar[bool] = False
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
+    first_order: ClassVar[Shape | None] = None
     needs: ClassVar[str] = ""
     export_note: ClassVar[str] = ""
 

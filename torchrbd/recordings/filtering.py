@@ -16,6 +16,8 @@ _BLACKMAN_REACH = 2.75
 _KAISER_REACH = 1.815
 _KAISER_BETA = 5.653
 _OVERSAMPLING = 2.5
+# Half-length of the filter that takes the noise out, in those of the state filter, and points of its response for each.
+_WIENER_REACH, _OVERSAMPLED = 4, 16
 
 
 @dataclass(frozen=True)
@@ -29,10 +31,14 @@ class Filtering:
     Attributes:
         cutoff_hz: half-amplitude frequency of the feature filter [Hz].
         state_cutoff_hz: half-amplitude frequency of the state filter [Hz]; twice `cutoff_hz` unless given.
+        of_motion: whether the state filter also takes out, joint by joint, the part of each frequency that is noise
+            (Wiener's filter): states are then what is expected of the motion, and errors in them do not correlate with
+            them, so that they bias no regression (regression calibration).
     """
 
     cutoff_hz: float
     state_cutoff_hz: float = 0.0
+    of_motion: bool = False
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.cutoff_hz) and self.cutoff_hz > 0):
@@ -54,6 +60,24 @@ class Filtering:
         """Return the kernels (3, 2 S + 1) that convolved with q give q, qd and qdd, at the sampling interval dt [s]."""
         # a slow clock leaves no room for the upper half of the transition band
         return torch.from_numpy(_state_kernels(min(self.state_cutoff_hz * dt, 1 / 3), dt))
+
+    def motion_kernels(self, dt: float, share: np.ndarray, share_hz: np.ndarray) -> torch.Tensor:
+        """Return the state kernels of each joint, (n, 3, 2 S + 1).
+
+        Args:
+            dt: sampling interval [s].
+            share: (n, F) part of the positions' power that is motion, at frequencies ``share_hz`` (F,) [Hz].
+        """
+        kernels = self.state_kernels(dt)
+        if not self.of_motion:
+            return kernels.expand(len(share), *kernels.shape)
+        half = _WIENER_REACH * (kernels.shape[1] // 2)
+        frequency = np.fft.rfftfreq(_OVERSAMPLED * half, dt)
+        gain = np.stack([np.interp(frequency, share_hz, own) for own in share])
+        centred = np.roll(np.fft.irfft(gain, _OVERSAMPLED * half), half, axis=1)[:, : 2 * half + 1]
+        wiener = centred * np.hanning(2 * half + 3)[1:-1]
+        wiener /= wiener.sum(1, keepdims=True)
+        return torch.from_numpy(np.stack([[np.convolve(w, k) for k in kernels.numpy()] for w in wiener]))
 
     def feature_kernel(self, dt: float) -> torch.Tensor:
         """Return the low-pass kernel (2 F + 1,) that torque and features share, at the sampling interval dt [s].
@@ -87,7 +111,8 @@ class Filtering:
 
     def reach(self, dt: float) -> int:
         """Return how many samples at each end of a segment have no output, because the filters would leave it."""
-        return (self.state_kernels(dt).shape[1] + self.feature_kernel(dt).shape[0]) // 2 - 1
+        half = self.state_kernels(dt).shape[1] // 2
+        return half * (1 + _WIENER_REACH * self.of_motion) + self.feature_kernel(dt).shape[0] // 2
 
     def state_noise(self, q_noise_std: np.ndarray, dt: float, qd_noise_std: np.ndarray | None = None) -> torch.Tensor:
         """Propagate white encoder noise through the state filter.

@@ -22,6 +22,8 @@ _NOISE_PART = 1e-4
 _REACHES = 12.8
 _LAG_TOLERANCE = 0.005
 _QUIETER = 0.25
+# Of the noise, which is known to some tenths only.
+_NOISE_MARGIN = 1.2
 
 
 class Spectrum:
@@ -126,6 +128,24 @@ class Spectrum:
     def q_noise_std(self) -> np.ndarray:
         """Return the standard deviation (n,) of white position noise."""
         return np.sqrt(self.q_noise_density() / (2 * self.dt))
+
+    def motion_share(self) -> np.ndarray:
+        """Return which part of the positions' power is motion and not white noise, (n, F) between 0 and 1.
+
+            W(f) = 1 - S_noise(f) / S(f)
+
+        with S averaged over a third of an octave: the gain of Wiener's non-causal filter. Beyond the motion it only
+        falls, so that no chance peak of the noise passes.
+
+        Source: Wiener, "Extrapolation, Interpolation and Smoothing of Stationary Time Series", 1949.
+        """
+        f = self.frequency
+        near = np.abs(np.log2(np.maximum(f, 1e-12) / np.maximum(f[:, None], 1e-12))) <= 1.0 / 6.0
+        smooth = self.acceleration @ near.T / near.sum(1)
+        noise = self.q_noise_density()[:, None] * self.difference_gain**2
+        share = np.clip(1.0 - _NOISE_MARGIN * noise / np.maximum(smooth, 1e-300), 0.0, 1.0)
+        share[:, f < LOWEST_HZ] = 1.0
+        return np.minimum.accumulate(share, axis=1)
 
     def cutoff(self, moves: np.ndarray, longest_s: float) -> float:
         """Find the valley between the motion, whose acceleration density falls, and the noise, whose rises [Hz].

@@ -128,13 +128,12 @@ class _Cutter:
         self._name, self._dt = recording.name, survey.clock.dt
         self._linked, self._thermal = torch.from_numpy(recording.linked), torch.from_numpy(recording.thermal)
         self._use_velocity = torch.from_numpy(~np.isnan(survey.qd_noise_std))
-        self._kernels = filtering.state_kernels(self._dt)
+        self._kernels = filtering.motion_kernels(self._dt, survey.motion_share, survey.share_hz)
         self._feature_kernel = filtering.feature_kernel(self._dt)
         self._stride = filtering.stride(self._dt)
-        self._state_half = self._kernels.shape[1] // 2
+        self._state_half = self._kernels.shape[2] // 2
         self._feature_half = self._feature_kernel.shape[0] // 2
         self._outputs = max(1, rows // self._stride)
-        self._responses: dict[int, torch.Tensor] = {}
         self.reach = filtering.reach(self._dt)
         self.produced = False
         self._segment, self._origin, self._index, self._x = -1, 0.0, 0, np.empty((0, 0))
@@ -167,7 +166,7 @@ class _Cutter:
         raw = torch.from_numpy(self._x[:, : length + 2 * half])
         q, qd, qdd = self._filter(raw[:n], self._kernels)
         if self._use_velocity.any():
-            measured = self._filter(raw[2 * n : self._ends[0]], self._kernels[:2])
+            measured = self._filter(raw[2 * n : self._ends[0]], self._kernels[:, :2])
             qd = torch.where(self._use_velocity[:, None], measured[0], qd)
             qdd = torch.where(self._use_velocity[:, None], measured[1], qdd)
         reference = None
@@ -194,18 +193,16 @@ class _Cutter:
         """Return x (m, samples) low-passed as positions of all joints (n, N), NaN for those that are not ``there``."""
         if not there.any():
             return None
-        filtered = self._filter(x, self._kernels[:1])[0]
+        filtered = self._filter(x, self._kernels[there, :1])[0]
         whole = filtered.new_full((len(there), filtered.shape[1]), torch.nan)
         whole[there] = filtered
         return whole
 
     def _filter(self, x: torch.Tensor, kernels: torch.Tensor) -> torch.Tensor:
-        """Convolve x (n, N) with each kernel (k, taps) where they overlap fully: (k, n, N - taps + 1)."""
-        samples, taps = x.shape[1], kernels.shape[1]
+        """Convolve x (n, N) with each of its kernels (n, k, taps) where they overlap fully: (k, n, N - taps + 1)."""
+        samples, taps = x.shape[1], kernels.shape[2]
         size = int(scipy.fft.next_fast_len(samples, real=True) or samples)
-        if size not in self._responses:
-            self._responses[size] = torch.fft.rfft(self._kernels, size)
-        spectrum = torch.fft.rfft(x, size) * self._responses[size][: len(kernels), None]
+        spectrum = torch.fft.rfft(x, size) * torch.fft.rfft(kernels, size).transpose(0, 1)
         return torch.fft.irfft(spectrum, size)[..., taps - 1 : samples]
 
 

@@ -36,6 +36,7 @@ class Survey:
         q_resolution: (n,) quantisation step, NaN if none is seen [rad or m].
         qd_noise_std: (n,) white noise of the measured velocity for joints whose measured velocity is used instead of
             the differentiated position; NaN for the others [rad/s or m/s].
+        motion_share: (n, F) part of the positions' power that is motion and not noise, at ``share_hz`` (F,) [Hz].
         link_ratio: (n,) how far the position behind the gear moves when q does, by least squares; NaN where it is not
             recorded or q hardly moves.
         temperature_min, temperature_max: (n,) [deg C], NaN where not recorded.
@@ -60,6 +61,8 @@ class Survey:
     q_noise_std: np.ndarray
     q_resolution: np.ndarray
     qd_noise_std: np.ndarray
+    motion_share: np.ndarray
+    share_hz: np.ndarray
     link_ratio: np.ndarray
     temperature_min: np.ndarray
     temperature_max: np.ndarray
@@ -132,6 +135,8 @@ def survey(recording: Recording) -> Survey:
         q_noise_std=np.fmax(spectrum.q_noise_std(), census.resolution / np.sqrt(12)),
         q_resolution=census.resolution,
         qd_noise_std=qd_noise_std,
+        motion_share=spectrum.motion_share(),
+        share_hz=spectrum.frequency,
         link_ratio=link_ratio,
         temperature_min=coldest,
         temperature_max=warmest,

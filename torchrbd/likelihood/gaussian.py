@@ -1,0 +1,121 @@
+"""The linear-Gaussian posterior of whitened rows, and the evidence of columns that are added to it.
+
+In coordinates z ~ N(0, 1) and with whitened rows y = X z + n,
+
+    H = X'X + 1 = L L',   z^ = H^-1 X'y,   log p(y) = -1/2 (y'y - z^'X'y) - sum log L_kk + const
+
+Columns C with coefficients w ~ N(0, D^2) have, beside it, precision S = C'C - V'V with V = L^-1 X'C and score
+r = C'(y - X z^), and raise the log marginal likelihood by
+
+    log B = 1/2 r'D (1 + D S D)^-1 D r - 1/2 log det(1 + D S D)
+
+which counts the Occam factor of a proper prior: MacKay, "Information Theory, Inference, and Learning Algorithms" (2003),
+ch. 28. A coefficient that physics keeps from being negative has a half-normal prior: its posterior's probability of
+being positive, over that of the prior, multiplies B.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.special import log_ndtr, logsumexp
+
+
+@dataclass(frozen=True)
+class Block:
+    """Whitened rows of one joint: X (P_j, m), y (m,), and which coefficients ``own`` (P_j,) its columns are."""
+
+    X: np.ndarray
+    y: np.ndarray
+    own: np.ndarray
+
+
+@dataclass(frozen=True)
+class Addition:
+    """Columns beside a posterior: their log evidence, and mean and standard deviation of their coefficients (K,)."""
+
+    log_evidence: float
+    mean: np.ndarray
+    std: np.ndarray
+
+
+class Gaussian:
+    """The posterior of coefficients z (P,) with prior N(0, 1), given one block of whitened rows a joint.
+
+    Attributes:
+        L: (P, P) Cholesky factor of the precision.
+        z: (P,) posterior mean.
+        left: per joint, whitened residual (m,).
+        log_evidence: of the rows, in units of their noise.
+    """
+
+    def __init__(self, blocks: Sequence[Block], n: int) -> None:
+        self.blocks = tuple(blocks)
+        H, h, power = np.eye(n), np.zeros(n), 0.0
+        for b in self.blocks:
+            H[np.ix_(b.own, b.own)] += b.X @ b.X.T
+            h[b.own] += b.X @ b.y
+            power += float(b.y @ b.y)
+        self.H, self.h = H, h
+        self.L = np.linalg.cholesky(H)
+        self.z = cho_solve((self.L, True), h, check_finite=False)
+        self.left = [b.y - self.z[b.own] @ b.X for b in self.blocks]
+        self.log_evidence = -0.5 * (power - float(h @ self.z)) - float(np.log(np.diag(self.L)).sum())
+
+    def covariance(self, index: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Return the posterior covariance of some coefficients, (K, K)."""
+        V = solve_triangular(self.L, np.eye(len(self.z))[:, index], lower=True, check_finite=False)
+        return V.T @ V
+
+    def used(self, joint: int) -> float:
+        """Return the degrees of freedom that the fit takes from a joint's rows."""
+        b = self.blocks[joint]
+        V = solve_triangular(self.L, np.eye(len(self.z))[:, b.own], lower=True, check_finite=False)
+        return float(((V @ b.X) ** 2).sum())
+
+    def beside(self, columns: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Return precision S (K, K) and score r (K,) of whitened columns, (K, m) by joint."""
+        K = len(next(iter(columns.values())))
+        cross, S, r = np.zeros((len(self.z), K)), np.zeros((K, K)), np.zeros(K)
+        for joint, C in columns.items():
+            b = self.blocks[joint]
+            cross[b.own] += b.X @ C.T
+            S += C @ C.T
+            r += C @ self.left[joint]
+        V = solve_triangular(self.L, cross, lower=True, check_finite=False)
+        return S - V.T @ V, r
+
+    def against_zero(self, index: Sequence[int]) -> float:
+        """Return the log evidence against leaving out some coefficients: Savage and Dickey's density ratio at zero."""
+        C, m = self.covariance(index), self.z[list(index)]
+        return 0.5 * float(np.linalg.slogdet(C)[1] + m @ np.linalg.solve(C, m))
+
+
+def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int] = ()) -> Addition:
+    """Return the evidence of columns with precision S (K, K) and score r (K,) beside a posterior.
+
+    Args:
+        S, r: what ``Gaussian.beside`` returns.
+        std: (K,) prior standard deviations of the coefficients.
+        positive: indices of those that cannot be negative.
+    """
+    L = np.linalg.cholesky(np.eye(len(r)) + std[:, None] * S * std)
+    u = solve_triangular(L, std * r, lower=True, check_finite=False)
+    W = solve_triangular(L, np.diag(std), lower=True, check_finite=False)
+    mean, spread = W.T @ u, np.sqrt((W**2).sum(0))
+    log_evidence = 0.5 * float(u @ u) - float(np.log(np.diag(L)).sum())
+    for k in positive:
+        if spread[k] > 0:
+            log_evidence += math.log(2.0) + float(log_ndtr(mean[k] / spread[k]))
+    return Addition(log_evidence, mean, spread)
+
+
+def mixture(additions: Sequence[Addition]) -> Addition:
+    """Return the evidence of equally likely alternatives, with the coefficients of the best one."""
+    best = max(additions, key=lambda a: a.log_evidence)
+    total = float(logsumexp([a.log_evidence for a in additions])) - math.log(len(additions))
+    return Addition(total, best.mean, best.std)

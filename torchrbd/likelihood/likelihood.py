@@ -1,0 +1,250 @@
+"""The likelihood of a machine's torques: its posterior, what is learnt beside it, and the evidence of anything more."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from torchrbd.likelihood.gaussian import Addition, Block, Gaussian, added
+from torchrbd.likelihood.machine import Hyper, Machine
+from torchrbd.likelihood.noise import Noise, learnt
+
+KAPPAS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+# Widths of the sign change that are tried, in parts of the joint's RMS speed.
+_WIDTHS = (0.003, 0.005, 0.0075, 0.01, 0.014, 0.02, 0.025, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.12, 0.16, 0.2, 0.3, 0.45)
+_FIRST_NOISE, _FIRST_DRIFT, _LEAST_DRIFT, _LEAST_NOISE = 0.05, 0.01, 1e-4, 1e-6
+_SHARES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+_ROUNDS = 3
+# Directions of a joint's columns below this are told by rounding.
+_LEAST_DIRECTION = 1e-3
+
+
+@dataclass(frozen=True)
+class Extra:
+    """Columns beside the machine's: features (K, M) at a joint, or (K, n, M) at all, and their prior (K,)."""
+
+    place: int | None
+    features: np.ndarray
+    std: np.ndarray
+
+    def at(self, joint: int) -> np.ndarray | None:
+        """Return what they are at a joint, (K, M); None if they are not there."""
+        if self.place is None:
+            return self.features[:, joint]
+        return self.features if self.place == joint else None
+
+
+class Likelihood:
+    """A machine with learnt noise, and further columns.
+
+    Args:
+        machine: rigid body and ordinary physics.
+        hyper: what is learnt.
+        extra: columns beside them.
+        slopes: see ``Machine.slopes``.
+
+    Attributes:
+        index: per joint, the rows (m,) that are whitened.
+        gaussian: the posterior.
+    """
+
+    def __init__(
+        self, machine: Machine, hyper: Hyper, extra: Sequence[Extra] = (), slopes: np.ndarray | None = None
+    ) -> None:
+        self.machine, self.hyper, self.extra, self._slopes = machine, hyper, tuple(extra), slopes
+        rows, n = machine.rows, machine.n
+        self._first = n + np.cumsum([0, *(len(e.std) for e in self.extra)])
+        self._raw: list[np.ndarray] = []
+        self.index, blocks = [], []
+        for j, noise in enumerate(hyper.noise):
+            A, own = machine.design(j, hyper, slopes)
+            for first, e in zip(self._first[:-1], self.extra, strict=True):
+                if (features := e.at(j)) is not None:
+                    A = np.concatenate((A, features * e.std[:, None]))
+                    own = np.concatenate((own, first + np.arange(len(e.std))))
+            index = noise.index(rows.run, rows.measured[j])
+            self._raw.append(A)
+            self.index.append(index)
+            blocks.append(Block(noise.white(A, index), noise.white(machine.target[j], index), own))
+        self.gaussian = Gaussian(blocks, int(self._first[-1]))
+
+    @property
+    def log_evidence(self) -> float:
+        """Log marginal likelihood of all rows."""
+        scale = sum(
+            len(i) * np.log(n.sigma) + np.log(n.scale[i]).sum()
+            for i, n in zip(self.index, self.hyper.noise, strict=True)
+        )
+        return self.gaussian.log_evidence - float(scale)
+
+    @property
+    def pi(self) -> torch.Tensor:
+        """Inertial parameters (n_params,), posterior mean."""
+        return self.machine.pi(self.gaussian.z, self.hyper.kappa)
+
+    @cached_property
+    def friction(self) -> np.ndarray:
+        """Viscous and both Coulomb coefficients of each joint, (n, 3)."""
+        return self.machine.friction(self.gaussian.z, self.hyper)
+
+    @property
+    def delay_s(self) -> np.ndarray:
+        """How much later than the motion each recording's torque is [s]."""
+        return -self.machine.timing_std * self.gaussian.z[self.machine.timing]
+
+    def coefficients(self, k: int) -> np.ndarray:
+        """Return the coefficients (K,) of further columns in their own units."""
+        return self.gaussian.z[self._first[k] : self._first[k + 1]] * self.extra[k].std
+
+    def coefficients_std(self, k: int) -> np.ndarray:
+        """Return their posterior standard deviations (K,)."""
+        at = np.arange(self._first[k], self._first[k + 1])
+        return np.sqrt(self.gaussian.covariance(at).diagonal()) * self.extra[k].std
+
+    def against_leaving_out(self, k: int) -> float:
+        """Return the log evidence against leaving out further columns."""
+        return self.gaussian.against_zero(range(self._first[k], self._first[k + 1]))
+
+    def residual(self, joint: int) -> np.ndarray:
+        """Return what is left of a joint's torque, (M,) [N m or N]."""
+        return self.machine.target[joint] - self.gaussian.z[self.gaussian.blocks[joint].own] @ self._raw[joint]
+
+    def beside(self, place: int | None, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return precision (K, K) and score (K,) of features (K, M) of a joint, or (K, n, M) of all, beside the fit."""
+        joints = [j for j in (range(len(self.index)) if place is None else (place,)) if len(self.index[j])]
+        return self.gaussian.beside(
+            {
+                j: self.hyper.noise[j].white(features[:, j] if place is None else features, self.index[j])
+                for j in joints
+            }
+        )
+
+    def dispersion(self, joint: int) -> float:
+        """Return the scatter of a joint's scores over blocks of time, over that of white rows.
+
+        With scores g_b = X_b'e_b in coordinates in which X'X = 1, E[sum_b |g_b|^2] is the number of directions if rows
+        are independent, and more where an error lasts: the sandwich estimator's ratio (White, "Maximum Likelihood
+        Estimation of Misspecified Models", Econometrica 1982).
+        """
+        b, e = self.gaussian.blocks[joint], self.gaussian.left[joint]
+        if not len(e):
+            return 1.0
+        G = b.X @ b.X.T
+        size = np.sqrt(np.maximum(G.diagonal(), 1e-300))
+        values, vectors = np.linalg.eigh(G / size / size[:, None])
+        kept = values > _LEAST_DIRECTION
+        Z = (vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]).T @ b.X
+        number = np.unique(self.machine.rows.block[self.index[joint]], return_inverse=True)[1]
+        scores = np.zeros((number.max() + 1, len(Z)))
+        np.add.at(scores, number, (Z * e).T)
+        return float((scores**2).sum() / kept.sum() / np.mean(e**2))
+
+    def renoised(self, *, dispersed: bool = False) -> Likelihood:
+        """Return the same model with the noise, its drift and, if asked, its dispersion learnt from what is left."""
+        rows, noise, drift = self.machine.rows, [], self.hyper.drift.copy()
+        dispersion = self.hyper.dispersion
+        if dispersed:
+            dispersion = np.maximum([self.dispersion(j) for j in range(rows.n_dof)], 1.0)
+        for j in range(rows.n_dof):
+            if not len(self.index[j]):
+                noise.append(self.hyper.noise[j])
+                continue
+            rms = self.machine.torque_rms[j]
+            scale = self.machine.noise_scale(j, self.hyper.encoder_share[j])
+            found = learnt(self.residual(j), scale, rows.run, rows.measured[j], self.gaussian.used(j), dispersion[j])
+            noise.append(replace(found, sigma=max(found.sigma, _LEAST_NOISE * rms)))
+            at = self.machine.drifting(j)
+            power = np.mean(self.gaussian.z[at] ** 2 + self.gaussian.covariance(at).diagonal())
+            drift[j] = max(drift[j] * np.sqrt(np.clip(power, 0.1, 10.0)), _LEAST_DRIFT * rms)
+        return self._with(noise=tuple(noise), drift=drift, dispersion=dispersion)
+
+    def rewidened(self) -> Likelihood:
+        """Return the same model with the widths of friction's sign change that have the greatest evidence."""
+        g, widths = self.gaussian, self.hyper.rest_width.copy()
+        for j, noise in enumerate(self.hyper.noise):
+            if not len(self.index[j]) or not self.machine.speed_rms[j]:
+                continue
+            dropped = self.machine.ordinary(j)[1:]
+            bend = dropped[-1] + 1
+            kept = np.setdiff1d(np.arange(len(g.z)), [*dropped, bend])
+            rest = _without(g, kept, j)
+            found = []
+            for part in _WIDTHS:
+                width = part * self.machine.speed_rms[j]
+                F = self.machine.sign(j, width)
+                S, r = rest.beside({j: noise.white(F, self.index[j])})
+                found.append((added(S, r, self.machine.friction_std(j, F)).log_evidence, width))
+            widths[j] = max(found)[1]
+        return self._with(rest_width=widths)
+
+    def reweighed(self) -> Likelihood:
+        """Return the same model with the encoders' share of each joint's noise that has the greatest likelihood."""
+        rows, share, noise = self.machine.rows, self.hyper.encoder_share.copy(), list(self.hyper.noise)
+        for j, index in enumerate(self.index):
+            if not len(index):
+                continue
+            residual, used, found = self.residual(j), self.gaussian.used(j), []
+            for part in _SHARES:
+                scale = self.machine.noise_scale(j, part)
+                one = learnt(residual, scale, rows.run, rows.measured[j], used, self.hyper.dispersion[j])
+                found.append((-len(index) * np.log(one.sigma) - np.log(scale[index]).sum(), part, one))
+            _, share[j], noise[j] = max(found, key=lambda f: f[0])
+        return self._with(encoder_share=share, noise=tuple(noise))
+
+    def recalibrated(self) -> Likelihood:
+        """Return the same model with the error of the URDF's inertial parameters that has the greatest evidence."""
+        return max((self._with(kappa=k) for k in KAPPAS), key=lambda one: one.log_evidence)
+
+    def relinearised(self) -> Likelihood:
+        """Return the same model whose load, friction and slopes are those of its own fit."""
+        viscous, plus, minus = torch.from_numpy(self.friction).unbind(1)
+        friction = torch.stack((viscous, 0.5 * (plus + minus), 0.5 * (plus - minus)), 1)
+        hyper = self.hyper.with_(pi=self.pi, friction=friction)
+        return Likelihood(self.machine, hyper, self.extra, self.machine.slopes(hyper))
+
+    def extended(self, extra: Sequence[Extra]) -> Likelihood:
+        """Return the same model with other columns beside the machine's."""
+        return Likelihood(self.machine, self.hyper, extra, self._slopes)
+
+    def _with(self, **changes: object) -> Likelihood:
+        return Likelihood(self.machine, self.hyper.with_(**changes), self.extra, self._slopes)
+
+
+def _without(g: Gaussian, kept: np.ndarray, joint: int) -> Gaussian:
+    """Return the posterior of some of the coefficients alone; of the blocks it has that of one joint."""
+    rest = object.__new__(Gaussian)
+    rest.H, rest.h = g.H[np.ix_(kept, kept)], g.h[kept]
+    rest.L = np.linalg.cholesky(rest.H)
+    rest.z = np.linalg.solve(rest.L.T, np.linalg.solve(rest.L, rest.h))
+    number = np.full(len(g.z), -1)
+    number[kept] = np.arange(len(kept))
+    blocks, left = list(g.blocks), list(g.left)
+    b = g.blocks[joint]
+    inside = number[b.own] >= 0
+    blocks[joint] = Block(b.X[inside], b.y, number[b.own[inside]])
+    left[joint] = b.y - rest.z[blocks[joint].own] @ blocks[joint].X
+    rest.blocks, rest.left = tuple(blocks), left
+    return rest
+
+
+def learn(machine: Machine) -> Likelihood:
+    """Learn noise, widths, drift, dispersion and the URDF's error from the data, the model being the machine's."""
+    rows, rms = machine.rows, np.maximum(machine.torque_rms, 1e-300)
+    hyper = Hyper(
+        kappa=3.0,
+        encoder_share=np.zeros(rows.n_dof),
+        rest_width=np.array([s.rest_width for s in rows.columns.scales]),
+        drift=_FIRST_DRIFT * rms,
+        noise=tuple(Noise(np.zeros(0), _FIRST_NOISE * r, np.ones(rows.tau.shape[1])) for r in rms),
+        dispersion=np.ones(rows.n_dof),
+        pi=rows.columns.robot.pi,
+        friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
+    )
+    fit = Likelihood(machine, hyper)
+    for _ in range(_ROUNDS):
+        fit = fit.renoised().rewidened().renoised().relinearised().reweighed()
+    return fit.recalibrated().relinearised().reweighed().renoised(dispersed=True)

@@ -1,0 +1,196 @@
+"""What every machine has beside its rigid body, as columns of each joint's rows: estimated, never searched for.
+
+    tau_j = Y_j pi                                          rigid body, around the URDF
+          + d qd + c_+ max(g, 0) + c_- min(g, 0)            viscous and two-sided Coulomb friction, g = tanh(qd / w)
+          + s dg/dlog w                                     how wide the sign change is
+          + t0 d(tau_s)/dt                                  one offset between the clocks of torque and motion
+          + sum_k a_k d^k(load)/dt^k,  k = 2, 3, 4          what the fastest part of the estimated motion is worth
+          + drift(t)                                        a random walk's lowest frequencies
+
+The fastest part of the differentiated positions is encoder noise as well as motion; how much of each frequency is
+motion, the torque tells: even orders shrink it, the odd one turns its phase (regression calibration: Carroll et al.,
+"Measurement Error in Nonlinear Models", 2006, ch. 4). Friction keeps its sharp edges.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrbd.likelihood.noise import Noise, drift_basis
+from torchrbd.likelihood.prior import inertial_scale
+from torchrbd.likelihood.rows import Rows
+from torchrbd.physics import Signals
+
+# Clocks are off by some samples; so far the response may remember.
+_TIMING_SAMPLES, _RESPONSE_SAMPLES = 3.0, 2.0
+RESPONSE_ORDERS = (2, 3, 4)
+# Friction of a joint may take all of its torque; its sign change may be wider or narrower by this part.
+_WIDTH_STD, _WIDTH_STEP = 0.5, 1.1
+# What changes more slowly than this is drift, as far as so many cosines a recording tell.
+_DRIFT_HZ, _MOST_DRIFT = 0.1, 12
+ORDINARY = ("viscous", "coulomb_plus", "coulomb_minus")
+
+
+@dataclass(frozen=True)
+class Hyper:
+    """What is learnt beside the linear coefficients.
+
+    Attributes:
+        kappa: inverse square of how far the URDF's inertial parameters err.
+        encoder_share: (n,) part of each joint's noise that encoders make, on average over the rows.
+        rest_width: (n,) speeds over which friction changes its sign [rad/s, m/s].
+        drift: (n,) standard deviation of the slowest cosine [N m or N].
+        noise: of each joint.
+        dispersion: (n,) scatter of blocks over that of white rows.
+        pi: (n_params,) inertial parameters that make the load.
+        friction: (n, 3) beside it, see ``Signals``.
+    """
+
+    kappa: float
+    encoder_share: np.ndarray
+    rest_width: np.ndarray
+    drift: np.ndarray
+    noise: tuple[Noise, ...]
+    dispersion: np.ndarray
+    pi: Tensor
+    friction: Tensor
+
+    def with_(self, **changes: object) -> Hyper:
+        """Return the same with some values changed."""
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+
+class Machine:
+    """Columns of rigid body and ordinary physics on one set of rows; coefficients have the prior N(0, 1).
+
+    Args:
+        rows: the data.
+        held: bodies whose inertia is not re-fitted.
+
+    Attributes:
+        n: number of coefficients.
+        torque_rms: (n_dof,) [N m or N].
+    """
+
+    def __init__(self, rows: Rows, held: frozenset[str] = frozenset()) -> None:
+        self.rows = rows
+        self.mean, self.inertial, self.scale = inertial_scale(rows.columns.robot, held)
+        self.torque_rms = np.sqrt(np.mean(rows.tau**2, axis=1))
+        self.speed_rms = np.sqrt(np.mean(rows.qd**2, axis=1))
+        self._drift, self._drift_size = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
+        self._local = len(ORDINARY) + 1 + len(RESPONSE_ORDERS) + len(self._drift)
+        self._inside = [rows.recording == k for k in np.unique(rows.recording)]
+        self.n = len(self.inertial) + rows.n_dof * self._local + len(self._inside)
+        self._rigid = [rows.rigid[j][:, self.inertial] @ self.scale for j in range(rows.n_dof)]
+        self.target = np.stack([rows.tau[j] - rows.rigid[j] @ self.mean for j in range(rows.n_dof)])
+        mass = rows.columns.robot.mass_matrix(torch.from_numpy(rows.q.T)).numpy()
+        self._carried = np.einsum("mjk,k->jm", mass**2, rows.encoder_std**2)
+        self.sign = lru_cache(maxsize=256)(self._sign)
+
+    def ordinary(self, joint: int) -> np.ndarray:
+        """Return where the coefficients of viscous and both Coulomb frictions of a joint stand, (3,)."""
+        return self._first(joint) + np.arange(len(ORDINARY))
+
+    def drifting(self, joint: int) -> np.ndarray:
+        """Return where the coefficients of a joint's drift stand."""
+        return self._first(joint) + np.arange(self._local - len(self._drift), self._local)
+
+    def noise_scale(self, joint: int, encoder_share: float) -> np.ndarray:
+        """Return how noisy a joint's rows are against each other, (M,): root of 1 - share + share m^2 / mean m^2.
+
+        Encoder noise is differentiated twice and multiplied by the row of the mass matrix, m^2 = sum_k M_jk^2 s_k^2.
+        """
+        m = self._carried[joint]
+        return np.sqrt(1.0 - encoder_share + encoder_share * m / max(float(m.mean()), 1e-300))
+
+    @property
+    def timing(self) -> np.ndarray:
+        """Where the coefficients of the clocks' offsets stand, one a recording."""
+        return np.arange(self.n - len(self._inside), self.n)
+
+    @property
+    def timing_std(self) -> float:
+        """Prior standard deviation of the clocks' offset [s]."""
+        return _TIMING_SAMPLES * self.rows.dt
+
+    def _first(self, joint: int) -> int:
+        return len(self.inertial) + joint * self._local
+
+    def _sign(self, joint: int, width: float) -> np.ndarray:
+        """Return max(g, 0) and min(g, 0), (2, M), of g = tanh(qd / width)."""
+
+        def both(signals: Signals) -> Tensor:
+            g = torch.tanh(signals.qd[joint] / width)
+            return torch.stack((g.clamp_min(0.0), g.clamp_max(0.0)))
+
+        return self.rows.evaluated(both)
+
+    def friction_columns(self, joint: int, width: float) -> np.ndarray:
+        """Return the features of ordinary friction, (3, M)."""
+        return np.concatenate((self.rows.qd[joint : joint + 1], self.sign(joint, width)))
+
+    def friction_std(self, joint: int, features: np.ndarray) -> np.ndarray:
+        """Return the prior standard deviations of their coefficients, (K,): all of the joint's torque."""
+        size = np.sqrt(np.mean(features**2, axis=1))
+        return np.where(size > 0, self.torque_rms[joint] / np.maximum(size, 1e-300), 0.0)
+
+    def slopes(self, hyper: Hyper) -> np.ndarray:
+        """Return d(tau_s)/dt of all that is supplied and d^k(load)/dt^k, (1 + 3, n, M), around a fit."""
+
+        def derivatives(signals: Signals) -> Tensor:
+            found, x = [signals.rate(signals.supplied)], signals.rate(signals.load)
+            for order in range(2, max(RESPONSE_ORDERS) + 1):
+                x = signals.rate(x)
+                if order in RESPONSE_ORDERS:
+                    found.append(x)
+            return torch.stack(found)
+
+        return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
+
+    def design(self, joint: int, hyper: Hyper, slopes: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the columns (P_j, M) of a joint in prior coordinates, and which coefficients they have (P_j,).
+
+        Args:
+            joint: which.
+            hyper: the present values.
+            slopes: of ``slopes``; without them time and response are exact.
+        """
+        first, width = self._first(joint), float(hyper.rest_width[joint])
+        friction = self.friction_columns(joint, width)
+        bend = self.sign(joint, width * _WIDTH_STEP).sum(0) - self.sign(joint, width / _WIDTH_STEP).sum(0)
+        bend *= _WIDTH_STD * float(hyper.friction[joint, 1]) / (2 * math.log(_WIDTH_STEP))
+        parts = [
+            self._rigid[joint].T / math.sqrt(hyper.kappa),
+            friction * self.friction_std(joint, friction)[:, None],
+            bend[None],
+            self._drift * (hyper.drift[joint] * self._drift_size)[:, None],
+        ]
+        places = [np.arange(len(self.inertial)), first + np.arange(len(ORDINARY) + 1), self.drifting(joint)]
+        if slopes is not None:
+            reach = _RESPONSE_SAMPLES * self.rows.dt
+            sizes = np.array([reach**k / math.factorial(k) for k in RESPONSE_ORDERS])
+            parts.append(slopes[1:, joint] * sizes[:, None])
+            places.append(first + len(ORDINARY) + 1 + np.arange(len(RESPONSE_ORDERS)))
+            parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))
+            places.append(self.timing)
+        return np.concatenate(parts), np.concatenate(places)
+
+    def pi(self, z: np.ndarray, kappa: float) -> Tensor:
+        """Return the inertial parameters (n_params,) of coefficients z."""
+        pi = self.mean.copy()
+        pi[self.inertial] += self.scale @ z[: len(self.inertial)] / math.sqrt(kappa)
+        return torch.from_numpy(pi)
+
+    def friction(self, z: np.ndarray, hyper: Hyper) -> np.ndarray:
+        """Return viscous and both Coulomb coefficients of each joint, (n, 3)."""
+        found = np.zeros((self.rows.n_dof, len(ORDINARY)))
+        for joint in range(self.rows.n_dof):
+            features = self.friction_columns(joint, float(hyper.rest_width[joint]))
+            found[joint] = z[self.ordinary(joint)] * self.friction_std(joint, features)
+        return found

@@ -1,0 +1,191 @@
+"""Torques, regressor and the features of any candidate, band-limited by one filter: the rows of every regression.
+
+Rows are kept in memory. Of recordings that are longer than that allows, tiles that are spread over all of them are
+read, so that memory stays bounded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrbd.inference.data.columns import Candidate, Columns
+from torchrbd.inference.data.reading import Reading
+from torchrbd.physics import Signals
+from torchrbd.recordings import States
+
+# Samples of states that are kept at most, over all tiles.
+_MOST_STATES = 100_000
+# How many a second, at least, and for each Hz of the band: features of a motion below the cut-off reach beyond it.
+_LEAST_RATE_HZ, _LEAST_RATE_CYCLES = 100.0, 16.0
+# Blocks of time into which a recording is divided at most.
+_MOST_BLOCKS = 64
+
+KeptBack = Callable[[str, Tensor], Tensor]
+"""Says which times (N,) of a recording no fit or choice may see, bool."""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A piece of a recording: states, what effects see of them, and which outputs count (M,) bool."""
+
+    states: States
+    signals: Signals
+    kept: Tensor
+
+
+@dataclass(frozen=True)
+class Rows:
+    """M band-limited samples of a robot with n joints, less those that are kept back.
+
+    Attributes:
+        columns: of the robot; their ``pi`` makes the load, their ``friction`` stands beside it.
+        tiles: where features come from.
+        recordings: names.
+        rigid: (n, M, n_params) regressor.
+        tau: (n, M) measured torque, 0 where ``measured`` (n, M) is not.
+        q, qd: (n, M) band-limited.
+        run: (M,) number of the uninterrupted run that a sample belongs to.
+        recording: (M,) index into ``recordings``.
+        t: (M,) seconds since that recording's start.
+        block: (M,) number of the block of time, of one recording.
+        encoder_std: (n,) noise of the positions [rad or m].
+        dt: clock interval of the slowest recording [s].
+        dt_out: time between two rows [s].
+    """
+
+    columns: Columns
+    tiles: tuple[Tile, ...]
+    recordings: tuple[str, ...]
+    rigid: np.ndarray
+    tau: np.ndarray
+    measured: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    run: np.ndarray
+    recording: np.ndarray
+    t: np.ndarray
+    block: np.ndarray
+    encoder_std: np.ndarray
+    dt: float
+    dt_out: float
+
+    @property
+    def n_dof(self) -> int:
+        """Number of joints."""
+        return len(self.tau)
+
+    @property
+    def seen(self) -> list[bool]:
+        """Which joints have a torque, (n,)."""
+        return [bool(m.any()) for m in self.measured]
+
+    def features(self, candidate: Candidate) -> np.ndarray:
+        """Return the features of a candidate, (K, M) at its joint, or (K, n, M) if it acts on the whole robot."""
+        return self.evaluated(lambda signals: torch.stack(list(candidate.features(signals).values())))
+
+    def evaluated(self, function: Callable[[Signals], Tensor]) -> np.ndarray:
+        """Return a function of the signals, (..., N) of each tile, through the filter that the torque has passed."""
+        parts = [tile.states.decimate(function(tile.signals))[..., tile.kept].numpy() for tile in self.tiles]
+        return np.concatenate(parts, axis=-1)
+
+    def around(self, pi: Tensor, friction: Tensor, rest_width: np.ndarray) -> Rows:
+        """Return the same rows, whose signals have the torque of pi (n_params,) as load and friction beside it.
+
+        Args:
+            pi: (n_params,) inertial parameters.
+            friction: (n, 3), see ``Signals``.
+            rest_width: (n,) speeds over which friction changes its sign [rad/s, m/s].
+        """
+        load = np.abs(self.rigid @ pi.numpy()).max(1)
+        scales = [
+            replace(s, rest_width=float(w), load_max=float(most))
+            for s, w, most in zip(self.columns.scales, rest_width, load, strict=True)
+        ]
+        columns = self.columns.of_candidates((), pi, friction).at_scales(scales)
+        return replace(
+            self, columns=columns, tiles=tuple(replace(t, signals=columns.signals(t.states)) for t in self.tiles)
+        )
+
+
+def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
+    """Stream recordings once and keep their rows.
+
+    Args:
+        reading: the recordings and their filters.
+        columns: of the robot.
+        kept_back: what is not to be read.
+    """
+    tiles, parts = [], []
+    for k, states in _spread(reading):
+        kept = ~kept_back(states.recording, states.t_out)
+        if not kept.any():
+            continue
+        measured = reading.measured(k).unsqueeze(1)
+        tau = states.decimate(torch.where(measured, torch.nan_to_num(states.tau), 0.0))
+        states = states.thinned(_thinning(states, reading.filtering.cutoff_hz))
+        tiles.append(Tile(states, columns.signals(states), kept))
+        rigid = states.decimate(columns.robot.regressor_batch_last(states.q, states.qd, states.qdd))
+        part = {
+            "tau": tau,
+            "measured": measured.expand_as(tau),
+            "q": states.decimate(states.q),
+            "qd": states.decimate(states.qd),
+            "rigid": rigid.movedim(1, 2),
+        }
+        place = torch.tensor([k, states.segment, states.dt_out], dtype=torch.float64).expand(int(kept.sum()), 3)
+        parts.append(
+            {name: x[:, kept].numpy() for name, x in part.items()}
+            | {"place": torch.cat((states.t_out[kept, None], place), 1).numpy()}
+        )
+    joined = {name: np.concatenate([p[name] for p in parts], axis=int(name != "place")) for name in parts[0]}
+    t, recording, segment, dt_out = joined.pop("place").T
+    begins = (np.diff(t, prepend=-np.inf) > 1.5 * dt_out) | (np.diff(t, prepend=0.0) < 0)
+    begins |= (np.diff(recording, prepend=-1) != 0) | (np.diff(segment, prepend=-1) != 0)
+    return Rows(
+        columns=columns,
+        tiles=tuple(tiles),
+        recordings=tuple(r.name for r in reading.recordings),
+        run=np.cumsum(begins),
+        recording=recording.astype(int),
+        t=t,
+        block=_blocks(t, recording, reading.block_s),
+        encoder_std=np.sqrt(np.mean([s.q_noise_std**2 for s in reading.surveys], axis=0)),
+        dt=max(s.clock.dt for s in reading.surveys),
+        dt_out=float(dt_out.max()),
+        **joined,  # type: ignore[arg-type]
+    )
+
+
+def _blocks(t: np.ndarray, recording: np.ndarray, block_s: float) -> np.ndarray:
+    """Number stretches of about ``block_s`` of one recording each, longer ones where there would be too many, (M,)."""
+    total = sum(np.ptp(t[recording == k]) for k in np.unique(recording))
+    places = np.stack((recording, np.floor(t / max(block_s, total / _MOST_BLOCKS))), axis=1)
+    return np.unique(places, axis=0, return_inverse=True)[1].ravel()
+
+
+def _spread(reading: Reading) -> Iterator[tuple[int, States]]:
+    """Yield every tile of all recordings, or some that are spread over them if they are long."""
+    band = reading.filtering.cutoff_hz
+    total = sum(s.duration_s * min(s.rate_hz, _least_rate(band)) for s in reading.surveys)
+    step, number = max(1, math.ceil(total / _MOST_STATES)), 0
+    for k in range(len(reading.recordings)):
+        for states in reading.tiles(k):
+            if number % step == 0:
+                yield k, states
+            number += 1
+
+
+def _least_rate(band_hz: float) -> float:
+    return max(_LEAST_RATE_HZ, _LEAST_RATE_CYCLES * band_hz)
+
+
+def _thinning(states: States, band_hz: float) -> int:
+    """Return by how much the clock may be coarser that has the same outputs."""
+    most = max(1, math.floor(1.0 / (states.dt * _least_rate(band_hz)) + 1e-6))
+    return max(d for d in range(1, most + 1) if states.stride % d == 0)
