@@ -1,173 +1,276 @@
-"""Which physics does the likelihood ask for? Every effect at every place, by its log evidence.
-
-A hypothesis is an effect at a place. What it leaves open (nonlinear shapes, the stretch of time in which it acts, its
-size) is averaged over before it is compared, so that the number of possibilities is paid for:
-
-    log B = log mean_(shape, window, size) p(tau | base, effect) / p(tau | base)
-"""
+"""What was considered: the physics that the likelihood asks for, before anything is named and after."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from scipy.linalg import solve_triangular
 
-from torchrbd.inference.data.columns import Candidate
-from torchrbd.likelihood.gaussian import Addition, added, mixture
-from torchrbd.likelihood.likelihood import Extra, Likelihood, learn
+from torchrbd.diagnosis.hypotheses import Hypothesis, refined, screened, told
+from torchrbd.inference.data.columns import Candidate, Columns
+from torchrbd.inference.data.reading import Progress, Reading
+from torchrbd.inference.data.scales import covered_scales
+from torchrbd.inference.identify import Source, read_arguments
+from torchrbd.inference.preparation import read
+from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.band import band_hz
+from torchrbd.likelihood.likelihood import Likelihood, learn
 from torchrbd.likelihood.machine import Machine
-from torchrbd.likelihood.prior import coefficient_std
-from torchrbd.likelihood.rows import Rows
-from torchrbd.physics import Effect, Site, Window
-from torchrbd.physics.registry import effect
+from torchrbd.likelihood.rows import KeptBack, Rows, read_rows
+from torchrbd.physics import Effect, Site, Window, effect
+from torchrbd.recordings import Filtering
+from torchrbd.robot import RobotModel
 
-# The machine has these already.
-ORDINARY = ("viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction")
-# A hypothesis whose odds are above this is adopted before the others are ranked once more; at most so many.
-_SURE, _MOST_ADOPTED = 9.0, 8
-# Windows of time, counted in blocks.
-_MOST_EDGES = 33
+# Hypotheses whose shapes are refined and whose noise is learnt anew, at each step, and those that are shown.
+_LEADING, _SHOWN = 5, 30
+# A leader is adopted, and the others are ranked beside it, while its odds against chance are above nine to one, of all
+# hypotheses one being expected; at most so many.
+_SURE, _MOST_ADOPTED = math.log(9.0), 6
 
 
 @dataclass(frozen=True)
-class Hypothesis:
-    """An effect at a place, and what the data say for it.
+class Ranked:
+    """One hypothesis of a ranking.
 
     Attributes:
-        candidate: the effect with the shape, and window, of the greatest evidence.
-        log_evidence: against the base, averaged over shapes, windows and sizes, in nats.
-        coefficients, std: (K,) posterior of its coefficients.
-        tried: shapes and windows that were averaged over.
+        effect: its id.
+        joints, links: where; none of both if it acts on the whole robot.
+        log_evidence: against leaving it out, in nats, averaged over shapes, sizes and stretches of time.
+        parameters: physical ones, by name, SI units.
+        other: the joint on whose motion it depends, if that is another one.
+        window: recording, from and to [s], where it acts for a time.
+        shape: nonlinear parameters.
     """
 
-    candidate: Candidate
+    effect: str
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
     log_evidence: float
-    coefficients: np.ndarray
-    std: np.ndarray
-    tried: int
-
-    @property
-    def name(self) -> tuple[str, Site]:
-        """Effect and place, whatever the window."""
-        return self.candidate.effect.id, replace(self.candidate.site, window=None)
+    parameters: dict[str, float]
+    other: str | None = None
+    window: tuple[str, float, float] | None = None
+    shape: dict[str, float] = field(default_factory=dict)
 
 
-def screened(fit: Likelihood, rows: Rows, effects: Iterable[Effect]) -> list[Hypothesis]:
-    """Return every effect at every place beside a fit, greatest evidence first.
+@dataclass(frozen=True)
+class Ranking:
+    """Hypotheses by their log evidence, best first.
+
+    Attributes:
+        band_hz: up to which torques were compared.
+        ordinary: friction of each joint, which every machine has: evidence against leaving it out.
+        delay_s: by recording, how much later the torque is than the motion, and its standard deviation.
+        first: beside a rigid body with ordinary friction.
+        adopted: those that were taken into the model, one after the other.
+        last: beside these; the adopted ones among them, each against leaving it out.
+        considered: number of effects at their places.
+    """
+
+    band_hz: float
+    ordinary: tuple[Ranked, ...]
+    delay_s: dict[str, tuple[float, float]]
+    first: tuple[Ranked, ...]
+    adopted: tuple[Ranked, ...]
+    last: tuple[Ranked, ...]
+    considered: int
+    _fit: Likelihood = field(repr=False)
+    _rows: Rows = field(repr=False)
+
+    def evidence_of(
+        self,
+        effect_id: str | None = None,
+        joints: Sequence[str] = (),
+        links: Sequence[str] = (),
+        shape: Mapping[str, Any] | None = None,
+        window: tuple[str, float, float] | None = None,
+        **more: Any,
+    ) -> float:
+        """Return the log evidence of one hypothesis that is told, its noise learnt with it; its size is averaged over.
+
+        Args:
+            effect_id: of the effect; ``effect`` does as well.
+            joints, links: where; all joints, or none, for the whole robot.
+            shape: nonlinear parameters; ``other`` in it names the joint on whose motion the effect depends.
+            window: recording, from and to [s].
+        """
+        rows, robot = self._rows, self._rows.columns.robot
+        known = dict(shape or {})
+        other = known.pop("other", None)
+        everywhere = len(joints) == robot.n_dof > 1
+        site = Site(
+            joint=robot.joint_names.index(joints[0]) if joints and not everywhere else None,
+            other=None if other is None else robot.joint_names.index(other),
+            body=robot.body_names.index(links[0]) if links else None,
+            window=None if window is None else Window(*window),
+        )
+        e = effect(effect_id or more["effect"])
+        candidate = rows.columns.candidate(e, site, known if e.first_order is None else e.first_order)
+        one = told(self._fit, rows, candidate)
+        return -math.inf if one is None else with_own_noise(self._fit, rows, one).log_evidence
+
+
+def rank(
+    robot: RobotModel | str | Path | bytes,
+    recordings: Sequence[Source] | Source,
+    *,
+    progress: Progress = lambda *_: None,
+    **options: Any,
+) -> Ranking:
+    """Rank the effects that a URDF may leave out by their log evidence, without naming any.
 
     Args:
-        fit: the base.
-        rows: its rows, whose signals carry its load and friction.
-        effects: what may be there.
+        robot: a robot or its URDF.
+        recordings: files or opened recordings; those held out are not looked at.
+        progress: told how far the work is.
+        **options: those of ``diagnose``.
+
+    Raises:
+        InputError: a robot, recording or option that cannot be used.
     """
-    found: list[Hypothesis] = []
-    timed = [e for e in effects if not e.sites(rows.columns.robot)]
-    for e in (e for e in effects if e.id not in ORDINARY and e not in timed):
-        for site in e.sites(rows.columns.robot):
-            if e.id == "time_delay" and site.joint is None and rows.n_dof > 1:
-                continue
-            if e.whole_robot or rows.seen[site.joint or 0]:
-                shapes = e.shapes(rows.columns.scale(site)) if e.first_order is None else (e.first_order,)
-                one = _averaged(fit, rows, [rows.columns.candidate(e, site, shape) for shape in shapes])
-                if one is not None:
-                    found.append(one)
-    for e in timed:
-        found += _in_windows(fit, rows, e)
-    return sorted(found, key=lambda h: -h.log_evidence)
+    robot, sources, settings = read_arguments(robot, recordings, options, "rank")
+    reading, _ = read(robot, sources, settings, progress)
+    held = {str(getattr(source, "name", source)) for source in settings.holdout}
+
+    def kept_back(name: str, t: torch.Tensor) -> torch.Tensor:
+        return torch.full((len(t),), name in held or any(name == Path(h).name for h in held))
+
+    return ranking(reading, settings, kept_back, progress)
 
 
-def _averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hypothesis | None:
-    """Return the evidence of an effect at a place, averaged over its shapes."""
-    parts = [(c, F) for c in candidates if np.isfinite(F := rows.features(c)).all() and F.any()]
-    if not parts:
-        return None
-    S, r = fit.beside(parts[0][0].place, np.concatenate([F for _, F in parts]))
-    found, first = [], 0
-    for c, F in parts:
-        here = slice(first, first := first + len(F))
-        found.append(_sized(fit, c, F, S[here, here], r[here]))
-    whole = mixture(found)
-    best = max(range(len(found)), key=lambda k: found[k].log_evidence)
-    return Hypothesis(parts[best][0], whole.log_evidence, whole.mean, whole.std, len(candidates))
+def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress: Progress) -> Ranking:
+    """Rank effects on recordings that have been opened.
 
-
-def _sized(fit: Likelihood, candidate: Candidate, F: np.ndarray, S: np.ndarray, r: np.ndarray) -> Addition:
-    """Return the evidence of a candidate, averaged over its size."""
-    std, scales = coefficient_std(candidate, F, fit.machine.torque_rms)
-    return mixture([added(S, r, std * k, candidate.effect.prior.positive) for k in scales])
-
-
-def _in_windows(fit: Likelihood, rows: Rows, e: Effect) -> list[Hypothesis]:
-    """Return the evidence of an effect on every link, averaged over stretches of time.
-
-    The columns of a stretch are those of all time, zero outside: their moments are sums over its blocks.
+    Args:
+        reading: how they are read; its cut-off does not matter unless the settings name one.
+        settings: the user's choices.
+        kept_back: what of them is held out.
+        progress: told how far the work is.
     """
-    found = []
-    for k, name in enumerate(rows.recordings):
-        inside = rows.recording == k
-        if not inside.any():
+    robot, effects = reading.robot, settings.chosen_effects()
+    band = settings.cutoff_hz or band_hz(reading.surveys)
+    reading = replace(reading, filtering=Filtering(band, of_motion=True), smoothed=())
+    columns = Columns(robot, (), covered_scales(reading.surveys, reading.filtering))
+    progress("learning the noise", 0.0)
+    fit = learn(Machine(read_rows(reading, columns, kept_back), frozenset(settings.held_bodies(robot))))
+    rows = _carried(fit)
+    progress("ranking", 0.0)
+    found = _leading(fit, rows, screened(fit, rows, effects))
+    last, adopted, terms = _last(fit, rows, effects, found, progress)
+    return Ranking(
+        band_hz=band,
+        ordinary=_ordinary(fit),
+        delay_s=_delays(fit),
+        first=tuple(_ranked(h, fit, robot) for h in found[:_SHOWN]),
+        adopted=tuple(_ranked(h, fit, robot) for h in adopted),
+        last=tuple(_ranked(h, terms, robot) for h in last[:_SHOWN]),
+        considered=len(found),
+        _fit=fit,
+        _rows=rows,
+    )
+
+
+def _carried(fit: Likelihood) -> Rows:
+    """Return the rows whose signals carry the load and friction of a fit."""
+    return fit.machine.rows.around(fit.pi, fit.hyper.friction, fit.hyper.rest_width)
+
+
+def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis with the noise learnt beside it: what is not explained colours the noise, and hides in it.
+
+    Both models have the noise that they leave, and rows count by the scatter of the blocks that the larger one leaves.
+    """
+    beside = fit.extended((*fit.extra, h.extra(fit, rows)))
+    extended = beside.renoised(dispersed=True)
+    base = fit.renoised().dispersed(extended.hyper.dispersion)
+    # What averaging over shapes, sizes and windows costs, the first noise has told.
+    average = h.log_evidence - (beside.log_evidence - fit.log_evidence)
+    k = len(fit.extra)
+    return replace(
+        h,
+        log_evidence=extended.log_evidence - base.log_evidence + average,
+        coefficients=extended.coefficients(k),
+        std=extended.coefficients_std(k),
+    )
+
+
+def _leading(fit: Likelihood, rows: Rows, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return hypotheses in order, the leading ones with refined shapes and their own noise."""
+    leading = [with_own_noise(fit, rows, refined(fit, rows, h)) for h in found[:_LEADING]]
+    return sorted((*leading, *found[_LEADING:]), key=lambda h: -h.log_evidence)
+
+
+def _last(
+    fit: Likelihood, rows: Rows, effects: Sequence[Effect], found: list[Hypothesis], progress: Progress
+) -> tuple[list[Hypothesis], list[Hypothesis], Likelihood]:
+    """Adopt leaders one after the other; return the hypotheses beside them, those adopted, and the model."""
+    adopted: list[Hypothesis] = []
+    while found and len(adopted) < _MOST_ADOPTED and found[0].log_evidence > math.log(len(found)) + _SURE:
+        adopted.append(found[0])
+        progress("ranking beside what was found", len(adopted) / (_MOST_ADOPTED + 1))
+        fit = fit.extended([*fit.extra, found[0].extra(fit, rows)]).renoised(dispersed=True)
+        known = {h.name for h in adopted}
+        found = _leading(fit, rows, [h for h in screened(fit, rows, effects) if h.name not in known])
+    for k, h in enumerate(adopted):
+        own = replace(
+            h,
+            log_evidence=fit.against_leaving_out(k),
+            coefficients=fit.coefficients(k),
+            std=fit.coefficients_std(k),
+        )
+        found.append(own)
+    return sorted(found, key=lambda h: -h.log_evidence), adopted, fit
+
+
+def _ranked(h: Hypothesis, fit: Likelihood, robot: RobotModel) -> Ranked:
+    c, site = h.candidate, h.candidate.site
+    w = torch.from_numpy(_whole(c, h.coefficients, fit))
+    window = None if site.window is None else (site.window.recording, site.window.start_s, site.window.end_s)
+    return Ranked(
+        effect=c.effect.id,
+        joints=() if site.joint is None else (robot.joint_names[site.joint],),
+        links=() if site.body is None else (robot.body_names[site.body],),
+        log_evidence=h.log_evidence,
+        parameters={k: float(v) for k, v in c.effect.parameters(w, c.shape).items()},
+        other=None if site.other is None else robot.joint_names[site.other],
+        window=window,
+        shape=dict(c.shape),
+    )
+
+
+def _whole(candidate: Candidate, coefficients: np.ndarray, fit: Likelihood) -> np.ndarray:
+    """Return coefficients with what the machine's own friction has of the same columns."""
+    if candidate.site.joint is None:
+        return coefficients
+    viscous, plus, minus = fit.friction[candidate.site.joint]
+    own = {"qd": viscous, "sign(qd)": 0.5 * (plus + minus)}
+    return coefficients + [own.get(label, 0.0) for label in candidate.labels]
+
+
+def _ordinary(fit: Likelihood) -> tuple[Ranked, ...]:
+    """Return the friction that every joint has, and the evidence against leaving it out."""
+    robot, found = fit.machine.rows.columns.robot, []
+    for j, name in enumerate(robot.joint_names):
+        if not fit.machine.rows.seen[j]:
             continue
-        whole = Window(name)
-        edges = np.unique(rows.block[inside])
-        step = math.ceil(len(edges) / (_MOST_EDGES - 1))
-        several = len(rows.recordings) > 1
-        for site in e.sites(rows.columns.robot, (whole,)):
-            candidate = rows.columns.candidate(e, site, {})
-            one = _best_window(fit, rows, candidate, edges[::step], several)
-            if one is not None:
-                found.append(one)
-    return found
+        at = fit.machine.ordinary(j)
+        viscous, plus, minus = map(float, fit.friction[j])
+        for identifier, index, values in (
+            ("viscous_friction", at[:1], {"viscous": viscous}),
+            ("asymmetric_coulomb_friction", at[1:], {"coulomb_plus": plus, "coulomb_minus": minus}),
+        ):
+            width = {"width": float(fit.hyper.rest_width[j])} if len(index) > 1 else {}
+            evidence = fit.gaussian.against_zero(index)
+            found.append(Ranked(identifier, (name,), (), evidence, values, shape=width))
+    return tuple(found)
 
 
-def _best_window(
-    fit: Likelihood, rows: Rows, candidate: Candidate, edges: np.ndarray, several: bool
-) -> Hypothesis | None:
-    """Average over all stretches between edges; over the whole recording too where there are several."""
-    F = rows.features(candidate)
-    std, scales = coefficient_std(candidate, F, fit.machine.torque_rms)
-    std = std * scales[1]
-    n_blocks, K, P = len(edges), len(F), len(fit.gaussian.z)
-    cross, gram, score = np.zeros((n_blocks, P, K)), np.zeros((n_blocks, K, K)), np.zeros((n_blocks, K))
-    inside = (rows.block >= edges[0]) & (rows.recording == rows.recordings.index(candidate.site.window.recording))  # type: ignore[union-attr]
-    for j, index in enumerate(fit.index):
-        if not len(index):
-            continue
-        C = fit.hyper.noise[j].white(F[:, j], index)
-        b = fit.gaussian.blocks[j]
-        number = np.searchsorted(edges, rows.block[index], side="right") - 1
-        for k in np.unique(number[inside[index]]):
-            at = (number == k) & inside[index]
-            cross[k, b.own] += b.X[:, at] @ C[:, at].T
-            gram[k] += C[:, at] @ C[:, at].T
-            score[k] += C[:, at] @ fit.gaussian.left[j][at]
-    V = solve_triangular(fit.gaussian.L, cross.transpose(1, 0, 2).reshape(P, -1), lower=True, check_finite=False)
-    V = V.reshape(P, n_blocks, K)
-    # Sums over windows from those up to each edge.
-    V, gram, score = (np.concatenate((np.zeros_like(x[:1]), np.cumsum(x, 0))) for x in (V.transpose(1, 0, 2), gram, score))
-    found: list[tuple[Addition, int, int]] = []
-    for begin in range(n_blocks):
-        for end in range(begin + 1, n_blocks + 1):
-            if end - begin == n_blocks and not several:
-                continue
-            U = V[end] - V[begin]
-            S, r = gram[end] - gram[begin] - U.T @ U, score[end] - score[begin]
-            found.append((added(S, r, std, candidate.effect.prior.positive), begin, end))
-    if not found:
-        return None
-    total = mixture([a for a, *_ in found])
-    _, begin, end = max(found, key=lambda one: one[0].log_evidence)
-    t = rows.t[inside]
-    times = [float(rows.t[(rows.block >= e) & inside].min()) for e in edges] + [float(t.max())]
-    window = Window(candidate.site.window.recording, times[begin], times[end])  # type: ignore[union-attr]
-    best = rows.columns.candidate(candidate.effect, replace(candidate.site, window=window), {})
-    return Hypothesis(best, total.log_evidence, total.mean, total.std, len(found))
-
-
-def learnt(rows: Rows, held: frozenset[str] = frozenset()) -> tuple[Likelihood, Rows]:
-    """Return the likelihood of ordinary physics, and the rows whose signals carry its load and friction."""
-    fit = learn(Machine(rows, held))
-    return fit, rows.around(fit.pi, fit.hyper.friction, fit.hyper.rest_width)
+def _delays(fit: Likelihood) -> dict[str, tuple[float, float]]:
+    rows = fit.machine.rows
+    spread = fit.machine.timing_std * np.sqrt(fit.gaussian.covariance(fit.machine.timing).diagonal())
+    names = [rows.recordings[k] for k in np.unique(rows.recording)]
+    return {n: (float(d), float(s)) for n, d, s in zip(names, fit.delay_s, spread, strict=True)}

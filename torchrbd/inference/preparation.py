@@ -136,20 +136,12 @@ def prepare(
     Raises:
         RecordingError, OptionError: input that cannot be used.
     """
-    opened, noise, found = open_all(robot, recordings, settings), settings.known_encoder_noise(robot).numpy(), []
-    simulations = open_simulated(robot, settings, opened)
-    for k, recording in enumerate(opened):
-        progress("looking through the recordings", k / len(opened))
-        found.append(survey(recording))
-    surveys = [_told(one, noise) for one in found]
-    filtering = Filtering(choose_cutoff(surveys) if settings.cutoff_hz is None else settings.cutoff_hz)
-    opened, surveys, simulated = _simulated(robot, opened, surveys, simulations, filtering, progress)
+    reading, found = read(robot, recordings, settings, progress)
+    opened, surveys, filtering, simulated = reading.recordings, reading.surveys, reading.filtering, reading.simulated
     sites, windows = told_sites(settings.told_effects(), robot, [r.name for r in opened])
     unloaded = [e for e in effects if not e.uses_load]
     columns = Columns(robot, unloaded, covered_scales(surveys, filtering), windows, sites=sites)
-    used, held = settings.used_joints(robot), settings.held_bodies(robot)
-    payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
-    reading = Reading(robot, opened, tuple(surveys), filtering, used, payload, simulated)
+    used, held = reading.used, settings.held_bodies(robot)
     statistics = reading.statistics(columns, progress)
     held_out, words = held_out_blocks(statistics.blocks, opened[len(recordings) :], reading, settings)
     weight = statistics.torque[..., 0].sum(0)
@@ -187,6 +179,32 @@ def prepare(
     if settings.estimator == "smoother" or (settings.estimator == "auto" and prepared.input_noise.matters):
         return _smoothed(prepared, rough, held, settings, progress)
     return prepared
+
+
+def read(
+    robot: RobotModel,
+    recordings: Sequence[str | Path | Recording],
+    settings: Settings,
+    progress: Progress = lambda *_: None,
+) -> tuple[Reading, list[Survey]]:
+    """Open recordings, look through them, and decide how they are read.
+
+    Returns:
+        how they are read, and what each shows, whatever the user knows of its noise.
+
+    Raises:
+        RecordingError, OptionError: input that cannot be used.
+    """
+    opened, noise, found = open_all(robot, recordings, settings), settings.known_encoder_noise(robot).numpy(), []
+    simulations = open_simulated(robot, settings, opened)
+    for k, recording in enumerate(opened):
+        progress("looking through the recordings", k / len(opened))
+        found.append(survey(recording))
+    surveys = [_told(one, noise) for one in found]
+    filtering = Filtering(choose_cutoff(surveys) if settings.cutoff_hz is None else settings.cutoff_hz)
+    opened, surveys, simulated = _simulated(robot, opened, surveys, simulations, filtering, progress)
+    payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
+    return Reading(robot, opened, tuple(surveys), filtering, settings.used_joints(robot), payload, simulated), found
 
 
 def _simulated(

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,16 +56,29 @@ class Gaussian:
 
     def __init__(self, blocks: Sequence[Block], n: int) -> None:
         self.blocks = tuple(blocks)
-        H, h, power = np.eye(n), np.zeros(n), 0.0
+        H, h = np.eye(n), np.zeros(n)
         for b in self.blocks:
             H[np.ix_(b.own, b.own)] += b.X @ b.X.T
             h[b.own] += b.X @ b.y
-            power += float(b.y @ b.y)
+        self._solve(H, h)
+
+    def _solve(self, H: np.ndarray, h: np.ndarray) -> None:
         self.H, self.h = H, h
         self.L = np.linalg.cholesky(H)
         self.z = cho_solve((self.L, True), h, check_finite=False)
         self.left = [b.y - self.z[b.own] @ b.X for b in self.blocks]
+        power = sum(float(b.y @ b.y) for b in self.blocks)
         self.log_evidence = -0.5 * (power - float(h @ self.z)) - float(np.log(np.diag(self.L)).sum())
+
+    def among(self, kept: np.ndarray) -> Gaussian:
+        """Return the posterior of a model that has some of the coefficients alone."""
+        number = np.full(len(self.z), -1)
+        number[kept] = np.arange(len(kept))
+        inside = [number[b.own] >= 0 for b in self.blocks]
+        one = copy(self)
+        one.blocks = tuple(Block(b.X[k], b.y, number[b.own[k]]) for b, k in zip(self.blocks, inside, strict=True))
+        one._solve(self.H[np.ix_(kept, kept)], self.h[kept])
+        return one
 
     def covariance(self, index: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the posterior covariance of some coefficients, (K, K)."""

@@ -74,12 +74,11 @@ class Likelihood:
 
     @property
     def log_evidence(self) -> float:
-        """Log marginal likelihood of all rows."""
-        scale = sum(
-            len(i) * np.log(n.sigma) + np.log(n.scale[i]).sum()
-            for i, n in zip(self.index, self.hyper.noise, strict=True)
+        """Log marginal likelihood of all rows, to the power of one over their joint's dispersion."""
+        each = zip(self.index, self.hyper.noise, self.hyper.dispersion, strict=True)
+        return self.gaussian.log_evidence - float(
+            sum((len(i) * np.log(n.sigma) + np.log(n.scale[i]).sum()) / d for i, n, d in each)
         )
-        return self.gaussian.log_evidence - float(scale)
 
     @property
     def pi(self) -> torch.Tensor:
@@ -162,6 +161,14 @@ class Likelihood:
             drift[j] = max(drift[j] * np.sqrt(np.clip(power, 0.1, 10.0)), _LEAST_DRIFT * rms)
         return self._with(noise=tuple(noise), drift=drift, dispersion=dispersion)
 
+    def dispersed(self, dispersion: np.ndarray) -> Likelihood:
+        """Return the same model whose rows count by another dispersion (n,)."""
+        noise = tuple(
+            replace(n, sigma=n.sigma * float(np.sqrt(new / old)))
+            for n, new, old in zip(self.hyper.noise, dispersion, self.hyper.dispersion, strict=True)
+        )
+        return self._with(noise=noise, dispersion=dispersion)
+
     def rewidened(self) -> Likelihood:
         """Return the same model with the widths of friction's sign change that have the greatest evidence."""
         g, widths = self.gaussian, self.hyper.rest_width.copy()
@@ -171,7 +178,7 @@ class Likelihood:
             dropped = self.machine.ordinary(j)[1:]
             bend = dropped[-1] + 1
             kept = np.setdiff1d(np.arange(len(g.z)), [*dropped, bend])
-            rest = _without(g, kept, j)
+            rest = g.among(kept)
             found = []
             for part in _WIDTHS:
                 width = part * self.machine.speed_rms[j]
@@ -212,23 +219,6 @@ class Likelihood:
 
     def _with(self, **changes: object) -> Likelihood:
         return Likelihood(self.machine, self.hyper.with_(**changes), self.extra, self._slopes)
-
-
-def _without(g: Gaussian, kept: np.ndarray, joint: int) -> Gaussian:
-    """Return the posterior of some of the coefficients alone; of the blocks it has that of one joint."""
-    rest = object.__new__(Gaussian)
-    rest.H, rest.h = g.H[np.ix_(kept, kept)], g.h[kept]
-    rest.L = np.linalg.cholesky(rest.H)
-    rest.z = np.linalg.solve(rest.L.T, np.linalg.solve(rest.L, rest.h))
-    number = np.full(len(g.z), -1)
-    number[kept] = np.arange(len(kept))
-    blocks, left = list(g.blocks), list(g.left)
-    b = g.blocks[joint]
-    inside = number[b.own] >= 0
-    blocks[joint] = Block(b.X[inside], b.y, number[b.own[inside]])
-    left[joint] = b.y - rest.z[blocks[joint].own] @ blocks[joint].X
-    rest.blocks, rest.left = tuple(blocks), left
-    return rest
 
 
 def learn(machine: Machine) -> Likelihood:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -74,6 +75,7 @@ class Rows:
     encoder_std: np.ndarray
     dt: float
     dt_out: float
+    _known: dict[tuple[Any, ...], np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
     def n_dof(self) -> int:
@@ -87,7 +89,10 @@ class Rows:
 
     def features(self, candidate: Candidate) -> np.ndarray:
         """Return the features of a candidate, (K, M) at its joint, or (K, n, M) if it acts on the whole robot."""
-        return self.evaluated(lambda signals: torch.stack(list(candidate.features(signals).values())))
+        key = candidate.effect, candidate.site, *candidate.shape.items()
+        if key not in self._known:
+            self._known[key] = self.evaluated(lambda signals: torch.stack(list(candidate.features(signals).values())))
+        return self._known[key]
 
     def evaluated(self, function: Callable[[Signals], Tensor]) -> np.ndarray:
         """Return a function of the signals, (..., N) of each tile, through the filter that the torque has passed."""
@@ -108,9 +113,8 @@ class Rows:
             for s, w, most in zip(self.columns.scales, rest_width, load, strict=True)
         ]
         columns = self.columns.of_candidates((), pi, friction).at_scales(scales)
-        return replace(
-            self, columns=columns, tiles=tuple(replace(t, signals=columns.signals(t.states)) for t in self.tiles)
-        )
+        tiles = tuple(replace(t, signals=columns.signals(t.states)) for t in self.tiles)
+        return replace(self, columns=columns, tiles=tiles, _known={})
 
 
 def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:

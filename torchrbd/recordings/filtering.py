@@ -16,8 +16,9 @@ _BLACKMAN_REACH = 2.75
 _KAISER_REACH = 1.815
 _KAISER_BETA = 5.653
 _OVERSAMPLING = 2.5
-# Half-length of the filter that takes the noise out, in those of the state filter, and points of its response for each.
-_WIENER_REACH, _OVERSAMPLED = 4, 16
+# Half-length of the filter that takes the noise out [s]: it tells frequencies some Hz apart. Points of its response for
+# each of its own.
+_WIENER_REACH_S, _OVERSAMPLED = 0.4, 8
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Filtering:
         kernels = self.state_kernels(dt)
         if not self.of_motion:
             return kernels.expand(len(share), *kernels.shape)
-        half = _WIENER_REACH * (kernels.shape[1] // 2)
+        half = self._motion_reach(dt)
         frequency = np.fft.rfftfreq(_OVERSAMPLED * half, dt)
         gain = np.stack([np.interp(frequency, share_hz, own) for own in share])
         centred = np.roll(np.fft.irfft(gain, _OVERSAMPLED * half), half, axis=1)[:, : 2 * half + 1]
@@ -111,8 +112,10 @@ class Filtering:
 
     def reach(self, dt: float) -> int:
         """Return how many samples at each end of a segment have no output, because the filters would leave it."""
-        half = self.state_kernels(dt).shape[1] // 2
-        return half * (1 + _WIENER_REACH * self.of_motion) + self.feature_kernel(dt).shape[0] // 2
+        return (self.state_kernels(dt).shape[1] + self.feature_kernel(dt).shape[0]) // 2 - 1 + self._motion_reach(dt)
+
+    def _motion_reach(self, dt: float) -> int:
+        return math.ceil(_WIENER_REACH_S / dt) if self.of_motion else 0
 
     def state_noise(self, q_noise_std: np.ndarray, dt: float, qd_noise_std: np.ndarray | None = None) -> torch.Tensor:
         """Propagate white encoder noise through the state filter.

@@ -1,0 +1,217 @@
+"""Every effect at every place, beside a likelihood: the evidence of each, averaged over what it leaves open.
+
+    log B = log mean_(shape, window, size) p(tau | base, effect) / p(tau | base)
+
+so that the number of shapes and stretches of time that were tried is paid for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
+
+from torchrbd.inference.data.columns import Candidate
+from torchrbd.inference.shapes.slope import axes
+from torchrbd.likelihood.gaussian import Addition, added, mixture
+from torchrbd.likelihood.likelihood import Extra, Likelihood
+from torchrbd.likelihood.prior import coefficient_std
+from torchrbd.likelihood.rows import Rows
+from torchrbd.physics import Effect, Site, Window
+
+# The machine has these already, and one offset of the clocks for all joints.
+ORDINARY = ("viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction")
+# Edges of the stretches of time in which something may act, spread over a recording.
+_MOST_EDGES = 33
+# Points between a shape's neighbours on the grid.
+_FINE = 9
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """An effect at a place, and what the data say for it.
+
+    Attributes:
+        candidate: the effect with the shape, or window, of the greatest evidence.
+        log_evidence: against the base, in nats.
+        coefficients, std: (K,) posterior of its coefficients.
+        scale: multiple of their prior that has the greatest evidence.
+        tried: shapes, or windows, that were averaged over.
+    """
+
+    candidate: Candidate
+    log_evidence: float
+    coefficients: np.ndarray
+    std: np.ndarray
+    scale: float
+    tried: int
+
+    @property
+    def name(self) -> tuple[str, Site]:
+        """Effect and place, whatever its window."""
+        return self.candidate.effect.id, replace(self.candidate.site, window=None)
+
+    def extra(self, fit: Likelihood, rows: Rows) -> Extra:
+        """Return its columns, as a model takes them."""
+        F = rows.features(self.candidate)
+        std, _ = coefficient_std(self.candidate, F, fit.machine.torque_rms)
+        return Extra(self.candidate.place, F, std * self.scale)
+
+
+def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
+    """Return every effect at every place beside a fit, greatest evidence first.
+
+    Args:
+        fit: the base.
+        rows: its rows, whose signals carry its load and friction.
+        effects: what may be there.
+    """
+    robot = rows.columns.robot
+    found: list[Hypothesis | None] = []
+    for e in (e for e in effects if e.id not in ORDINARY):
+        places = e.sites(robot)
+        if not places:
+            found += _in_windows(fit, rows, e)
+        for site in places:
+            if _may_be(e, site, rows):
+                shapes = e.shapes(rows.columns.scale(site)) if e.first_order is None else (e.first_order,)
+                found.append(_averaged(fit, rows, [rows.columns.candidate(e, site, shape) for shape in shapes]))
+    return sorted((h for h in found if h is not None), key=lambda h: -h.log_evidence)
+
+
+def told(fit: Likelihood, rows: Rows, candidate: Candidate) -> Hypothesis | None:
+    """Return the evidence of one candidate whose shape, or window, is known."""
+    return _averaged(fit, rows, [candidate])
+
+
+def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis whose shape lies between those of the grid, the average taken over that cell of it."""
+    columns = rows.columns
+    for name, axis in axes(columns, h.candidate).items():
+        if axis.reach <= 0:
+            continue
+        now = h.candidate
+        values = np.linspace(*axis.limits(now.shape[name]), _FINE)
+        near = [columns.candidate(now.effect, now.site, {**now.shape, name: float(v)}) for v in values]
+        found = [one for c in near if (one := told(fit, rows, c)) is not None]
+        if not found:
+            continue
+        best = max(found, key=lambda one: one.log_evidence)
+        cell = float(logsumexp([one.log_evidence for one in found])) - math.log(len(found))
+        # The cell's part of the average was the grid's best value alone.
+        more = np.logaddexp(h.log_evidence, cell - math.log(h.tried)) if h.tried > 1 else max(h.log_evidence, cell)
+        h = replace(best, log_evidence=float(more), tried=h.tried)
+    return h
+
+
+def _may_be(e: Effect, site: Site, rows: Rows) -> bool:
+    """Say whether an effect at a site is a hypothesis: torques are known there, and the machine has it not."""
+    if site.joint is None:
+        return e.first_order is None or rows.n_dof == 1
+    return e.whole_robot or rows.seen[site.joint]
+
+
+def _averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hypothesis | None:
+    """Return the evidence of an effect at a place, averaged over its shapes and sizes."""
+    parts = [(c, F) for c in candidates if np.isfinite(F := rows.features(c)).all() and F.any()]
+    if not parts:
+        return None
+    S, r = fit.beside(parts[0][0].place, np.concatenate([F for _, F in parts]))
+    found, first = [], 0
+    for c, F in parts:
+        here = slice(first, first := first + len(F))
+        found.append(_sized(fit, c, F, S[here, here], r[here]))
+    whole = mixture([a for a, _ in found])
+    k = max(range(len(found)), key=lambda k: found[k][0].log_evidence)
+    return Hypothesis(parts[k][0], whole.log_evidence, whole.mean, whole.std, found[k][1], len(parts))
+
+
+def _sized(
+    fit: Likelihood, candidate: Candidate, F: np.ndarray, S: np.ndarray, r: np.ndarray
+) -> tuple[Addition, float]:
+    """Return the evidence of a candidate, averaged over its size, and the size that fits best."""
+    std, scales = coefficient_std(candidate, F, fit.machine.torque_rms)
+    found = [added(S, r, std * k, candidate.effect.prior.positive) for k in scales]
+    best = max(zip(found, scales, strict=True), key=lambda one: one[0].log_evidence)[1]
+    return mixture(found), best
+
+
+def _in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis]:
+    """Yield an effect at every place where it may act for a time, averaged over the stretches of each recording."""
+    for number in np.unique(rows.recording):
+        name = rows.recordings[number]
+        for site in e.sites(rows.columns.robot, (Window(name),)):
+            candidate = rows.columns.candidate(e, site, {})
+            yield _in_stretches(fit, rows, candidate, int(number), _Stretches.of(rows, int(number)))
+
+
+@dataclass(frozen=True)
+class _Stretches:
+    """Stretches of one recording: their edges by block, and the time at each edge [s]."""
+
+    blocks: np.ndarray
+    times: np.ndarray
+    whole: bool
+
+    @staticmethod
+    def of(rows: Rows, number: int) -> _Stretches:
+        inside = rows.recording == number
+        blocks, first = np.unique(rows.block[inside], return_index=True)
+        step = math.ceil(len(blocks) / (_MOST_EDGES - 1))
+        t = rows.t[inside]
+        return _Stretches(blocks[::step], np.append(t[first][::step], t[-1]), bool((rows.recording != number).any()))
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        """Yield begin and end of each stretch, by edge; all of it only where there are other recordings."""
+        n = len(self.blocks)
+        return ((a, b) for a in range(n) for b in range(a + 1, n + 1) if b - a < n or self.whole)
+
+
+def _in_stretches(
+    fit: Likelihood, rows: Rows, candidate: Candidate, number: int, stretches: _Stretches
+) -> Hypothesis:
+    """Average over stretches of time: moments of a stretch are sums over its blocks."""
+    F = rows.features(candidate)
+    std, scales = coefficient_std(candidate, F, fit.machine.torque_rms)
+    V, gram, score = _sums(fit, rows, F, rows.recording == number, stretches.blocks)
+    found = []
+    for begin, end in stretches:
+        U = V[end] - V[begin]
+        S, r = gram[end] - gram[begin] - U.T @ U, score[end] - score[begin]
+        found += [(added(S, r, std * k, candidate.effect.prior.positive), begin, end, k) for k in scales]
+    total = mixture([a for a, *_ in found])
+    _, begin, end, scale = max(found, key=lambda one: one[0].log_evidence)
+    window = Window(rows.recordings[number], float(stretches.times[begin]), float(stretches.times[end]))
+    best = rows.columns.candidate(candidate.effect, replace(candidate.site, window=window), {})
+    return Hypothesis(best, total.log_evidence, total.mean, total.std, scale, len(found) // len(scales))
+
+
+def _sums(
+    fit: Likelihood, rows: Rows, F: np.ndarray, inside: np.ndarray, edges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return L^-1 X'C (B + 1, P, K), C'C (B + 1, K, K) and C'e (B + 1, K) of the blocks before each edge."""
+    B, K, P = len(edges), len(F), len(fit.gaussian.z)
+    cross, gram, score = np.zeros((B, P, K)), np.zeros((B, K, K)), np.zeros((B, K))
+    for j, index in enumerate(fit.index):
+        if not len(index):
+            continue
+        own = np.flatnonzero(inside[index])
+        C = fit.hyper.noise[j].white(F[:, j], index)[:, own]
+        b, e = fit.gaussian.blocks[j], fit.gaussian.left[j]
+        places = np.searchsorted(edges, rows.block[index[own]], side="right") - 1
+        for k, part in enumerate(np.split(np.arange(len(own)), np.searchsorted(places, np.arange(1, B)))):
+            cross[k, b.own] += b.X[:, own[part]] @ C[:, part].T
+            gram[k] += C[:, part] @ C[:, part].T
+            score[k] += C[:, part] @ e[own[part]]
+    V = solve_triangular(fit.gaussian.L, cross.transpose(1, 0, 2).reshape(P, -1), lower=True, check_finite=False)
+    before = V.reshape(P, B, K).transpose(1, 0, 2), gram, score
+    return tuple(np.concatenate((np.zeros_like(x[:1]), np.cumsum(x, 0))) for x in before)  # type: ignore[return-value]
+
+
+def names(hypotheses: Iterable[Hypothesis]) -> set[tuple[str, Site]]:
+    """Return effects and places."""
+    return {h.name for h in hypotheses}
