@@ -8,8 +8,8 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "torchrbd"
 ROOMS = (
-    "errors", "robot", "recordings", "parameters", "physics", "model", "inference", "diagnosis", "simulation",
-    "learning", "export", "report", "cli",
+    "errors", "estimators", "robot", "recordings", "parameters", "physics", "model", "inference",
+    "diagnosis", "simulation", "learning", "export", "report", "cli",
 )  # fmt: skip
 ONLY_IN = {"yourdfpy": "robot/urdf.py", "pytorch_kinematics": "robot/chain.py"}
 

@@ -28,11 +28,11 @@ from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.errors import OptionError
+from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.identify import Source, read_arguments, summarise
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.settings import WITH_INTERVALS
 from torchrbd.inference.shapes.refine import refined_from
 from torchrbd.inference.shapes.reread import judged_at_shocks, reread, with_input_noise
 from torchrbd.physics import Effect
