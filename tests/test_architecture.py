@@ -8,7 +8,7 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "torchrbd"
 ROOMS = (
-    "errors", "estimators", "robot", "recordings", "parameters", "physics", "model", "inference",
+    "errors", "estimators", "threads", "robot", "recordings", "parameters", "physics", "model", "inference",
     "diagnosis", "simulation", "learning", "export", "report", "cli",
 )  # fmt: skip
 ONLY_IN = {"yourdfpy": "robot/urdf.py", "pytorch_kinematics": "robot/chain.py"}

@@ -37,6 +37,7 @@ from torchrbd.inference.shapes.refine import refined_from
 from torchrbd.inference.shapes.reread import judged_at_shocks, reread, with_input_noise
 from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
+from torchrbd.threads import single_threaded
 
 
 class _Extended(NamedTuple):
@@ -49,6 +50,7 @@ class _Extended(NamedTuple):
     weighed: tuple[Weighed, ...]
 
 
+@single_threaded()
 def diagnose(
     robot: RobotModel | str | Path | bytes,
     recordings: Sequence[Source] | Source,

@@ -20,6 +20,7 @@ from torchrbd.inference.settings import Settings
 from torchrbd.inference.verdict import encoder_doubts, regime_of
 from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
+from torchrbd.threads import single_threaded
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ class EstimatorComparison:
     doubts: tuple[str, ...]
 
 
+@single_threaded()
 def compare_estimators(
     robot: RobotModel | str | Path | bytes,
     recordings: Sequence[Source] | Source,

@@ -36,10 +36,12 @@ from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, ver
 from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base_parameters
 from torchrbd.recordings import Recording
 from torchrbd.robot import STANDARD_GRAVITY, RobotModel
+from torchrbd.threads import single_threaded
 
 Source = str | Path | Recording
 
 
+@single_threaded()
 def identify(
     robot: RobotModel | str | Path | bytes,
     recordings: Sequence[Source] | Source,
