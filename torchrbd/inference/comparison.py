@@ -15,8 +15,8 @@ from torchrbd.inference.estimators import Estimate, estimate, linear_problem
 from torchrbd.inference.identify import Source, read_arguments
 from torchrbd.inference.physical.fitting import judge, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.results import Fit
 from torchrbd.inference.settings import Settings
+from torchrbd.inference.torque_error import Fit
 from torchrbd.inference.verdict import encoder_doubts, regime_of
 from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
