@@ -2,7 +2,7 @@
 
     python benchmarks/memory.py [ROWS]
 
-Prints seconds, and peak resident memory above that after ``import torchrbd``. Linux only (reads /proc).
+Prints seconds, and peak resident memory above that after ``from torchrbd import identify``. Linux only (reads /proc).
 """
 
 from __future__ import annotations
@@ -63,11 +63,11 @@ def write(path: Path, urdf: str, rows: int) -> None:
 
 MEASURED = """
 import resource, sys, time
-import torchrbd
+from torchrbd import identify
 def resident():
     return int(open("/proc/self/status").read().split("VmRSS:")[1].split()[0]) / 1e6
 before, start = resident(), time.perf_counter()
-result = torchrbd.identify(sys.argv[1], sys.argv[2])
+result = identify(sys.argv[1], sys.argv[2])
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 rows = len(result.series.t)
 seconds = time.perf_counter() - start

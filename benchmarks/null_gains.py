@@ -37,7 +37,7 @@ from torchrbd.diagnosis.search.options import (
     Option,
     judged,
 )
-from torchrbd.diagnosis.search.partial import in_some_recordings, in_windows
+from torchrbd.diagnosis.search.partial import in_windows
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.physics import effects
 
@@ -71,7 +71,7 @@ def best(case: Path) -> Null:
     options = (
         search.options(beside),
         in_windows(search, beside, stretches(beside)),
-        in_some_recordings(search, beside),
+        search.in_some_recordings(beside),
         [judged(beside, one.candidate) for one in search.screened_smooth(beside)[:SHORTLIST]],
     )
     return Null(

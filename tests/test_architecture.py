@@ -1,21 +1,27 @@
-"""The house keeps its order: a file imports only from its own room and the rooms above it."""
+"""The house keeps its order: a file imports only from its own room and the rooms above it, and never in a circle.
+
+Imports count wherever they stand: at the head of a file, inside a function or for type checkers alone.
+"""
 
 import ast
-import re
+from collections.abc import Mapping
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
+import torchrbd
+
 PACKAGE = Path(__file__).parent.parent / "torchrbd"
 ROOMS = (
-    "errors", "robot", "recordings", "parameters", "physics", "model", "inference", "diagnosis", "simulation",
-    "learning", "export", "report", "cli",
+    "errors", "estimators", "threads", "robot", "recordings", "parameters", "physics", "model", "inference",
+    "diagnosis", "simulation", "learning", "export", "report", "cli",
 )  # fmt: skip
 ONLY_IN = {"yourdfpy": "robot/urdf.py", "pytorch_kinematics": "robot/chain.py"}
 
 
 def imported_modules(code: str, package: tuple[str, ...]) -> set[str]:
-    """Return the absolute names of all modules that a file of ``package`` imports."""
+    """Return the absolute names of all modules that a file of ``package`` imports, and of what it takes from them."""
     found = set()
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import):
@@ -28,8 +34,10 @@ def imported_modules(code: str, package: tuple[str, ...]) -> set[str]:
 
 
 def room_of(module: str) -> str | None:
+    """Return the room of a module, or of a public name such as ``torchrbd.identify``."""
     parts = module.split(".")
-    return parts[1] if parts[0] == "torchrbd" and len(parts) > 1 and parts[1] in ROOMS else None
+    room = torchrbd._ROOM_OF.get(parts[1], parts[1]) if parts[0] == "torchrbd" and len(parts) > 1 else None
+    return room if room in ROOMS else None
 
 
 def violations(relative: Path, code: str) -> list[str]:
@@ -48,27 +56,78 @@ def violations(relative: Path, code: str) -> list[str]:
     return found
 
 
+def circle(codes: Mapping[Path, str]) -> list[str]:
+    """Return modules, given by path in the package and code, that import each other in a circle; empty without one.
+
+    A package's own file, ``__init__.py``, does not count where a file in the package takes nothing but modules from it.
+    """
+    names = {path: ".".join(("torchrbd", *path.with_suffix("").parts)).removesuffix(".__init__") for path in codes}
+    known = set(names.values())
+
+    def imports(path: Path, code: str) -> set[str]:
+        own, found = names[path], imported_modules(code, ("torchrbd", *path.parent.parts))
+        taken = {package: {name for name in found if name.rpartition(".")[0] == package} for package in found & known}
+        passed = {package for package in taken if own.startswith(f"{package}.") and set() < taken[package] <= known}
+        return (found & known) - passed - {own}
+
+    try:
+        TopologicalSorter({names[path]: imports(path, code) for path, code in codes.items()}).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return []
+
+
 SOURCES = [path for path in sorted(PACKAGE.rglob("*.py")) if path.relative_to(PACKAGE).parts != ("__init__.py",)]
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_imports_point_downwards(path: Path) -> None:
-    # A typing-only import of a library that another room owns is no use of it.
-    code = re.sub(r"\nif TYPE_CHECKING:\n(    .*\n)+", "\n", path.read_text())
-    assert violations(path.relative_to(PACKAGE), code) == []
+    assert violations(path.relative_to(PACKAGE), path.read_text()) == []
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    assert circle({path.relative_to(PACKAGE): path.read_text() for path in SOURCES}) == []
 
 
 @pytest.mark.parametrize(
     ("place", "code"),
     [
         ("robot/tree.py", "from torchrbd.inference import identify"),
+        ("robot/tree.py", "from torchrbd import identify"),
         ("robot/tree.py", "import torchrbd.model"),
         ("robot/tree.py", "from ..cli import main"),
+        ("robot/tree.py", "if TYPE_CHECKING:\n    from torchrbd.model import RigidBodyDynamics"),
+        ("robot/tree.py", "def build():\n    from torchrbd.model import RigidBodyDynamics"),
         ("physics/base.py", "from torchrbd import report"),
         ("report/page.py", "import yourdfpy"),
         ("robot/model.py", "from pytorch_kinematics import Chain"),
+        ("robot/model.py", "if TYPE_CHECKING:\n    from pytorch_kinematics import Chain"),
         ("helpers/things.py", ""),
     ],
 )
 def test_violations_are_seen(place: str, code: str) -> None:
     assert len(violations(Path(place), code)) >= 1
+
+
+@pytest.mark.parametrize(
+    "back",
+    [
+        "from torchrbd.robot.a import f",
+        "from torchrbd.robot import a",
+        "import torchrbd.robot.a",
+        "from .a import f",
+        "if TYPE_CHECKING:\n    from torchrbd.robot.a import f",
+        "def late():\n    from torchrbd.robot.a import f",
+    ],
+)
+def test_circles_are_seen(back: str) -> None:
+    a, b, c = (Path(f"robot/{name}.py") for name in "abc")
+    codes = {a: "from torchrbd.robot.b import g", b: "from torchrbd.robot.c import h"}
+    assert circle({**codes, c: "import torch"}) == []
+    assert {"torchrbd.robot.a", "torchrbd.robot.b", "torchrbd.robot.c"} == set(circle({**codes, c: back}))
+
+
+def test_a_file_that_imports_its_own_package_is_a_circle() -> None:
+    package = {Path("robot/__init__.py"): "from torchrbd.robot.a import f", Path("robot/b.py"): "import torch"}
+    assert circle({**package, Path("robot/a.py"): "from torchrbd.robot import b"}) == []
+    assert circle({**package, Path("robot/a.py"): "from torchrbd.robot import b, g"})

@@ -11,7 +11,7 @@ from simulated import joint_names, record
 
 import torchrbd
 from torchrbd.cli import main
-from torchrbd.inference.settings import ESTIMATORS
+from torchrbd.estimators import ESTIMATORS
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +154,18 @@ def test_help_explains_every_estimator(capsys: pytest.CaptureFixture[str]) -> No
         for name, meaning in ESTIMATORS.items():
             assert meaning in told or (name, command) == ("auto", "compare-estimators")
     assert "auto, the default of identify, is smoother where" in told
+
+
+def test_effects_are_listed_with_their_torque(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
+    assert main(["effects"]) == 0
+    told = capsys.readouterr().out
+    for name, effect in torchrbd.effects().items():
+        assert f"│ {name} " in told
+        assert effect.words in told
+    assert "c sign(qd)" in told
 
 
 def test_compare_estimators_prints_and_writes_a_table(

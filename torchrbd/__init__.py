@@ -3,46 +3,41 @@
 import torchrbd
 diagnosis = torchrbd.diagnose("robot.urdf", ["recording.csv"])
 model = diagnosis.identification.model          # an nn.Module: tau = model(q, qd, qdd)
+
+Importing torchrbd costs nothing: what stands here is imported when it is first asked for.
 """
 
-from torchrbd.diagnosis import Comparison, Diagnosis, Finding, compare, diagnose
-from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
-from torchrbd.export import load_model, save_model, to_urdf
-from torchrbd.inference import EstimatorComparison, Identification, Settings, compare_estimators, identify
-from torchrbd.model import RigidBodyDynamics
-from torchrbd.physics import effects, register
-from torchrbd.recordings import Recording, open_recording, read_mapping
-from torchrbd.report import write_report
-from torchrbd.robot import RobotModel
+from importlib import import_module
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "Comparison",
-    "Diagnosis",
-    "EstimatorComparison",
-    "Finding",
-    "Identification",
-    "InputError",
-    "OptionError",
-    "PhysicalError",
-    "Recording",
-    "RecordingError",
-    "RigidBodyDynamics",
-    "RobotError",
-    "RobotModel",
-    "Settings",
-    "TorchRBDError",
-    "compare",
-    "compare_estimators",
-    "diagnose",
-    "effects",
-    "identify",
-    "load_model",
-    "open_recording",
-    "read_mapping",
-    "register",
-    "save_model",
-    "to_urdf",
-    "write_report",
-]
+# Where the public names live; ``__init__.pyi`` says the same to type checkers, and a test compares the two.
+_NAMES = {
+    "diagnosis": ("Comparison", "Diagnosis", "Finding", "compare", "diagnose"),
+    "errors": ("InputError", "OptionError", "PhysicalError", "RecordingError", "RobotError", "TorchRBDError"),
+    "export": ("load_model", "save_model", "to_urdf"),
+    "inference": ("EstimatorComparison", "Identification", "Settings", "compare_estimators", "identify"),
+    "model": ("RigidBodyDynamics",),
+    "parameters": (),
+    "physics": ("effects", "register"),
+    "recordings": ("Recording", "open_recording", "read_mapping"),
+    "report": ("write_report",),
+    "robot": ("RobotModel",),
+}
+_ROOM_OF = {name: room for room, names in _NAMES.items() for name in names}
+
+__all__ = sorted(_ROOM_OF)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name, or a room such as ``torchrbd.physics``, on first use (PEP 562)."""
+    if name in _NAMES:
+        return import_module(f"torchrbd.{name}")
+    if name not in _ROOM_OF:
+        raise AttributeError(f"module 'torchrbd' has no attribute '{name}'")
+    found = globals()[name] = getattr(import_module(f"torchrbd.{_ROOM_OF[name]}"), name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_ROOM_OF, *_NAMES})

@@ -21,7 +21,6 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.grid import fresh_columns
 from torchrbd.diagnosis.search.options import BACKGROUND
-from torchrbd.diagnosis.search.partial import in_some_recordings
 from torchrbd.diagnosis.search.recordings import recordings, screened_by_recordings, where_larger
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.export import load_model, save_model
@@ -124,7 +123,7 @@ def test_one_recording_has_no_parts() -> None:
     prepared = prepare(RobotModel.from_urdf(arm(3)), recorded(3, 1), Settings.from_mapping({}, "test"), ())
     search = Search(read_samples(prepared, prepared.fit().pi), [effect("coulomb_friction")], prepared.prior)
     assert screened_by_recordings(search.grid, search.start) == []
-    assert in_some_recordings(search, search.start) == []
+    assert search.in_some_recordings(search.start) == []
 
 
 def test_features_of_parts_make_up_those_of_all() -> None:

@@ -13,7 +13,7 @@ from torchrbd.diagnosis.numbers import joined, measure, percent, unit, with_unit
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, Unexplained, Where
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.diagnosis.words import all_or_some, alternatives, finding_sentence, guessed, strongest_first, when
-from torchrbd.inference.results import Fit
+from torchrbd.inference.torque_error import Fit
 
 JOINTS = tuple(f"joint{k}" for k in range(1, 8))
 

@@ -9,8 +9,9 @@ from inference.problems import urdf_of
 from simulated import record, with_wrong_inertials
 
 from torchrbd.errors import OptionError
+from torchrbd.estimators import COMPARABLE
 from torchrbd.inference import comparison
-from torchrbd.inference.comparison import COMPARABLE, EstimatorComparison, compare_estimators
+from torchrbd.inference.comparison import EstimatorComparison, compare_estimators
 from torchrbd.inference.estimators import Estimate, estimate
 from torchrbd.inference.physical.fitting import judge, term_candidates
 from torchrbd.inference.preparation import prepare

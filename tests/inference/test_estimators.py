@@ -12,6 +12,7 @@ from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, joint_names, multisine, with_wrong_inertials
 
 from torchrbd.errors import OptionError
+from torchrbd.estimators import ESTIMATORS
 from torchrbd.inference.estimators import estimate, estimators, linear_problem
 from torchrbd.inference.estimators.plain import regress, regress_on_noisy_inputs, robot_moments
 from torchrbd.inference.physical.fitting import judge, term_candidates
@@ -19,7 +20,7 @@ from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.regression.base import Regression
 from torchrbd.inference.regression.classical import OrdinaryLeastSquares
 from torchrbd.inference.regression.moments import Moments
-from torchrbd.inference.settings import ESTIMATORS, Settings
+from torchrbd.inference.settings import Settings
 from torchrbd.parameters import is_physical
 from torchrbd.physics import effect
 from torchrbd.recordings import Recording

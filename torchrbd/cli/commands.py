@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from importlib.resources import as_file, files
@@ -14,41 +13,22 @@ from typing import TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from torchrbd.cli.options import parser, settings_of
-from torchrbd.cli.tables import print_changes, print_comparison, print_diagnosis, print_identification
+from torchrbd.cli.settings import settings_of
+from torchrbd.cli.tables import (
+    print_changes,
+    print_comparison,
+    print_diagnosis,
+    print_effects,
+    print_identification,
+)
 from torchrbd.diagnosis import Diagnosis, compare, diagnose
-from torchrbd.errors import OptionError, TorchRBDError
 from torchrbd.export import save_model, to_urdf, write_changes, write_diagnosis, write_parameters
 from torchrbd.export.json_files import write_comparison
 from torchrbd.inference import EstimatorComparison, Identification, compare_estimators, identify
+from torchrbd.physics import effects
 from torchrbd.report import write_changes_report, write_report
 
 Result = TypeVar("Result", Identification, Diagnosis, EstimatorComparison)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code."""
-    options = parser(_RUNS).parse_args(arguments)
-    errors = Console(stderr=True, highlight=False, soft_wrap=True)
-    try:
-        if options.output is not None:
-            _check_output(options.output)
-        options.run(options)
-    except (TorchRBDError, OSError) as error:
-        errors.print("torchrbd: error:", style="bold red", end=" ")
-        errors.print(str(error), markup=False)
-        return 2
-    except KeyboardInterrupt:
-        errors.print("torchrbd: interrupted")
-        return 130
-    return 0
-
-
-def _check_output(folder: Path) -> None:
-    """Refuse, before any work is done, a folder that cannot be written."""
-    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not existing.is_dir() or not os.access(existing, os.W_OK):
-        raise OptionError(f"output '{folder}': '{existing}' is not a folder that can be written; name another")
 
 
 def _run(work: Callable[..., Result], show: Callable[[Result], None], options: argparse.Namespace) -> None:
@@ -122,10 +102,12 @@ def _write(result: Identification | Diagnosis | EstimatorComparison, folder: Pat
     out.print(f"report: {(folder / 'report.html').resolve()}", style="bold", markup=False)
 
 
-_RUNS = {
+COMMANDS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "identify": partial(_run, identify, print_identification),
     "diagnose": partial(_run, diagnose, print_diagnosis),
     "compare": _compare,
     "compare-estimators": _compare_estimators,
+    "effects": lambda _: print_effects(effects().values()),
     "demo": _demo,
 }
+"""What each command does with its options."""

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import argparse
 import textwrap
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NoReturn
 
-import yaml
 from rich_argparse import RawDescriptionRichHelpFormatter
 
 from torchrbd import __version__
-from torchrbd.errors import OptionError
-from torchrbd.inference import Settings
-from torchrbd.inference.comparison import COMPARABLE
-from torchrbd.inference.settings import ESTIMATORS, WITH_INTERVALS
-from torchrbd.physics import effects
+from torchrbd.estimators import COMPARABLE, ESTIMATORS, WITH_INTERVALS
 
-# Options that name files.
-_FILES = {"holdout", "simulated", "mapping"}
 _FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint or only at PLACE (default: none)"
 
 
@@ -38,12 +31,8 @@ class _Parser(argparse.ArgumentParser):
         super().error(message)
 
 
-def parser(runs: Mapping[str, Callable[[argparse.Namespace], None]]) -> argparse.ArgumentParser:
-    """Build the parser.
-
-    Args:
-        runs: what each command does with its options.
-    """
+def parser() -> argparse.ArgumentParser:
+    """Build the parser of all commands; the one that was chosen is ``command``, and ``output`` None if not given."""
     top = _Parser(
         "torchrbd",
         description="Find, name and model the physics that a robot's URDF leaves out.",
@@ -54,7 +43,7 @@ def parser(runs: Mapping[str, Callable[[argparse.Namespace], None]]) -> argparse
 
     def command(name: str, words: str) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=words, description=words, formatter_class=_Help)
-        sub.set_defaults(run=runs[name])
+        sub.set_defaults(command=name, output=None)
         return sub
 
     sub = command("identify", "Fit the inertial parameters of a URDF to recordings; always physically valid.")
@@ -89,6 +78,7 @@ def parser(runs: Mapping[str, Callable[[argparse.Namespace], None]]) -> argparse
         "noise matters and physical where not",
     )
     sub.epilog = _list_of(COMPARABLE)
+    command("effects", "List the effects that can be missing: their names, what they are, and their torque.")
     sub = command("demo", "Diagnose a bundled case: a six-joint arm with a friction that its URDF does not hold.")
     sub.add_argument(
         "-o", "--output", type=Path, default=Path("torchrbd-demo"), metavar="DIR", help="(default: %(default)s)"
@@ -168,10 +158,9 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_requ
         metavar=("X", "Y", "Z"),
         help="in the base's axes [m/s^2], e.g. 0 9.81 0 on a wall (default: 0 0 -9.81)",
     )
-    known = ", ".join(effects())
     place = "PLACE is a joint, a pair JOINT_OTHER or a link; @RECORDING=FROM:TO [s] after it for what acts for a time"
     model.add_argument(
-        "--effects", metavar="EFFECT[@PLACE]", help=f"{effects_words}; {place}; known effects: {known}", **many
+        "--effects", metavar="EFFECT[@PLACE]", help=f"{effects_words}; {place}; 'torchrbd effects' lists them", **many
     )
     model.add_argument("--exclude", metavar="EFFECT", help="effects not to use", **many)
     model.add_argument("--trust", metavar="LINK", help="links whose inertia is not re-fitted", **many)
@@ -183,30 +172,3 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_requ
         help="file with any of these options, e.g. 'cutoff: 5'; those given on the command line win; files that it "
         "names are sought from its folder",
     )
-
-
-def settings_of(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the options that were given: those of the configuration file, then those of the command line."""
-    chosen = _read_config(options.config) if options.config else {}
-    given = {name: value for name, value in vars(options).items() if name in Settings.names() and value is not None}
-    return chosen | given
-
-
-def _read_config(path: Path) -> dict[str, Any]:
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise OptionError(f"{path}: is not YAML in UTF-8 ({error})") from None
-    except OSError as error:
-        raise OptionError(f"{path}: cannot be read ({error.strerror}); check --config") from None
-    if not isinstance(content, dict):
-        raise OptionError(f"{path}: expected 'option: value' lines, e.g. 'cutoff: 5'")
-    chosen = {str(key).replace("-", "_"): value for key, value in content.items()}
-    if "cutoff" in chosen:
-        chosen["cutoff_hz"] = chosen.pop("cutoff")
-    read = Settings.from_mapping(chosen, str(path))
-    folder = path.parent
-    for key in _FILES & chosen.keys():
-        files = getattr(read, key)
-        chosen[key] = [folder / file for file in files] if isinstance(files, tuple) else files and folder / files
-    return chosen

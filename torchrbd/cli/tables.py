@@ -17,6 +17,7 @@ from torchrbd.diagnosis.results import Where
 from torchrbd.diagnosis.words import guessed, place, values, when
 from torchrbd.inference import Identification
 from torchrbd.inference.comparison import EstimatorComparison
+from torchrbd.physics import Effect
 from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
 from torchrbd.report.changes import shown, title
 from torchrbd.report.words import badge, headline, model_words, percent, worth
@@ -197,6 +198,14 @@ def print_comparison(result: EstimatorComparison) -> None:
         if row.note:
             out.print(f"{row.name}: {row.note}" if row.raw else f"{row.name} is left out: {row.note}", markup=False)
     _print_notes(result.notes, out)
+
+
+def print_effects(known: Iterable[Effect]) -> None:
+    """Print what can be missing: the name to give to --effects, what it is, and the torque that it adds."""
+    table = Table(_whole("effect"), Column("what it is", overflow="fold"), Column("torque", overflow="fold"))
+    for one in known:
+        table.add_row(*map(Text, (one.id, one.words, one.equation)))
+    Console(highlight=False).print(table)
 
 
 def _starred(value: float, least: float) -> str:

@@ -12,7 +12,7 @@ from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import freedom, fresh_columns
 from torchrbd.diagnosis.search.options import COMPETES, Option, instead, is_plain, judged
-from torchrbd.diagnosis.search.partial import in_some_recordings, in_windows
+from torchrbd.diagnosis.search.partial import in_windows
 from torchrbd.diagnosis.search.pruning import plain_instead
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.terms import place, without
@@ -107,7 +107,7 @@ def _instead(search: Search, rest: Fit, term: Candidate, beside: Mapping[tuple[s
     if site.always:
         return always
     windows = [Window(name) for name in site.recordings or ()] if site.window is None else [site.window]
-    at_times = [*in_some_recordings(search, rest), *in_windows(search, rest, windows if len(windows) == 1 else ())]
+    at_times = [*search.in_some_recordings(rest), *in_windows(search, rest, windows if len(windows) == 1 else ())]
     return [*always, *(o for o in at_times if place(o.candidate) != place(term))]
 
 

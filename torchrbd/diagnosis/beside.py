@@ -21,7 +21,8 @@ from torchrbd.diagnosis.refuting import allowed
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import fresh_columns
 from torchrbd.diagnosis.search.options import BACKGROUND, INSIGNIFICANT, OFFSET, UNEVEN
-from torchrbd.diagnosis.search.select import Search, Terms
+from torchrbd.diagnosis.search.select import Search
+from torchrbd.diagnosis.search.terms import Terms
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared

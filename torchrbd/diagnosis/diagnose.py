@@ -28,15 +28,16 @@ from torchrbd.diagnosis.search.unnamed import proper
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.errors import OptionError
+from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.identify import Source, read_arguments, summarise
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.settings import WITH_INTERVALS
 from torchrbd.inference.shapes.refine import refined_from
 from torchrbd.inference.shapes.reread import judged_at_shocks, reread
 from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
+from torchrbd.threads import single_threaded
 
 
 class _Explanation(NamedTuple):
@@ -49,6 +50,7 @@ class _Explanation(NamedTuple):
     weighed: tuple[Weighed, ...]
 
 
+@single_threaded()
 def diagnose(
     robot: RobotModel | str | Path | bytes,
     recordings: Sequence[Source] | Source,

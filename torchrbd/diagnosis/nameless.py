@@ -10,7 +10,7 @@ from torchrbd.diagnosis.curves import fitted_curve
 from torchrbd.diagnosis.locate.hum import described
 from torchrbd.diagnosis.results import Curve, Location, Region, Unexplained, Where
 from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.diagnosis.search.select import without
+from torchrbd.diagnosis.search.terms import without
 from torchrbd.diagnosis.search.unnamed import depends_on, is_smooth
 from torchrbd.diagnosis.words import joined, number, percent, torque_unit
 from torchrbd.inference.data.columns import Candidate

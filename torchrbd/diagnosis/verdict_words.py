@@ -9,7 +9,7 @@ from torchrbd.diagnosis.numbers import joined, percent
 from torchrbd.diagnosis.results import Finding, Unexplained, Where
 from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.diagnosis.words import LIKELY, alternatives, at, named, when, words_of
-from torchrbd.inference.results import Fit
+from torchrbd.inference.torque_error import Fit
 
 _WRONG = "wrong "
 # Said together where they are found at the same joints.

@@ -3,8 +3,9 @@
 from torchrbd.inference.comparison import EstimatorComparison, compare_estimators
 from torchrbd.inference.data.payload import Payload
 from torchrbd.inference.identify import identify
-from torchrbd.inference.results import Fit, Identification, ParameterEstimate, TorqueSeries
+from torchrbd.inference.results import Identification, ParameterEstimate, TorqueSeries
 from torchrbd.inference.settings import Settings
+from torchrbd.inference.torque_error import Fit
 
 __all__ = [
     "EstimatorComparison",

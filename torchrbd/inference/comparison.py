@@ -9,19 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from torchrbd.errors import OptionError, TorchRBDError
+from torchrbd.estimators import COMPARABLE, check_estimators
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.estimators import Estimate, estimate, linear_problem
 from torchrbd.inference.identify import Source, read_arguments
 from torchrbd.inference.physical.fitting import judge, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.results import Fit
-from torchrbd.inference.settings import ESTIMATORS, Settings, check_estimators
+from torchrbd.inference.settings import Settings
+from torchrbd.inference.torque_error import Fit
 from torchrbd.inference.verdict import encoder_doubts, regime_of
 from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
-
-COMPARABLE = tuple(name for name in ESTIMATORS if name != "auto")
-"""What can be compared: every estimator; "auto" is a choice between "physical" and "smoother"."""
+from torchrbd.threads import single_threaded
 
 
 @dataclass(frozen=True)
@@ -78,6 +77,7 @@ class EstimatorComparison:
     doubts: tuple[str, ...]
 
 
+@single_threaded()
 def compare_estimators(
     robot: RobotModel | str | Path | bytes,
     recordings: Sequence[Source] | Source,
@@ -91,7 +91,8 @@ def compare_estimators(
     Args:
         robot: a robot or its URDF.
         recordings: files or opened recordings.
-        estimators: names, of ``COMPARABLE``. One that cannot be used on these recordings is a row that says why.
+        estimators: names, of ``torchrbd.estimators.COMPARABLE``. One that cannot be used on these recordings is a row
+            that says why.
         progress: told how far the work is.
         **options: those of ``identify``, whose ``estimator`` does not count.
 

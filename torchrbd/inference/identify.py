@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError
+from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.data.simulated import motion_doubts
 from torchrbd.inference.estimators import estimate
@@ -28,17 +29,19 @@ from torchrbd.inference.results import (
     ParameterEstimate,
     TorqueSeries,
 )
-from torchrbd.inference.settings import WITH_INTERVALS, Settings
+from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.places import check_seen
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined
 from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, verdict_of
 from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base_parameters
 from torchrbd.recordings import Recording
 from torchrbd.robot import STANDARD_GRAVITY, RobotModel
+from torchrbd.threads import single_threaded
 
 Source = str | Path | Recording
 
 
+@single_threaded()
 def identify(
     robot: RobotModel | str | Path | bytes,
     recordings: Sequence[Source] | Source,

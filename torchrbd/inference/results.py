@@ -3,35 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from torchrbd.inference.posterior.posterior import Posterior
-    from torchrbd.model import RigidBodyDynamics
-    from torchrbd.robot import RobotModel
+from torchrbd.inference.posterior.posterior import Posterior
+from torchrbd.inference.torque_error import Fit
+from torchrbd.model import RigidBodyDynamics
+from torchrbd.robot import RobotModel
 
 Verdict = Literal["identified", "doubtful", "worse"]
-
-
-@dataclass(frozen=True)
-class Fit:
-    """How well one model predicts the torque of blocks that no fit or choice has seen.
-
-    Attributes:
-        nmse: per joint, mean squared error / variance of the measured torque, both on held-out blocks, [-].
-        rmse: per joint, root mean squared error, [N m] or [N].
-    """
-
-    nmse: dict[str, float]
-    rmse: dict[str, float]
-
-    @property
-    def mean_nmse(self) -> float:
-        """Mean over the joints that have one, every joint counted once."""
-        finite = [value for value in self.nmse.values() if np.isfinite(value)]
-        return float(np.mean(finite)) if finite else np.nan
 
 
 @dataclass(frozen=True)

@@ -13,35 +13,12 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError
+from torchrbd.estimators import ESTIMATORS, check_estimators
 from torchrbd.inference.data.payload import Payload
 from torchrbd.inference.shapes.places import ToldEffect
 from torchrbd.physics import Effect, effect, effects
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
-
-ESTIMATORS = {
-    "auto": "the default: smoother where the recordings' position noise matters, physical where not",
-    "physical": "weighted least squares with the entropic prior around the URDF, always physical",
-    "smoother": "states and parameters together, always physical: position noise does not bias it",
-    "ols": "ordinary least squares on base parameters",
-    "wls": "least squares with joints weighted by their noise",
-    "irls": "the same, with samples that do not fit weighted down",
-    "iv": "instrumental variables; needs recorded set-points q_ref",
-    "svd": "truncated singular values",
-    "ridge": "ridge towards the URDF",
-    "tls": "total least squares",
-    "lasso": "sparse changes of the URDF, by an absolute penalty",
-    "stepwise": "sparse changes of the URDF, selected by BIC",
-    "pls": "partial least squares",
-    "pcr": "principal component regression",
-    "eiv-ard": "errors in variables with automatic relevance determination",
-    "noisy-input": "the Bayesian factor model of Ting et al. (2006)",
-    "best": "the best of several by cross-validation corrected for input noise",
-}
-"""Estimators by name, each in a few words."""
-
-WITH_INTERVALS = ("auto", "physical", "smoother")
-"""Estimators that tell how sure they are."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +44,7 @@ class Settings:
             ``holdout``, in their order (files or opened): they stand for the URDF in what is compared. Default: none.
         mapping: YAML file that maps other column names and units. Default: columns as in the README.
         cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
-        estimator: of the parameters, one of ``torchrbd.inference.settings.ESTIMATORS``. Default: "auto".
+        estimator: of the parameters, one of ``torchrbd.estimators.ESTIMATORS``. Default: "auto".
         encoder_noise: standard deviation of the positions [rad, m], of all joints or {joint: std}. Default: estimated.
         kappa: weight of the URDF's inertia against the data, above 0 [-]. Default: 3.
         seed: which blocks are kept back, a whole number. Default: 0.
@@ -201,15 +178,6 @@ def _check_names(names: Iterable[str], known: tuple[str, ...], kind: str, robot:
     for name in names:
         if name not in known:
             raise OptionError(f"robot '{robot}' has no moving {kind} '{name}'; it has: {', '.join(known)}")
-
-
-def check_estimators(names: Iterable[str], known: tuple[str, ...]) -> None:
-    """Raise OptionError for a name that is not known, with the closest one that is."""
-    for name in names:
-        if name not in known:
-            close = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(known)}"
-            raise OptionError(f"unknown estimator '{name}'; {hint}")
 
 
 def _noise(value: Any, place: str) -> float | dict[str, float]:

@@ -8,8 +8,9 @@ import numpy as np
 
 from torchrbd.inference.physical.fitting import FittedModel, judge
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.results import Fit, Verdict
+from torchrbd.inference.results import Verdict
 from torchrbd.inference.settings import Settings
+from torchrbd.inference.torque_error import Fit
 from torchrbd.parameters import PARAMETERS_PER_BODY
 
 _POOR, _ABSURD, _WORSE, _IMPLAUSIBLE, _BEYOND_LIMIT = 0.8, 100.0, 1.2, 5.0, 3.0

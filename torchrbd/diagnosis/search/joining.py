@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.options import clearly_worse, judged, plausible, preferred, takes
+from torchrbd.diagnosis.search.steps import Steps
 from torchrbd.diagnosis.search.terms import Terms
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.physics import Window
-
-if TYPE_CHECKING:
-    from torchrbd.diagnosis.search.select import Search
 
 # Between stretches that touch is a gap of less than this part of the shorter one.
 GAP = 0.1
 
 
-def with_joined(search: Search, fit: Fit) -> Terms:
+def with_joined(search: Steps, fit: Fit) -> Terms:
     """Return a fit's terms, one load or force in place of two in stretches that touch, unless the two are better."""
     loads = [(c, c.site.window) for c in fit.terms if c.site.window is not None and not is_smooth(c)]
     columns = fit.rows.samples.columns

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.options import COMMON, certain, clearly_worse, judged
+from torchrbd.diagnosis.search.steps import Steps
 from torchrbd.diagnosis.search.terms import without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.physics import JointEffect
 from torchrbd.physics.smooth_torque import SmoothTorque
 
-if TYPE_CHECKING:
-    from torchrbd.diagnosis.search.select import Search
-
 # A smooth function takes the place of a name if it gains so much more, in units and in parts of its own gain.
 BEATEN_GAIN, BEATEN_PART = 10.0, 0.25
 
 
-def challenged(search: Search, fit: Fit) -> Fit:
+def challenged(search: Steps, fit: Fit) -> Fit:
     """Put smooth functions in the place of names that they beat clearly."""
     for term in fit.terms:
         if term in search.background or term.place is None or term not in fit.terms:
@@ -34,12 +30,12 @@ def challenged(search: Search, fit: Fit) -> Fit:
     return fit
 
 
-def lawful(search: Search, fit: Fit) -> Fit:
+def lawful(search: Steps, fit: Fit) -> Fit:
     """Drop names that a smooth function of their own signal makes needless."""
     return _ahead_of_its_function(search, _clearly_several(search, fit))
 
 
-def _clearly_several(search: Search, fit: Fit) -> Fit:
+def _clearly_several(search: Steps, fit: Fit) -> Fit:
     """Put a smooth function in the place of several names over one signal of a joint, unless they are clearly better.
 
     Together they bend almost as a function does.
@@ -58,7 +54,7 @@ def _clearly_several(search: Search, fit: Fit) -> Fit:
     return fit
 
 
-def _ahead_of_its_function(search: Search, fit: Fit) -> Fit:
+def _ahead_of_its_function(search: Steps, fit: Fit) -> Fit:
     """Drop names beside a smooth function of their own signal that gains more than they do."""
     for smooth in [c for c in fit.terms if is_smooth(c)]:
         for term in fit.terms:
@@ -70,7 +66,7 @@ def _ahead_of_its_function(search: Search, fit: Fit) -> Fit:
     return fit
 
 
-def _without(search: Search, fit: Fit, term: Candidate) -> Fit:
+def _without(search: Steps, fit: Fit, term: Candidate) -> Fit:
     return Fit(fit.rows, search.restored(without(fit.terms, term))).renoised()
 
 

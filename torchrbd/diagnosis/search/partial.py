@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from torchrbd.diagnosis.locate import stretches
 from torchrbd.diagnosis.locate.search import common_noise
@@ -13,21 +12,17 @@ from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.search.grid import Grid, candidates
 from torchrbd.diagnosis.search.joining import with_joined
-from torchrbd.diagnosis.search.options import SHORTLIST, Option, clearly_worse, judged, preferred, takes
-from torchrbd.diagnosis.search.recordings import explained, recordings, screened_by_recordings, where_larger
+from torchrbd.diagnosis.search.options import Option, clearly_worse, judged, preferred, takes
+from torchrbd.diagnosis.search.recordings import recordings, screened_by_recordings
+from torchrbd.diagnosis.search.steps import Steps
 from torchrbd.diagnosis.search.terms import Terms, names, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.physics import Window
 
-if TYPE_CHECKING:
-    from torchrbd.diagnosis.search.select import Search
-
 MOST_WINDOWED, MOST_PARTIAL = 3, 10
-# What acts in some recordings explains this part of what is left there: where much is not understood, any two differ.
-LEAST_EXPLAINED = 0.25
 
 
-def partial(search: Search, fit: Fit) -> Fit:
+def partial(search: Steps, fit: Fit) -> Fit:
     """Add what acts in some recordings only, and loads and forces for a time that the leftover shows.
 
     Of what one recording shows the others say nothing: parts of each are left out, not whole ones.
@@ -40,7 +35,7 @@ def partial(search: Search, fit: Fit) -> Fit:
     for number in range(MOST_PARTIAL):
         clear = _uncovered(search, fit)
         windowed = in_windows(search, fit, stretches(fit), clear) if number < MOST_WINDOWED else []
-        options = [o for o in (*windowed, *in_some_recordings(search, fit, clear)) if takes(o)]
+        options = [o for o in (*windowed, *search.in_some_recordings(fit, clear)) if takes(o)]
         changed = (*fit.terms, preferred(fit, options).candidate) if options else _not_common(search, fit)
         if changed is None:
             break
@@ -57,7 +52,7 @@ def partial(search: Search, fit: Fit) -> Fit:
     return fit if len(visited) > 1 else started
 
 
-def _uncovered(search: Search, fit: Fit) -> Fit:
+def _uncovered(search: Steps, fit: Fit) -> Fit:
     """Return a fit with the noise beside what some recordings seem to have.
 
     A level that one of them has makes the noise look like drift, which hides it.
@@ -73,21 +68,21 @@ def _uncovered(search: Search, fit: Fit) -> Fit:
     return Fit(Rows(samples, search.prior, beside.noise()), fit.terms)
 
 
-def _not_common(search: Search, fit: Fit) -> Terms | None:
+def _not_common(search: Steps, fit: Fit) -> Terms | None:
     """Return terms with one for some recordings in the place of one for all that is clearly worse; None without."""
     for term in fit.terms if len(recordings(fit.rows.samples)) > 1 else ():
         if term in search.background or is_smooth(term) or not term.site.always:
             continue
         rest = Fit(fit.rows, search.restored(without(fit.terms, term))).renoised()
         own = judged(rest, term)
-        for option in in_some_recordings(search, rest):
+        for option in search.in_some_recordings(rest):
             lead = gain(own.errors, option.errors, fit.rows.counts)
             if takes(option) and clearly_worse(lead, option.worth.total):
                 return (*rest.terms, option.candidate)
     return None
 
 
-def in_windows(search: Search, fit: Fit, windows: Sequence[Window], clear: Fit | None = None) -> list[Option]:
+def in_windows(search: Steps, fit: Fit, windows: Sequence[Window], clear: Fit | None = None) -> list[Option]:
     """Return loads and forces in stretches of time, in a clearer view of the same fit if given."""
     timed = [e for e in search.effects if e.sites(search.robot, (Window(""),)) and not e.sites(search.robot)]
     if not timed or not windows:
@@ -95,12 +90,3 @@ def in_windows(search: Search, fit: Fit, windows: Sequence[Window], clear: Fit |
     samples = fit.rows.samples
     offered = candidates(samples.columns, timed, samples.seen, windows)
     return search.shortlisted(fit, Grid(samples, search.possible(offered)).screened(clear or fit))
-
-
-def in_some_recordings(search: Search, fit: Fit, clear: Fit | None = None) -> list[Option]:
-    """Return effects in those recordings in which they gain most, in a clearer view of the same fit if given."""
-    fit = clear or fit
-    ranked = screened_by_recordings(search.grid, fit)
-    turned = [replace(one, candidate=where_larger(fit, one.candidate)) for one in ranked[:SHORTLIST]]
-    options = search.shortlisted(fit, [one for one in turned if search.possible([one.candidate])])
-    return [o for o in options if explained(fit, o.candidate) > LEAST_EXPLAINED]

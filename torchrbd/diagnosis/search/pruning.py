@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,17 +12,15 @@ from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.rows.whitening import Noise
 from torchrbd.diagnosis.search.grid import refined
 from torchrbd.diagnosis.search.options import OFFSET, UNEVEN, accepted, instead, least_gain, matters, plausible
+from torchrbd.diagnosis.search.steps import Steps
 from torchrbd.diagnosis.search.terms import Terms, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.inference.data.columns import Candidate
 
-if TYPE_CHECKING:
-    from torchrbd.diagnosis.search.select import Search
-
 PARTS_OF_UNEVEN = ("coulomb_friction", OFFSET)
 
 
-def pruned(search: Search, fit: Fit) -> Fit:
+def pruned(search: Steps, fit: Fit) -> Fit:
     """Drop terms, one at a time, that the left-out blocks do not accept or the physics does not allow.
 
     In the place of a name stands plain friction at its joint, which every robot has: the name must be worth more.
@@ -46,7 +43,7 @@ def pruned(search: Search, fit: Fit) -> Fit:
     return joined(search, fit)
 
 
-def _allowed(search: Search, term: Candidate) -> bool:
+def _allowed(search: Steps, term: Candidate) -> bool:
     """Say whether the user lets a term be found; the background stands in the way of others even if not."""
     sites = search.start.rows.samples.columns.sites
     known = is_smooth(term) or term.effect.id in {e.id for e in search.effects}
@@ -59,7 +56,7 @@ def _trifle(fit: Fit, term: Candidate) -> bool:
     return term.effect.id == OFFSET and not matters(fit, term)
 
 
-def plain_instead(search: Search, terms: Terms, left_out: Candidate) -> Terms:
+def plain_instead(search: Steps, terms: Terms, left_out: Candidate) -> Terms:
     """Return terms without one, with the plain friction at its joint that is missing."""
     rest = without(terms, left_out)
     if left_out in search.background or left_out.place is None:
@@ -76,7 +73,7 @@ def _adapted(fit: Fit, terms: Terms, place: int | None) -> Terms:
     return terms
 
 
-def joined(search: Search, fit: Fit) -> Fit:
+def joined(search: Steps, fit: Fit) -> Fit:
     """Return a fit in which Coulomb friction and an offset smaller than it are friction that is uneven.
 
     In motion the two say the same; friction that depends on the direction is the more common.

@@ -15,8 +15,8 @@ from torchrbd.inference.physical.physical_fit import PhysicalFit, physical_fit
 from torchrbd.inference.physical.prior import Prior
 from torchrbd.inference.physical.scatter import Scatter
 from torchrbd.inference.physical.uncertain_states import UncertainStates
-from torchrbd.inference.results import Fit
 from torchrbd.inference.shapes.slope import ShapeSlope
+from torchrbd.inference.torque_error import Fit
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Site, Term
 from torchrbd.recordings import States

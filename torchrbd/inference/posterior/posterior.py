@@ -10,6 +10,7 @@ from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.prior import Prior
 from torchrbd.inference.posterior.predictive import PredictiveVariance, predictive_variance
 from torchrbd.inference.posterior.sampling import sample_robots
+from torchrbd.threads import single_threaded
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,7 @@ class Posterior:
     prior: Prior
     model: FittedModel
 
+    @single_threaded()
     def robots(self, n_samples: int, seed: int = 0) -> Tensor:
         """Draw inertial parameters (n_samples, n_params) as probable as prior and data say; all of them are physical.
 

@@ -1,4 +1,7 @@
-"""The rivals with a hyperparameter, chosen by cross-validation over blocks of moments: ridge, LASSO, PLS, PCR."""
+"""The rivals with a hyperparameter, chosen by cross-validation over blocks of moments: ridge, LASSO, PLS, PCR.
+
+scikit-learn takes half a second to import, for which only the two that use it are to wait.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,6 @@ from abc import abstractmethod
 
 import numpy as np
 import torch
-from sklearn.cross_decomposition import PLSRegression
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.linear_model import lasso_path
 from torch import Tensor
 
 from torchrbd.errors import OptionError
@@ -81,6 +81,9 @@ class Lasso(PathRegression):
     name = "lasso"
 
     def _normalised_path(self, C: Tensor, c: Tensor, moments: Moments) -> Tensor:
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.linear_model import lasso_path
+
         X, y = _rows(C, c, moments)
         penalty = max(float(c.abs().max()), 1e-300) * np.logspace(0.0, -3.0, 100)
         with warnings.catch_warnings():
@@ -110,6 +113,8 @@ class PartialLeastSquares(PathRegression):
     name = "pls"
 
     def _normalised_path(self, C: Tensor, c: Tensor, moments: Moments) -> Tensor:
+        from sklearn.cross_decomposition import PLSRegression
+
         X, y = _rows(C, c, moments)
         value = torch.linalg.eigvalsh(C)
         rank = max(1, int((value > ROUNDING**2 * value[-1]).sum()))

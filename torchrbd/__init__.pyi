@@ -1,0 +1,41 @@
+from torchrbd.diagnosis import Comparison, Diagnosis, Finding, compare, diagnose
+from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
+from torchrbd.export import load_model, save_model, to_urdf
+from torchrbd.inference import EstimatorComparison, Identification, Settings, compare_estimators, identify
+from torchrbd.model import RigidBodyDynamics
+from torchrbd.physics import effects, register
+from torchrbd.recordings import Recording, open_recording, read_mapping
+from torchrbd.report import write_report
+from torchrbd.robot import RobotModel
+
+__version__: str
+
+__all__ = [
+    "Comparison",
+    "Diagnosis",
+    "EstimatorComparison",
+    "Finding",
+    "Identification",
+    "InputError",
+    "OptionError",
+    "PhysicalError",
+    "Recording",
+    "RecordingError",
+    "RigidBodyDynamics",
+    "RobotError",
+    "RobotModel",
+    "Settings",
+    "TorchRBDError",
+    "compare",
+    "compare_estimators",
+    "diagnose",
+    "effects",
+    "identify",
+    "load_model",
+    "open_recording",
+    "read_mapping",
+    "register",
+    "save_model",
+    "to_urdf",
+    "write_report",
+]

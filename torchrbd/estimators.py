@@ -1,0 +1,44 @@
+"""Estimators of inertial parameters by name: what a user may ask for, without what computes them."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+from torchrbd.errors import OptionError
+
+ESTIMATORS = {
+    "auto": "the default: smoother where the recordings' position noise matters, physical where not",
+    "physical": "weighted least squares with the entropic prior around the URDF, always physical",
+    "smoother": "states and parameters together, always physical: position noise does not bias it",
+    "ols": "ordinary least squares on base parameters",
+    "wls": "least squares with joints weighted by their noise",
+    "irls": "the same, with samples that do not fit weighted down",
+    "iv": "instrumental variables; needs recorded set-points q_ref",
+    "svd": "truncated singular values",
+    "ridge": "ridge towards the URDF",
+    "tls": "total least squares",
+    "lasso": "sparse changes of the URDF, by an absolute penalty",
+    "stepwise": "sparse changes of the URDF, selected by BIC",
+    "pls": "partial least squares",
+    "pcr": "principal component regression",
+    "eiv-ard": "errors in variables with automatic relevance determination",
+    "noisy-input": "the Bayesian factor model of Ting et al. (2006)",
+    "best": "the best of several by cross-validation corrected for input noise",
+}
+"""Estimators by name, each in a few words."""
+
+WITH_INTERVALS = ("auto", "physical", "smoother")
+"""Estimators that tell how sure they are."""
+
+COMPARABLE = tuple(name for name in ESTIMATORS if name != "auto")
+"""What can be compared: every estimator; "auto" is a choice between "physical" and "smoother"."""
+
+
+def check_estimators(names: Iterable[str], known: tuple[str, ...]) -> None:
+    """Raise OptionError for a name that is not known, with the closest one that is."""
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(known)}"
+            raise OptionError(f"unknown estimator '{name}'; {hint}")

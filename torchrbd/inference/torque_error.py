@@ -1,0 +1,26 @@
+"""How well a model predicts torque: what fits are judged by, and results report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well one model predicts the torque of blocks that no fit or choice has seen.
+
+    Attributes:
+        nmse: per joint, mean squared error / variance of the measured torque, both on held-out blocks, [-].
+        rmse: per joint, root mean squared error, [N m] or [N].
+    """
+
+    nmse: dict[str, float]
+    rmse: dict[str, float]
+
+    @property
+    def mean_nmse(self) -> float:
+        """Mean over the joints that have one, every joint counted once."""
+        finite = [value for value in self.nmse.values() if np.isfinite(value)]
+        return float(np.mean(finite)) if finite else np.nan
