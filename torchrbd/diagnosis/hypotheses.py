@@ -171,9 +171,7 @@ class _Stretches:
         return ((a, b) for a in range(n) for b in range(a + 1, n + 1) if b - a < n or self.whole)
 
 
-def _in_stretches(
-    fit: Likelihood, rows: Rows, candidate: Candidate, number: int, stretches: _Stretches
-) -> Hypothesis:
+def _in_stretches(fit: Likelihood, rows: Rows, candidate: Candidate, number: int, stretches: _Stretches) -> Hypothesis:
     """Average over stretches of time: moments of a stretch are sums over its blocks."""
     F = rows.features(candidate)
     std, scales = coefficient_std(candidate, F, fit.machine.torque_rms)

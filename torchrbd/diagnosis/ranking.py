@@ -22,9 +22,11 @@ from torchrbd.likelihood.band import band_hz
 from torchrbd.likelihood.likelihood import Likelihood, learn
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.rows import KeptBack, Rows, read_rows
-from torchrbd.physics import Effect, Site, Window, effect
+from torchrbd.physics import Effect, Site, Window
+from torchrbd.physics.registry import effect
 from torchrbd.recordings import Filtering
 from torchrbd.robot import RobotModel
+from torchrbd.threads import single_threaded
 
 # Hypotheses whose shapes are refined and whose noise is learnt anew, at each step, and those that are shown.
 _LEADING, _SHOWN = 5, 30
@@ -114,6 +116,7 @@ class Ranking:
         return -math.inf if one is None else with_own_noise(self._fit, rows, one).log_evidence
 
 
+@single_threaded()
 def rank(
     robot: RobotModel | str | Path | bytes,
     recordings: Sequence[Source] | Source,

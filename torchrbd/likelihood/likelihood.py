@@ -15,7 +15,26 @@ from torchrbd.likelihood.noise import Noise, learnt
 
 KAPPAS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 # Widths of the sign change that are tried, in parts of the joint's RMS speed.
-_WIDTHS = (0.003, 0.005, 0.0075, 0.01, 0.014, 0.02, 0.025, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.12, 0.16, 0.2, 0.3, 0.45)
+_WIDTHS = (
+    0.003,
+    0.005,
+    0.0075,
+    0.01,
+    0.014,
+    0.02,
+    0.025,
+    0.03,
+    0.04,
+    0.05,
+    0.065,
+    0.08,
+    0.1,
+    0.12,
+    0.16,
+    0.2,
+    0.3,
+    0.45,
+)
 _FIRST_NOISE, _FIRST_DRIFT, _LEAST_DRIFT, _LEAST_NOISE = 0.05, 0.01, 1e-4, 1e-6
 _SHARES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 _ROUNDS = 3
@@ -116,10 +135,7 @@ class Likelihood:
         """Return precision (K, K) and score (K,) of features (K, M) of a joint, or (K, n, M) of all, beside the fit."""
         joints = [j for j in (range(len(self.index)) if place is None else (place,)) if len(self.index[j])]
         return self.gaussian.beside(
-            {
-                j: self.hyper.noise[j].white(features[:, j] if place is None else features, self.index[j])
-                for j in joints
-            }
+            {j: self.hyper.noise[j].white(features[:, j] if place is None else features, self.index[j]) for j in joints}
         )
 
     def dispersion(self, joint: int) -> float:
