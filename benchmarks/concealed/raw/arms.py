@@ -52,11 +52,10 @@ OWN = {
 }  # fmt: skip
 """Own kinds of arms of each set."""
 PUBLIC = {
-    "development": {"ur10": ("ur_description/urdf/ur10_robot.urdf", r".*")},
+    "development": {"talos": ("talos_data/robots/talos_left_arm.urdf", r"arm_left_\d_joint")},
     "final": {
         "tiago": ("tiago_description/robots/tiago.urdf", r"arm_\d_joint"),
         "romeo": ("romeo_description/urdf/romeo.urdf", r"R(Shoulder|Elbow|Wrist).*"),
-        "ur3": ("ur_description/urdf/ur3_robot.urdf", r".*"),
     },
 }
 """Arms of example-robot-data, by set: file and joints that move."""

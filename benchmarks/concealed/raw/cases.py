@@ -25,7 +25,9 @@ FIT_S, HOLDOUT_S = 30.0, (15.0, 25.0)
 EVERY = round(1 / (RATE_HZ * STEP))
 _ATTEMPTS, _ROUNDS, _NEAR = 60, 3, 0.1
 # Of the size that is asked for, where the largest plausible strength does not reach it; of the largest torque.
-_LEAST, _LEAST_JOINT = 0.25, 0.05
+_LEAST, _LEAST_JOINT = 0.25, 0.01
+# Log likelihood that an effect must be worth beside rigid body and friction: with less nobody can see it.
+_SEEN_NATS = 12.0
 _SENSED = ("torque_offset", "torque_scale", "time_delay", "actuator_lag")
 
 
@@ -95,6 +97,8 @@ def _draw(rng: np.random.Generator, of: str, kind: str | None, size: float, iner
         seen = look(
             robot, replace(x, q=track.q[::EVERY], supplied=plain), added, sensors.size, sensors.colour_s, effect
         )
+        if seen.nats < _SEEN_NATS:
+            raise Refused(f"{effect.id} is hidden by other inertials and friction")
         shares = share(effect, x.t, added, track.tau[::EVERY])
     styles = {"fit_1.parquet": (way.style, FIT_S), "holdout.parquet": (later.style, float(len(later.t) * STEP))}
     facts = {"robot": robot, "inertials": inertials, "sensors": sensors, "friction": friction, "size": size}

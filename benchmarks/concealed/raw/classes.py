@@ -75,7 +75,7 @@ def look(robot: Robot, x: Motion, tau: np.ndarray, size: np.ndarray, colour_s: n
     found: dict[tuple[Any, ...], dict[str, Any]] = {}
     for c in candidates(robot, x, effect) if power > 0 else ():
         explains = _explained(Q, r, c, size) / power
-        if explains < SHARE or (c.effect == effect.id and _place(effect) == (c.joints, c.links)):
+        if explains < SHARE or (c.effect == effect.id and _place(effect) == (c.joints, c.links, c.other)):
             continue
         entry = _entry(robot, c, explains)
         key = c.effect, c.joints, c.links, c.other
@@ -86,10 +86,12 @@ def look(robot: Robot, x: Motion, tau: np.ndarray, size: np.ndarray, colour_s: n
     return Seen(power / float(np.sum(e**2)), np.sqrt(np.mean(r**2, axis=0)), nats, same)
 
 
-def _place(effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def _place(effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...], int | None]:
+    """Return joints, links and the other joint, as a candidate has them."""
     if effect.id in ("payload", "external_wrench"):
-        return (), (effect.joint,)
-    return ((effect.joint,) if effect.joint >= 0 else ()), ()
+        return (), (effect.joint,), None
+    other = int(effect.shape["other"]) if "other" in effect.shape else None
+    return ((effect.joint,) if effect.joint >= 0 else ()), (), other
 
 
 def _entry(robot: Robot, c: Candidate, explains: float) -> dict[str, Any]:

@@ -14,8 +14,8 @@ LARGEST: Mapping[str, float] = {
     "torque_scale": 0.5,
     "time_delay": 0.03,
     "actuator_lag": 0.04,
-    "encoder_offset": 0.15,
-    "base_tilt": 0.15,
+    "encoder_offset": 0.08,
+    "base_tilt": 0.1,
 }
 """The largest plausible strengths; those of geometry and payload depend on the arm."""
 

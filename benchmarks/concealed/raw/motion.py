@@ -33,6 +33,9 @@ def draw_way(rng: np.random.Generator, robot: Robot, seconds: float, rate_hz: fl
     """
     low, high, fastest = robot.range()
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    # A place of work of its own, away from the straight arm.
+    away = rng.uniform(-0.45, 0.45, robot.n)
+    middle, half = middle + away * half, (1 - np.abs(away)) * half
     speed = np.minimum(fastest, 2.2) * rng.uniform(0.35, 0.8)
     t = np.arange(round(seconds * rate_hz)) / rate_hz
     style = str(rng.choice(STYLES))
@@ -74,7 +77,7 @@ def _sines(rng: np.random.Generator, t: np.ndarray, n: int) -> np.ndarray:
     for joint in range(n):
         # Square roots of primes have no common period.
         roots = np.sqrt(rng.permutation([2, 3, 5, 7, 11, 13, 17, 19, 23, 29])[:5])
-        hz = 0.17 * roots * rng.uniform(0.6, 1.1)
+        hz = 0.08 * roots * rng.uniform(0.6, 1.1)
         size = rng.uniform(0.3, 1.0, 5) / hz
         phase = rng.uniform(-np.pi, np.pi, 5)
         q[:, joint] = np.sin(2 * np.pi * clock[:, None] * hz + phase) @ (size / size.sum())
