@@ -80,6 +80,7 @@ def _draw(rng: np.random.Generator, of: str, kind: str | None, size: float, iner
     stiffness = np.sqrt(np.mean(x.supplied**2, axis=0)) / give
     controller = Controller(urdf, float(pace), stiffness, float(rng.uniform(0.3, 1.0)))
     effect = None if kind is None else _of_size(draw_effect(rng, kind, robot, x), robot, x, size)
+    friction = friction if effect is None else _below(friction, effect)
     track, effect, added = _simulated(robot, friction, effect, way, controller, size)
     if effect is not None:
         effect = _closed(effect, FIT_S)
@@ -125,6 +126,15 @@ def _friction(rng: np.random.Generator, robot: Robot, way: Way) -> tuple[Frictio
     friction = Friction(np.sqrt(1 - dry**2) * total / speed, dry * total * uneven, dry * total / uneven, width)
     supplied = load + friction.torque(v)
     return friction, Motion(way.t[::EVERY], q, v, a, load, friction.direction(v), supplied)
+
+
+def _below(friction: Friction, effect: Effect) -> Friction:
+    """Return friction that is plausible below levels that come on top: at least half as much everywhere."""
+    if effect.id not in ("stribeck_friction", "position_dependent_friction", "time_varying_friction"):
+        return friction
+    least = np.zeros_like(friction.plus)
+    least[effect.joint] = 0.5 * effect.strength
+    return replace(friction, plus=np.maximum(friction.plus, least), minus=np.maximum(friction.minus, least))
 
 
 def share(effect: Effect, t: np.ndarray, added: np.ndarray, tau: np.ndarray) -> np.ndarray:

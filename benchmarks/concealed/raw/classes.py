@@ -153,10 +153,10 @@ def candidates(robot: Robot, x: Motion, effect: Effect) -> Iterator[Candidate]:
     n, inside = robot.n, bodies.inside(effect, x.t)
     for j in range(n):
         yield from _of_joint(x, j, inside)
-    yield Candidate("torque_scale", (), (), _own(x, x.supplied)[:, :, None])
+    yield Candidate("torque_scale", (), (), x.supplied[:, :, None])
     for delay in _DELAYS_S:
-        yield Candidate("time_delay", (), (), _own(x, _later(x, delay))[:, :, None])
-    yield Candidate("actuator_lag", (), (), _own(x, np.gradient(x.supplied, x.t, axis=0))[:, :, None])
+        yield Candidate("time_delay", (), (), _later(x, delay)[:, :, None])
+    yield Candidate("actuator_lag", (), (), np.gradient(x.supplied, x.t, axis=0)[:, :, None])
     tilts = [Effect("base_tilt", -1, {"x": a, "y": 1 - a, "z": 0.0}, _TURN) for a in (0.0, 1.0)]
     yield Candidate("base_tilt", (), (), _slopes(robot, tilts, x))
     for j in range(n):
@@ -172,10 +172,6 @@ def candidates(robot: Robot, x: Motion, effect: Effect) -> Iterator[Candidate]:
             wrench = bodies.wrench_torque(robot, x.q, j, np.eye(6)) * inside[:, None, None]
             yield Candidate("external_wrench", (), (j,), wrench)
             yield Candidate("payload", (), (j,), Y[:, :, 10 * j : 10 * j + 10])
-
-
-def _own(x: Motion, tau: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(np.broadcast_to(tau, x.q.shape))
 
 
 def _later(x: Motion, delay: float) -> np.ndarray:
@@ -207,7 +203,7 @@ def _of_joint(x: Motion, j: int, inside: np.ndarray) -> Iterator[Candidate]:
             for effect, soft in (("position_dependent_friction", 1.0), ("cable_drag", 0.0)):
                 place = {"centre": low + centre * span, "width": width * span, "soft": soft}
                 yield one(effect, DRY["position_dependent_friction"](x, j, place) * x.direction[:, j])
-    yield from (one("presliding_hysteresis", dahl_along(q, v, s * span)) for s in (0.01, 0.02, 0.04, 0.08, 0.15))
+    yield from (one("presliding_hysteresis", dahl_along(q, s * span)) for s in (0.01, 0.02, 0.04, 0.08, 0.15))
     yield one("rotor_inertia", x.a[:, j])
     yield one("joint_spring", q - q.mean())
     for contact in np.linspace(0.1, 0.9, 13):

@@ -34,7 +34,7 @@ def _within(rng: np.random.Generator, q: np.ndarray, low: float, high: float) ->
 
 
 def _stribeck(rng: np.random.Generator, x: Motion, j: int) -> dict[str, float]:
-    return {"speed": float(rng.uniform(0.05, 0.25) * np.quantile(np.abs(x.v[:, j]), 0.95))}
+    return {"speed": float(rng.uniform(0.06, 0.3) * np.quantile(np.abs(x.v[:, j]), 0.95))}
 
 
 def _contact(rng: np.random.Generator, x: Motion, j: int) -> dict[str, float]:

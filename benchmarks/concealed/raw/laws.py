@@ -23,7 +23,6 @@ class Motion:
         load: torque of the rigid body [N m].
         direction: of friction, from -1 to 1.
         supplied: torque of the actuators but for the effect [N m].
-        window: (start, end) [s] of what acts for a time only.
     """
 
     t: np.ndarray
@@ -90,7 +89,7 @@ def dahl(z: float, moved: float, distance: float) -> float:
     return float(end + (z - end) * np.exp(-abs(moved) / distance))
 
 
-def dahl_along(q: np.ndarray, v: np.ndarray, distance: float) -> np.ndarray:
+def dahl_along(q: np.ndarray, distance: float) -> np.ndarray:
     """Return Dahl's state along positions (N,); it starts at 0."""
     z = [0.0]
     for moved in np.diff(q).tolist():
@@ -111,7 +110,7 @@ def joint_torque(effect: Effect, x: Motion) -> np.ndarray | None:
     elif effect.id in PUSH:
         torque = PUSH[effect.id](x, j, s)
     elif effect.id == "presliding_hysteresis":
-        torque = dahl_along(x.q[:, j], x.v[:, j], s["distance"])
+        torque = dahl_along(x.q[:, j], s["distance"])
     elif effect.id == "rotor_inertia":
         torque = x.a[:, j]
     elif effect.id == "torque_offset":
