@@ -1,9 +1,9 @@
 """The truth of a raw case: the schema of ``benchmarks.concealed.truth``, and how much the data can say.
 
 Each effect has, beside the keys there: ``share``, its RMS over that of the joint's recorded torque while it acts (the
-size that was asked for is of this kind: ``target_size``); ``remains``, the part of its torque's power left beside all
-inertial parameters and friction; ``nats``, the log likelihood that this is worth beside torque noise alone: more than any recording tells, whose encoder
-adds noise and whose inertials have no bounds here. ``main_joint`` is the one whose share counts. Entries of
+size that was asked for is of this kind: ``target_size``), and ``main_joint``, whose share that is; ``remains``, the
+part of its torque's power left beside all inertial parameters and friction; ``nats``, the log likelihood that this is
+worth beside torque noise alone: the encoder's noise takes from it, bounds on the inertials add to it. Entries of
 ``indistinguishable`` have ``explains``: the part of what remains that the other name explains.
 """
 
