@@ -144,7 +144,8 @@ def test_class_holds_what_is_the_same_and_not_what_differs(bench: Bench) -> None
         tau = bodies.torque(bench.robot, effect, x)
         size = np.sqrt(np.mean(x.supplied**2, axis=0))
         seen = classes.look(bench.robot, x, tau, size, np.full(n, 0.02), effect)
-        return {same["effect"] for same in seen.same if same["joints"] in ([], [bench.robot.joints[2]])}, seen.remains
+        places = [], [bench.robot.joints[2]], list(bench.robot.joints)
+        return {same["effect"] for same in seen.same if same["joints"] in places}, seen.remains
 
     same, remains = names(Effect("time_delay", -1, {"sign": 1.0}, 0.005))
     assert "actuator_lag" in same

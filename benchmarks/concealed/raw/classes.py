@@ -24,6 +24,7 @@ SHARE = 0.9
 _HIDDEN, _MOST = 1e-7, 1.0  # power beside the base, in parts of a column's own; power in parts of the joints' torque
 _DELAYS_S = (-0.012, 0.012)
 _TURN = 1e-4
+_OF_ALL = ("torque_scale", "time_delay", "actuator_lag")
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,9 @@ def _place(effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...], int | None
 
 
 def _entry(robot: Robot, c: Candidate, explains: float) -> dict[str, Any]:
-    names = {"joints": [robot.joints[j] for j in c.joints], "links": [robot.links[k] for k in c.links]}
+    # Alike at all joints, which is another place than none.
+    joints = range(robot.n) if c.effect in _OF_ALL and not c.joints else c.joints
+    names = {"joints": [robot.joints[j] for j in joints], "links": [robot.links[k] for k in c.links]}
     other = {} if c.other is None else {"other": robot.joints[c.other]}
     return {"effect": c.effect, **names, **other, "explains": round(explains, 4)}
 
