@@ -12,13 +12,22 @@ import pyarrow.parquet as pq
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from .cases import make_case
+from .raw import cases as raw
 from .workers import workers
 
 
-def write_case(out: Path, of: str, tier: str, index: int, seed: int) -> float:
-    """Make and write one case; return the seconds it took."""
+def write_case(
+    out: Path,
+    of: str,
+    tier: str,
+    index: int,
+    seed: int,
+    options: raw.Options = raw.Options(),  # noqa: B008
+) -> float:
+    """Make and write one case; return the seconds it took. Options are those of the raw tier."""
     start = time.perf_counter()
-    case = make_case(of, tier, index, seed)
+    own = tier == raw.TIER
+    case = raw.make_case(of, index, seed, options) if own else make_case(of, tier, index, seed)
     folder, truth = out / "cases" / case.id, out / "truth"
     folder.mkdir(parents=True, exist_ok=True)
     truth.mkdir(parents=True, exist_ok=True)
@@ -30,7 +39,15 @@ def write_case(out: Path, of: str, tier: str, index: int, seed: int) -> float:
     return time.perf_counter() - start
 
 
-def generate(out: Path, of: str, tiers: Sequence[str], count: int, seed: int, jobs: int) -> None:
+def generate(
+    out: Path,
+    of: str,
+    tiers: Sequence[str],
+    count: int,
+    seed: int,
+    jobs: int,
+    options: raw.Options = raw.Options(),  # noqa: B008
+) -> None:
     """Write ``count`` cases of each tier, with a progress bar."""
     done = {(t["set"], t["tier"], t["index"], t["seed"]) for t in map(_truth, sorted(out.glob("truth/*.json")))}
     wanted = [(of, tier, index, seed) for tier in tiers for index in range(count)]
@@ -39,7 +56,7 @@ def generate(out: Path, of: str, tiers: Sequence[str], count: int, seed: int, jo
     seconds = []
     with Progress(*columns, TimeRemainingColumn()) as progress, workers(jobs) as pool:
         bar = progress.add_task("cases", total=len(wanted))
-        for result in as_completed([pool.submit(write_case, out, *case) for case in wanted]):
+        for result in as_completed([pool.submit(write_case, out, *case, options) for case in wanted]):
             seconds.append(result.result())
             progress.update(bar, advance=1, description=f"cases ({sum(seconds) / len(seconds):.1f} s each)")
     print(f"{len(wanted)} cases, {sum(seconds) / max(1, len(seconds)):.2f} s each on one core")

@@ -126,7 +126,11 @@ def draw_robot(rng: np.random.Generator, of: str) -> Robot:
 
 def public_robot(of: str, name: str) -> Robot:
     """Return an arm of example-robot-data."""
-    file, pattern = PUBLIC[of][name]
+    return public_arm(name, *PUBLIC[of][name])
+
+
+def public_arm(name: str, file: str, pattern: str) -> Robot:
+    """Return an arm of a file below example-robot-data's robots/; joints of other names are locked."""
     package = metadata.distribution("example-robot-data")
     folder = Path(str(package.locate_file("cmeel.prefix/share/example-robot-data/robots")))
     model = pin.buildModelFromUrdf(str(folder / file))

@@ -1,0 +1,127 @@
+"""Arms of the raw tier: 6 and 7 joints, links of tubes and motors; development and final ones share no kind.
+
+parallel      z y y y z y   shoulder, elbow and wrist pitch about parallel axes (collaborative arms of six joints)
+alternating   z y z y z y z every axis across the last (light arms of seven joints)
+cranked       z y x y x y x with offsets between the axes, carried by a shoulder (two-armed robots)
+spherical     z y y x y x   three axes of the wrist meet; hangs from a ceiling or leans (industrial arms)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ..robots import Robot, public_arm
+from ..urdf import urdf_of
+
+_Z, _Y, _X = np.eye(3)[::-1]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of arm.
+
+    Attributes:
+        axes: of the joints, where all links point up.
+        lengths: from each joint to the next [m], of the mean arm.
+        masses: of the links [kg].
+        offset: to the side, in parts of a length.
+        leans: angles of the base to draw from [rad].
+    """
+
+    axes: str
+    lengths: Sequence[float]
+    masses: Sequence[float]
+    offset: float = 0.1
+    leans: Sequence[float] = (0.0,)
+
+
+OWN = {
+    "development": {
+        "parallel": Kind("zyyyzy", (0.1, 0.45, 0.4, 0.12, 0.1, 0.08), (4.0, 9.0, 4.0, 1.6, 1.4, 0.5), 0.12),
+        "alternating": Kind("zyzyzyz", (0.18, 0.2, 0.2, 0.2, 0.2, 0.1, 0.1), (4.0, 4.0, 3.2, 2.8, 1.8, 1.5, 0.4), 0.05),
+    },
+    "final": {
+        "cranked": Kind("zyxyxyx", (0.1, 0.1, 0.28, 0.1, 0.27, 0.08, 0.12), (5.0, 2.5, 3.5, 1.8, 2.4, 1.2, 0.6), 0.3),
+        "spherical": Kind("zyyxyx", (0.25, 0.6, 0.15, 0.5, 0.1, 0.08), (30.0, 22.0, 14.0, 8.0, 3.5, 0.8), 0.08,
+                          (0.5, np.pi, np.pi)),
+    },
+}  # fmt: skip
+"""Own kinds of arms of each set."""
+PUBLIC = {
+    "development": {"talos": ("talos_data/robots/talos_left_arm.urdf", r"arm_left_\d_joint")},
+    "final": {
+        "tiago": ("tiago_description/robots/tiago.urdf", r"arm_\d_joint"),
+        "romeo": ("romeo_description/urdf/romeo.urdf", r"R(Shoulder|Elbow|Wrist).*"),
+    },
+}
+"""Arms of example-robot-data, by set: file and joints that move."""
+
+
+def draw_arm(rng: np.random.Generator, of: str) -> Robot:
+    """Draw an arm of a set: an own one in two of three cases."""
+    if rng.random() < 1 / 3:
+        name = str(rng.choice(sorted(PUBLIC[of])))
+        return public_arm(name, *PUBLIC[of][name])
+    name = str(rng.choice(sorted(OWN[of])))
+    return own_arm(rng, name, OWN[of][name])
+
+
+def own_arm(rng: np.random.Generator, name: str, kind: Kind) -> Robot:
+    """Build an arm of a kind: lengths and masses vary by a quarter, all of it in size by a half."""
+    size, n = float(np.exp(rng.uniform(-0.4, 0.3))), len(kind.axes)
+    lengths = size * np.asarray(kind.lengths) * rng.uniform(0.75, 1.3, n)
+    masses = size**2 * np.asarray(kind.masses) * rng.uniform(0.75, 1.3, n)
+    sides = lengths * kind.offset * rng.choice([-1.0, 1.0], n) * rng.uniform(0.5, 1.5, n)
+    base, model = pin.exp3(float(rng.choice(kind.leans)) * _X), pin.Model()
+    placement = pin.SE3(base, base @ np.array([0.0, 0.0, 0.15 * size]))
+    for k, letter in enumerate(kind.axes):
+        axis = {"x": _X, "y": _Y, "z": _Z}[letter] * rng.choice([-1.0, 1.0])
+        span = float(rng.uniform(1.6, 2.9))
+        bounds = (np.array([b]) for b in (400.0, rng.uniform(1.2, 3.0), -span, span))
+        joint = model.addJoint(k, pin.JointModelRevoluteUnaligned(axis), placement, f"{name}_{k + 1}", *bounds)
+        tip = np.array([sides[k] if letter != "x" else 0.0, sides[k] if letter == "x" else 0.0, lengths[k]])
+        model.appendBodyToJoint(joint, _link(rng, float(masses[k]), tip), pin.SE3.Identity())
+        placement = pin.SE3(np.eye(3), tip)
+    return Robot(name, urdf_of(model))
+
+
+def _link(rng: np.random.Generator, mass: float, tip: np.ndarray) -> pin.Inertia:
+    """Return a tube to the next joint, that one's motor, and cables and covers to the sides."""
+    length = float(np.linalg.norm(tip))
+    shares = rng.dirichlet([5.0, 5.0, 1.0, 1.0])
+    tube, motor = mass * shares[:2]
+    radius = float(np.clip(0.2 * length, 0.03, 0.09))
+    along = pin.Quaternion.FromTwoVectors(_Z, tip / length).toRotationMatrix()
+    body = pin.SE3(along, 0.5 * tip).act(pin.Inertia.FromCylinder(float(tube), radius, length))
+    across = pin.exp3(rng.uniform(-np.pi, np.pi, 3))
+    body += pin.SE3(across, 0.9 * tip).act(pin.Inertia.FromCylinder(float(motor), radius, 1.5 * radius))
+    for share in shares[2:]:
+        at = tip * rng.uniform(0, 1) + 1.2 * radius * rng.uniform(-1, 1, 3)
+        body += pin.SE3(np.eye(3), at).act(pin.Inertia.FromSphere(float(mass * share), 0.5 * radius))
+    return body
+
+
+def with_wrong_inertials(rng: np.random.Generator, robot: Robot, size: float) -> Robot:
+    """Return the arm as its URDF tells it: mass, centre and moments of every link off by about ``size`` at once.
+
+    Mass is off by exp(size N); the centre by size times the link's extent, in any direction; each principal second
+    moment by its own exp(size N) and with the mass; the principal axes are turned by about size / 2 rad.
+    """
+    model = robot.model.copy()
+    for k in range(1, model.njoints):
+        body = model.inertias[k]
+        spread = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
+        values, axes = np.linalg.eigh(spread)
+        extent = np.linalg.norm(body.lever) + np.sqrt(max(values.sum(), 0.0) / body.mass)
+        factor = float(np.exp(size * rng.standard_normal()))
+        values = np.maximum(values, 1e-3 * values[-1]) * factor * np.exp(size * rng.standard_normal(3))
+        axes = pin.exp3(0.5 * size * rng.standard_normal(3)) @ axes
+        spread = axes @ np.diag(values) @ axes.T
+        step = rng.standard_normal(3)
+        lever = body.lever + size * extent * rng.uniform(0.5, 1.2) * step / np.linalg.norm(step)
+        model.inertias[k] = pin.Inertia(factor * body.mass, lever, np.trace(spread) * np.eye(3) - spread)
+    return Robot(robot.name, urdf_of(model))
