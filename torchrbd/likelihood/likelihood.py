@@ -95,9 +95,7 @@ class Likelihood:
     def log_evidence(self) -> float:
         """Log marginal likelihood of all rows, to the power of one over their joint's dispersion."""
         each = zip(self.index, self.hyper.noise, self.hyper.dispersion, strict=True)
-        return self.gaussian.log_evidence - float(
-            sum((len(i) * np.log(n.sigma) + np.log(n.scale[i]).sum()) / d for i, n, d in each)
-        )
+        return self.gaussian.log_evidence - float(sum(np.log(n.std[i]).sum() / d for i, n, d in each))
 
     @property
     def pi(self) -> torch.Tensor:
@@ -169,8 +167,7 @@ class Likelihood:
                 noise.append(self.hyper.noise[j])
                 continue
             rms = self.machine.torque_rms[j]
-            scale = self.machine.noise_scale(j, self.hyper.encoder_share[j])
-            found = learnt(self.residual(j), scale, rows.run, rows.measured[j], self.gaussian.used(j), dispersion[j])
+            found = self._noise(j, None, dispersion[j])
             noise.append(replace(found, sigma=max(found.sigma, _LEAST_NOISE * rms)))
             at = self.machine.drifting(j)
             power = np.mean(self.gaussian.z[at] ** 2 + self.gaussian.covariance(at).diagonal())
@@ -204,18 +201,24 @@ class Likelihood:
             widths[j] = max(found)[1]
         return self._with(rest_width=widths)
 
+    def _noise(self, joint: int, encoder_share: float | None, dispersion: float) -> Noise:
+        """Return the noise of what is left at a joint; how rows count stays if no share is given."""
+        rows, now = self.machine.rows, self.hyper.noise[joint]
+        spread, weight = now.spread, now.weight
+        if encoder_share is not None:
+            coulomb = 0.5 * float(np.abs(self.friction[joint, 1:]).sum())
+            std = now.sigma * float(np.sqrt(now.correlation[0] / self.hyper.dispersion[joint]))
+            spread, weight = self.machine.spread(joint, encoder_share), self.machine.weight(joint, coulomb, std)
+        used = self.gaussian.used(joint)
+        return learnt(self.residual(joint), spread, weight, rows.run, rows.measured[joint], used, dispersion)
+
     def reweighed(self) -> Likelihood:
-        """Return the same model with the encoders' share of each joint's noise that has the greatest likelihood."""
-        rows, share, noise = self.machine.rows, self.hyper.encoder_share.copy(), list(self.hyper.noise)
+        """Return the same model with rows that count by their friction and encoder noise, whose share is learnt."""
+        share, noise = self.hyper.encoder_share.copy(), list(self.hyper.noise)
         for j, index in enumerate(self.index):
-            if not len(index):
-                continue
-            residual, used, found = self.residual(j), self.gaussian.used(j), []
-            for part in _SHARES:
-                scale = self.machine.noise_scale(j, part)
-                one = learnt(residual, scale, rows.run, rows.measured[j], used, self.hyper.dispersion[j])
-                found.append((-len(index) * np.log(one.sigma) - np.log(scale[index]).sum(), part, one))
-            _, share[j], noise[j] = max(found, key=lambda f: f[0])
+            if len(index):
+                found = [(part, self._noise(j, part, self.hyper.dispersion[j])) for part in _SHARES]
+                share[j], noise[j] = min(found, key=lambda one: float(np.log(one[1].std[index]).sum()))
         return self._with(encoder_share=share, noise=tuple(noise))
 
     def recalibrated(self) -> Likelihood:
@@ -240,12 +243,13 @@ class Likelihood:
 def learn(machine: Machine) -> Likelihood:
     """Learn noise, widths, drift, dispersion and the URDF's error from the data, the model being the machine's."""
     rows, rms = machine.rows, np.maximum(machine.torque_rms, 1e-300)
+    n_rows = rows.tau.shape[1]
     hyper = Hyper(
         kappa=3.0,
         encoder_share=np.zeros(rows.n_dof),
         rest_width=np.array([s.rest_width for s in rows.columns.scales]),
         drift=_FIRST_DRIFT * rms,
-        noise=tuple(Noise(np.zeros(0), _FIRST_NOISE * r, np.ones(rows.tau.shape[1])) for r in rms),
+        noise=tuple(Noise(np.zeros(0), _FIRST_NOISE * r, np.ones(n_rows), np.ones(n_rows)) for r in rms),
         dispersion=np.ones(rows.n_dof),
         pi=rows.columns.robot.pi,
         friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),

@@ -91,7 +91,14 @@ class Machine:
         self.target = np.stack([rows.tau[j] - rows.rigid[j] @ self.mean for j in range(rows.n_dof)])
         mass = rows.columns.robot.mass_matrix(torch.from_numpy(rows.q.T)).numpy()
         self._carried = np.einsum("mjk,k->jm", mass**2, rows.encoder_std**2)
+        self._undirected = rows.evaluated(self._direction_std)
         self.sign = lru_cache(maxsize=256)(self._sign)
+
+    def _direction_std(self, signals: Signals) -> Tensor:
+        """Return the standard deviation of sign(qd), (n, N): 2 sqrt(p (1 - p)), p the probability that it is wrong."""
+        speed_std = torch.from_numpy(np.maximum(self.rows.speed_std, 1e-300))
+        p = torch.special.ndtr(-signals.qd.abs() / speed_std.unsqueeze(1))
+        return 2.0 * (p * (1.0 - p)).sqrt()
 
     def ordinary(self, joint: int) -> np.ndarray:
         """Return where the coefficients of viscous and both Coulomb frictions of a joint stand, (3,)."""
@@ -101,13 +108,25 @@ class Machine:
         """Return where the coefficients of a joint's drift stand."""
         return self._first(joint) + np.arange(self._local - len(self._drift), self._local)
 
-    def noise_scale(self, joint: int, encoder_share: float) -> np.ndarray:
-        """Return how noisy a joint's rows are against each other, (M,): root of 1 - share + share m^2 / mean m^2.
+    def spread(self, joint: int, encoder_share: float) -> np.ndarray:
+        """Return how noisy a joint's rows are against each other, (M,): s^2 = 1 - share + share m^2 / mean m^2.
 
         Encoder noise is differentiated twice and multiplied by the row of the mass matrix, m^2 = sum_k M_jk^2 s_k^2.
         """
         m = self._carried[joint]
         return np.sqrt(1.0 - encoder_share + encoder_share * m / max(float(m.mean()), 1e-300))
+
+    def weight(self, joint: int, coulomb: float, noise_std: float) -> np.ndarray:
+        """Return what rows count, (M,): less where the velocity's error hides the direction of Coulomb friction.
+
+        The standard deviation of the direction passes the filter: all samples of a reversal err together.
+
+        Args:
+            joint: which.
+            coulomb: friction [N m or N].
+            noise_std: of the torque [N m or N].
+        """
+        return 1.0 / np.sqrt(1.0 + (coulomb / max(noise_std, 1e-300) * self._undirected[joint]) ** 2)
 
     @property
     def timing(self) -> np.ndarray:

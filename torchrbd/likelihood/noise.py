@@ -1,16 +1,21 @@
 """Coloured torque noise of one joint: an autoregressive filter whose order the evidence chooses.
 
-    e_t = s_t u_t,   u_t = sum_i a_i u_(t-i) + sigma n_t,   n white
+    e_t = u_t + x_t,   u_t = sum_i a_i u_(t-i) + sigma s_t n_t,   n white
 
-s_t says which rows are noisier than others: encoder noise counts by the inertia that it is multiplied with.
+s_t says which rows are noisier than others (encoder noise counts by the inertia that it is multiplied with), and x_t is
+what nobody knows of single rows (friction whose direction the velocity does not tell): its variance is 1/w_t^2 - 1
+times that of u. Rows count by w and are whitened by predicting their error from those before, b = (1, -a):
 
-A row is whitened by predicting its error from those before it; a run's first rows, which have too few, only predict.
+    sum_i b_i w_(t-i) e_(t-i),   variance  sum_ij b_i b_j w_(t-i) w_(t-j) c_|i-j| + c_0 sum_i b_i^2 (1 - w_(t-i)^2)
+
+with c the autocovariance of u. A run's first rows, which have too few before them, only predict.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
@@ -22,11 +27,41 @@ _LEAST = 1e-6
 
 @dataclass(frozen=True)
 class Noise:
-    """The noise of one joint's rows: predictor a (p,), innovation's standard deviation sigma [N m or N], s (M,)."""
+    """The noise of one joint's rows.
+
+    Attributes:
+        predictor: a (p,).
+        sigma: standard deviation of the innovations [N m or N].
+        spread: s (M,) of each row, 1 on average.
+        weight: w (M,), 0 to 1.
+    """
 
     predictor: np.ndarray
     sigma: float
-    scale: np.ndarray
+    spread: np.ndarray
+    weight: np.ndarray
+
+    @cached_property
+    def std(self) -> np.ndarray:
+        """Standard deviation of what the rows before do not predict, (M,) [N m or N]."""
+        b, w2 = np.concatenate(([1.0], -self.predictor)), self.weight**2
+        c = self.correlation
+        relative = np.zeros_like(self.weight)
+        for i, b_i in enumerate(b):
+            relative += c[0] * b_i**2 * _late(1.0 - w2, i)
+            for k, b_k in enumerate(b):
+                relative += b_i * b_k * c[abs(i - k)] * _late(self.weight, i) * _late(self.weight, k)
+        return self.sigma * self.spread * np.sqrt(np.maximum(relative, 1.0))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Autocovariance c (p + 1,) of u for innovations of variance one: Yule and Walker's equations."""
+        lags = np.arange(len(self.predictor) + 1)
+        A = np.eye(len(lags))
+        for k in lags:
+            for i, a_i in enumerate(self.predictor, start=1):
+                A[k, abs(k - i)] -= a_i
+        return np.linalg.solve(A, (lags == 0).astype(float))
 
     def index(self, run: np.ndarray, measured: np.ndarray) -> np.ndarray:
         """Return the rows (m,) with enough before them in their run, of run (M,) and measured (M,)."""
@@ -36,33 +71,38 @@ class Noise:
 
     def white(self, A: np.ndarray, index: np.ndarray) -> np.ndarray:
         """Return signals (..., M) as the whitened rows (m,) see them, (..., m)."""
-        A = A / self.scale
+        A = A * self.weight
         out = A[..., index]
         for i, a_i in enumerate(self.predictor, start=1):
             out -= a_i * A[..., index - i]
-        return out / self.sigma
+        return out / self.std[index]
 
 
 def learnt(
-    residual: np.ndarray, scale: np.ndarray, run: np.ndarray, measured: np.ndarray, used: float, dispersion: float
+    residual: np.ndarray,
+    spread: np.ndarray,
+    weight: np.ndarray,
+    run: np.ndarray,
+    measured: np.ndarray,
+    used: float,
+    dispersion: float,
 ) -> Noise:
     """Learn the noise from what a fit leaves.
 
     Args:
         residual: (M,) [N m or N].
-        scale: (M,) of the rows, relative to each other.
+        spread, weight: see ``Noise``.
         run: (M,) number of its uninterrupted run.
         measured: (M,) bool.
         used: degrees of freedom that the fit has taken from this joint.
-        dispersion: how much more the blocks scatter than white rows would; the variance is raised by it.
+        dispersion: how much more the blocks scatter than white rows would; all variances are raised by it.
     """
-    e = np.where(measured, residual / scale, 0.0)
-    count = max(int(measured.sum()), 1)
-    lags = autocovariance(e, run, _MOST_ORDER) / count
-    # A fit that has many parameters leaves less than the noise.
-    left = max(1.0 - used / count, 0.1)
+    own = np.where(measured, weight / spread, 0.0)
+    lags = autocovariance(own * residual, run, _MOST_ORDER)
+    count = max(float((own**2).sum()), 1.0)
+    lags = lags / count
     lags[0] = max(lags[0] * (1 + _LEAST**2), 1e-300)
-    best, found = math.inf, Noise(np.zeros(0), math.sqrt(lags[0] / left), scale)
+    best, found = math.inf, (np.zeros(0), float(lags[0]))
     for p in range(_MOST_ORDER + 1):
         a = solve_toeplitz(lags[:p], lags[1 : p + 1]) if p else np.zeros(0)
         variance = float(lags[0] - a @ lags[1 : p + 1])
@@ -71,8 +111,19 @@ def learnt(
         # Schwarz's approximation of the evidence of the order.
         loss = 0.5 * count * math.log(variance) + 0.5 * p * math.log(count)
         if loss < best:
-            best, found = loss, Noise(a, math.sqrt(variance / left), scale)
-    return replace(found, sigma=found.sigma * math.sqrt(max(dispersion, 1.0)))
+            best, found = loss, (a, variance)
+    noise = Noise(found[0], math.sqrt(found[1]), spread, weight)
+    if len(index := noise.index(run, measured)):
+        left = float(np.mean(noise.white(residual, index) ** 2))
+        noise = replace(noise, sigma=noise.sigma * math.sqrt(max(left, _LEAST**2)))
+    # A fit that has many parameters leaves less than the noise.
+    raised = max(dispersion, 1.0) / max(1.0 - used / count, 0.1)
+    return replace(noise, sigma=noise.sigma * math.sqrt(raised))
+
+
+def _late(x: np.ndarray, steps: int) -> np.ndarray:
+    """Return x (M,) so many steps later, the first value before its beginning."""
+    return x if not steps else np.concatenate((np.full(steps, x[0]), x[:-steps]))
 
 
 def autocovariance(e: np.ndarray, run: np.ndarray, order: int) -> np.ndarray:

@@ -56,6 +56,7 @@ class Rows:
         t: (M,) seconds since that recording's start.
         block: (M,) number of the block of time, of one recording.
         encoder_std: (n,) noise of the positions [rad or m].
+        speed_std: (n,) error of the velocities [rad/s or m/s].
         dt: clock interval of the slowest recording [s].
         dt_out: time between two rows [s].
     """
@@ -73,6 +74,7 @@ class Rows:
     t: np.ndarray
     block: np.ndarray
     encoder_std: np.ndarray
+    speed_std: np.ndarray
     dt: float
     dt_out: float
     _known: dict[tuple[Any, ...], np.ndarray] = field(default_factory=dict, repr=False)
@@ -160,6 +162,7 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
         t=t,
         block=_blocks(t, recording, reading.block_s),
         encoder_std=np.sqrt(np.mean([s.q_noise_std**2 for s in reading.surveys], axis=0)),
+        speed_std=np.sqrt(np.mean([s.qd_error_std**2 for s in reading.surveys], axis=0)),
         dt=max(s.clock.dt for s in reading.surveys),
         dt_out=float(dt_out.max()),
         **joined,  # type: ignore[arg-type]

@@ -72,6 +72,16 @@ class Survey:
     notes: tuple[str, ...]
 
     @property
+    def qd_error_std(self) -> np.ndarray:
+        """Standard deviation of velocities that are expected from noisy positions (Wiener), (n,) [rad/s or m/s].
+
+        Of each frequency remains the product of the share that is motion and the density of the noise.
+        """
+        density = 2.0 * self.clock.dt * self.q_noise_std**2
+        power = self.motion_share * (2.0 * np.pi * self.share_hz) ** 2
+        return np.sqrt(density * np.trapezoid(power, self.share_hz, axis=1))
+
+    @property
     def link_follows(self) -> np.ndarray:
         """Say of which joints the position behind the gear moves as q does, as far as q moves at all, (n,) bool."""
         return ~(np.abs(self.link_ratio - 1.0) > _FOLLOWS)
