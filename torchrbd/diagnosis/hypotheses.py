@@ -8,7 +8,7 @@ so that the number of shapes and stretches of time that were tried is paid for.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 
 from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.shapes.slope import axes
-from torchrbd.likelihood.gaussian import Addition, added, mixture
+from torchrbd.likelihood.gaussian import Addition, added
 from torchrbd.likelihood.likelihood import Extra, Likelihood
 from torchrbd.likelihood.prior import coefficient_std
 from torchrbd.likelihood.rows import Rows
@@ -121,23 +121,20 @@ def _averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> H
     if not parts:
         return None
     S, r = fit.beside(parts[0][0].place, np.concatenate([F for _, F in parts]))
-    found, first = [], 0
-    for c, F in parts:
-        here = slice(first, first := first + len(F))
-        found.append(_sized(fit, c, F, S[here, here], r[here]))
-    whole = mixture([a for a, _ in found])
-    k = max(range(len(found)), key=lambda k: found[k][0].log_evidence)
-    return Hypothesis(parts[k][0], whole.log_evidence, whole.mean, whole.std, found[k][1], len(parts))
+    K = len(parts[0][1])
+    at = np.arange(len(parts))[:, None] * K + np.arange(K)
+    believed = [coefficient_std(c, F, fit.machine.torque_rms) for c, F in parts]
+    scales = np.array(believed[0][1])
+    std = np.stack([s for s, _ in believed])[:, None] * scales[:, None]
+    found = added(S[at[:, :, None], at[:, None, :]][:, None], r[at][:, None], std, parts[0][0].effect.prior.positive)
+    shape, size = np.unravel_index(int(found.log_evidence.argmax()), found.log_evidence.shape)
+    best = shape, size
+    return Hypothesis(parts[shape][0], _mean(found), found.mean[best], found.std[best], float(scales[size]), len(parts))
 
 
-def _sized(
-    fit: Likelihood, candidate: Candidate, F: np.ndarray, S: np.ndarray, r: np.ndarray
-) -> tuple[Addition, float]:
-    """Return the evidence of a candidate, averaged over its size, and the size that fits best."""
-    std, scales = coefficient_std(candidate, F, fit.machine.torque_rms)
-    found = [added(S, r, std * k, candidate.effect.prior.positive) for k in scales]
-    best = max(zip(found, scales, strict=True), key=lambda one: one[0].log_evidence)[1]
-    return mixture(found), best
+def _mean(found: Addition) -> float:
+    """Return the log of the mean evidence of alternatives that are equally likely."""
+    return float(logsumexp(found.log_evidence)) - math.log(found.log_evidence.size)
 
 
 def _in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis]:
@@ -174,18 +171,17 @@ class _Stretches:
 def _in_stretches(fit: Likelihood, rows: Rows, candidate: Candidate, number: int, stretches: _Stretches) -> Hypothesis:
     """Average over stretches of time: moments of a stretch are sums over its blocks."""
     F = rows.features(candidate)
-    std, scales = coefficient_std(candidate, F, fit.machine.torque_rms)
+    std, multiples = coefficient_std(candidate, F, fit.machine.torque_rms)
     V, gram, score = _sums(fit, rows, F, rows.recording == number, stretches.blocks)
-    found = []
-    for begin, end in stretches:
-        U = V[end] - V[begin]
-        S, r = gram[end] - gram[begin] - U.T @ U, score[end] - score[begin]
-        found += [(added(S, r, std * k, candidate.effect.prior.positive), begin, end, k) for k in scales]
-    total = mixture([a for a, *_ in found])
-    _, begin, end, scale = max(found, key=lambda one: one[0].log_evidence)
-    window = Window(rows.recordings[number], float(stretches.times[begin]), float(stretches.times[end]))
+    begin, end = np.array(list(stretches)).T
+    U, scales = V[end] - V[begin], np.array(multiples)
+    S = gram[end] - gram[begin] - U.transpose(0, 2, 1) @ U
+    r = score[end] - score[begin]
+    found = added(S[:, None], r[:, None], std * scales[:, None], candidate.effect.prior.positive)
+    k, size = np.unravel_index(int(found.log_evidence.argmax()), found.log_evidence.shape)
+    window = Window(rows.recordings[number], float(stretches.times[begin[k]]), float(stretches.times[end[k]]))
     best = rows.columns.candidate(candidate.effect, replace(candidate.site, window=window), {})
-    return Hypothesis(best, total.log_evidence, total.mean, total.std, scale, len(found) // len(scales))
+    return Hypothesis(best, _mean(found), found.mean[k, size], found.std[k, size], float(scales[size]), len(begin))
 
 
 def _sums(
@@ -208,8 +204,3 @@ def _sums(
     V = solve_triangular(fit.gaussian.L, cross.transpose(1, 0, 2).reshape(P, -1), lower=True, check_finite=False)
     before = V.reshape(P, B, K).transpose(1, 0, 2), gram, score
     return tuple(np.concatenate((np.zeros_like(x[:1]), np.cumsum(x, 0))) for x in before)  # type: ignore[return-value]
-
-
-def names(hypotheses: Iterable[Hypothesis]) -> set[tuple[str, Site]]:
-    """Return effects and places."""
-    return {h.name for h in hypotheses}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -33,6 +33,9 @@ _LEADING, _SHOWN = 5, 30
 # A leader is adopted, and the others are ranked beside it, while its odds against chance are above nine to one, of all
 # hypotheses one being expected; at most so many.
 _SURE, _MOST_ADOPTED = math.log(9.0), 6
+
+# Torque and motion are together if their clocks are so many samples apart; readings until they are.
+_NEAR_SAMPLES, _MOST_READINGS = 0.5, 2
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,7 @@ class Ranking:
     considered: int
     _fit: Likelihood = field(repr=False)
     _rows: Rows = field(repr=False)
+    _late: Ranked = field(repr=False)
 
     def evidence_of(
         self,
@@ -111,6 +115,8 @@ class Ranking:
             window=None if window is None else Window(*window),
         )
         e = effect(effect_id or more["effect"])
+        if e.id == self._late.effect and site.joint is None:
+            return self._late.log_evidence
         candidate = rows.columns.candidate(e, site, known if e.first_order is None else e.first_order)
         one = told(self._fit, rows, candidate)
         return -math.inf if one is None else with_own_noise(self._fit, rows, one).log_evidence
@@ -159,22 +165,60 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
     reading = replace(reading, filtering=Filtering(band, of_motion=True), smoothed=())
     columns = Columns(robot, (), covered_scales(reading.surveys, reading.filtering))
     progress("learning the noise", 0.0)
-    fit = learn(Machine(read_rows(reading, columns, kept_back), frozenset(settings.held_bodies(robot))))
+    fit, clocks = _in_time(reading, columns, kept_back, frozenset(settings.held_bodies(robot)))
     rows = _carried(fit)
     progress("ranking", 0.0)
     found = _leading(fit, rows, screened(fit, rows, effects))
     last, adopted, terms = _last(fit, rows, effects, found, progress)
+    late = [clocks.ranked] if any(e.id == clocks.ranked.effect for e in effects) and robot.n_dof > 1 else []
+
+    def shown(hypotheses: Sequence[Hypothesis], beside: Likelihood) -> tuple[Ranked, ...]:
+        every = [*(_ranked(h, beside, robot) for h in hypotheses[:_SHOWN]), *late]
+        return tuple(sorted(every, key=lambda h: -h.log_evidence)[:_SHOWN])
+
     return Ranking(
         band_hz=band,
         ordinary=_ordinary(fit),
-        delay_s=_delays(fit),
-        first=tuple(_ranked(h, fit, robot) for h in found[:_SHOWN]),
+        delay_s=clocks.delay_s,
+        first=shown(found, fit),
         adopted=tuple(_ranked(h, fit, robot) for h in adopted),
-        last=tuple(_ranked(h, terms, robot) for h in last[:_SHOWN]),
-        considered=len(found),
+        last=shown(last, terms),
+        considered=len(found) + len(late),
         _fit=fit,
         _rows=rows,
+        _late=clocks.ranked,
     )
+
+
+class _Clocks(NamedTuple):
+    """By recording, how much later the torque is than the motion and its standard deviation [s]; as a hypothesis."""
+
+    delay_s: dict[str, tuple[float, float]]
+    ranked: Ranked
+
+
+def _in_time(
+    reading: Reading, columns: Columns, kept_back: KeptBack, held: frozenset[str]
+) -> tuple[Likelihood, _Clocks]:
+    """Learn the likelihood of ordinary physics, torque and motion brought together where their clocks are far apart.
+
+    The offset of the clocks is a linear term of every model; where it is not small, torques are read anew by so much
+    earlier. The evidence against clocks that agree is that of the first reading.
+    """
+    fit = learn(Machine(read_rows(reading, columns, kept_back), held))
+    against = fit.gaussian.against_zero(fit.machine.timing)
+    shift = dict.fromkeys((r.name for r in reading.recordings), 0.0)
+    for _ in range(_MOST_READINGS):
+        found = dict(zip(fit.machine.rows.seen_recordings, fit.delay_s.tolist(), strict=True))
+        if max(map(abs, found.values())) < _NEAR_SAMPLES * fit.machine.rows.dt:
+            break
+        shift = {name: late + found.get(name, 0.0) for name, late in shift.items()}
+        fit = learn(Machine(read_rows(reading, columns, kept_back, shift), held))
+    spread = fit.machine.timing_std * np.sqrt(fit.gaussian.covariance(fit.machine.timing).diagonal())
+    every = zip(fit.machine.rows.seen_recordings, fit.delay_s, spread, strict=True)
+    delay_s = {name: (float(late) + shift[name], float(std)) for name, late, std in every}
+    mean = float(np.average([d for d, _ in delay_s.values()], weights=[1.0 / s**2 for _, s in delay_s.values()]))
+    return fit, _Clocks(delay_s, Ranked("time_delay", (), (), against, {"delay": mean}))
 
 
 def _carried(fit: Likelihood) -> Rows:
@@ -270,10 +314,3 @@ def _ordinary(fit: Likelihood) -> tuple[Ranked, ...]:
             evidence = fit.gaussian.against_zero(index)
             found.append(Ranked(identifier, (name,), (), evidence, values, shape=width))
     return tuple(found)
-
-
-def _delays(fit: Likelihood) -> dict[str, tuple[float, float]]:
-    rows = fit.machine.rows
-    spread = fit.machine.timing_std * np.sqrt(fit.gaussian.covariance(fit.machine.timing).diagonal())
-    names = [rows.recordings[k] for k in np.unique(rows.recording)]
-    return {n: (float(d), float(s)) for n, d, s in zip(names, fit.delay_s, spread, strict=True)}

@@ -16,14 +16,14 @@ being positive, over that of the prior, multiplies B.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import log_ndtr
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,14 @@ class Block:
 
 @dataclass(frozen=True)
 class Addition:
-    """Columns beside a posterior: their log evidence, and mean and standard deviation of their coefficients (K,)."""
+    """Columns beside a posterior, (*batch) alternatives of them.
 
-    log_evidence: float
+    Attributes:
+        log_evidence: (*batch) in nats.
+        mean, std: (*batch, K) of their coefficients.
+    """
+
+    log_evidence: np.ndarray
     mean: np.ndarray
     std: np.ndarray
 
@@ -85,6 +90,7 @@ class Gaussian:
         V = solve_triangular(self.L, np.eye(len(self.z))[:, index], lower=True, check_finite=False)
         return V.T @ V
 
+    @lru_cache(maxsize=64)  # noqa: B019  (a posterior lives as long as its fit)
     def used(self, joint: int) -> float:
         """Return the degrees of freedom that the fit takes from a joint's rows."""
         b = self.blocks[joint]
@@ -110,26 +116,20 @@ class Gaussian:
 
 
 def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int] = ()) -> Addition:
-    """Return the evidence of columns with precision S (K, K) and score r (K,) beside a posterior.
+    """Return the evidence of columns with precision S (*batch, K, K) and score r (*batch, K) beside a posterior.
 
     Args:
         S, r: what ``Gaussian.beside`` returns.
-        std: (K,) prior standard deviations of the coefficients.
+        std: (*batch, K) prior standard deviations of the coefficients.
         positive: indices of those that cannot be negative.
     """
-    L = np.linalg.cholesky(np.eye(len(r)) + std[:, None] * S * std)
-    u = solve_triangular(L, std * r, lower=True, check_finite=False)
-    W = solve_triangular(L, np.diag(std), lower=True, check_finite=False)
-    mean, spread = W.T @ u, np.sqrt((W**2).sum(0))
-    log_evidence = 0.5 * float(u @ u) - float(np.log(np.diag(L)).sum())
+    A = np.eye(S.shape[-1]) + std[..., :, None] * S * std[..., None, :]
+    inverse = np.linalg.inv(A)
+    mean = std * (inverse @ (std * r)[..., None])[..., 0]
+    spread = std * np.sqrt(np.maximum(np.diagonal(inverse, axis1=-2, axis2=-1), 0.0))
+    log_evidence = 0.5 * (mean * r).sum(-1) - 0.5 * np.linalg.slogdet(A)[1]
     for k in positive:
-        if spread[k] > 0:
-            log_evidence += math.log(2.0) + float(log_ndtr(mean[k] / spread[k]))
+        told = spread[..., k] > 0
+        ratio = np.divide(mean[..., k], spread[..., k], out=np.zeros_like(spread[..., k]), where=told)
+        log_evidence = log_evidence + np.where(told, np.log(2.0) + log_ndtr(ratio), 0.0)
     return Addition(log_evidence, mean, spread)
-
-
-def mixture(additions: Sequence[Addition]) -> Addition:
-    """Return the evidence of equally likely alternatives, with the coefficients of the best one."""
-    best = max(additions, key=lambda a: a.log_evidence)
-    total = float(logsumexp([a.log_evidence for a in additions])) - math.log(len(additions))
-    return Addition(total, best.mean, best.std)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from torchrbd.likelihood.gaussian import Addition, Block, Gaussian, added
+from torchrbd.likelihood.gaussian import Block, Gaussian, added
 from torchrbd.likelihood.machine import Hyper, Machine
 from torchrbd.likelihood.noise import Noise, learnt
 
@@ -197,7 +197,7 @@ class Likelihood:
                 width = part * self.machine.speed_rms[j]
                 F = self.machine.sign(j, width)
                 S, r = rest.beside({j: noise.white(F, self.index[j])})
-                found.append((added(S, r, self.machine.friction_std(j, F)).log_evidence, width))
+                found.append((float(added(S, r, self.machine.friction_std(j, F)).log_evidence), width))
             widths[j] = max(found)[1]
         return self._with(rest_width=widths)
 

@@ -44,24 +44,24 @@ class Noise:
     @cached_property
     def std(self) -> np.ndarray:
         """Standard deviation of what the rows before do not predict, (M,) [N m or N]."""
-        b, w2 = np.concatenate(([1.0], -self.predictor)), self.weight**2
-        c = self.correlation
-        relative = np.zeros_like(self.weight)
-        for i, b_i in enumerate(b):
-            relative += c[0] * b_i**2 * _late(1.0 - w2, i)
-            for k, b_k in enumerate(b):
-                relative += b_i * b_k * c[abs(i - k)] * _late(self.weight, i) * _late(self.weight, k)
+        if (self.weight == 1.0).all():
+            return self.sigma * self.spread
+        b, c = np.concatenate(([1.0], -self.predictor)), self.correlation
+        lags = np.arange(len(b))
+        w = np.stack([_late(self.weight, k) for k in lags])
+        bw = b[:, None] * w
+        relative = ((c[np.abs(lags[:, None] - lags)] @ bw) * bw).sum(0) + c[0] * b**2 @ (1.0 - w**2)
         return self.sigma * self.spread * np.sqrt(np.maximum(relative, 1.0))
 
     @property
     def correlation(self) -> np.ndarray:
         """Autocovariance c (p + 1,) of u for innovations of variance one: Yule and Walker's equations."""
-        lags = np.arange(len(self.predictor) + 1)
-        A = np.eye(len(lags))
-        for k in lags:
+        p = len(self.predictor)
+        A = np.eye(p + 1)
+        for k in range(p + 1):
             for i, a_i in enumerate(self.predictor, start=1):
                 A[k, abs(k - i)] -= a_i
-        return np.linalg.solve(A, (lags == 0).astype(float))
+        return np.linalg.solve(A, np.eye(p + 1)[0])
 
     def index(self, run: np.ndarray, measured: np.ndarray) -> np.ndarray:
         """Return the rows (m,) with enough before them in their run, of run (M,) and measured (M,)."""

@@ -7,7 +7,7 @@ read, so that memory stays bounded.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,9 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.errors import RecordingError
 from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.data.reading import Reading
 from torchrbd.physics import Signals
+from torchrbd.physics.time_delay import delayed
 from torchrbd.recordings import States
 
 # Samples of states that are kept at most, over all tiles.
@@ -89,6 +91,11 @@ class Rows:
         """Which joints have a torque, (n,)."""
         return [bool(m.any()) for m in self.measured]
 
+    @property
+    def seen_recordings(self) -> list[str]:
+        """Names of the recordings that have rows, in their order."""
+        return [self.recordings[k] for k in np.unique(self.recording)]
+
     def features(self, candidate: Candidate) -> np.ndarray:
         """Return the features of a candidate, (K, M) at its joint, or (K, n, M) if it acts on the whole robot."""
         key = candidate.effect, candidate.site, *candidate.shape.items()
@@ -119,21 +126,28 @@ class Rows:
         return replace(self, columns=columns, tiles=tiles, _known={})
 
 
-def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
+def read_rows(
+    reading: Reading, columns: Columns, kept_back: KeptBack, delay_s: Mapping[str, float] | None = None
+) -> Rows:
     """Stream recordings once and keep their rows.
 
     Args:
         reading: the recordings and their filters.
         columns: of the robot.
         kept_back: what is not to be read.
+        delay_s: by recording, how much later its torque is than its motion [s]; it is read so much earlier.
+
+    Raises:
+        RecordingError: nothing is left to read.
     """
-    tiles, parts = [], []
+    tiles, parts, late = [], [], delay_s or {}
     for k, states in _spread(reading):
         kept = ~kept_back(states.recording, states.t_out)
         if not kept.any():
             continue
         measured = reading.measured(k).unsqueeze(1)
-        tau = states.decimate(torch.where(measured, torch.nan_to_num(states.tau), 0.0))
+        tau = torch.where(measured, torch.nan_to_num(states.tau), 0.0)
+        tau = states.decimate(delayed(tau, -late.get(states.recording, 0.0) / states.dt))
         states = states.thinned(_thinning(states, reading.filtering.cutoff_hz))
         tiles.append(Tile(states, columns.signals(states), kept))
         rigid = states.decimate(columns.robot.regressor_batch_last(states.q, states.qd, states.qdd))
@@ -149,6 +163,9 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
             {name: x[:, kept].numpy() for name, x in part.items()}
             | {"place": torch.cat((states.t_out[kept, None], place), 1).numpy()}
         )
+    if not parts:
+        names = ", ".join(r.name for r in reading.recordings)
+        raise RecordingError(f"nothing of {names} is left beside what is held out; hold out less")
     joined = {name: np.concatenate([p[name] for p in parts], axis=int(name != "place")) for name in parts[0]}
     t, recording, segment, dt_out = joined.pop("place").T
     begins = (np.diff(t, prepend=-np.inf) > 1.5 * dt_out) | (np.diff(t, prepend=0.0) < 0)
