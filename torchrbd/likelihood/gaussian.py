@@ -25,6 +25,8 @@ import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.special import log_ndtr
 
+from torchrbd.likelihood.physical import Quadratic
+
 
 @dataclass(frozen=True)
 class Block:
@@ -50,21 +52,34 @@ class Addition:
 
 
 class Gaussian:
-    """The posterior of coefficients z (P,) with prior N(0, 1), given one block of whitened rows a joint.
+    """The posterior of coefficients z (P,), given one block of whitened rows a joint.
+
+    Args:
+        blocks: one a joint.
+        n: number of coefficients P.
+        first: log prior density of the first of them; the others have N(0, 1).
 
     Attributes:
+        data, score: X'X (P, P) and X'y (P,), without any prior.
         L: (P, P) Cholesky factor of the precision.
         z: (P,) posterior mean.
         left: per joint, whitened residual (m,).
         log_evidence: of the rows, in units of their noise.
     """
 
-    def __init__(self, blocks: Sequence[Block], n: int) -> None:
+    def __init__(self, blocks: Sequence[Block], n: int, first: Quadratic | None = None) -> None:
         self.blocks = tuple(blocks)
-        H, h = np.eye(n), np.zeros(n)
+        self.data, self.score = np.zeros((n, n)), np.zeros(n)
         for b in self.blocks:
-            H[np.ix_(b.own, b.own)] += b.X @ b.X.T
-            h[b.own] += b.X @ b.y
+            self.data[np.ix_(b.own, b.own)] += b.X @ b.X.T
+            self.score[b.own] += b.X @ b.y
+        H, h = self.data + np.eye(n), self.score.copy()
+        self._constant = 0.0
+        if first is not None:
+            k = len(first.shift)
+            H[:k, :k] += first.precision - np.eye(k)
+            h[:k] += first.shift
+            self._constant = first.constant
         self._solve(H, h)
 
     def _solve(self, H: np.ndarray, h: np.ndarray) -> None:
@@ -73,7 +88,7 @@ class Gaussian:
         self.z = cho_solve((self.L, True), h, check_finite=False)
         self.left = [b.y - self.z[b.own] @ b.X for b in self.blocks]
         power = sum(float(b.y @ b.y) for b in self.blocks)
-        self.log_evidence = -0.5 * (power - float(h @ self.z)) - float(np.log(np.diag(self.L)).sum())
+        self.log_evidence = self._constant - 0.5 * (power - float(h @ self.z)) - float(np.log(np.diag(self.L)).sum())
 
     def among(self, kept: np.ndarray) -> Gaussian:
         """Return the posterior of a model that has some of the coefficients alone."""

@@ -12,8 +12,9 @@ import torch
 from torchrbd.likelihood.gaussian import Block, Gaussian, added
 from torchrbd.likelihood.machine import Hyper, Machine
 from torchrbd.likelihood.noise import Noise, learnt
+from torchrbd.likelihood.physical import expanded, most_probable
 
-KAPPAS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+KAPPAS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 # Widths of the sign change that are tried, in parts of the joint's RMS speed.
 _WIDTHS = (
     0.003,
@@ -36,7 +37,7 @@ _WIDTHS = (
     0.45,
 )
 _FIRST_NOISE, _FIRST_DRIFT, _LEAST_DRIFT, _LEAST_NOISE = 0.05, 0.01, 1e-4, 1e-6
-_SHARES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+_SHARES, _DOUBTS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0), (0.0, 0.1, 0.3, 1.0)
 _ROUNDS = 3
 # Directions of a joint's columns below this are told by rounding.
 _LEAST_DIRECTION = 1e-3
@@ -89,7 +90,8 @@ class Likelihood:
             self._raw.append(A)
             self.index.append(index)
             blocks.append(Block(noise.white(A, index), noise.white(machine.target[j], index), own))
-        self.gaussian = Gaussian(blocks, int(self._first[-1]))
+        root = np.sqrt(hyper.kappa)
+        self.gaussian = Gaussian(blocks, int(self._first[-1]), expanded(root * hyper.bodies, hyper.kappa))
 
     @property
     def log_evidence(self) -> float:
@@ -167,7 +169,7 @@ class Likelihood:
                 noise.append(self.hyper.noise[j])
                 continue
             rms = self.machine.torque_rms[j]
-            found = self._noise(j, None, dispersion[j])
+            found = self._noise(j, dispersion[j], self.hyper.noise[j].spread, self.hyper.noise[j].weight)
             noise.append(replace(found, sigma=max(found.sigma, _LEAST_NOISE * rms)))
             at = self.machine.drifting(j)
             power = np.mean(self.gaussian.z[at] ** 2 + self.gaussian.covariance(at).diagonal())
@@ -194,42 +196,58 @@ class Likelihood:
             rest = g.among(kept)
             found = []
             for part in _WIDTHS:
-                width = part * self.machine.speed_rms[j]
+                width = float(np.hypot(part * self.machine.speed_rms[j], self.machine.rows.speed_std[j]))
                 F = self.machine.sign(j, width)
                 S, r = rest.beside({j: noise.white(F, self.index[j])})
                 found.append((float(added(S, r, self.machine.friction_std(j, F)).log_evidence), width))
             widths[j] = max(found)[1]
         return self._with(rest_width=widths)
 
-    def _noise(self, joint: int, encoder_share: float | None, dispersion: float) -> Noise:
-        """Return the noise of what is left at a joint; how rows count stays if no share is given."""
-        rows, now = self.machine.rows, self.hyper.noise[joint]
-        spread, weight = now.spread, now.weight
-        if encoder_share is not None:
-            coulomb = 0.5 * float(np.abs(self.friction[joint, 1:]).sum())
-            std = now.sigma * float(np.sqrt(now.correlation[0] / self.hyper.dispersion[joint]))
-            spread, weight = self.machine.spread(joint, encoder_share), self.machine.weight(joint, coulomb, std)
-        used = self.gaussian.used(joint)
+    def _noise(self, joint: int, dispersion: float, spread: np.ndarray, weight: np.ndarray) -> Noise:
+        """Return the noise of what is left at a joint whose rows count like this."""
+        rows, used = self.machine.rows, self.gaussian.used(joint)
         return learnt(self.residual(joint), spread, weight, rows.run, rows.measured[joint], used, dispersion)
 
     def reweighed(self) -> Likelihood:
-        """Return the same model with rows that count by their friction and encoder noise, whose share is learnt."""
+        """Return the same model with rows that count as they are most likely to.
+
+        How much of a joint's noise encoders make, and how far the velocity's error hides the direction of its friction,
+        have the greatest likelihood among some values each.
+        """
         share, noise = self.hyper.encoder_share.copy(), list(self.hyper.noise)
         for j, index in enumerate(self.index):
-            if len(index):
-                found = [(part, self._noise(j, part, self.hyper.dispersion[j])) for part in _SHARES]
-                share[j], noise[j] = min(found, key=lambda one: float(np.log(one[1].std[index]).sum()))
+            if not len(index):
+                continue
+            now, coulomb = noise[j], 0.5 * float(np.abs(self.friction[j, 1:]).sum())
+            d = float(self.hyper.dispersion[j])
+            std = now.sigma * float(np.sqrt(now.correlation[0] / d))
+            ways = [self.machine.weight(j, doubt * coulomb, std) for doubt in _DOUBTS]
+            now = min((self._noise(j, d, now.spread, w) for w in ways), key=lambda n: n.surprise(index))
+            found = [(part, self._noise(j, d, self.machine.spread(j, part), now.weight)) for part in _SHARES]
+            share[j], noise[j] = min(found, key=lambda one: one[1].surprise(index))
         return self._with(encoder_share=share, noise=tuple(noise))
 
     def recalibrated(self) -> Likelihood:
         """Return the same model with the error of the URDF's inertial parameters that has the greatest evidence."""
-        return max((self._with(kappa=k) for k in KAPPAS), key=lambda one: one.log_evidence)
+        return max((self._with(kappa=k)._physical() for k in KAPPAS), key=lambda one: one.log_evidence)
+
+    def _physical(self) -> Likelihood:
+        """Return the same model, the prior of its bodies expanded where the posterior of physical ones is largest."""
+        n, g = len(self.hyper.bodies), self.gaussian
+        rest = slice(n, None)
+        # All else is Gaussian and is integrated out.
+        H = g.data[rest, rest] + np.eye(len(g.z) - n)
+        across = np.linalg.solve(H, np.column_stack((g.data[rest, :n], g.score[rest])))
+        A = g.data[:n, :n] - g.data[:n, rest] @ across[:, :n]
+        z = most_probable(0.5 * (A + A.T), g.score[:n] - g.data[:n, rest] @ across[:, n], self.hyper.kappa)
+        return self._with(bodies=z / np.sqrt(self.hyper.kappa))
 
     def relinearised(self) -> Likelihood:
-        """Return the same model whose load, friction and slopes are those of its own fit."""
-        viscous, plus, minus = torch.from_numpy(self.friction).unbind(1)
+        """Return the same model whose bodies are physical, and whose load, friction and slopes are those of its fit."""
+        fit = self._physical()
+        viscous, plus, minus = torch.from_numpy(fit.friction).unbind(1)
         friction = torch.stack((viscous, 0.5 * (plus + minus), 0.5 * (plus - minus)), 1)
-        hyper = self.hyper.with_(pi=self.pi, friction=friction)
+        hyper = fit.hyper.with_(pi=fit.pi, friction=friction)
         return Likelihood(self.machine, hyper, self.extra, self.machine.slopes(hyper))
 
     def extended(self, extra: Sequence[Extra]) -> Likelihood:
@@ -251,6 +269,7 @@ def learn(machine: Machine) -> Likelihood:
         drift=_FIRST_DRIFT * rms,
         noise=tuple(Noise(np.zeros(0), _FIRST_NOISE * r, np.ones(n_rows), np.ones(n_rows)) for r in rms),
         dispersion=np.ones(rows.n_dof),
+        bodies=np.zeros(len(machine.inertial)),
         pi=rows.columns.robot.pi,
         friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
     )

@@ -5,11 +5,14 @@
           + s dg/dlog w                                     how wide the sign change is
           + t0 d(tau_s)/dt                                  one offset between the clocks of torque and motion
           + sum_k a_k d^k(load)/dt^k,  k = 2, 3, 4          what the fastest part of the estimated motion is worth
+          + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
           + drift(t)                                        a random walk's lowest frequencies
 
 The fastest part of the differentiated positions is encoder noise as well as motion; how much of each frequency is
 motion, the torque tells: even orders shrink it, the odd one turns its phase (regression calibration: Carroll et al.,
-"Measurement Error in Nonlinear Models", 2006, ch. 4). Friction keeps its sharp edges.
+"Measurement Error in Nonlinear Models", 2006, ch. 4). Friction keeps its sharp edges. What
+rounding adds is a function of the torque, a sawtooth that noise smooths to its first harmonic (Widrow and Kollar,
+"Quantization Noise", 2008).
 """
 
 from __future__ import annotations
@@ -29,7 +32,7 @@ from torchrbd.physics import Signals
 
 # Clocks are off by some samples; so far the response may remember.
 _TIMING_SAMPLES, _RESPONSE_SAMPLES = 3.0, 2.0
-RESPONSE_ORDERS = (2, 3, 4)
+RESPONSE_ORDERS, _ROUNDING = (2, 3, 4), 2
 # Friction of a joint may take all of its torque; its sign change may be wider or narrower by this part.
 _WIDTH_STD, _WIDTH_STEP = 0.5, 1.1
 # What changes more slowly than this is drift, as far as so many cosines a recording tell.
@@ -48,6 +51,7 @@ class Hyper:
         drift: (n,) standard deviation of the slowest cosine [N m or N].
         noise: of each joint.
         dispersion: (n,) scatter of blocks over that of white rows.
+        bodies: (P,) coordinates of the inertial parameters around which their prior is expanded, for a kappa of one.
         pi: (n_params,) inertial parameters that make the load.
         friction: (n, 3) beside it, see ``Signals``.
     """
@@ -58,6 +62,7 @@ class Hyper:
     drift: np.ndarray
     noise: tuple[Noise, ...]
     dispersion: np.ndarray
+    bodies: np.ndarray
     pi: Tensor
     friction: Tensor
 
@@ -84,7 +89,7 @@ class Machine:
         self.torque_rms = np.sqrt(np.mean(rows.tau**2, axis=1))
         self.speed_rms = np.sqrt(np.mean(rows.qd**2, axis=1))
         self._drift, self._drift_size = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
-        self._local = len(ORDINARY) + 1 + len(RESPONSE_ORDERS) + len(self._drift)
+        self._local = len(ORDINARY) + 1 + len(RESPONSE_ORDERS) + _ROUNDING + len(self._drift)
         self._inside = [rows.recording == k for k in np.unique(rows.recording)]
         self.n = len(self.inertial) + rows.n_dof * self._local + len(self._inside)
         self._rigid = [rows.rigid[j][:, self.inertial] @ self.scale for j in range(rows.n_dof)]
@@ -160,7 +165,8 @@ class Machine:
         return np.where(size > 0, self.torque_rms[joint] / np.maximum(size, 1e-300), 0.0)
 
     def slopes(self, hyper: Hyper) -> np.ndarray:
-        """Return d(tau_s)/dt of all that is supplied and d^k(load)/dt^k, (1 + 3, n, M), around a fit."""
+        """Return d(tau_s)/dt of all that is supplied, d^k(load)/dt^k and rounding, (1 + 3 + 2, n, M), around a fit."""
+        step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
         def derivatives(signals: Signals) -> Tensor:
             found, x = [signals.rate(signals.supplied)], signals.rate(signals.load)
@@ -168,7 +174,9 @@ class Machine:
                 x = signals.rate(x)
                 if order in RESPONSE_ORDERS:
                     found.append(x)
-            return torch.stack(found)
+            turns = 2.0 * math.pi * signals.supplied / step
+            amplitude = torch.where(step.isinf(), 0.0, step / math.pi)
+            return torch.stack((*found, amplitude * turns.sin(), amplitude * turns.cos()))
 
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
 
@@ -194,8 +202,8 @@ class Machine:
         if slopes is not None:
             reach = _RESPONSE_SAMPLES * self.rows.dt
             sizes = np.array([reach**k / math.factorial(k) for k in RESPONSE_ORDERS])
-            parts.append(slopes[1:, joint] * sizes[:, None])
-            places.append(first + len(ORDINARY) + 1 + np.arange(len(RESPONSE_ORDERS)))
+            parts.append(slopes[1:, joint] * np.append(sizes, np.ones(_ROUNDING))[:, None])
+            places.append(first + len(ORDINARY) + 1 + np.arange(len(RESPONSE_ORDERS) + _ROUNDING))
             parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))
             places.append(self.timing)
         return np.concatenate(parts), np.concatenate(places)

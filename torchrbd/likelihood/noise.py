@@ -69,6 +69,10 @@ class Noise:
         k = np.arange(p, len(run))
         return k[(run[k] == run[k - p]) & measured[k] & measured[k - p]]
 
+    def surprise(self, index: np.ndarray) -> float:
+        """Return the sum of the logarithms of the rows' standard deviations, (m,): -log p of whitened rows but for 1/2 n^2."""
+        return float(np.log(self.std[index] / self.weight[index]).sum())
+
     def white(self, A: np.ndarray, index: np.ndarray) -> np.ndarray:
         """Return signals (..., M) as the whitened rows (m,) see them, (..., m)."""
         A = A * self.weight

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from torchrbd.inference.data.columns import Candidate
-from torchrbd.inference.physical.prior import divergence_hessian, in_proportion
+from torchrbd.inference.physical.prior import in_proportion, orthonormal_steps
 from torchrbd.parameters import PARAMETERS_PER_BODY, nearest_physical
 from torchrbd.robot import RobotModel, pseudo_inertia
 
@@ -24,27 +24,21 @@ UNIT_SCALES = (0.03, 0.1, 0.3, 1.0)
 
 
 def inertial_scale(robot: RobotModel, held: frozenset[str] = frozenset()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the prior of the inertial parameters for bodies whose log-Cholesky coordinates err by one.
+    """Return the coordinates of the inertial parameters: pi = mean + S z / sqrt(kappa), see ``physical.py``.
 
     Args:
         robot: the robot.
         held: bodies whose inertia is not re-fitted; those without mass never are.
 
     Returns:
-        mean (n_params,), indices (P,) of the fitted ones, and a root S (P, P) of their covariance S S'.
+        mean (n_params,), indices (P,) of the fitted ones, and S (P, P).
     """
     pi = robot.pi.reshape(-1, PARAMETERS_PER_BODY).clone()
     bodies = [b for b, name in enumerate(robot.body_names) if float(pi[b, 0]) > 0 and name not in held]
-    fitted = nearest_physical(pi[bodies])
-    pi[bodies] = fitted
-    # The metric's entries differ by powers of the body's size, in units of which it is factored.
-    M = divergence_hessian(torch.linalg.inv(pseudo_inertia(fitted)))
-    size = M.diagonal(dim1=-2, dim2=-1).rsqrt()
-    balanced = torch.linalg.cholesky(size[:, :, None] * M * size[:, None, :])
-    roots = size[:, :, None] * torch.linalg.inv(balanced).mT
-    index = np.concatenate([np.arange(PARAMETERS_PER_BODY) + PARAMETERS_PER_BODY * b for b in bodies] or [np.zeros(0)])
-    scale = torch.block_diag(*roots).numpy() if bodies else np.zeros((0, 0))
-    return pi.flatten().numpy(), index.astype(int), scale
+    pi[bodies] = nearest_physical(pi[bodies])
+    scale = orthonormal_steps(torch.linalg.cholesky(pseudo_inertia(pi[bodies])))
+    index = [PARAMETERS_PER_BODY * b + k for b in bodies for k in range(PARAMETERS_PER_BODY)]
+    return pi.flatten().numpy(), np.array(index, dtype=int), scale.numpy()
 
 
 def coefficient_std(

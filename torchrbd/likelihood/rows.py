@@ -58,6 +58,7 @@ class Rows:
         t: (M,) seconds since that recording's start.
         block: (M,) number of the block of time, of one recording.
         encoder_std: (n,) noise of the positions [rad or m].
+        torque_step: (n,) quantisation of the torques [N m or N], NaN where none is seen.
         speed_std: (n,) error of the velocities [rad/s or m/s].
         dt: clock interval of the slowest recording [s].
         dt_out: time between two rows [s].
@@ -76,6 +77,7 @@ class Rows:
     t: np.ndarray
     block: np.ndarray
     encoder_std: np.ndarray
+    torque_step: np.ndarray
     speed_std: np.ndarray
     dt: float
     dt_out: float
@@ -179,6 +181,7 @@ def read_rows(
         t=t,
         block=_blocks(t, recording, reading.block_s),
         encoder_std=np.sqrt(np.mean([s.q_noise_std**2 for s in reading.surveys], axis=0)),
+        torque_step=np.fmax.reduce([s.tau_resolution for s in reading.surveys]),
         speed_std=np.sqrt(np.mean([s.qd_error_std**2 for s in reading.surveys], axis=0)),
         dt=max(s.clock.dt for s in reading.surveys),
         dt_out=float(dt_out.max()),

@@ -72,27 +72,34 @@ class Census:
     Attributes:
         rows, duplicates, incomplete: rows read; of these, dropped as repeated in time, or lacking a value.
         wrapped: joints whose full turns were unwrapped.
-        resolution: (n,) quantisation step of the positions, NaN where none is seen.
+        resolution, tau_resolution: (n,) quantisation steps of positions and torques, NaN where none is seen.
     """
 
     def __init__(self, n: int):
         self.rows = self.duplicates = self.incomplete = 0
         self.wrapped: set[int] = set()
-        self.resolution = np.full(n, np.nan)
+        self.resolution, self.tau_resolution = np.full((2, n), np.nan)
 
-    def see_steps(self, steps: np.ndarray) -> None:
-        """Look for a quantisation step in position changes (n, N): most are small multiples of the smallest."""
-        for joint, changes in enumerate(np.abs(steps)):
-            still, changes = np.mean(changes > 0) < _MOSTLY_STILL, changes[changes > 0]
-            if len(changes) < (_ENOUGH_WHERE_STILL if still else _ENOUGH_STEPS):
-                continue
-            smallest = np.percentile(changes, 1)
-            # the smallest change carries the file's rounding: average over all that are one step
-            single = changes[changes < 1.5 * smallest].mean()
-            few = changes[changes < _FEW * single] / single
-            quantised = len(few) >= 0.2 * len(changes) and np.mean(np.abs(few - np.round(few)) < 0.1) > 0.95
-            if quantised:
-                self.resolution[joint] = np.fmin(self.resolution[joint], single)
+    def see_steps(self, q: np.ndarray, tau: np.ndarray) -> None:
+        """Look for quantisation steps in changes of positions and torques, (n, N) each."""
+        for joint, changes in enumerate(q):
+            self.resolution[joint] = np.fmin(self.resolution[joint], _step_of(changes))
+        for joint, changes in enumerate(tau):
+            self.tau_resolution[joint] = np.fmin(self.tau_resolution[joint], _step_of(changes))
+
+
+def _step_of(changes: np.ndarray) -> float:
+    """Return the quantisation step of a signal from its changes (N,): most are small multiples of the smallest."""
+    size = np.abs(changes[np.isfinite(changes)])
+    still, size = len(size) and np.mean(size > 0) < _MOSTLY_STILL, size[size > 0]
+    if len(size) < (_ENOUGH_WHERE_STILL if still else _ENOUGH_STEPS):
+        return np.nan
+    smallest = np.percentile(size, 1)
+    # The smallest change carries the file's rounding: average over all that are one step.
+    single = size[size < 1.5 * smallest].mean()
+    few = size[size < _FEW * single] / single
+    quantised = len(few) >= 0.2 * len(size) and np.mean(np.abs(few - np.round(few)) < 0.1) > 0.95
+    return single if quantised else np.nan
 
 
 @dataclass(frozen=True)
@@ -159,7 +166,7 @@ def clean_blocks(recording: Recording, clock: Clock, census: Census | None = Non
         census.wrapped.update(np.flatnonzero(whole[:n].any(axis=1)).tolist())
         total = turns + np.cumsum(whole, axis=1)
         x[angles] -= 2 * np.pi * total
-        census.see_steps(np.where(whole == 0, jumps, 0)[:n])
+        census.see_steps(np.where(whole == 0, jumps, 0)[:n], np.diff(x[n : 2 * n], axis=1))
         turns = total[:, -1:]
         starts = np.flatnonzero(np.diff(t, prepend=latest if np.isfinite(latest) else t[0]) > clock.gap)
         latest = t[-1]

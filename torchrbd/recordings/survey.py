@@ -33,7 +33,7 @@ class Survey:
         velocity_rms, velocity_max: (n,) over 50 ms [rad/s or m/s].
         tau_rms: (n,) [N m or N], NaN where not measured.
         q_noise_std: (n,) white noise of the positions, from the spectrum above the motion [rad or m].
-        q_resolution: (n,) quantisation step, NaN if none is seen [rad or m].
+        q_resolution, tau_resolution: (n,) quantisation steps, NaN if none is seen [rad or m, N m or N].
         qd_noise_std: (n,) white noise of the measured velocity for joints whose measured velocity is used instead of
             the differentiated position; NaN for the others [rad/s or m/s].
         motion_share: (n, F) part of the positions' power that is motion and not noise, at ``share_hz`` (F,) [Hz].
@@ -60,6 +60,7 @@ class Survey:
     tau_rms: np.ndarray
     q_noise_std: np.ndarray
     q_resolution: np.ndarray
+    tau_resolution: np.ndarray
     qd_noise_std: np.ndarray
     motion_share: np.ndarray
     share_hz: np.ndarray
@@ -144,6 +145,7 @@ def survey(recording: Recording) -> Survey:
         tau_rms=extent.rms[n:],
         q_noise_std=np.fmax(spectrum.q_noise_std(), census.resolution / np.sqrt(12)),
         q_resolution=census.resolution,
+        tau_resolution=census.tau_resolution,
         qd_noise_std=qd_noise_std,
         motion_share=spectrum.motion_share(),
         share_hz=spectrum.frequency,

@@ -46,7 +46,7 @@ class PhysicalFit:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class Problem:
     """The objective 1/2 z'Az - h'z + kappa sum [tr G - logdet G], G = 1 + sum_k z_k B_k / sqrt(kappa), J = L0 G L0'.
 
     Terms follow the bodies in z; their prior is part of A.
@@ -108,8 +108,8 @@ def physical_fit(prior: Prior, equations: Scaled, terms: Tensor) -> PhysicalFit:
     trust = min(1.0, _STIFFEST / max(float(A.diagonal().max()), 1.0)) if len(free) else 1.0
     A, h = trust * A, trust * (turn.T @ equations.h[free])
     A.diagonal()[len(prior.inertial) :] += 1.0
-    problem = _Problem(A, h, prior.kappa, len(prior.bodies))
-    z, L, steps, converged = _follow_path(problem)
+    problem = Problem(A, h, prior.kappa, len(prior.bodies))
+    z, L, steps, converged = follow_path(problem)
     K = problem.columns(L)
     N, *_ = problem.step(K, L, z, _ONE.expand_as(L), torch.zeros(1, dtype=torch.float64))
     N.diagonal()[: problem.n_inertial] += prior.kappa - 1.0
@@ -121,13 +121,13 @@ def physical_fit(prior: Prior, equations: Scaled, terms: Tensor) -> PhysicalFit:
 
 
 def _turn(prior: Prior, L0: Tensor, n_terms: int) -> Tensor:
-    """Return Q (n_free, n_free) from z of ``_Problem`` to the prior's; orthogonal if both mean the same kappa."""
+    """Return Q (n_free, n_free) from z of ``Problem`` to the prior's; orthogonal if both mean the same kappa."""
     S = prior.scale[prior.inertial][:, prior.inertial]
     own = orthonormal_steps(L0) / prior.kappa**0.5
     return torch.block_diag(torch.linalg.solve(S, own), torch.eye(n_terms, dtype=S.dtype))
 
 
-def _follow_path(problem: _Problem) -> tuple[Tensor, Tensor, int, bool]:
+def follow_path(problem: Problem) -> tuple[Tensor, Tensor, int, bool]:
     """Return z, the factor L of G = L L', the steps taken, and whether the last one was short."""
     kappa, z = problem.kappa, torch.zeros_like(problem.h)
     L = _ONE.expand(problem.n_bodies, 4, 4).clone()
