@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from torchrbd.likelihood.gaussian import Block, Gaussian, added
-from torchrbd.likelihood.machine import Hyper, Machine
+from torchrbd.likelihood.machine import STICKS, Hyper, Machine
 from torchrbd.likelihood.noise import Noise, learnt
 from torchrbd.likelihood.physical import expanded, most_probable
 
@@ -221,7 +221,7 @@ class Likelihood:
             now, coulomb = noise[j], 0.5 * float(np.abs(self.friction[j, 1:]).sum())
             d = float(self.hyper.dispersion[j])
             std = now.sigma * float(np.sqrt(now.correlation[0] / d))
-            ways = [self.machine.weight(j, doubt * coulomb, std) for doubt in _DOUBTS]
+            ways = [self.machine.weight(j, doubt * coulomb, std, k) for doubt in _DOUBTS for k in STICKS]
             now = min((self._noise(j, d, now.spread, w) for w in ways), key=lambda n: n.surprise(index))
             found = [(part, self._noise(j, d, self.machine.spread(j, part), now.weight)) for part in _SHARES]
             share[j], noise[j] = min(found, key=lambda one: one[1].surprise(index))

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import torch
@@ -37,6 +37,8 @@ RESPONSE_ORDERS, _ROUNDING = (2, 3, 4), 2
 _WIDTH_STD, _WIDTH_STEP = 0.5, 1.1
 # What changes more slowly than this is drift, as far as so many cosines a recording tell.
 _DRIFT_HZ, _MOST_DRIFT = 0.1, 12
+# A joint that sticks creeps, and its friction is whatever holds: errors of the velocity, times one of these.
+STICKS = (1.0, 3.0, 10.0)
 ORDINARY = ("viscous", "coulomb_plus", "coulomb_minus")
 
 
@@ -96,12 +98,12 @@ class Machine:
         self.target = np.stack([rows.tau[j] - rows.rigid[j] @ self.mean for j in range(rows.n_dof)])
         mass = rows.columns.robot.mass_matrix(torch.from_numpy(rows.q.T)).numpy()
         self._carried = np.einsum("mjk,k->jm", mass**2, rows.encoder_std**2)
-        self._undirected = rows.evaluated(self._direction_std)
+        self._undirected = {k: rows.evaluated(partial(self._direction_std, k)) for k in STICKS}
         self.sign = lru_cache(maxsize=256)(self._sign)
 
-    def _direction_std(self, signals: Signals) -> Tensor:
+    def _direction_std(self, stick: float, signals: Signals) -> Tensor:
         """Return the standard deviation of sign(qd), (n, N): 2 sqrt(p (1 - p)), p the probability that it is wrong."""
-        speed_std = torch.from_numpy(np.maximum(self.rows.speed_std, 1e-300))
+        speed_std = torch.from_numpy(np.maximum(stick * self.rows.speed_std, 1e-300))
         p = torch.special.ndtr(-signals.qd.abs() / speed_std.unsqueeze(1))
         return 2.0 * (p * (1.0 - p)).sqrt()
 
@@ -121,8 +123,8 @@ class Machine:
         m = self._carried[joint]
         return np.sqrt(1.0 - encoder_share + encoder_share * m / max(float(m.mean()), 1e-300))
 
-    def weight(self, joint: int, coulomb: float, noise_std: float) -> np.ndarray:
-        """Return what rows count, (M,): less where the velocity's error hides the direction of Coulomb friction.
+    def weight(self, joint: int, coulomb: float, noise_std: float, stick: float) -> np.ndarray:
+        """Return what rows count, (M,): less where the velocity does not tell the direction of Coulomb friction.
 
         The standard deviation of the direction passes the filter: all samples of a reversal err together.
 
@@ -130,8 +132,9 @@ class Machine:
             joint: which.
             coulomb: friction [N m or N].
             noise_std: of the torque [N m or N].
+            stick: speeds of so many standard deviations of the velocity's error may be rest, see ``STICKS``.
         """
-        return 1.0 / np.sqrt(1.0 + (coulomb / max(noise_std, 1e-300) * self._undirected[joint]) ** 2)
+        return 1.0 / np.sqrt(1.0 + (coulomb / max(noise_std, 1e-300) * self._undirected[stick][joint]) ** 2)
 
     @property
     def timing(self) -> np.ndarray:
