@@ -37,8 +37,8 @@ class Payload(Effect):
     complexity = 10
     whole_robot = True
     prior = CoefficientPrior(
-        "A mass is not negative, its centre and radius of gyration are some decimetres.",
-        positive=(0,),
+        "Mass and moments of inertia are not negative, centre and radius of gyration are some decimetres.",
+        positive=(0, 4, 6, 9),
         std=(1.0, *[0.2] * 3, *[0.06] * 6),
     )
     export_note = (

@@ -115,17 +115,22 @@ def sampled(robot: Robot, track: Track) -> Motion:
 
 
 def _friction(rng: np.random.Generator, robot: Robot, way: Way) -> tuple[Friction, Motion]:
-    """Draw friction of 5 to 20 % of each joint's torque along a set-point; return the motion that is expected."""
+    """Draw friction along a set-point; return the motion that is expected."""
     q, v, a = (s[::EVERY] for s in (way.q, way.v, way.a))
+    friction, load = draw_friction(rng, robot, q, v, a), robot.torque(q, v, a)
+    supplied = load + friction.torque(v)
+    return friction, Motion(way.t[::EVERY], q, v, a, load, friction.direction(v), supplied)
+
+
+def draw_friction(rng: np.random.Generator, robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Friction:
+    """Draw friction of 5 to 20 % of each joint's torque along a motion (N, n)."""
     load, n = robot.torque(q, v, a), robot.n
     torque = np.sqrt(np.mean(load**2, axis=0))
     torque = np.maximum(torque, 0.004 * torque.max())
     total, dry = rng.uniform(0.05, 0.2, n) * torque, rng.uniform(0.35, 0.85, n)
     speed = np.maximum(np.sqrt(np.mean(v**2, axis=0)), 0.05)
     uneven, width = 1 + rng.uniform(-0.12, 0.12, n), np.exp(rng.uniform(np.log(0.002), np.log(0.03), n))
-    friction = Friction(np.sqrt(1 - dry**2) * total / speed, dry * total * uneven, dry * total / uneven, width)
-    supplied = load + friction.torque(v)
-    return friction, Motion(way.t[::EVERY], q, v, a, load, friction.direction(v), supplied)
+    return Friction(np.sqrt(1 - dry**2) * total / speed, dry * total * uneven, dry * total / uneven, width)
 
 
 def _below(friction: Friction, effect: Effect) -> Friction:

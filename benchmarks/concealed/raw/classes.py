@@ -156,6 +156,10 @@ def candidates(robot: Robot, x: Motion, effect: Effect) -> Iterator[Candidate]:
     n, inside = robot.n, bodies.inside(effect, x.t)
     for j in range(n):
         yield from _of_joint(x, j, inside)
+    if effect.id == "position_dependent_friction":
+        # A region with edges is a cable's as well, at its very place, between the grid's.
+        column = DRY[effect.id](x, effect.joint, {**effect.shape, "soft": 0.0}) * x.direction[:, effect.joint]
+        yield Candidate("cable_drag", (effect.joint,), (), column[:, None], effect.joint)
     yield Candidate("torque_scale", (), (), x.supplied[:, :, None])
     for delay in _DELAYS_S:
         yield Candidate("time_delay", (), (), _later(x, delay)[:, :, None])
@@ -200,6 +204,7 @@ def _of_joint(x: Motion, j: int, inside: np.ndarray) -> Iterator[Candidate]:
     yield from (dry("stribeck_friction", speed=s * fast) for s in (0.03, 0.06, 0.1, 0.16, 0.25, 0.4))
     yield dry("load_dependent_friction")
     yield dry("quadratic_drag")
+    yield from (one("power_law_friction", np.abs(v) ** p * x.direction[:, j]) for p in (0.5, 1.5, 2.0))
     yield from (dry("time_varying_friction", end=0.0, time=s) for s in (3.0, 6.0, 12.0, 25.0))
     for centre in np.linspace(0.05, 0.95, 13):
         for width in (0.06, 0.12, 0.2, 0.3):
