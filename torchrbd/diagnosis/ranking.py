@@ -259,7 +259,7 @@ def _last(
     while found and len(adopted) < _MOST_ADOPTED and found[0].log_evidence > math.log(len(found)) + _SURE:
         adopted.append(found[0])
         progress("ranking beside what was found", len(adopted) / (_MOST_ADOPTED + 1))
-        fit = fit.extended([*fit.extra, found[0].extra(fit, rows)]).renoised(dispersed=True)
+        fit = fit.extended([*fit.extra, found[0].extra(fit, rows)]).renoised().relinearised().renoised(dispersed=True)
         known = {h.name for h in adopted}
         found = _leading(fit, rows, [h for h in screened(fit, rows, effects) if h.name not in known])
     for k, h in enumerate(adopted):

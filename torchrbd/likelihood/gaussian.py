@@ -16,6 +16,7 @@ being positive, over that of the prior, multiplies B.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -26,6 +27,9 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.special import log_ndtr
 
 from torchrbd.likelihood.physical import Quadratic
+
+# Sweeps over the sites of truncated coefficients, and the least part of its variance that a truncation leaves.
+_SWEEPS, _LEAST_VARIANCE = 8, 1e-6
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,7 @@ class Gaussian:
         blocks: one a joint.
         n: number of coefficients P.
         first: log prior density of the first of them; the others have N(0, 1).
+        sites: precision (P,) and shift (P,) that multiply the prior, see ``nonnegative``.
 
     Attributes:
         data, score: X'X (P, P) and X'y (P,), without any prior.
@@ -67,7 +72,13 @@ class Gaussian:
         log_evidence: of the rows, in units of their noise.
     """
 
-    def __init__(self, blocks: Sequence[Block], n: int, first: Quadratic | None = None) -> None:
+    def __init__(
+        self,
+        blocks: Sequence[Block],
+        n: int,
+        first: Quadratic | None = None,
+        sites: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> None:
         self.blocks = tuple(blocks)
         self.data, self.score = np.zeros((n, n)), np.zeros(n)
         for b in self.blocks:
@@ -80,6 +91,9 @@ class Gaussian:
             H[:k, :k] += first.precision - np.eye(k)
             h[:k] += first.shift
             self._constant = first.constant
+        if sites is not None:
+            H[np.diag_indices(n)] += sites[0]
+            h += sites[1]
         self._solve(H, h)
 
     def _solve(self, H: np.ndarray, h: np.ndarray) -> None:
@@ -148,3 +162,34 @@ def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int]
         ratio = np.divide(mean[..., k], spread[..., k], out=np.zeros_like(spread[..., k]), where=told)
         log_evidence = log_evidence + np.where(told, np.log(2.0) + log_ndtr(ratio), 0.0)
     return Addition(log_evidence, mean, spread)
+
+
+def nonnegative(mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the Gaussian sites that stand for coefficients (K,) which cannot be negative: precision and shift (K,).
+
+    Each site makes mean and variance of its coefficient those of the truncated density beside the other sites.
+
+    Source: Minka, "Expectation Propagation for Approximate Bayesian Inference", UAI 2001, sec. 3.
+    """
+    m, C = mean.copy(), covariance.copy()
+    precision, shift = np.zeros((2, len(m)))
+    for _ in range(_SWEEPS):
+        for k in range(len(m)):
+            rest = 1.0 / C[k, k] - precision[k]
+            if rest <= 0:
+                continue
+            std, centre = rest**-0.5, (m[k] / C[k, k] - shift[k]) / rest
+            ratio = math.exp(_log_normal(centre / std) - float(log_ndtr(centre / std)))
+            variance = std**2 * max(1.0 - ratio * (ratio + centre / std), _LEAST_VARIANCE)
+            more = max(1.0 / variance - rest, 0.0) - precision[k]
+            turn = (centre + std * ratio) / variance - centre * rest - shift[k]
+            precision[k] += more
+            shift[k] += turn
+            column = C[:, k].copy()
+            C -= np.outer(column, column) * (more / (1.0 + more * column[k]))
+            m += column * ((turn - more * m[k]) / (1.0 + more * column[k]))
+    return precision, shift
+
+
+def _log_normal(x: float) -> float:
+    return -0.5 * x * x - 0.5 * math.log(2.0 * math.pi)

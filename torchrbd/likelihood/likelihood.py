@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from torchrbd.likelihood.gaussian import Block, Gaussian, added
+from torchrbd.likelihood.gaussian import Block, Gaussian, added, nonnegative
 from torchrbd.likelihood.machine import STICKS, Hyper, Machine
 from torchrbd.likelihood.noise import Noise, learnt
 from torchrbd.likelihood.physical import expanded, most_probable
@@ -91,7 +91,10 @@ class Likelihood:
             self.index.append(index)
             blocks.append(Block(noise.white(A, index), noise.white(machine.target[j], index), own))
         root = np.sqrt(hyper.kappa)
-        self.gaussian = Gaussian(blocks, int(self._first[-1]), expanded(root * hyper.bodies, hyper.kappa))
+        sites = np.zeros((2, int(self._first[-1])))
+        sites[:, machine.resisting] = hyper.resists.reshape(2, -1)
+        bodies = expanded(root * hyper.bodies, hyper.kappa)
+        self.gaussian = Gaussian(blocks, sites.shape[1], bodies, (sites[0], sites[1]))
 
     @property
     def log_evidence(self) -> float:
@@ -236,15 +239,21 @@ class Likelihood:
         n, g = len(self.hyper.bodies), self.gaussian
         rest = slice(n, None)
         # All else is Gaussian and is integrated out.
-        H = g.data[rest, rest] + np.eye(len(g.z) - n)
-        across = np.linalg.solve(H, np.column_stack((g.data[rest, :n], g.score[rest])))
-        A = g.data[:n, :n] - g.data[:n, rest] @ across[:, :n]
-        z = most_probable(0.5 * (A + A.T), g.score[:n] - g.data[:n, rest] @ across[:, n], self.hyper.kappa)
+        across = np.linalg.solve(g.H[rest, rest], np.column_stack((g.H[rest, :n], g.h[rest])))
+        A = g.data[:n, :n] - g.H[:n, rest] @ across[:, :n]
+        z = most_probable(0.5 * (A + A.T), g.score[:n] - g.H[:n, rest] @ across[:, n], self.hyper.kappa)
         return self._with(bodies=z / np.sqrt(self.hyper.kappa))
+
+    def _resisting(self) -> Likelihood:
+        """Return the same model, the prior of ordinary friction truncated where it would push."""
+        at = self.machine.resisting
+        free = self._with(resists=np.zeros_like(self.hyper.resists)).gaussian
+        sites = nonnegative(free.z[at], free.covariance(at))
+        return self._with(resists=np.reshape(sites, self.hyper.resists.shape))
 
     def relinearised(self) -> Likelihood:
         """Return the same model whose bodies are physical, and whose load, friction and slopes are those of its fit."""
-        fit = self._physical()
+        fit = self._physical()._resisting()
         viscous, plus, minus = torch.from_numpy(fit.friction).unbind(1)
         friction = torch.stack((viscous, 0.5 * (plus + minus), 0.5 * (plus - minus)), 1)
         hyper = fit.hyper.with_(pi=fit.pi, friction=friction)
@@ -270,6 +279,7 @@ def learn(machine: Machine) -> Likelihood:
         noise=tuple(Noise(np.zeros(0), _FIRST_NOISE * r, np.ones(n_rows), np.ones(n_rows)) for r in rms),
         dispersion=np.ones(rows.n_dof),
         bodies=np.zeros(len(machine.inertial)),
+        resists=np.zeros((2, rows.n_dof, 3)),
         pi=rows.columns.robot.pi,
         friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
     )

@@ -54,6 +54,7 @@ class Hyper:
         noise: of each joint.
         dispersion: (n,) scatter of blocks over that of white rows.
         bodies: (P,) coordinates of the inertial parameters around which their prior is expanded, for a kappa of one.
+        resists: (2, n, 3) precision and shift that keep ordinary friction from pushing, see ``nonnegative``.
         pi: (n_params,) inertial parameters that make the load.
         friction: (n, 3) beside it, see ``Signals``.
     """
@@ -65,6 +66,7 @@ class Hyper:
     noise: tuple[Noise, ...]
     dispersion: np.ndarray
     bodies: np.ndarray
+    resists: np.ndarray
     pi: Tensor
     friction: Tensor
 
@@ -110,6 +112,11 @@ class Machine:
     def ordinary(self, joint: int) -> np.ndarray:
         """Return where the coefficients of viscous and both Coulomb frictions of a joint stand, (3,)."""
         return self._first(joint) + np.arange(len(ORDINARY))
+
+    @property
+    def resisting(self) -> np.ndarray:
+        """Where all coefficients of ordinary friction stand, (3 n_dof,)."""
+        return np.concatenate([self.ordinary(j) for j in range(self.rows.n_dof)])
 
     def drifting(self, joint: int) -> np.ndarray:
         """Return where the coefficients of a joint's drift stand."""
