@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 
 from torchrbd.diagnosis.alternatives import Weighed, weigh
 from torchrbd.diagnosis.beside import fit_beside, plain_beside
@@ -112,7 +111,7 @@ def _ranked(prepared: Prepared, settings: Settings, progress: Progress) -> tuple
     """Rank all hypotheses on what is not held out; where that cannot be done, return why not, and none."""
     try:
         return ranking(prepared.reading, settings, prepared.kept_back, progress), ()
-    except (InputError, np.linalg.LinAlgError, torch.linalg.LinAlgError) as error:
+    except (InputError, np.linalg.LinAlgError) as error:
         return None, (f"what was considered is not ranked: {error}",)
 
 
