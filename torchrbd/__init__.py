@@ -13,7 +13,7 @@ __version__ = "0.1.0"
 
 # Where the public names live; ``__init__.pyi`` says the same to type checkers, and a test compares the two.
 _NAMES = {
-    "diagnosis": ("Comparison", "Diagnosis", "Finding", "compare", "diagnose"),
+    "diagnosis": ("Comparison", "Diagnosis", "Finding", "Ranking", "compare", "diagnose", "rank"),
     "errors": ("InputError", "OptionError", "PhysicalError", "RecordingError", "RobotError", "TorchRBDError"),
     "export": ("load_model", "save_model", "to_urdf"),
     "inference": ("EstimatorComparison", "Identification", "Settings", "compare_estimators", "identify"),

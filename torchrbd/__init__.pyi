@@ -1,4 +1,4 @@
-from torchrbd.diagnosis import Comparison, Diagnosis, Finding, compare, diagnose
+from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare, diagnose, rank
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.export import load_model, save_model, to_urdf
 from torchrbd.inference import EstimatorComparison, Identification, Settings, compare_estimators, identify
@@ -19,6 +19,7 @@ __all__ = [
     "InputError",
     "OptionError",
     "PhysicalError",
+    "Ranking",
     "Recording",
     "RecordingError",
     "RigidBodyDynamics",
@@ -33,6 +34,7 @@ __all__ = [
     "identify",
     "load_model",
     "open_recording",
+    "rank",
     "read_mapping",
     "register",
     "save_model",

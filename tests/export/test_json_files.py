@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inference.problems import urdf_of
+from report.fabricated import ranking
 from simulated import record, with_wrong_inertials
 
 from torchrbd.diagnosis.results import Alternative, Curve, Diagnosis, Finding, Quantity, Region, Unexplained, Where
@@ -55,6 +56,30 @@ def test_what_is_not_known_is_null(found: Identification, tmp_path: Path) -> Non
     content = read(tmp_path / "p.json")
     assert all(p["std"] is None and p["prior_share"] is None for p in content["parameters"])
     assert content["base_covariance"] is None
+
+
+def test_a_ranking_keeps_its_numbers_and_its_gaps(found: Identification, tmp_path: Path) -> None:
+    ranked = ranking(("a", "b"))
+    load, coupling, *_ = ranked.first
+    odd = replace(load, log_evidence=-np.inf, window=("x.csv", -np.inf, 3.0))
+    ranked = replace(ranked, adopted=(load,), last=(odd, coupling))
+    result = Diagnosis(found, "missing_physics", "z", (), ranking=ranked)
+    write_diagnosis(result, tmp_path / "d")
+    content = read(tmp_path / "d")["ranking"]
+    assert content.keys() == {"band_hz", "considered", "delay_s", "ordinary", "first", "adopted", "last"}
+    assert (content["band_hz"], content["considered"]) == (15.0, 42)
+    assert content["delay_s"]["fit.csv"] == {"value": -0.0012, "std": 0.0001}
+    assert [len(content[name]) for name in ("ordinary", "first", "adopted", "last")] == [4, 30, 1, 2]
+    mass = {"mass": 0.5, "x": 0.1, "y": None, "z": 0.0, "Ixx": 0.01, "Ixy": 0.0}
+    told = {"effect": "payload", "joints": [], "links": ["hand"], "log_evidence": 41.25, "parameters": mass}
+    window = {"recording": "fit.csv", "from_s": 2.0, "to_s": 8.0}
+    assert content["first"][0] == content["adopted"][0] == {**told, "other": None, "window": window, "shape": {}}
+    assert content["last"][0]["log_evidence"] is None
+    assert content["last"][0]["window"]["from_s"] is None
+    assert content["last"][1]["other"] == "a"
+    assert content["ordinary"][1]["shape"] == {"width": 0.01}
+    write_diagnosis(replace(result, ranking=None), tmp_path / "d")
+    assert read(tmp_path / "d")["ranking"] is None
 
 
 def test_a_comparison_with_an_error_beyond_all_numbers_is_json(tmp_path: Path) -> None:

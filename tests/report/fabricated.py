@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Curve, Diagnosis, Finding, Quantity, Region, Unexplained, Where
 from torchrbd.inference.results import (
     BaseParameterEstimate,
@@ -50,7 +51,13 @@ def identification(
         ParameterEstimate("mcx_link1", "link1", "kg m", 0.0, 0.0, 0.1, 1.0, "not identifiable"),
         ParameterEstimate("coulomb", joints[0], "N m", 0.0, 1.0, 0.0123, 0.0, "term"),
     )
-    robot = SimpleNamespace(name=name, joint_names=joints, prismatic=np.arange(n) == n - 1)
+    robot = SimpleNamespace(
+        name=name,
+        joint_names=joints,
+        prismatic=np.arange(n) == n - 1,
+        damping=np.where(np.arange(n) == 0, 0.25, 0.0),
+        friction=np.zeros(n),
+    )
     return Identification(
         robot=cast(Any, robot),
         recordings=("fit.csv",),
@@ -107,6 +114,23 @@ def with_friction(result: Diagnosis) -> Diagnosis:
     ]
     special = replace(first, effect="torque_ripple", curve=curve(f"q_{first.joints[0]}"))
     return replace(result, findings=(*plain, special))
+
+
+def ranking(joints: tuple[str, ...], adopted: tuple[Ranked, ...] = ()) -> Ranking:
+    """Rank a payload for a time, a coupling and forty springs; friction at every joint."""
+    names = {"viscous_friction": ("viscous",), "asymmetric_coulomb_friction": ("coulomb_plus", "coulomb_minus")}
+    ordinary = tuple(
+        Ranked(effect, (joint,), (), 120.0 - 130.0 * (joint == joints[-1]), dict.fromkeys(values, 0.5),
+               shape={"width": 0.01} if len(values) > 1 else {})
+        for joint in joints for effect, values in names.items()
+    )  # fmt: skip
+    mass = {"mass": 0.5, "x": 0.1, "y": np.nan, "z": 0.0, "Ixx": 0.01, "Ixy": 0.0}
+    load = Ranked("payload", (), ("hand",), 41.25, mass, window=("fit.csv", 2.0, 8.0))
+    coupling = Ranked("joint_coupling", joints[-1:], (), 6.0, {"stiffness": 3.0, "offset": -1.0}, other=joints[0])
+    springs = [Ranked("joint_spring", joints[:1], (), -0.1 * k, {"stiffness": 1.0 + k}) for k in range(28)]
+    first = (load, coupling, *springs)
+    delay = {"fit.csv": (-0.0012, 0.0001), "hold.csv": (0.0, 0.024)}
+    return Ranking(15.0, ordinary, delay, first, adopted, first, 42, _fit=cast(Any, None), _rows=cast(Any, None))
 
 
 def curve(signal: str) -> Curve:

@@ -3,6 +3,7 @@
 from torchrbd.diagnosis.changes.compare import compare
 from torchrbd.diagnosis.changes.results import Change, Comparison, Difference
 from torchrbd.diagnosis.diagnose import diagnose
+from torchrbd.diagnosis.ranking import Ranked, Ranking, rank
 from torchrbd.diagnosis.results import (
     Alternative,
     Attack,
@@ -33,9 +34,12 @@ __all__ = [
     "Limit",
     "Location",
     "Quantity",
+    "Ranked",
+    "Ranking",
     "Region",
     "Unexplained",
     "Where",
     "compare",
     "diagnose",
+    "rank",
 ]

@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from torchrbd.diagnosis.alternatives import Weighed, weigh
 from torchrbd.diagnosis.beside import fit_beside, plain_beside
 from torchrbd.diagnosis.deflection import deflections
@@ -15,6 +17,7 @@ from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import hums, locate, shock_notes, shocks, wanders
 from torchrbd.diagnosis.nameless import nameless
 from torchrbd.diagnosis.proof import doubt, proofs
+from torchrbd.diagnosis.ranking import Ranking, ranking
 from torchrbd.diagnosis.refuting import refuted
 from torchrbd.diagnosis.results import Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.rows.gain import gain
@@ -27,12 +30,13 @@ from torchrbd.diagnosis.search.terms import Terms, names
 from torchrbd.diagnosis.search.unnamed import proper
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.verdict_words import verdict_statement
-from torchrbd.errors import OptionError
+from torchrbd.errors import InputError, OptionError
 from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.identify import Source, read_arguments, summarise
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared, prepare
+from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.refine import refined_from
 from torchrbd.inference.shapes.reread import judged_at_shocks, reread
 from torchrbd.physics import Effect
@@ -80,7 +84,8 @@ def diagnose(
     search, fit, prepared, extended, weighed = _explained(prepared, effects, progress)
     prepared = judged_at_shocks(replace(prepared, notes=(*prepared.notes, *shock_notes(fit))), progress)
     models = {"rigid_body": prepared.fit(), "extended": extended}
-    identification = summarise(prepared, models, settings, progress)
+    ranked, why_not = _ranked(prepared, settings, progress)
+    identification = summarise(replace(prepared, notes=(*prepared.notes, *why_not)), models, settings, progress)
     springs = deflections(prepared, extended)
     findings = with_springs(explain(prepared, weighed, extended), springs)
     progress("looking at what is left", 0.0)
@@ -97,7 +102,17 @@ def diagnose(
     where = (*locations, *left), (*maps, *more)
     proof = proofs(identification.series, identification.cutoff_hz)
     statement = " ".join(filter(None, (statement, doubt(proof, findings))))
-    return Diagnosis(identification, verdict, statement, findings, rest, *where, absent, springs, simulated, proof)
+    return Diagnosis(
+        identification, verdict, statement, findings, rest, *where, absent, springs, simulated, proof, ranking=ranked
+    )
+
+
+def _ranked(prepared: Prepared, settings: Settings, progress: Progress) -> tuple[Ranking | None, tuple[str, ...]]:
+    """Rank all hypotheses on what is not held out; where that cannot be done, return why not, and none."""
+    try:
+        return ranking(prepared.reading, settings, prepared.kept_back, progress), ()
+    except (InputError, np.linalg.LinAlgError) as error:
+        return None, (f"what was considered is not ranked: {error}",)
 
 
 def _explained(prepared: Prepared, effects: Sequence[Effect], progress: Progress) -> _Explanation:

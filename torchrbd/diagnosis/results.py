@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from torchrbd.diagnosis.ranking import Ranking
 from torchrbd.inference.results import Identification
 
 
@@ -266,7 +267,8 @@ class Diagnosis:
     explains). ``locations`` say where models and robot differ, named or not; ``maps`` draw the same. ``limits`` say how
     large what was not found could be, ``deflections`` what encoders behind the gears show. ``simulated`` names the
     recordings of a simulator that stood for the URDF. ``proofs`` say what the extended model is worth on
-    torque that was held out.
+    torque that was held out. ``ranking`` has all that was considered, by its evidence; None if that could not be told,
+    and a note says why.
     """
 
     identification: Identification
@@ -280,3 +282,4 @@ class Diagnosis:
     deflections: tuple[Deflection, ...] = field(default=())
     simulated: tuple[str, ...] = field(default=())
     proofs: tuple[Proof, ...] = field(default=())
+    ranking: Ranking | None = None

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from torchrbd.diagnosis import Comparison, Diagnosis
+from torchrbd.diagnosis import Comparison, Diagnosis, Ranked, Ranking
 from torchrbd.inference import EstimatorComparison, Identification
 
 SCHEMA = 1
@@ -86,6 +86,14 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
     proofs: what the extended model is worth on held-out torque, by joint: over (by model, the part of its squared error
         that is left: value, low and high of 95 % by a bootstrap over blocks), memory_s (by model, the integrated
         autocorrelation time of the errors) and white_s (that of white noise).
+    ranking: what was considered, by its evidence, or null if that could not be told: band_hz, up to which torques were
+        compared; considered, the number of effects at their places; delay_s, by recording, how much later the torque is
+        than the motion (value, std); and four lists of hypotheses: ordinary (friction of each joint, which every
+        machine has), first (the best 30 beside rigid body and ordinary friction), adopted (what was taken into the
+        model, one after the other), last (the best 30 beside these, and the adopted ones among them).
+        A hypothesis: effect, joints and links (none of either: the whole robot), log_evidence (against leaving it out,
+        in nats), parameters by name (SI units), other (the joint on whose motion it depends) or null, window
+        (recording, from_s, to_s) or null, and shape, its nonlinear parameters.
     """
     _write(
         path,
@@ -101,8 +109,24 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
             "deflections": [asdict(x) for x in result.deflections],
             "simulated": list(result.simulated),
             "proofs": [asdict(x) for x in result.proofs],
+            "ranking": None if result.ranking is None else _ranking(result.ranking),
         },
     )
+
+
+def _ranking(found: Ranking) -> dict[str, Any]:
+    lists = {"ordinary": found.ordinary, "first": found.first, "adopted": found.adopted, "last": found.last}
+    return {
+        "band_hz": found.band_hz,
+        "considered": found.considered,
+        "delay_s": {name: {"value": value, "std": std} for name, (value, std) in found.delay_s.items()},
+        **{name: [_hypothesis(one) for one in hypotheses] for name, hypotheses in lists.items()},
+    }
+
+
+def _hypothesis(one: Ranked) -> dict[str, Any]:
+    window = None if one.window is None else dict(zip(("recording", "from_s", "to_s"), one.window, strict=True))
+    return {**asdict(one), "window": window}
 
 
 def write_comparison(result: EstimatorComparison, path: Path) -> None:

@@ -109,12 +109,20 @@ class Prepared:
         return self.reading.tiles(k)
 
     def kept_back(self, recording: str, t: Tensor) -> Tensor:
-        """Say which times (N,) of a recording lie in held-out blocks, bool."""
-        inside = torch.zeros(len(t), dtype=torch.bool)
-        for block, held in zip(self.statistics.blocks, self.held_out.tolist(), strict=True):
-            if held and block.recording == recording:
-                inside |= (t >= block.start_s) & (t <= block.end_s)
-        return inside
+        """Say which times (N,) of a recording lie in held-out blocks, bool.
+
+        Between blocks and beyond them, where another filter may have outputs, the nearest block counts.
+        """
+        own = [
+            (block.start_s, block.end_s, held)
+            for block, held in zip(self.statistics.blocks, self.held_out.tolist(), strict=True)
+            if block.recording == recording
+        ]
+        if not own:
+            return torch.zeros(len(t), dtype=torch.bool)
+        starts, ends, held = zip(*sorted(own), strict=True)
+        between = [0.5 * (end + start) for end, start in zip(ends[:-1], starts[1:], strict=True)]
+        return torch.tensor(held)[torch.bucketize(t.contiguous(), torch.tensor(between, dtype=t.dtype))]
 
 
 def prepare(

@@ -14,6 +14,7 @@ from torchrbd.diagnosis.numbers import measure, number, plain, unit, with_unit
 from torchrbd.diagnosis.results import Diagnosis, Proof
 from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.report.cards import Card, PlainRow, finding_cards, plain_rows, plain_titles, unexplained_cards
+from torchrbd.report.considered import BAR_END, Considered, considered
 from torchrbd.report.excerpt import informative_stretch
 from torchrbd.report.inline import page_style
 from torchrbd.report.pictures import Pictures
@@ -99,6 +100,18 @@ class Page:
     def friction(self) -> list[PlainRow]:
         """Viscous and Coulomb friction and offsets, a row per joint, if there are many."""
         return plain_rows(self.diagnosis.findings, self.joints) if self.diagnosis else []
+
+    @cached_property
+    def considered(self) -> Considered | None:
+        """What was considered, by its evidence, if that is known."""
+        if self.diagnosis is None or self.diagnosis.ranking is None:
+            return None
+        return considered(self.diagnosis.ranking, self.diagnosis.findings, self.result.robot)
+
+    @property
+    def bar_end(self) -> float:
+        """Evidence at which a bar ends."""
+        return BAR_END
 
     @property
     def proofs(self) -> list[Proof]:

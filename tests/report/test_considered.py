@@ -1,0 +1,120 @@
+"""What was considered: a section of the page beside what was found, and one line for the terminal."""
+
+import re
+from dataclasses import replace
+
+import pytest
+from report.fabricated import diagnosis, ranking
+from report.rendered import Text, render, tidy
+
+from torchrbd.cli.tables import print_diagnosis
+from torchrbd.diagnosis.ranking import Ranked
+from torchrbd.diagnosis.results import Alternative, Diagnosis
+from torchrbd.report.considered import agreement, leading, nats
+
+JOINTS = ("joint1", "joint2", "slide")
+COULOMB = Ranked("coulomb_friction", ("joint2",), (), 50.0, {"coulomb": 1.0})
+RIPPLE = Ranked("torque_ripple", ("joint1",), (), 33.0, {"amplitude": 1.0})
+
+
+def ranked(*adopted: Ranked, joints: tuple[str, ...] = JOINTS) -> Diagnosis:
+    return replace(diagnosis(joints), ranking=ranking(joints, adopted))
+
+
+def section(page: str) -> str:
+    return page.partition("<h2>What was considered</h2>")[2].partition("<h2>")[0]
+
+
+def test_hypotheses_are_shown_with_bars_places_units_and_times(tmp_path):
+    page = render(ranked(), tmp_path)
+    part = section(page)
+    Text(page)
+    text = tidy(" ".join(Text(f"<body>{part}</body>").words))
+    for words in (
+        "Payload hand 41.2",
+        "mass 0.500 kg, x 0.100 m, y –, z 0 m and 2 more in fit.csv, 2.0 to 8.0 s",
+        "Coupling to joint1's position slide 6.0 stiffness 3.00 N/m, offset −1.00 N",
+        "ln 42 = 3.7",
+        "below 15 Hz",
+        "30 more were considered",
+        "fit.csv 1.20 ± 0.20 ms earlier",
+        "hold.csv 0 ± 50 ms later",
+        "joint1 0.500 N m s/rad URDF 0.250 120 0.500 N m 0.500 N m 0.0100 rad/s 120",
+        "slide 0.500 N s/m −10.0 0.500 N 0.500 N 0.0100 m/s −10.0",
+    ):
+        assert words in text
+    assert "Last step" not in text
+    assert "adopted" not in text
+    assert [float(x) for x in re.findall(r'<i class="[^"]*" style="width: ([\d.]+)%"', part)][:3] == [100.0, 20.0, 0.0]
+    assert part.count('<i class="told beyond"') == 1
+    assert part.count("<details>") == 2
+
+
+def test_what_is_adopted_is_marked_beside_the_last_step(tmp_path):
+    load = ranking(JOINTS).first[0]
+    part = section(render(ranked(load), tmp_path))
+    assert part.count(">adopted<") == 2
+    assert "beside payload on hand" in part
+    assert "beside the 2 adopted effects" in section(render(ranked(load, RIPPLE), tmp_path))
+
+
+def test_ranking_and_findings_are_compared_plainly(tmp_path):
+    page = ranked()
+    (finding,) = page.findings
+    assert agreement(ranking(JOINTS), ()) == "The ranking asks for nothing beyond a rigid body with ordinary friction."
+    assert agreement(ranking(JOINTS, (COULOMB,)), page.findings) == (
+        "The ranking asks for Coulomb friction at joint2, which the search has named too."
+    )
+    both = agreement(ranking(JOINTS, (RIPPLE,)), (replace(finding, effect="backlash", joints=("joint1",)),))
+    assert both == (
+        "The ranking asks for torque ripple at joint1, which the search has not named. "
+        "The search has named backlash at joint1, for which the ranking does not ask."
+    )
+    rival = replace(
+        finding, effect="backlash", indistinguishable_from=(Alternative("torque_ripple", ("joint1",), (), ()),)
+    )
+    assert agreement(ranking(JOINTS, (RIPPLE,)), (rival,)) == (
+        "The ranking asks for torque ripple at joint1, where the search has named backlash at joint2 and lists it as "
+        "what that could be."
+    )
+    coupled = ranking(JOINTS).first[1]
+    named = replace(finding, effect="joint_coupling", joints=("slide",), depends_on=("q_joint1",))
+    same = agreement(ranking(JOINTS, (coupled,)), (named,))
+    assert same == "The ranking asks for coupling to joint1's position at slide, which the search has named too."
+    assert "has not named" in agreement(ranking(JOINTS, (coupled,)), (replace(named, depends_on=("q_joint2",)),))
+    assert "which the search has not named" in section(render(ranked(RIPPLE), tmp_path))
+
+
+def test_nothing_to_consider_and_no_ranking_are_shown_as_such(tmp_path):
+    empty = replace(ranking(JOINTS), first=(), last=(), ordinary=(), delay_s={}, considered=0)
+    page = render(replace(diagnosis(JOINTS), ranking=empty), tmp_path)
+    assert "No effect" in section(page)
+    assert "ln " not in section(page)
+    Text(page)
+    assert section(render(diagnosis(JOINTS), tmp_path)) == ""
+    assert (leading(empty), leading(None)) == ("", "")
+
+
+def test_one_line_of_the_terminal_is_on_the_leading_hypothesis(capsys):
+    print_diagnosis(ranked())
+    told = " ".join(capsys.readouterr().out.split())
+    assert "Likeliest of 42 effects considered beside ordinary friction: payload on hand, log evidence 41.2." in told
+    weak = ranking(JOINTS)
+    assert leading(replace(weak, first=weak.first[2:])).endswith(
+        "joint spring at joint1, log evidence 0.0, no more than chance."
+    )
+
+
+def test_an_effect_that_is_not_registered_here_has_its_row(tmp_path):
+    foreign = Ranked("gear_whine", ("joint1",), (), 7.0, {"loudness": 2.0}, other="joint2")
+    found = replace(ranking(JOINTS), first=(foreign,))
+    text = " ".join(Text(render(replace(diagnosis(JOINTS), ranking=found), tmp_path)).words)
+    assert "Gear whine that depends on q_joint2 joint1 7.0 loudness 2.00" in text
+
+
+@pytest.mark.parametrize(
+    ("evidence", "words"),
+    [(0.04, "0.0"), (-0.04, "0.0"), (-0.26, "−0.3"), (645.37, "645"), (-float("inf"), "–"), (float("nan"), "–")],
+)
+def test_nats(evidence, words):
+    assert nats(evidence) == words

@@ -1,0 +1,252 @@
+"""What was considered: hypotheses by their evidence, ordinary friction, clocks, in words and bars."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from torchrbd.diagnosis.numbers import MINUS, joined, measure, number, with_unit
+from torchrbd.diagnosis.ranking import Ranked, Ranking
+from torchrbd.diagnosis.results import Alternative, Finding, Where
+from torchrbd.diagnosis.search.options import COMMON
+from torchrbd.diagnosis.words import at, named, when
+from torchrbd.physics import effects
+from torchrbd.robot import RobotModel
+
+# Evidence at which a bar ends [nats], rows of a table, and parameters that one row names.
+BAR_END, MOST_ROWS, MOST_PARAMETERS = 30.0, 12, 4
+_Key = tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One hypothesis: ``bar`` is the part of the longest bar that it takes, ``beyond`` whether it would be longer."""
+
+    title: str
+    place: str
+    when: str
+    parameters: list[str]
+    more: int
+    evidence: str
+    bar: float
+    beyond: bool
+    adopted: bool
+    beats_chance: bool
+
+
+@dataclass(frozen=True)
+class Step:
+    """Hypotheses beside one model, best first; ``more`` were considered and are not shown."""
+
+    title: str
+    beside: str
+    rows: list[Row]
+    more: int
+
+    @property
+    def at_times(self) -> bool:
+        """Whether any of them acts for a time only."""
+        return any(row.when for row in self.rows)
+
+
+@dataclass(frozen=True)
+class Ordinary:
+    """Ordinary friction of one joint in words; evidence against leaving out viscous and Coulomb friction.
+
+    ``urdf_viscous`` and ``urdf_coulomb`` are what the URDF has of it, empty if nothing.
+    """
+
+    joint: str
+    viscous: str
+    viscous_evidence: str
+    viscous_told: bool
+    urdf_viscous: str
+    coulomb: list[str]
+    width: str
+    coulomb_evidence: str
+    coulomb_told: bool
+    urdf_coulomb: str
+
+
+@dataclass(frozen=True)
+class Considered:
+    """What the page says of a ranking."""
+
+    agreement: str
+    number: int
+    band_hz: float
+    chance: str
+    chance_at: float
+    ordinary: list[Ordinary]
+    clocks: list[tuple[str, str]]
+    steps: list[Step]
+
+
+def considered(found: Ranking, findings: Sequence[Finding], robot: RobotModel) -> Considered:
+    """Return a ranking in the words and numbers of the page.
+
+    Args:
+        found: the ranking.
+        findings: those that the search has named.
+        robot: the robot.
+    """
+    prismatic = dict(zip(robot.joint_names, robot.prismatic.tolist(), strict=True))
+    adopted = {_key(one) for one in found.adopted}
+
+    def step(title: str, beside: str, ranked: Sequence[Ranked], known: set[_Key]) -> Step:
+        rows = [_row(one, found, prismatic, adopted=_key(one) in known) for one in ranked[:MOST_ROWS]]
+        return Step(title, beside, rows, max(found.considered, len(ranked)) - len(rows))
+
+    steps = [step("First step", "beside a rigid body with ordinary friction", found.first, adopted)]
+    if adopted:
+        first, *others = found.adopted
+        beside = f"beside the {len(found.adopted)} adopted effects" if others else f"beside {title(first)}"
+        steps.append(step("Last step", beside, found.last, adopted))
+    return Considered(
+        agreement=agreement(found, findings),
+        number=found.considered,
+        band_hz=found.band_hz,
+        chance=nats(_chance(found)),
+        chance_at=min(1.0, _chance(found) / BAR_END),
+        ordinary=_ordinary(found.ordinary, robot),
+        clocks=[(name, _clock(*delay)) for name, delay in found.delay_s.items()],
+        steps=steps,
+    )
+
+
+def leading(found: Ranking | None) -> str:
+    """Say in one line which hypothesis has the greatest evidence; nothing where there is none."""
+    if found is None or not found.first:
+        return ""
+    best = found.first[0]
+    words = f"Likeliest of {found.considered} effects considered beside ordinary friction: {title(best)}, log evidence "
+    return words + nats(best.log_evidence) + (", no more than chance." if not _beats_chance(best, found) else ".")
+
+
+def agreement(found: Ranking, findings: Sequence[Finding]) -> str:
+    """Say whether what the ranking adopted is what the search has named."""
+    known = {(f.effect, f.joints, f.links, _joints(f.depends_on)) for f in findings}
+    alike = {
+        (a.effect, a.joints, a.links, _joints(a.depends_on)): f for f in findings for a in f.indistinguishable_from
+    }
+    asked = {_key(one): one for one in found.adopted}
+    same = [title(one) for key, one in asked.items() if key in known]
+    rivals = {key: (one, alike[key]) for key, one in asked.items() if key not in known and key in alike}
+    new = [title(one) for key, one in asked.items() if key not in known and key not in alike]
+    answered = {id(f) for _, f in rivals.values()}
+    rest = [
+        _title(f)
+        for f in findings
+        if f.effect not in COMMON
+        and id(f) not in answered
+        and (f.effect, f.joints, f.links, _joints(f.depends_on)) not in asked
+    ]
+    told = [f"The ranking asks for {joined(same)}, which the search has named too."] if same else []
+    told += [
+        f"The ranking asks for {title(one)}, where the search has named {_title(f)} and lists it as what that could be."
+        for one, f in rivals.values()
+    ]
+    told += [f"The ranking asks for {joined(new)}, which the search has not named."] if new else []
+    told += ["The ranking asks for nothing beyond a rigid body with ordinary friction."] if not asked else []
+    told += [f"The search has named {joined(rest)}, for which the ranking does not ask."] if rest else []
+    return " ".join(told)
+
+
+def title(one: Ranked) -> str:
+    """Return a hypothesis by name and place: "payload on hand"."""
+    depends_on = () if one.other is None else (f"q_{one.other}",)
+    return _title(Alternative(one.effect, one.joints, one.links, depends_on))
+
+
+def nats(evidence: float) -> str:
+    """Return a log evidence as one reads it."""
+    if not math.isfinite(evidence):
+        return "–"
+    return f"{evidence:.{0 if abs(evidence) >= 100 else 1}f}".replace("-0.0", "0.0").replace("-", MINUS)
+
+
+def _title(item: Finding | Alternative) -> str:
+    return named(item) + (at(item.joints, item.links) or " on the whole robot")
+
+
+def _joints(signals: Iterable[str]) -> tuple[str, ...]:
+    """Return the joints of signals, "q_joint2" and "qd_joint2", each once."""
+    return tuple(dict.fromkeys(s.partition("_")[2] for s in signals))
+
+
+def _key(one: Ranked) -> _Key:
+    return one.effect, one.joints, one.links, () if one.other is None else (one.other,)
+
+
+def _chance(found: Ranking) -> float:
+    return math.log(max(found.considered, 1))
+
+
+def _beats_chance(one: Ranked, found: Ranking) -> bool:
+    return one.log_evidence > _chance(found)
+
+
+def _row(one: Ranked, found: Ranking, prismatic: Mapping[str, bool], *, adopted: bool) -> Row:
+    depends_on = () if one.other is None else (f"q_{one.other}",)
+    words = named(Alternative(one.effect, one.joints, one.links, depends_on))
+    bar = one.log_evidence / BAR_END if math.isfinite(one.log_evidence) else 0.0
+    parameters = _parameters(one, prismatic)
+    return Row(
+        title=words[0].upper() + words[1:],
+        place=joined((*one.joints, *one.links)) or "whole robot",
+        when="" if one.window is None else when(Where((one.window[0],), (one.window[1:],))),
+        parameters=parameters[:MOST_PARAMETERS],
+        more=max(0, len(parameters) - MOST_PARAMETERS),
+        evidence=nats(one.log_evidence),
+        bar=min(max(bar, 0.0), 1.0),
+        beyond=bar > 1.0,
+        adopted=adopted,
+        beats_chance=_beats_chance(one, found),
+    )
+
+
+def _parameters(one: Ranked, prismatic: Mapping[str, bool]) -> list[str]:
+    """Return parameters with their units: "mass 0.5 kg"."""
+    known, slides = effects().get(one.effect), any(prismatic.get(j, False) for j in one.joints)
+    units = known.units if known else {}
+    return [
+        with_unit(
+            f"{name.replace('_', ' ')} {number(value)}",
+            known.unit(name, prismatic=slides) if known and name in units and math.isfinite(value) else "",
+        )
+        for name, value in one.parameters.items()
+    ]
+
+
+def _ordinary(found: Sequence[Ranked], robot: RobotModel) -> list[Ordinary]:
+    """Return a row per joint."""
+    viscous = {one.joints: one for one in found if one.effect == "viscous_friction"}
+    coulomb = {one.joints: one for one in found if one.effect == "asymmetric_coulomb_friction"}
+    rows = []
+    for j, joint in enumerate(robot.joint_names):
+        slow, dry = viscous.get((joint,)), coulomb.get((joint,))
+        if slow is None or dry is None:
+            continue
+        length, torque = ("m", "N") if bool(robot.prismatic[j]) else ("rad", "N m")
+        urdf_viscous, urdf_coulomb = (number(float(x[j])) if x[j] else "" for x in (robot.damping, robot.friction))
+        rows.append(
+            Ordinary(
+                joint=joint,
+                viscous=with_unit(number(slow.parameters["viscous"]), f"{torque} s/{length}"),
+                viscous_evidence=nats(slow.log_evidence),
+                viscous_told=slow.log_evidence > 0,
+                urdf_viscous=urdf_viscous,
+                coulomb=[with_unit(number(dry.parameters[f"coulomb_{way}"]), torque) for way in ("plus", "minus")],
+                width=with_unit(number(dry.shape.get("width", math.nan)), f"{length}/s"),
+                coulomb_evidence=nats(dry.log_evidence),
+                coulomb_told=dry.log_evidence > 0,
+                urdf_coulomb=urdf_coulomb,
+            )
+        )
+    return rows
+
+
+def _clock(delay: float, std: float) -> str:
+    """Return by what the torque is later than the motion [s], or earlier."""
+    return f"{measure(1e3 * abs(delay), 1.96e3 * std)} ms {'earlier' if delay < 0 else 'later'}"
