@@ -24,14 +24,14 @@ from simulated import Motion, inverse_dynamics, joint_names, multisine
 from torch import Tensor
 
 from torchrbd import RobotModel
-from torchrbd.inference.data.block_statistics import assemble
 from torchrbd.inference.estimators.estimate import estimate
 from torchrbd.inference.physical.fitting import fit_model
-from torchrbd.inference.physical.map_fit import noise_variance, scaled_equations, solve
 from torchrbd.inference.physical.projection import project, relevance
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.regression.ard import ard
 from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.block_statistics import assemble
+from torchrbd.likelihood.map_fit import noise_variance, scaled_equations, solve
 from torchrbd.parameters import base_parameters, is_physical
 from torchrbd.recordings import Recording
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia

@@ -22,9 +22,9 @@ from sklearn.model_selection import KFold
 from sklearn.neural_network import MLPRegressor
 from sklearn.preprocessing import StandardScaler
 
-from torchrbd.inference.data.block_statistics import filtered_rows
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.block_statistics import filtered_rows
 from torchrbd.physics import effects
 from torchrbd.robot import RobotModel
 

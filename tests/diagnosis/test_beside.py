@@ -12,13 +12,13 @@ from simulated import Motion, record, with_wrong_inertials
 
 from torchrbd.diagnosis import beside
 from torchrbd.diagnosis.refuting import refuted
-from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.terms import significance, term_parameters
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.refine import fit_with_shapes
 from torchrbd.inference.shapes.reread import reread
+from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.physics import Site, effect
 from torchrbd.robot import RobotModel
 

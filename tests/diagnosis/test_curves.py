@@ -10,7 +10,7 @@ import torch
 from physics.sites import ROBOT, SCALE, signals, site_of, states
 
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
-from torchrbd.inference.data.columns import Candidate
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.physics import Site, effect, effects
 from torchrbd.report.cards import _sense
 

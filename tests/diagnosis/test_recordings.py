@@ -24,9 +24,9 @@ from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.diagnosis.search.recordings import recordings, screened_by_recordings, where_larger
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.export import load_model, save_model
-from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Site, Term, effect
 from torchrbd.recordings import Recording

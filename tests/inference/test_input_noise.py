@@ -10,10 +10,10 @@ from noisy_robots import development_robots, noisy_recording, perturbed, true_pa
 
 import torchrbd
 from torchrbd.errors import OptionError
-from torchrbd.inference.physical.map_fit import scaled_equations, solve
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.map_fit import scaled_equations, solve
 from torchrbd.parameters import base_parameters, is_physical
 from torchrbd.robot import RobotModel
 

@@ -11,9 +11,9 @@ from inference.problems import FILTERING, columns_of, dense, prior_of, random_mo
 from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, multisine, record
 
-from torchrbd.inference.data.columns import Columns
-from torchrbd.inference.physical.map_fit import noise_variance, residual_variance, scaled_equations, solve
-from torchrbd.inference.physical.prior import Prior, divergence_hessian, unphysical_bodies
+from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.map_fit import noise_variance, residual_variance, scaled_equations, solve
+from torchrbd.likelihood.urdf_prior import Prior, divergence_hessian, unphysical_bodies
 from torchrbd.parameters import is_physical
 from torchrbd.recordings import survey
 from torchrbd.robot import RobotModel, pseudo_inertia, transform_inertia

@@ -10,11 +10,11 @@ from inference.problems import columns_of, prior_of, random_moments, urdf_of
 from robot.random_robots import random_urdf
 from torch import Tensor
 
-from torchrbd.inference.data.block_statistics import BlockStatistics, assemble
-from torchrbd.inference.data.columns import Columns
-from torchrbd.inference.physical.map_fit import scaled_equations
-from torchrbd.inference.physical.physical_fit import PhysicalFit, physical_fit
-from torchrbd.inference.physical.prior import Prior
+from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
+from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.map_fit import scaled_equations
+from torchrbd.likelihood.physical_fit import PhysicalFit, physical_fit
+from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.parameters import from_log_cholesky, to_log_cholesky
 from torchrbd.robot import RobotModel, from_pseudo_inertia, pseudo_inertia
 

@@ -13,10 +13,10 @@ from parameters.bodies import by_hand
 from torch import Tensor
 
 from torchrbd.errors import InputError
-from torchrbd.inference.data.block_statistics import assemble
 from torchrbd.inference.physical import projection
 from torchrbd.inference.physical.projection import project, relevance
 from torchrbd.inference.regression.ard import ard
+from torchrbd.likelihood.block_statistics import assemble
 from torchrbd.parameters import from_log_cholesky, to_log_cholesky
 from torchrbd.robot import RobotModel, pseudo_inertia
 

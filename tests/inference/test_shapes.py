@@ -11,7 +11,6 @@ import torch
 from inference.truths import ALL, CUTOFF_HZ, Delay, Ripple, Truth, added_by, drawn, recovered, stribeck, told
 from physics.sites import ROBOT, SCALE
 
-from torchrbd.inference.data.columns import Columns
 from torchrbd.inference.identify import identify
 from torchrbd.inference.physical.fitting import term_candidates
 from torchrbd.inference.physical.terms import term_parameters
@@ -19,6 +18,7 @@ from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined
 from torchrbd.inference.shapes.slope import Axis, ShapeSlope, axes, slopes
+from torchrbd.likelihood.columns import Columns
 from torchrbd.physics import (
     Effect,
     Site,

@@ -10,14 +10,14 @@ import pytest
 import torch
 from inference.problems import columns_of, dense, recorded, statistics_of, stream
 
-from torchrbd.inference.data.columns import Columns
-from torchrbd.inference.data.scales import covered_scales
-from torchrbd.inference.data.sticking import stick_weight, undetermined
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
-from torchrbd.inference.physical.prior import data_prior
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.stick_levels import stick_levels
+from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.scales import covered_scales
+from torchrbd.likelihood.sticking import stick_weight, undetermined
+from torchrbd.likelihood.urdf_prior import data_prior
 from torchrbd.physics import effect
 from torchrbd.recordings import Filtering, Recording, survey
 from torchrbd.robot import RobotModel

@@ -17,7 +17,7 @@ from torchrbd.diagnosis.search.pruning import plain_instead
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.terms import place, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
-from torchrbd.inference.data.columns import Candidate
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.physics import Site, Window
 
 LARGEST_PROBABILITY, LEAST_PROBABILITY = 0.999, 0.01

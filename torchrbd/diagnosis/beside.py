@@ -23,10 +23,10 @@ from torchrbd.diagnosis.search.grid import fresh_columns
 from torchrbd.diagnosis.search.options import BACKGROUND, INSIGNIFICANT, OFFSET, UNEVEN
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.terms import Terms
-from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.refine import fit_with_shapes
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.physics.plain_friction import PARTS
 
 # A term of which less than this is left beside others says what they say.

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.results import Curve
-from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.robot import RobotModel
 
 # Between two points that are kept of a curve: along it, in parts of its width and height.

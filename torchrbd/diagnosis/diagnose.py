@@ -32,13 +32,13 @@ from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.errors import InputError, OptionError
 from torchrbd.estimators import WITH_INTERVALS
-from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.identify import Source, read_arguments, summarise
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.refine import refined_from
 from torchrbd.inference.shapes.reread import judged_at_shocks, reread
+from torchrbd.likelihood.reading import Progress
 from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded

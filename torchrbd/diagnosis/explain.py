@@ -11,10 +11,10 @@ from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, Where
 from torchrbd.diagnosis.search.unnamed import is_smooth
 from torchrbd.diagnosis.words import finding_sentence, strongest_first
-from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.physical.fitting import FittedModel, judge
 from torchrbd.inference.physical.terms import told_parameters
 from torchrbd.inference.preparation import Prepared
+from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.physics import Site
 from torchrbd.robot import RobotModel
 

@@ -15,12 +15,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
-from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.shapes.slope import axes
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import Addition, added
 from torchrbd.likelihood.likelihood import Extra, Likelihood
-from torchrbd.likelihood.prior import coefficient_std
 from torchrbd.likelihood.rows import Rows
+from torchrbd.likelihood.sizes import coefficient_std
 from torchrbd.physics import Effect, Site, Window
 
 # The machine has these already, and one offset of the clocks for all joints.

@@ -24,7 +24,7 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.steps import LEAST_SHARE
-from torchrbd.inference.data.columns import Candidate
+from torchrbd.likelihood.columns import Candidate
 
 # A parameter is told by the data, and not by the prior, if the data leave less than this part of the prior's variance.
 MOST_OF_PRIOR = 0.25

@@ -13,8 +13,8 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.terms import without
 from torchrbd.diagnosis.search.unnamed import depends_on, is_smooth
 from torchrbd.diagnosis.words import joined, number, percent, torque_unit
-from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.physics.smooth_torque import HUM
 
 # A function acts where it is above this part of its largest departure from its middle.

@@ -12,16 +12,16 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, refined, screened, told
-from torchrbd.inference.data.columns import Candidate, Columns
-from torchrbd.inference.data.reading import Progress, Reading
-from torchrbd.inference.data.scales import covered_scales
 from torchrbd.inference.identify import Source, read_arguments
 from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
+from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood, learn
 from torchrbd.likelihood.machine import Machine
+from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.rows import KeptBack, Rows, read_rows
+from torchrbd.likelihood.scales import covered_scales
 from torchrbd.physics import Effect, Site, Window
 from torchrbd.physics.registry import effect
 from torchrbd.recordings import Filtering

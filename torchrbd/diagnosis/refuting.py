@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from torchrbd.diagnosis.search.options import BACKGROUND, INSIGNIFICANT
 from torchrbd.diagnosis.search.unnamed import proper
-from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.terms import significance, term_parameters
+from torchrbd.likelihood.columns import Candidate
 
 
 def refuted(model: FittedModel, found: Sequence[Candidate]) -> list[Candidate]:

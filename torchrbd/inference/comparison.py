@@ -10,7 +10,6 @@ from typing import Any
 
 from torchrbd.errors import OptionError, TorchRBDError
 from torchrbd.estimators import COMPARABLE, check_estimators
-from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.estimators import Estimate, estimate, linear_problem
 from torchrbd.inference.identify import Source, read_arguments
 from torchrbd.inference.physical.fitting import judge, term_candidates
@@ -18,6 +17,7 @@ from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.torque_error import Fit
 from torchrbd.inference.verdict import encoder_doubts, regime_of
+from torchrbd.likelihood.reading import Progress
 from torchrbd.physics import Effect
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded

@@ -13,11 +13,8 @@ from torch import Tensor
 
 from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
-from torchrbd.inference.data.reading import Progress
-from torchrbd.inference.data.simulated import motion_doubts
 from torchrbd.inference.estimators import estimate
 from torchrbd.inference.physical.fitting import FittedModel, judge, predict, term_candidates
-from torchrbd.inference.physical.prior import local_covariance
 from torchrbd.inference.physical.terms import term_estimates
 from torchrbd.inference.posterior.identifiability import identifiability
 from torchrbd.inference.posterior.posterior import Posterior
@@ -33,6 +30,9 @@ from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.places import check_seen
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined
 from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, verdict_of
+from torchrbd.likelihood.reading import Progress
+from torchrbd.likelihood.simulated import motion_doubts
+from torchrbd.likelihood.urdf_prior import local_covariance
 from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base_parameters
 from torchrbd.recordings import Recording
 from torchrbd.robot import STANDARD_GRAVITY, RobotModel

@@ -17,10 +17,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.block_statistics import BlockStatistics, assemble, filtered_rows
-from torchrbd.inference.data.columns import Columns
-from torchrbd.inference.data.reading import Reading
 from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.likelihood.block_statistics import BlockStatistics, assemble, filtered_rows
+from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.reading import Reading
 from torchrbd.recordings import Filtering, States, Survey
 
 _MOST_TILES = 4

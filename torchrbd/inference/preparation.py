@@ -17,23 +17,23 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import RecordingError
-from torchrbd.inference.data.block_statistics import BlockStatistics
-from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.data.holdout import held_out_blocks
 from torchrbd.inference.data.notes import input_notes
 from torchrbd.inference.data.opening import open_all, open_simulated
 from torchrbd.inference.data.payload import payload_parameters
-from torchrbd.inference.data.reading import Progress, Reading
-from torchrbd.inference.data.scales import covered_scales, with_loads
-from torchrbd.inference.data.simulated import Simulated, check_motion, cut, read_simulated, simulation_notes
 from torchrbd.inference.input_noise import InputNoise, input_noise
 from torchrbd.inference.physical.fitting import FittedModel, fit_model
-from torchrbd.inference.physical.prior import Prior, data_prior
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.places import told_sites
 from torchrbd.inference.smoothing import smooth, smoothable
 from torchrbd.inference.stick_levels import stick_levels
+from torchrbd.likelihood.block_statistics import BlockStatistics
+from torchrbd.likelihood.columns import Candidate, Columns
+from torchrbd.likelihood.reading import Progress, Reading
+from torchrbd.likelihood.scales import covered_scales, with_loads
+from torchrbd.likelihood.simulated import Simulated, check_motion, cut, read_simulated, simulation_notes
+from torchrbd.likelihood.urdf_prior import Prior, data_prior
 from torchrbd.physics import Effect
 from torchrbd.recordings import Filtering, Recording, States, Survey, choose_cutoff, survey
 from torchrbd.robot import RobotModel

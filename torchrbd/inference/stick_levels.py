@@ -9,9 +9,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.block_statistics import BlockStatistics
 from torchrbd.inference.physical.fitting import fit_model
-from torchrbd.inference.physical.prior import Prior
+from torchrbd.likelihood.block_statistics import BlockStatistics
+from torchrbd.likelihood.urdf_prior import Prior
 
 # Friction that a first fit is not sure of is none.
 _SURE = 3.0

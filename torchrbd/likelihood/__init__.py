@@ -1,1 +1,1 @@
-"""One Gaussian likelihood of torques: what every machine has, the noise, the prior, and the evidence of anything more."""
+"""One Gaussian likelihood of torques: what every machine has, noise, prior, and the evidence of anything more."""

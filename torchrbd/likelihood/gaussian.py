@@ -9,9 +9,9 @@ r = C'(y - X z^), and raise the log marginal likelihood by
 
     log B = 1/2 r'D (1 + D S D)^-1 D r - 1/2 log det(1 + D S D)
 
-which counts the Occam factor of a proper prior: MacKay, "Information Theory, Inference, and Learning Algorithms" (2003),
-ch. 28. A coefficient that physics keeps from being negative has a half-normal prior: its posterior's probability of
-being positive, over that of the prior, multiplies B.
+which counts the Occam factor of a proper prior: MacKay, "Information Theory, Inference, and Learning Algorithms"
+(2003), ch. 28. A coefficient that physics keeps from being negative has a half-normal prior: its posterior's
+probability of being positive, over that of the prior, multiplies B.
 """
 
 from __future__ import annotations

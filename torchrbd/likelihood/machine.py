@@ -26,8 +26,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.likelihood.noise import Noise, drift_basis
-from torchrbd.likelihood.prior import inertial_scale
 from torchrbd.likelihood.rows import Rows
+from torchrbd.likelihood.sizes import inertial_scale
 from torchrbd.physics import Signals
 
 # Clocks are off by some samples; so far the response may remember.

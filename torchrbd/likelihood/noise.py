@@ -70,7 +70,7 @@ class Noise:
         return k[(run[k] == run[k - p]) & measured[k] & measured[k - p]]
 
     def surprise(self, index: np.ndarray) -> float:
-        """Return the sum of the logarithms of the rows' standard deviations, (m,): -log p of whitened rows but for 1/2 n^2."""
+        """Return -log p of rows (m,), but for half the squares of the whitened ones."""
         return float(np.log(self.std[index] / self.weight[index]).sum())
 
     def white(self, A: np.ndarray, index: np.ndarray) -> np.ndarray:

@@ -3,8 +3,8 @@
     p(J) ~ exp(-kappa [tr(J0^-1 J) - logdet(J0^-1 J)])
 
 a Wishart distribution of pseudo-inertias of 2 kappa + 5 degrees of freedom whose mode is the URDF's J0. In coordinates
-z, J = F (1 + sum_k z_k B_k / sqrt(kappa)) F' with J0 = F F' and B orthonormal, its curvature at z = 0 is one. Around any
-other point z* it is, to second order, Gaussian: Laplace's approximation there has the exact normaliser
+z, J = F (1 + sum_k z_k B_k / sqrt(kappa)) F' with J0 = F F' and B orthonormal, its curvature at z = 0 is one. Around
+any other point z* it is, to second order, Gaussian: Laplace's approximation there has the exact normaliser
 
     Z = 2^(nu p / 2) |1 / (2 kappa)|^(nu / 2) Gamma_p(nu / 2),   nu = 2 kappa + 5, p = 4
 
@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from scipy.special import multigammaln
 
-from torchrbd.inference.physical.physical_fit import Problem, follow_path
+from torchrbd.likelihood.physical_fit import Problem, follow_path
 from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY
 
 _B = ORTHONORMAL.numpy()

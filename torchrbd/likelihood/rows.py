@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import RecordingError
-from torchrbd.inference.data.columns import Candidate, Columns
-from torchrbd.inference.data.reading import Reading
+from torchrbd.likelihood.columns import Candidate, Columns
+from torchrbd.likelihood.reading import Reading
 from torchrbd.physics import Signals
 from torchrbd.physics.time_delay import delayed
 from torchrbd.recordings import States

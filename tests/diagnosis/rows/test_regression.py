@@ -14,9 +14,9 @@ from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples, read_samples
 from torchrbd.diagnosis.rows.white_rows import FOLDS
-from torchrbd.inference.data.block_statistics import filtered_rows
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.block_statistics import filtered_rows
 from torchrbd.physics import Site, effect
 from torchrbd.robot import RobotModel
 

@@ -20,13 +20,13 @@ from torchrbd.diagnosis.rows.samples import Samples, read_samples
 from torchrbd.diagnosis.rows.shocks import MISFIT, calmed, left_elsewhere, misfit_ratio, without_shocks
 from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.diagnosis.search.select import Search
-from torchrbd.inference.data.columns import Candidate
-from torchrbd.inference.data.shocks import shock
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined_from
 from torchrbd.inference.shapes.reread import reread
+from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.shocks import shock
 from torchrbd.physics import Site, effect
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel

@@ -13,9 +13,9 @@ from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.search.joining import with_joined
 from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.diagnosis.search.select import Search
-from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.physics import Site, Window, effect
 from torchrbd.physics.smooth_torque import HUM
 from torchrbd.robot import RobotModel

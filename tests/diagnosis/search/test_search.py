@@ -20,10 +20,10 @@ from torchrbd.diagnosis.search.options import BACKGROUND, accepted, clearly_wors
 from torchrbd.diagnosis.search.pruning import pruned
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.unnamed import smooth_candidates
-from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.slope import axes
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.physics import Site, effect
 from torchrbd.physics.smooth_torque import SMOOTH, SmoothTorque
 from torchrbd.robot import RobotModel

@@ -22,8 +22,8 @@ from scipy.linalg import cho_solve, solve_triangular
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.white_rows import Place, Rows
 from torchrbd.diagnosis.rows.whitening import LEAST_NOISE, ORDER, Noise, predictor, relief, whitened
-from torchrbd.inference.data.columns import Candidate
-from torchrbd.inference.physical.prior import Prior
+from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.urdf_prior import Prior
 
 _ROUNDS = 3
 # Directions of the scaled columns below this are told by rounding alone.

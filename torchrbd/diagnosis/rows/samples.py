@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchrbd.inference.data.columns import Candidate, Columns
-from torchrbd.inference.data.shocks import shock
 from torchrbd.inference.preparation import Prepared
+from torchrbd.likelihood.columns import Candidate, Columns
+from torchrbd.likelihood.shocks import shock
 from torchrbd.physics import Signals
 from torchrbd.recordings import States
 

@@ -1,6 +1,6 @@
 """Whether shocks spoil a fit: the same terms fitted without them leave less elsewhere, and err at them far more.
 
-At a shock the recorded positions are not those of what the torque moves (``inference/data/shocks.py``), and a model
+At a shock the recorded positions are not those of what the torque moves (``likelihood/shocks.py``), and a model
 that is to fit both has inertial parameters that fit neither. That is asked of what the search has found: where a term
 is missing that grows with the torque, shocks have the largest errors too, until it is found.
 """

@@ -9,8 +9,8 @@ import numpy as np
 
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.whitening import ORDER, Noise, relief, whitened
-from torchrbd.inference.data.columns import Candidate
-from torchrbd.inference.physical.prior import TERM_WIDTH, Prior, in_proportion
+from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.urdf_prior import TERM_WIDTH, Prior, in_proportion
 
 FOLDS, MOST_BLOCKS, LEAST_RECORDINGS = 8, 64, 4
 # No peak of a term's torque is believed beyond so many times the root mean square of its joint's.

@@ -13,8 +13,8 @@ from scipy.optimize import minimize_scalar
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.white_rows import Rows
-from torchrbd.inference.data.columns import Candidate, Columns
 from torchrbd.inference.shapes.slope import axes
+from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.physics import Effect, Site, Window
 
 _EVALUATIONS, _SWEEPS, _CLOSE = 10, 2, 0.03

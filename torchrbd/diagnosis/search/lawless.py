@@ -8,7 +8,7 @@ from torchrbd.diagnosis.search.options import COMMON, certain, clearly_worse, ju
 from torchrbd.diagnosis.search.steps import Steps
 from torchrbd.diagnosis.search.terms import without
 from torchrbd.diagnosis.search.unnamed import is_smooth
-from torchrbd.inference.data.columns import Candidate
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.physics import JointEffect
 from torchrbd.physics.smooth_torque import SmoothTorque
 

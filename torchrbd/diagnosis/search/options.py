@@ -11,7 +11,7 @@ import torch
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.search.grid import complexity, fresh_columns
-from torchrbd.inference.data.columns import Candidate
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.physics.smooth_torque import SmoothTorque
 
 # Over 46 development cases of the concealed benchmark with nothing but friction, the best of some 2500 candidates

@@ -15,7 +15,7 @@ from torchrbd.diagnosis.search.options import OFFSET, UNEVEN, accepted, instead,
 from torchrbd.diagnosis.search.steps import Steps
 from torchrbd.diagnosis.search.terms import Terms, without
 from torchrbd.diagnosis.search.unnamed import is_smooth
-from torchrbd.inference.data.columns import Candidate
+from torchrbd.likelihood.columns import Candidate
 
 PARTS_OF_UNEVEN = ("coulomb_friction", OFFSET)
 

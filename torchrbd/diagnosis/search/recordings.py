@@ -19,7 +19,7 @@ from scipy.linalg import solve_triangular
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.search.grid import Grid, Group, Screened, fresh_columns
-from torchrbd.inference.data.columns import Candidate
+from torchrbd.likelihood.columns import Candidate
 
 
 def recordings(samples: Samples) -> tuple[str, ...]:

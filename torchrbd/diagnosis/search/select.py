@@ -19,7 +19,7 @@ from torchrbd.diagnosis.search.partial import partial
 from torchrbd.diagnosis.search.pruning import pruned
 from torchrbd.diagnosis.search.steps import Steps
 from torchrbd.diagnosis.search.terms import names, place
-from torchrbd.inference.data.columns import Candidate
+from torchrbd.likelihood.columns import Candidate
 
 MOST_UNNAMED = 4
 

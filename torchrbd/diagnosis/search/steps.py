@@ -28,8 +28,8 @@ from torchrbd.diagnosis.search.options import (
 from torchrbd.diagnosis.search.recordings import explained, screened_by_recordings, where_larger
 from torchrbd.diagnosis.search.terms import Terms, names, place, with_term, without
 from torchrbd.diagnosis.search.unnamed import humming, is_smooth, smooth_candidates
-from torchrbd.inference.data.columns import Candidate
-from torchrbd.inference.physical.prior import Prior
+from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.physics import Effect, Site, effect
 from torchrbd.robot import RobotModel
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torchrbd.inference.data.columns import Candidate
+from torchrbd.likelihood.columns import Candidate
 
 Terms = tuple[Candidate, ...]
 

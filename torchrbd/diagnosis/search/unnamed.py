@@ -10,7 +10,7 @@ from torchrbd.diagnosis.locate.hum import lines
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.search.options import BACKGROUND
-from torchrbd.inference.data.columns import Candidate
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.physics import Site, Window
 from torchrbd.physics.smooth_torque import HUM, SMOOTH, SmoothTorque
 

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import RecordingError
-from torchrbd.inference.data.block_statistics import Block
-from torchrbd.inference.data.reading import Reading
 from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.block_statistics import Block
+from torchrbd.likelihood.reading import Reading
 from torchrbd.recordings import Recording
 
 _LEAST_BLOCKS = 6

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from torchrbd.inference.data.columns import Columns
-from torchrbd.inference.physical.prior import Prior, unphysical_bodies
+from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.urdf_prior import Prior, unphysical_bodies
 from torchrbd.recordings import Filtering, Survey, skipped_segments
 from torchrbd.robot import STANDARD_GRAVITY
 

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from torchrbd.errors import OptionError
 from torchrbd.estimators import check_estimators
-from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.estimators.instrumental import instrumental_variables
 from torchrbd.inference.estimators.plain import regress, regress_on_noisy_inputs
 from torchrbd.inference.estimators.problem import LinearProblem, linear_problem
@@ -24,6 +23,7 @@ from torchrbd.inference.regression.classical import Stepwise, TotalLeastSquares,
 from torchrbd.inference.regression.cross_validated import Lasso, PartialLeastSquares, PrincipalComponents, Ridge
 from torchrbd.inference.regression.errors_in_variables import EIVARD
 from torchrbd.inference.regression.noisy_input import NoisyInputRegression
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 
 Estimator = Callable[[LinearProblem], tuple[Tensor, str]]

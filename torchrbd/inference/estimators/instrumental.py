@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError
-from torchrbd.inference.data.block_statistics import filtered_rows
 from torchrbd.inference.estimators.problem import LinearProblem, pseudo_inverse
+from torchrbd.likelihood.block_statistics import filtered_rows
 
 
 def instrumental_variables(problem: LinearProblem) -> tuple[Tensor, str]:

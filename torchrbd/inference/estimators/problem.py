@@ -19,10 +19,10 @@ import scipy.linalg
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.block_statistics import BlockStatistics, assemble
-from torchrbd.inference.data.columns import Candidate
-from torchrbd.inference.physical.map_fit import first_noise_variance, residual_variance
 from torchrbd.inference.preparation import Prepared
+from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
+from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.map_fit import first_noise_variance, residual_variance
 from torchrbd.recordings import States
 
 # Of a column's square. Right angles written as 1.5708 make columns that depend on each other up to 4e-6 differ.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.block_statistics import assemble, filtered_rows
 from torchrbd.inference.estimators.problem import LinearProblem
-from torchrbd.inference.physical.map_fit import LEAST_NOISE
+from torchrbd.likelihood.block_statistics import assemble, filtered_rows
+from torchrbd.likelihood.map_fit import LEAST_NOISE
 
 _HUBER, _NORMAL_MAD = 1.345, 0.6745
 _MOST_PASSES, _SETTLED = 20, 0.1

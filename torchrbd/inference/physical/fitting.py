@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.block_statistics import BlockStatistics
-from torchrbd.inference.data.columns import Candidate, Columns
-from torchrbd.inference.physical.map_fit import first_noise_variance, residual_variance, scaled_equations
-from torchrbd.inference.physical.physical_fit import PhysicalFit, physical_fit
-from torchrbd.inference.physical.prior import Prior
 from torchrbd.inference.physical.scatter import Scatter
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.shapes.slope import ShapeSlope
 from torchrbd.inference.torque_error import Fit
+from torchrbd.likelihood.block_statistics import BlockStatistics
+from torchrbd.likelihood.columns import Candidate, Columns
+from torchrbd.likelihood.map_fit import first_noise_variance, residual_variance, scaled_equations
+from torchrbd.likelihood.physical_fit import PhysicalFit, physical_fit
+from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Site, Term
 from torchrbd.recordings import States

@@ -27,9 +27,9 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError
-from torchrbd.inference.physical.map_fit import Scaled
-from torchrbd.inference.physical.physical_fit import physical_fit
-from torchrbd.inference.physical.prior import Prior
+from torchrbd.likelihood.map_fit import Scaled
+from torchrbd.likelihood.physical_fit import physical_fit
+from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.robot import pseudo_inertia
 

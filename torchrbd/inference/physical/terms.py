@@ -7,10 +7,10 @@ import math
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.columns import Candidate
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.results import ParameterEstimate
 from torchrbd.inference.shapes.slope import Axis, ShapeSlope, axes
+from torchrbd.likelihood.columns import Candidate
 
 # Of the range of a shape on the grid.
 _DIFFERENCE = 1e-3

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrbd.inference.physical.map_fit import Scaled
-from torchrbd.inference.physical.prior import Prior
+from torchrbd.likelihood.map_fit import Scaled
+from torchrbd.likelihood.urdf_prior import Prior
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.physical.prior import Prior, local_coordinates
 from torchrbd.inference.posterior.experiments import KINDS, SECONDS, Motion, in_words, information
+from torchrbd.likelihood.urdf_prior import Prior, local_coordinates
 from torchrbd.parameters import PARAMETERS_PER_BODY, BaseParameters, base_parameters
 
 Status = Literal["identified", "combination", "unexcited", "not identifiable", "held"]

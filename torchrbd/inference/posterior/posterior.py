@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.physical.prior import Prior
 from torchrbd.inference.posterior.predictive import PredictiveVariance, predictive_variance
 from torchrbd.inference.posterior.sampling import sample_robots
+from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.threads import single_threaded
 
 

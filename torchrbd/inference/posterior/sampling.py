@@ -23,10 +23,10 @@ from torch import Tensor
 
 from torchrbd.errors import InputError
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.physical.map_fit import Scaled
-from torchrbd.inference.physical.physical_fit import physical_fit
-from torchrbd.inference.physical.prior import Prior, local_coordinates
 from torchrbd.inference.posterior.hamiltonian import sample
+from torchrbd.likelihood.map_fit import Scaled
+from torchrbd.likelihood.physical_fit import physical_fit
+from torchrbd.likelihood.urdf_prior import Prior, local_coordinates
 from torchrbd.parameters import BASIS, ORTHONORMAL, PARAMETERS_PER_BODY
 from torchrbd.robot import pseudo_inertia
 

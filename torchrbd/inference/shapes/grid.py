@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.columns import Candidate
-from torchrbd.inference.physical.map_fit import noise_variance, scaled_equations
 from torchrbd.inference.preparation import Prepared
+from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.map_fit import noise_variance, scaled_equations
 from torchrbd.physics import Site
 
 _MOST_SWEEPS = 5

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from torchrbd.errors import OptionError
-from torchrbd.inference.data.columns import Columns
+from torchrbd.likelihood.columns import Columns
 from torchrbd.physics import Effect, Site, Window, effect
 from torchrbd.robot import RobotModel
 

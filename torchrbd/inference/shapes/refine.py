@@ -19,16 +19,16 @@ import torch
 from scipy.optimize import lsq_linear
 from torch import Tensor
 
-from torchrbd.inference.data.block_statistics import assemble
-from torchrbd.inference.data.columns import URDF_FRICTION, Candidate
-from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.physical.map_fit import noise_variance, scaled_equations, solve
 from torchrbd.inference.physical.scatter import block_scatter
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.grid import Terms, best_on_grid, columns_of
 from torchrbd.inference.shapes.reread import reread, with_input_noise
 from torchrbd.inference.shapes.slope import ShapeSlope, axes, feature_slopes, slopes
+from torchrbd.likelihood.block_statistics import assemble
+from torchrbd.likelihood.columns import URDF_FRICTION, Candidate
+from torchrbd.likelihood.map_fit import noise_variance, scaled_equations, solve
+from torchrbd.likelihood.reading import Progress
 from torchrbd.physics import Shape
 
 _MOST_PASSES = 12

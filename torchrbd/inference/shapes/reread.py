@@ -8,15 +8,15 @@ from dataclasses import replace
 import torch
 from torch import nn
 
-from torchrbd.inference.data.columns import Candidate, Columns
-from torchrbd.inference.data.reading import Progress
 from torchrbd.inference.input_noise import input_noise
 from torchrbd.inference.physical.fitting import fit_model
-from torchrbd.inference.physical.prior import data_prior
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.slope import ShapeSlope, axes
 from torchrbd.inference.smoothing.smooth import Trajectory
 from torchrbd.inference.smoothing.smoother import StateSmoother
+from torchrbd.likelihood.columns import Candidate, Columns
+from torchrbd.likelihood.reading import Progress
+from torchrbd.likelihood.urdf_prior import data_prior
 
 
 def reread(prepared: Prepared, columns: Columns, progress: Progress) -> Prepared:

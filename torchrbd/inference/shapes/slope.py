@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.columns import Candidate, Columns
+from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.physics import Shape, Signals
 
 # Of the distance between grid points: the step of the central difference.

@@ -27,13 +27,13 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
-from torchrbd.inference.data.columns import Columns
-from torchrbd.inference.physical.map_fit import Scaled
-from torchrbd.inference.physical.physical_fit import PhysicalFit, physical_fit
-from torchrbd.inference.physical.prior import Prior
 from torchrbd.inference.smoothing.information import Information, distance, eliminate
 from torchrbd.inference.smoothing.linearisation import residual
 from torchrbd.inference.smoothing.stretch import Stretch
+from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.map_fit import Scaled
+from torchrbd.likelihood.physical_fit import PhysicalFit, physical_fit
+from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, to_log_cholesky
 from torchrbd.robot import pseudo_inertia
 

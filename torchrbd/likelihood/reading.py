@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.block_statistics import BlockStatistics, block_statistics
-from torchrbd.inference.data.columns import Columns
-from torchrbd.inference.data.simulated import Simulated
+from torchrbd.likelihood.block_statistics import BlockStatistics, block_statistics
+from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.simulated import Simulated
 from torchrbd.recordings import Filtering, Recording, States, Survey, tiles
 from torchrbd.robot import RobotModel
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.columns import Columns
+from torchrbd.likelihood.columns import Columns
 from torchrbd.recordings import States
 
 

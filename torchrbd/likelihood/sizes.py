@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from torchrbd.inference.data.columns import Candidate
-from torchrbd.inference.physical.prior import in_proportion, orthonormal_steps
+from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.urdf_prior import in_proportion, orthonormal_steps
 from torchrbd.parameters import PARAMETERS_PER_BODY, nearest_physical
 from torchrbd.robot import RobotModel, pseudo_inertia
 

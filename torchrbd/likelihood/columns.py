@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError
-from torchrbd.inference.data.shocks import calm, shock
-from torchrbd.inference.data.sticking import stick_weight, undetermined
+from torchrbd.likelihood.shocks import calm, shock
+from torchrbd.likelihood.sticking import stick_weight, undetermined
 from torchrbd.physics import Effect, JointScale, Shape, Signals, Site, Window, effect
 from torchrbd.physics.plain_friction import plain_friction
 from torchrbd.recordings import States

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.block_statistics import BlockStatistics, assemble
-from torchrbd.inference.data.columns import Columns
-from torchrbd.inference.physical.prior import Prior
+from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
+from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.urdf_prior import Prior
 
 # Torque is believed to this part of its RMS at best: noise-free simulations would have infinite weights.
 LEAST_NOISE = 1e-5

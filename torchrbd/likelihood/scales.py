@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.reading import Reading
+from torchrbd.likelihood.reading import Reading
 from torchrbd.physics import JointScale
 from torchrbd.recordings import Filtering, Survey
 

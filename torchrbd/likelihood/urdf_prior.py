@@ -18,8 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.inference.data.block_statistics import BlockStatistics
-from torchrbd.inference.data.columns import Columns
+from torchrbd.likelihood.block_statistics import BlockStatistics
+from torchrbd.likelihood.columns import Columns
 from torchrbd.parameters import BASIS, ORTHONORMAL, PARAMETERS_PER_BODY, is_extended, nearest_physical
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrbd.inference.physical.map_fit import Scaled
-from torchrbd.inference.physical.prior import Prior, orthonormal_steps
+from torchrbd.likelihood.map_fit import Scaled
+from torchrbd.likelihood.urdf_prior import Prior, orthonormal_steps
 from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY, is_physical
 from torchrbd.robot import from_pseudo_inertia
 
