@@ -89,7 +89,9 @@ def told(fit: Likelihood, rows: Rows, candidate: Candidate) -> Hypothesis | None
 
 
 def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis whose shape lies between those of the grid, the average taken over that cell of it."""
+    """Return a hypothesis whose shape, or window, lies between those of the grid; the average is that of finer cells."""
+    if h.candidate.site.window is not None:
+        return _located(fit, rows, h)
     columns = rows.columns
     for name, axis in axes(columns, h.candidate).items():
         if axis.reach <= 0:
@@ -97,15 +99,45 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
         now = h.candidate
         values = np.linspace(*axis.limits(now.shape[name]), _FINE)
         near = [columns.candidate(now.effect, now.site, {**now.shape, name: float(v)}) for v in values]
-        found = [one for c in near if (one := told(fit, rows, c)) is not None]
+        found = _told(fit, rows, near)
         if not found:
             continue
         best = max(found, key=lambda one: one.log_evidence)
-        cell = float(logsumexp([one.log_evidence for one in found])) - math.log(len(found))
         # The cell's part of the average was the grid's best value alone.
+        cell = _mean(np.array([one.log_evidence for one in found]))
         more = np.logaddexp(h.log_evidence, cell - math.log(h.tried)) if h.tried > 1 else max(h.log_evidence, cell)
         h = replace(best, log_evidence=float(more), tried=h.tried)
     return h
+
+
+def _located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis whose window begins and ends when it fits best, near the edges of blocks.
+
+    A load that comes or goes is a step, which whitened rows place to some hundredths of a second: the evidence of a
+    window is that of its best edges, averaged over those near them.
+    """
+    best, paid, step = h, 0.0, 2.0 * float(np.ptp(rows.t)) / max(len(np.unique(rows.block)), 1)
+    for edge in ("start_s", "end_s"):
+        window = best.candidate.site.window
+        assert window is not None
+        inside = rows.t[rows.recording == rows.recordings.index(window.recording)]
+        now, dt = getattr(window, edge), 2 * rows.dt_out
+        if math.isinf(now):
+            continue
+        times = np.arange(max(now - step, inside[0]), min(now + step, inside[-1]) + dt, dt)
+        windows = [replace(window, **{edge: float(t)}) for t in times]
+        sites = [replace(best.candidate.site, window=w) for w in windows if w.end_s - w.start_s > step / 4]
+        found = _told(fit, rows, [rows.columns.candidate(best.candidate.effect, site, {}) for site in sites])
+        if found:
+            best = max(found, key=lambda one: one.log_evidence)
+            paid += best.log_evidence - _mean(np.array([one.log_evidence for one in found]))
+    located = best.log_evidence - paid - math.log(h.tried) if best is not h else -math.inf
+    return replace(best, log_evidence=max(located, h.log_evidence if best is h else -math.inf), tried=h.tried)
+
+
+def _told(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> list[Hypothesis]:
+    """Return the evidence of candidates one by one, without those that cannot be evaluated."""
+    return [one for c in candidates if (one := told(fit, rows, c)) is not None]
 
 
 def _may_be(e: Effect, site: Site, rows: Rows) -> bool:
@@ -129,12 +161,14 @@ def _averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> H
     found = added(S[at[:, :, None], at[:, None, :]][:, None], r[at][:, None], std, parts[0][0].effect.prior.positive)
     shape, size = np.unravel_index(int(found.log_evidence.argmax()), found.log_evidence.shape)
     best = shape, size
-    return Hypothesis(parts[shape][0], _mean(found), found.mean[best], found.std[best], float(scales[size]), len(parts))
+    return Hypothesis(
+        parts[shape][0], _mean(found.log_evidence), found.mean[best], found.std[best], float(scales[size]), len(parts)
+    )
 
 
-def _mean(found: Addition) -> float:
+def _mean(log_evidence: np.ndarray) -> float:
     """Return the log of the mean evidence of alternatives that are equally likely."""
-    return float(logsumexp(found.log_evidence)) - math.log(found.log_evidence.size)
+    return float(logsumexp(log_evidence)) - math.log(log_evidence.size)
 
 
 def _in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis]:
@@ -148,7 +182,7 @@ def _in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis]:
 
 @dataclass(frozen=True)
 class _Stretches:
-    """Stretches of one recording: their edges by block, and the time at each edge [s]."""
+    """Stretches of one recording: their edges by block, and the time at each edge [s], infinite at both ends."""
 
     blocks: np.ndarray
     times: np.ndarray
@@ -159,8 +193,9 @@ class _Stretches:
         inside = rows.recording == number
         blocks, first = np.unique(rows.block[inside], return_index=True)
         step = math.ceil(len(blocks) / (_MOST_EDGES - 1))
-        t = rows.t[inside]
-        return _Stretches(blocks[::step], np.append(t[first][::step], t[-1]), bool((rows.recording != number).any()))
+        times = np.append(rows.t[inside][first][::step], math.inf)
+        times[0] = -math.inf
+        return _Stretches(blocks[::step], times, bool((rows.recording != number).any()))
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
         """Yield begin and end of each stretch, by edge; all of it only where there are other recordings."""
@@ -181,7 +216,9 @@ def _in_stretches(fit: Likelihood, rows: Rows, candidate: Candidate, number: int
     k, size = np.unravel_index(int(found.log_evidence.argmax()), found.log_evidence.shape)
     window = Window(rows.recordings[number], float(stretches.times[begin[k]]), float(stretches.times[end[k]]))
     best = rows.columns.candidate(candidate.effect, replace(candidate.site, window=window), {})
-    return Hypothesis(best, _mean(found), found.mean[k, size], found.std[k, size], float(scales[size]), len(begin))
+    return Hypothesis(
+        best, _mean(found.log_evidence), found.mean[k, size], found.std[k, size], float(scales[size]), len(begin)
+    )
 
 
 def _sums(

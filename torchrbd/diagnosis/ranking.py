@@ -276,7 +276,12 @@ def _last(
 def _ranked(h: Hypothesis, fit: Likelihood, robot: RobotModel) -> Ranked:
     c, site = h.candidate, h.candidate.site
     w = torch.from_numpy(_whole(c, h.coefficients, fit))
-    window = None if site.window is None else (site.window.recording, site.window.start_s, site.window.end_s)
+    window = None
+    if site.window is not None:
+        rows = fit.machine.rows
+        t = rows.t[rows.recording == rows.recordings.index(site.window.recording)]
+        begin, end = max(site.window.start_s, float(t[0])), min(site.window.end_s, float(t[-1]))
+        window = site.window.recording, begin, end
     return Ranked(
         effect=c.effect.id,
         joints=() if site.joint is None else (robot.joint_names[site.joint],),

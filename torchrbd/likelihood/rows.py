@@ -26,6 +26,8 @@ from torchrbd.recordings import States
 _MOST_STATES = 100_000
 # How many a second, at least, and for each Hz of the band: features of a motion below the cut-off reach beyond it.
 _LEAST_RATE_HZ, _LEAST_RATE_CYCLES = 100.0, 16.0
+# Numbers of features that are remembered at most, about.
+_MOST_REMEMBERED = 20_000_000
 # Blocks of time into which a recording is divided at most.
 _MOST_BLOCKS = 64
 
@@ -101,9 +103,12 @@ class Rows:
     def features(self, candidate: Candidate) -> np.ndarray:
         """Return the features of a candidate, (K, M) at its joint, or (K, n, M) if it acts on the whole robot."""
         key = candidate.effect, candidate.site, *candidate.shape.items()
-        if key not in self._known:
-            self._known[key] = self.evaluated(lambda signals: torch.stack(list(candidate.features(signals).values())))
-        return self._known[key]
+        if key in self._known:
+            return self._known[key]
+        found = self.evaluated(lambda signals: torch.stack(list(candidate.features(signals).values())))
+        if found.size * (len(self._known) + 1) < _MOST_REMEMBERED:
+            self._known[key] = found
+        return found
 
     def evaluated(self, function: Callable[[Signals], Tensor]) -> np.ndarray:
         """Return a function of the signals, (..., N) of each tile, through the filter that the torque has passed."""
