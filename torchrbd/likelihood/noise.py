@@ -4,7 +4,8 @@
 
 s_t says which rows are noisier than others: encoder noise counts by the inertia that it is multiplied with.
 
-A row is whitened by predicting its error from those before it; a run's first rows, which have too few, only predict.
+A row is whitened by predicting its error from those before it; a run's first rows only predict: as many whatever the
+order, so that models with noises of different orders explain the same rows.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ class Noise:
     scale: np.ndarray
 
     def index(self, run: np.ndarray, measured: np.ndarray) -> np.ndarray:
-        """Return the rows (m,) with enough before them in their run, of run (M,) and measured (M,)."""
-        p = len(self.predictor)
+        """Return the rows (m,) with enough before them in their run for any order, of run (M,) and measured (M,)."""
+        p = max(_MOST_ORDER, len(self.predictor))
         k = np.arange(p, len(run))
         return k[(run[k] == run[k - p]) & measured[k] & measured[k - p]]
 
