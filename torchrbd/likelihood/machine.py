@@ -84,13 +84,13 @@ class Machine:
 
     Attributes:
         n: number of coefficients.
-        torque_rms: (n_dof,) [N m or N].
+        torque_rms: (n_dof,) of what is measured [N m or N].
     """
 
     def __init__(self, rows: Rows, held: frozenset[str] = frozenset()) -> None:
         self.rows = rows
         self.mean, self.inertial, self.scale = inertial_scale(rows.columns.robot, held)
-        self.torque_rms = np.sqrt(np.mean(rows.tau**2, axis=1))
+        self.torque_rms = np.sqrt((rows.tau**2).sum(1) / np.maximum(rows.measured.sum(1), 1))
         self.speed_rms = np.sqrt(np.mean(rows.qd**2, axis=1))
         self._drift, self._drift_size = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
         self._local = len(ORDINARY) + 1 + len(RESPONSE_ORDERS) + _ROUNDING + len(self._drift)

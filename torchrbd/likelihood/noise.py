@@ -8,7 +8,8 @@ times that of u. Rows count by w and are whitened by predicting their error from
 
     sum_i b_i w_(t-i) e_(t-i),   variance  sum_ij b_i b_j w_(t-i) w_(t-j) c_|i-j| + c_0 sum_i b_i^2 (1 - w_(t-i)^2)
 
-with c the autocovariance of u. A run's first rows, which have too few before them, only predict.
+with c the autocovariance of u. A run's first rows only predict: as many whatever the order, so that models with noises
+of different orders explain the same rows.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ class Noise:
         return np.linalg.solve(A, np.eye(p + 1)[0])
 
     def index(self, run: np.ndarray, measured: np.ndarray) -> np.ndarray:
-        """Return the rows (m,) with enough before them in their run, of run (M,) and measured (M,)."""
-        p = len(self.predictor)
+        """Return the rows (m,) with enough before them in their run for any order, of run (M,) and measured (M,)."""
+        p = max(_MOST_ORDER, len(self.predictor))
         k = np.arange(p, len(run))
         return k[(run[k] == run[k - p]) & measured[k] & measured[k - p]]
 

@@ -74,7 +74,8 @@ class Filtering:
             return kernels.expand(len(share), *kernels.shape)
         half = self._motion_reach(dt)
         frequency = np.fft.rfftfreq(_OVERSAMPLED * half, dt)
-        gain = np.stack([np.interp(frequency, share_hz, own) for own in share])
+        # The window below smears the gain over this width: what falls there must not fall within the motion.
+        gain = np.stack([np.interp(frequency - 1.0 / _WIENER_REACH_S, share_hz, own) for own in share])
         centred = np.roll(np.fft.irfft(gain, _OVERSAMPLED * half), half, axis=1)[:, : 2 * half + 1]
         wiener = centred * np.hanning(2 * half + 3)[1:-1]
         wiener /= wiener.sum(1, keepdims=True)

@@ -1,0 +1,206 @@
+"""Check the evidence of hypotheses: of injected effects, of none, and of stretches of time against brute force."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from likelihood.arms import recorded, rows_of, wrong_robot
+from likelihood.fits import OPTIONS, URDF, WIDTH, at_joint, candidate, carried, fitted, with_friction
+from scipy.special import logsumexp
+from simulated import Motion, inverse_dynamics, joint_names
+
+from torchrbd.diagnosis.hypotheses import (
+    ORDINARY,
+    Hypothesis,
+    _in_stretches,
+    _Stretches,
+    names,
+    refined,
+    screened,
+    told,
+)
+from torchrbd.diagnosis.ranking import with_own_noise
+from torchrbd.likelihood.gaussian import added
+from torchrbd.likelihood.likelihood import Likelihood, learn
+from torchrbd.likelihood.machine import Machine
+from torchrbd.likelihood.sizes import coefficient_std
+from torchrbd.likelihood.rows import Rows
+from torchrbd.physics import Site, Window
+from torchrbd.physics.registry import effect, effects
+
+ALL = list(effects().values())
+BEGIN_S, MASS, CENTRE = 10.0, 0.5, np.array([0.05, 0.1, 0.1])
+
+
+def rotor(m: Motion) -> np.ndarray:
+    return 0.05 * m.qdd[:, 1]
+
+
+def stribeck(m: Motion) -> np.ndarray:
+    return 0.6 * np.tanh(m.qd[:, 0] / WIDTH) * np.exp(-((m.qd[:, 0] / 0.3) ** 2))
+
+
+def ripple(m: Motion) -> np.ndarray:
+    return 0.08 * np.sin(17.4 * m.q[:, 1] + 0.7)
+
+
+def payload(m: Motion) -> np.ndarray:
+    """Return what a point mass on the last link adds from ``BEGIN_S`` on, by Pinocchio."""
+    model = pin.buildModelFromXML(URDF)
+    model.inertias[2] = model.inertias[2] + pin.Inertia(MASS, CENTRE, np.zeros((3, 3)))
+    data = model.createData()
+    loaded = np.stack([pin.rnea(model, data, *row).copy() for row in zip(m.q, m.qd, m.qdd, strict=True)])
+    return (loaded - inverse_dynamics(URDF, m)) * (m.t >= BEGIN_S)[:, None]
+
+
+ROTOR, STRIBECK, RIPPLE = at_joint(1, rotor), at_joint(0, stribeck), at_joint(1, ripple)
+
+
+def leading(torque) -> tuple[Likelihood, Rows, list[Hypothesis]]:
+    fit = fitted(torque)
+    rows = carried(fit)
+    return fit, rows, screened(fit, rows, ALL)
+
+
+def test_nothing_has_evidence_where_nothing_is() -> None:
+    fit, rows, found = leading(None)
+    assert len(found) > 40
+    assert all(h.log_evidence < 8.0 for h in found)
+    assert all(with_own_noise(fit, rows, refined(fit, rows, h)).log_evidence < 8.0 for h in found[:5])
+    assert [h.log_evidence for h in found] == sorted((h.log_evidence for h in found), reverse=True)
+    assert not {name for name, _ in names(found)} & set(ORDINARY)
+    assert len(names(found)) == len(found)
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "torque"),
+    [("rotor_inertia", 1, ROTOR), ("stribeck_friction", 0, STRIBECK), ("torque_ripple", 1, RIPPLE)],
+)
+def test_injected_effect_is_first_with_large_evidence(name: str, joint: int, torque) -> None:
+    fit, rows, found = leading(torque)
+    best = [with_own_noise(fit, rows, refined(fit, rows, h)) for h in found[:3]]
+    assert best[0].name == (name, Site(joint))
+    assert best[0].log_evidence > max(30.0, *(h.log_evidence + 20 for h in best[1:]))
+    c = best[0]
+    match name:
+        case "rotor_inertia":
+            assert abs(c.coefficients[0] - 0.05) < 4 * c.std[0]
+        case "stribeck_friction":
+            assert abs(c.coefficients[1] - 0.6) < 4 * c.std[1]
+            assert c.candidate.shape["stribeck_speed"] == pytest.approx(0.3, rel=0.15)
+        case "torque_ripple":
+            assert c.candidate.shape["order"] == pytest.approx(17.4, abs=0.1)
+            assert np.hypot(*c.coefficients) == pytest.approx(0.08, rel=0.1)
+
+
+def test_load_that_is_taken_up_is_found_with_its_time() -> None:
+    fit, rows, found = leading(payload)
+    assert found[0].name == ("payload", Site(body=1))
+    best = with_own_noise(fit, rows, found[0])
+    assert best.log_evidence > 30
+    window = best.candidate.site.window
+    assert window is not None
+    assert window.start_s == pytest.approx(BEGIN_S, abs=1.0)
+    assert window.end_s > 19.0
+    assert abs(best.coefficients[0] - MASS) < 4 * best.std[0]
+
+
+def test_refining_comes_nearer_to_the_truth_than_the_grid() -> None:
+    fit, rows, found = leading(RIPPLE)
+    coarse, fine = found[0], refined(fit, rows, found[0])
+    assert fine.tried == coarse.tried
+    assert abs(fine.candidate.shape["order"] - 17.4) < abs(coarse.candidate.shape["order"] - 17.4)
+    assert abs(fine.log_evidence - coarse.log_evidence) < 6.0
+
+
+def test_shapes_that_were_tried_are_paid_for() -> None:
+    """log B is that of the mean of B over shapes and sizes, and not more than that of the best shape."""
+    fit, rows, found = leading(RIPPLE)
+    h, c = found[0], found[0].candidate
+    shapes = c.effect.shapes(rows.columns.scale(c.site))
+    each = [told(fit, rows, rows.columns.candidate(c.effect, c.site, s)) for s in shapes]
+    assert h.tried == len(shapes) == len(each)
+    evidence = [one.log_evidence for one in each if one is not None]
+    assert h.log_evidence == pytest.approx(logsumexp(evidence) - np.log(len(evidence)), abs=1e-6)
+    assert h.log_evidence < max(evidence)
+
+
+def test_size_is_averaged_over() -> None:
+    fit, rows, found = leading(ROTOR)
+    c = found[0].candidate
+    F = rows.features(c)
+    std, scales = coefficient_std(c, F, fit.machine.torque_rms)
+    each = [added(*fit.beside(1, F), std * k, positive=(0,)).log_evidence for k in scales]
+    assert found[0].log_evidence == pytest.approx(logsumexp(each) - np.log(len(scales)), abs=1e-6)
+    assert found[0].scale == scales[int(np.argmax(each))]
+
+
+@pytest.fixture(scope="module")
+def two_recordings() -> tuple[Likelihood, Rows]:
+    """Return a fit of two recordings, a load in the second one."""
+    first = recorded(URDF, 3, with_friction(), name="first", **{**OPTIONS, "duration_s": 8.0})
+    second = recorded(URDF, 4, with_friction(payload), name="second", **{**OPTIONS, "duration_s": 14.0})
+    fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [first, second])))
+    return fit, carried(fit)
+
+
+def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Rows]) -> None:
+    """Each stretch is judged as its whitened columns are, zero outside of it, beside the fit."""
+    fit, rows = two_recordings
+    c = candidate(rows, "payload", Site(body=1, window=Window("second")))
+    stretches = _Stretches.of(rows, 1)
+    assert stretches.whole
+    F = rows.features(c)
+    std, scales = coefficient_std(c, F, fit.machine.torque_rms)
+    blocks = np.append(stretches.blocks, rows.block.max() + 1)
+    expected = []
+    for begin, end in stretches:
+        inside = (rows.block >= blocks[begin]) & (rows.block < blocks[end]) & (rows.recording == 1)
+        columns = {j: fit.hyper.noise[j].white(F[:, j], i) * inside[i] for j, i in enumerate(fit.index)}
+        S, r = fit.gaussian.beside(columns)
+        expected += [added(S, r, k * std, (0,)).log_evidence for k in scales]
+    got = _in_stretches(fit, rows, c, 1, stretches)
+    assert got.tried == len(list(stretches)) == len(expected) // len(scales)
+    assert got.log_evidence == pytest.approx(logsumexp(expected) - np.log(len(expected)), abs=1e-6)
+    window = got.candidate.site.window
+    assert window is not None
+    assert window.recording == "second"
+    assert window.start_s == pytest.approx(BEGIN_S, abs=1.0)
+
+
+def test_stretches_cover_all_but_the_whole_of_a_single_recording() -> None:
+    rows = carried(fitted())
+    stretches = _Stretches.of(rows, 0)
+    n = len(stretches.blocks)
+    assert not stretches.whole
+    assert len(list(stretches)) == n * (n + 1) // 2 - 1
+    assert (0, n) not in list(stretches)
+    assert len(stretches.times) == n + 1
+    assert (np.diff(stretches.times) > 0).all()
+
+
+def test_joint_without_torque_has_no_hypotheses() -> None:
+    silent = joint_names(URDF)[1]
+    recording = recorded(URDF, 2, with_friction(), missing=[silent], **OPTIONS)
+    fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [recording])))
+    found = screened(fit, carried(fit), ALL)
+    assert len(found) > 15
+    own = [h for h in found if h.candidate.site.joint == 1 and not h.candidate.effect.whole_robot]
+    assert not own
+    assert all(np.isfinite(h.log_evidence) for h in found)
+    assert all(h.log_evidence < 8.0 for h in found)
+
+
+def test_effect_without_features_is_no_hypothesis() -> None:
+    fit = fitted()
+    rows = carried(fit)
+    c = candidate(
+        rows,
+        "thermal_viscosity",
+        Site(0),
+        **dict(effect("thermal_viscosity").shapes(replace(rows.columns.scales[0], temperature=(20.0, 30.0)))[0]),
+    )
+    assert told(fit, rows, c) is None

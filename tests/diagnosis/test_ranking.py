@@ -1,0 +1,118 @@
+"""Check the ranking of what a URDF may leave out, from files' contents to the order of hypotheses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from likelihood.arms import recorded
+from likelihood.fits import DELAY_S, OPTIONS, URDF, at_joint, with_friction
+from simulated import joint_names, with_wrong_inertials
+
+from torchrbd.diagnosis.ranking import Ranking, rank
+from torchrbd.errors import InputError, OptionError
+
+GIVEN = with_wrong_inertials(URDF, 1, 0.1).encode()
+FIRST, SECOND = joint_names(URDF)
+SURE = math.log(9.0)
+ORDER, AMPLITUDE, INERTIA = 17.4, 0.08, 0.05
+CONCEALED = at_joint(1, lambda m: AMPLITUDE * np.sin(ORDER * m.q[:, 1] + 0.7) + INERTIA * m.qdd[:, 1])
+
+
+@pytest.fixture(scope="module")
+def found() -> Ranking:
+    """Return the ranking of an arm with two concealed effects; another recording is held out."""
+    recording = recorded(URDF, 2, with_friction(CONCEALED), delay_s=DELAY_S, **OPTIONS)
+    other = recorded(URDF, 5, lambda m: 50.0 + 0.0 * m.q, name="other", **OPTIONS)
+    return rank(GIVEN, recording, holdout=[other])
+
+
+def test_what_is_there_is_adopted_and_nothing_else(found: Ranking) -> None:
+    assert {(h.effect, h.joints) for h in found.adopted} == {("torque_ripple", (SECOND,)), ("rotor_inertia", (SECOND,))}
+    assert found.first[0].effect == found.adopted[0].effect
+    for h in found.adopted:
+        assert h.log_evidence > 30
+        match h.effect:
+            case "torque_ripple":
+                assert h.parameters["amplitude"] == pytest.approx(AMPLITUDE, rel=0.1)
+                assert h.parameters["order"] == pytest.approx(ORDER, abs=0.1)
+                assert h.shape["order"] == h.parameters["order"]
+            case _:
+                assert h.parameters["rotor_inertia"] == pytest.approx(INERTIA, rel=0.1)
+
+
+def test_beside_what_was_adopted_nothing_is_sure(found: Ranking) -> None:
+    adopted = {(h.effect, h.joints) for h in found.adopted}
+    last = [h for h in found.last if (h.effect, h.joints) not in adopted]
+    assert len(last) > 20
+    assert all(h.log_evidence < math.log(found.considered) + SURE for h in last)
+    assert {(h.effect, h.joints) for h in found.last[:2]} == adopted
+    for hypotheses in (found.first, found.last):
+        assert [h.log_evidence for h in hypotheses] == sorted((h.log_evidence for h in hypotheses), reverse=True)
+
+
+def test_evidence_of_the_truth_is_about_that_of_the_ranking(found: Ranking) -> None:
+    best = found.first[0]
+    told = found.evidence_of("torque_ripple", [SECOND], shape={"order": ORDER})
+    assert best.effect == "torque_ripple"
+    # The order is known and need not be paid for.
+    assert best.log_evidence < told + 3
+    assert told < best.log_evidence + 15
+    assert found.evidence_of("torque_ripple", [SECOND], shape={"order": 9.3}) < 8
+    assert found.evidence_of("quadratic_drag", [FIRST]) < 8
+    assert found.evidence_of(effect="quadratic_drag", joints=[FIRST]) == pytest.approx(
+        found.evidence_of("quadratic_drag", [FIRST])
+    )
+
+
+def test_evidence_is_told_of_every_kind_of_place(found: Ranking) -> None:
+    link = found.evidence_of("payload", links=["link2"], window=("simulated", 5.0, 9.0))
+    assert link < 8
+    assert np.isfinite(found.evidence_of("base_tilt"))
+    assert np.isfinite(found.evidence_of("joint_coupling", [FIRST], shape={"other": SECOND}))
+    assert found.evidence_of("payload", links=["link2"], window=("no such recording", 5.0, 9.0)) == -math.inf
+
+
+def test_ordinary_friction_and_clock_are_told(found: Ranking) -> None:
+    by = {(h.effect, h.joints[0]): h for h in found.ordinary}
+    assert len(by) == 4
+    for joint, viscous, coulomb in ((FIRST, 0.4, 1.0), (SECOND, 0.2, 0.3)):
+        rubbed = by["asymmetric_coulomb_friction", joint]
+        assert by["viscous_friction", joint].parameters["viscous"] == pytest.approx(viscous, rel=0.1)
+        assert list(rubbed.parameters.values()) == pytest.approx([coulomb, coulomb], rel=0.1)
+        assert rubbed.shape["width"] == pytest.approx(0.05, rel=0.5)
+        assert rubbed.log_evidence > 30
+    assert set(found.delay_s) == {"simulated"}
+    delay, std = found.delay_s["simulated"]
+    assert delay == pytest.approx(DELAY_S, abs=max(4 * std, 2e-4))
+
+
+def test_recording_that_is_held_out_is_not_looked_at(found: Ranking) -> None:
+    """Its torque of 50 N m would be all that is seen."""
+    assert found.band_hz == pytest.approx(12.0, rel=0.01)
+    assert all(h.window is None or h.window[0] == "simulated" for h in found.first)
+
+
+def test_effects_that_are_chosen_are_the_only_ones() -> None:
+    recording = recorded(URDF, 2, with_friction(), **{**OPTIONS, "duration_s": 10.0})
+    told: list[float] = []
+    some = rank(GIVEN, recording, effects=["rotor_inertia", "base_tilt"], progress=lambda _, part: told.append(part))
+    assert {h.effect for h in some.first} == {"rotor_inertia", "base_tilt"}
+    assert some.considered == 3
+    assert some.adopted == ()
+    assert [h.effect for h in some.last] == [h.effect for h in some.first]
+    assert told
+    assert 0.0 <= min(told) <= max(told) <= 1.0
+
+
+def test_input_that_cannot_be_used_is_refused(found: Ranking) -> None:
+    recording = recorded(URDF, 2, **{**OPTIONS, "duration_s": 5.0})
+    with pytest.raises(OptionError, match="unknown setting 'effect'; did you mean 'effects'"):
+        rank(GIVEN, recording, effect="rotor_inertia")
+    with pytest.raises(InputError, match="no effect is left"):
+        rank(GIVEN, recording, effects=["base_tilt"], exclude=["base_tilt"])
+    with pytest.raises(InputError, match="joint9"):
+        rank(GIVEN, recording, joints=["joint9"])
+    with pytest.raises(InputError, match="no_such_effect"):
+        found.evidence_of("no_such_effect", [FIRST])

@@ -1,0 +1,153 @@
+"""Check what is learnt of coloured noise against its simulation, and drift's basis."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from torchrbd.likelihood.noise import Noise, autocovariance, drift_basis, learnt
+
+COEFFICIENTS = np.array([1.2, -0.5])
+
+
+def coloured(seed: int, n: int, a: np.ndarray = COEFFICIENTS, sigma: float = 0.3) -> np.ndarray:
+    e = sigma * np.random.default_rng(seed).normal(size=n + 500)
+    return lfilter([1.0], np.concatenate(([1.0], -a)), e)[500:]
+
+
+def of(e: np.ndarray, **options) -> Noise:
+    n = len(e)
+    given = {"scale": np.ones(n), "run": np.zeros(n), "measured": np.ones(n, bool), "used": 0.0, "dispersion": 1.0}
+    return learnt(e, **{**given, **options})
+
+
+def white(noise: Noise, e: np.ndarray, run: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    return noise.white(e, noise.index(run, measured))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_white_noise_is_found_white(seed: int) -> None:
+    noise = of(coloured(seed, 5000, np.zeros(0)))
+    assert len(noise.predictor) <= 1
+    assert noise.sigma == pytest.approx(0.3, rel=0.03)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_order_and_coefficients_of_an_autoregression_are_found(seed: int) -> None:
+    noise = of(coloured(seed, 20_000))
+    assert 2 <= len(noise.predictor) <= 4
+    np.testing.assert_allclose(noise.predictor[:2], COEFFICIENTS, atol=0.05)
+    np.testing.assert_allclose(noise.predictor[2:], 0.0, atol=0.05)
+    assert noise.sigma == pytest.approx(0.3, rel=0.02)
+
+
+def test_innovations_are_white_and_of_unit_variance() -> None:
+    runs = [coloured(k, n) for k, n in enumerate((3000, 1, 7000, 2, 40, 4000))]
+    e, run = np.concatenate(runs), np.repeat(np.arange(6), [len(r) for r in runs])
+    measured = np.ones(len(e), bool)
+    noise = of(e, run=run)
+    u = white(noise, e, run, measured)
+    assert u.var() == pytest.approx(1.0, rel=0.03)
+    for lag in range(1, 6):
+        assert abs(np.mean(u[lag:] * u[:-lag])) < 0.03
+    assert len(u) == sum(max(0, len(r) - 16) for r in runs)
+    alone = [white(noise_of(noise, len(r)), r, np.zeros(len(r)), np.ones(len(r), bool)) for r in runs if len(r) > 16]
+    np.testing.assert_allclose(u, np.concatenate(alone))
+
+
+def noise_of(noise: Noise, n: int) -> Noise:
+    return Noise(noise.predictor, noise.sigma, np.ones(n))
+
+
+def test_recording_without_torque_is_left_out() -> None:
+    """What lies in rows that are not measured changes neither the noise nor the rows."""
+    e = np.concatenate((coloured(0, 4000), np.full(3000, 1e6), coloured(1, 4000)))
+    run = np.repeat([0, 1, 2], [4000, 3000, 4000])
+    measured = run != 1
+    noise, kept = of(e, run=run, measured=measured), of(e[measured], run=run[measured])
+    np.testing.assert_allclose(noise.predictor, kept.predictor)
+    assert noise.sigma == pytest.approx(kept.sigma)
+    assert (run[noise.index(run, measured)] != 1).all()
+    np.testing.assert_allclose(
+        white(noise, e, run, measured), white(noise_of(kept, 8000), e[measured], run[measured], measured[measured])
+    )
+
+
+def test_rows_that_are_noisier_count_less() -> None:
+    n = 20_000
+    scale = 1.0 + 0.9 * np.sin(np.arange(n) / 500.0)
+    e = scale * coloured(3, n)
+    noise = of(e, scale=scale)
+    np.testing.assert_allclose(noise.predictor[:2], COEFFICIENTS, atol=0.05)
+    u = white(noise, e, np.zeros(n), np.ones(n, bool))
+    large = scale[-len(u) :] > 1.0
+    assert u[large].var() == pytest.approx(1.0, rel=0.05)
+    assert u[~large].var() == pytest.approx(1.0, rel=0.05)
+
+
+def test_signals_are_whitened_one_by_one_as_together() -> None:
+    rng = np.random.default_rng(4)
+    noise = Noise(COEFFICIENTS, 0.3, rng.uniform(0.5, 2.0, 50))
+    run, measured = np.repeat([0, 1], 25), np.ones(50, bool)
+    A, index = rng.normal(size=(3, 2, 50)), noise.index(run, measured)
+    got = noise.white(A, index)
+    for i in range(3):
+        for k in range(2):
+            u = A[i, k] / noise.scale
+            one = [(u[m] - COEFFICIENTS[0] * u[m - 1] - COEFFICIENTS[1] * u[m - 2]) / 0.3 for m in index]
+            np.testing.assert_allclose(got[i, k], one)
+
+
+def test_degrees_of_freedom_and_dispersion_raise_the_variance() -> None:
+    e = coloured(5, 4000)
+    plain = of(e)
+    assert of(e, used=1000.0).sigma == pytest.approx(plain.sigma / np.sqrt(0.75))
+    assert of(e, dispersion=4.0).sigma == pytest.approx(2.0 * plain.sigma)
+    assert of(e, dispersion=0.1).sigma == pytest.approx(plain.sigma)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e5])
+def test_predictor_does_not_depend_on_the_unit(unit: float) -> None:
+    e = coloured(6, 4000)
+    np.testing.assert_allclose(of(unit * e).predictor, of(e).predictor, rtol=1e-9)
+    assert of(unit * e).sigma == pytest.approx(unit * of(e).sigma)
+
+
+def test_no_error_at_all_is_allowed() -> None:
+    noise = of(np.zeros(100))
+    assert np.isfinite(noise.predictor).all()
+    assert noise.sigma > 0
+    assert len(of(np.zeros(0)).predictor) == 0
+
+
+def test_autocovariance_sums_products_within_runs() -> None:
+    rng = np.random.default_rng(7)
+    lengths = [30, 1, 12, 50]
+    run, e = np.repeat(np.arange(4), lengths), rng.normal(size=93)
+    parts = [np.correlate(e[run == k], e[run == k], "full")[m - 1 :][:9] for k, m in enumerate(lengths)]
+    expected = np.sum([np.pad(p, (0, 9 - len(p))) for p in parts], axis=0)
+    np.testing.assert_allclose(autocovariance(e, run, 8), expected)
+
+
+def test_drift_is_a_level_and_cosines_of_each_recording() -> None:
+    t = np.concatenate((np.arange(0.0, 20.0, 0.1), 5.0 + np.arange(0.0, 2.0, 0.1)))
+    recording = np.repeat([0, 3], [200, 20])
+    basis, sizes = drift_basis(t, recording, 0.1, 12)
+    own = np.array([b[recording == 0].any() for b in basis])
+    other = np.array([b[recording == 3].any() for b in basis])
+    assert (own ^ other).all()
+    # 19.9 s of at most .1 Hz hold three half periods; 1.9 s no whole one, but its slope.
+    assert (own.sum(), other.sum()) == (1 + 3, 1 + 1)
+    np.testing.assert_allclose(basis[0][:200], 1.0)
+    np.testing.assert_allclose(basis[4][200:], 1.0)
+    np.testing.assert_allclose(sizes, [1.0, 1.0, 1 / 2, 1 / 3, 1.0, 1.0])
+    inner = basis[:4, :200] @ basis[:4, :200].T / 200
+    np.testing.assert_allclose(inner, np.diag([1.0, 0.5, 0.5, 0.5]), atol=0.02)
+    for k, b in enumerate(basis[:4, :200]):
+        assert (np.diff(np.sign(b)) != 0).sum() == k
+
+
+def test_drift_of_a_long_recording_has_as_many_functions_as_are_allowed() -> None:
+    t = np.linspace(0.0, 1000.0, 500)
+    assert len(drift_basis(t, np.zeros(500), 0.1, 12)[0]) == 13
+    basis, _ = drift_basis(np.array([4.0]), np.zeros(1), 0.1, 12)
+    assert np.isfinite(basis).all()

@@ -1,0 +1,71 @@
+"""Check which part of the positions' power is taken for motion."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+
+from torchrbd.recordings.clock import Block
+from torchrbd.recordings.spectrum import LOWEST_HZ, Spectrum
+
+
+def spectrum(q: np.ndarray, rate_hz: float) -> Spectrum:
+    """Return the spectrum of positions (n, N) in one piece."""
+    found = Spectrum(1.0 / rate_hz, len(q), False)
+    t = np.arange(q.shape[1]) / rate_hz
+    found.add(Block(0, t, np.concatenate((q, 0.0 * q))))
+    found.close()
+    return found
+
+
+def moving(rate_hz: float, noise: float, duration_s: float = 12.0) -> np.ndarray:
+    t = np.arange(0.0, duration_s, 1.0 / rate_hz)
+    rng = np.random.default_rng(0)
+    q = np.stack([np.sin(2 * np.pi * 0.7 * t) + 0.1 * np.sin(2 * np.pi * 3.1 * t), 0.3 * np.cos(2 * np.pi * 1.3 * t)])
+    return q + noise * rng.normal(size=q.shape)
+
+
+def test_share_is_one_minus_noise_over_power_that_is_averaged_over_a_third_of_an_octave() -> None:
+    one = spectrum(moving(200.0, 1e-3), 200.0)
+    f, expected = one.frequency, np.empty(one.acceleration.shape)
+    for k in range(len(f)):
+        near = [i for i in range(len(f)) if f[k] * 2 ** (-1 / 6) <= f[i] <= f[k] * 2 ** (1 / 6)]
+        noise = 1.2 * one.q_noise_density() * one.difference_gain[k] ** 2
+        expected[:, k] = 1.0 - noise / one.acceleration[:, near].mean(1)
+    expected = np.clip(expected, 0.0, 1.0)
+    expected[:, f < LOWEST_HZ] = 1.0
+    np.testing.assert_allclose(one.motion_share(), np.minimum.accumulate(expected, 1), atol=1e-9)
+
+
+def test_motion_is_kept_and_noise_is_not() -> None:
+    one = spectrum(moving(200.0, 1e-3), 200.0)
+    share, f = one.motion_share(), one.frequency
+    assert (share[0, f < 3.0] > 0.95).all()
+    assert (share[1, f < 1.3] > 0.99).all()
+    assert (share[:, f > 20.0] < 0.1).all()
+    assert (np.diff(share, axis=1) <= 0).all()
+
+
+def test_clean_positions_are_motion_where_there_is_any() -> None:
+    one = spectrum(moving(200.0, 0.0), 200.0)
+    assert (one.motion_share()[:, one.frequency < 10.0] > 0.999).all()
+
+
+def test_joint_at_rest_has_no_motion_to_speak_of() -> None:
+    q = moving(200.0, 1e-3)
+    q[1] = 1e-3 * np.random.default_rng(1).normal(size=q.shape[1])
+    share = spectrum(q, 200.0).motion_share()
+    assert share[1].mean() < 0.15
+    q[1] = 0.3
+    assert np.isfinite(spectrum(q, 200.0).motion_share()).all()
+
+
+def test_fast_clock_takes_little_memory() -> None:
+    one = spectrum(moving(10_000.0, 1e-5, 4.0), 10_000.0)
+    assert len(one.frequency) == 16_385
+    tracemalloc.start()
+    one.motion_share()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 50e6
