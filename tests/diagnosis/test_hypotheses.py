@@ -26,8 +26,8 @@ from torchrbd.diagnosis.ranking import with_own_noise
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood, learn
 from torchrbd.likelihood.machine import Machine
-from torchrbd.likelihood.sizes import coefficient_std
 from torchrbd.likelihood.rows import Rows
+from torchrbd.likelihood.sizes import coefficient_std
 from torchrbd.physics import Site, Window
 from torchrbd.physics.registry import effect, effects
 

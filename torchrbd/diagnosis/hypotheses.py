@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 
 from torchrbd.inference.shapes.slope import axes
 from torchrbd.likelihood.columns import Candidate
-from torchrbd.likelihood.gaussian import Addition, added
+from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Extra, Likelihood
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import coefficient_std
@@ -89,7 +89,7 @@ def told(fit: Likelihood, rows: Rows, candidate: Candidate) -> Hypothesis | None
 
 
 def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis whose shape, or window, lies between those of the grid; the average is that of finer cells."""
+    """Return a hypothesis whose shape, or window, lies between those of the grid, averaged over the finer cell."""
     if h.candidate.site.window is not None:
         return _located(fit, rows, h)
     columns = rows.columns
