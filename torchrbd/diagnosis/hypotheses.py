@@ -27,6 +27,8 @@ from torchrbd.physics import Effect, Site, Window
 ORDINARY = ("viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction")
 # Edges of the stretches of time in which something may act, spread over a recording.
 _MOST_EDGES = 33
+# What is there for more than this part of a recording is there always.
+_MOST_OF_TIME = 0.9
 # Points between a shape's neighbours on the grid.
 _FINE = 9
 
@@ -124,7 +126,7 @@ def _located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
         now, dt = getattr(window, edge), 2 * rows.dt_out
         if math.isinf(now):
             continue
-        times = np.arange(max(now - step, inside[0]), min(now + step, inside[-1]) + dt, dt)
+        times = np.arange(max(now - step, inside[0] + step / 2), min(now + step, inside[-1] - step / 2) + dt, dt)
         windows = [replace(window, **{edge: float(t)}) for t in times]
         sites = [replace(best.candidate.site, window=w) for w in windows if w.end_s - w.start_s > step / 4]
         found = _told(fit, rows, [rows.columns.candidate(best.candidate.effect, site, {}) for site in sites])
@@ -198,9 +200,10 @@ class _Stretches:
         return _Stretches(blocks[::step], times, bool((rows.recording != number).any()))
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
-        """Yield begin and end of each stretch, by edge; all of it only where there are other recordings."""
+        """Yield begin and end of each stretch, by edge; at most most of it, or all where there are other recordings."""
         n = len(self.blocks)
-        return ((a, b) for a in range(n) for b in range(a + 1, n + 1) if b - a < n or self.whole)
+        longest = n if self.whole else math.floor(_MOST_OF_TIME * n)
+        return ((a, b) for a in range(n) for b in range(a + 1, n + 1) if b - a <= longest)
 
 
 def _in_stretches(fit: Likelihood, rows: Rows, candidate: Candidate, number: int, stretches: _Stretches) -> Hypothesis:

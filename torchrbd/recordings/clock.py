@@ -32,11 +32,13 @@ class Clock:
         dt: interval of the uniform clock [s].
         gap: rows further apart than this [s] start a new segment; nothing is interpolated across.
         duplicate: rows closer than this [s] to the row before are dropped.
+        regular: whether rows lie on the uniform clock but for rounding; others are interpolated, which smooths noise.
     """
 
     dt: float
     gap: float
     duplicate: float
+    regular: bool = True
 
     @staticmethod
     def of(recording: Recording) -> Clock:
@@ -60,10 +62,11 @@ class Clock:
         median = float(np.median(steps))
         steps = steps[(steps >= _DUPLICATE * median) & (steps <= _GAP * median)]
         typical = np.abs(steps - median) <= _REGULAR * median
-        if typical.mean() >= 0.9:  # a regular clock that lost some rows keeps its rate
+        regular = bool(typical.mean() >= 0.9)
+        if regular:  # a regular clock that lost some rows keeps its rate
             steps = steps[typical]
         # nine digits: .001 stays .001 however the times were rounded
-        return Clock(float(f"{steps.mean():.9g}"), _GAP * median, _DUPLICATE * median)
+        return Clock(float(f"{steps.mean():.9g}"), _GAP * median, _DUPLICATE * median, regular)
 
 
 class Census:

@@ -18,7 +18,7 @@ _KAISER_BETA = 5.653
 _OVERSAMPLING = 2.5
 # Half-length of the filter that takes the noise out [s]: it tells frequencies some Hz apart. Points of its response for
 # each of its own.
-_WIENER_REACH_S, _OVERSAMPLED = 0.4, 8
+_WIENER_REACH_S, _OVERSAMPLED = 0.8, 8
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ _WINDOW_S = 4.0
 _LONGEST_WINDOW = 32768
 _SHORTEST_WINDOW = 16
 _VELOCITY_LAG_S = 0.05
-_NOISE_BAND = (0.3, 0.45)
+_NOISE_BAND, _SMOOTHED_BAND = (0.3, 0.45), (0.03, 0.1)
 _BANDS = 80
 _VALLEY_RISE = 1.4
 _HARMONICS = 10.0
@@ -120,16 +120,21 @@ class Spectrum:
         """Return `(2 sin(w dt / 2) / dt)^2` (F,), the power gain of a first difference."""
         return (2 * np.sin(np.pi * self.frequency * self.dt) / self.dt) ** 2
 
-    def q_noise_density(self) -> np.ndarray:
-        """Return the one-sided power density (n,) of white position noise, from that near the Nyquist frequency."""
-        band = (self.frequency * self.dt > _NOISE_BAND[0]) & (self.frequency * self.dt < _NOISE_BAND[1])
+    def q_noise_density(self, *, regular: bool = True) -> np.ndarray:
+        """Return the one-sided power density (n,) of white position noise, from that near the Nyquist frequency.
+
+        What has been interpolated from an irregular clock has less of it there: lower frequencies tell, if ``regular``
+        is false.
+        """
+        low, high = _NOISE_BAND if regular else _SMOOTHED_BAND
+        band = (self.frequency * self.dt > low) & (self.frequency * self.dt < high)
         return np.median(self.acceleration[:, band] / self.difference_gain[band] ** 2, axis=1)
 
     def q_noise_std(self) -> np.ndarray:
         """Return the standard deviation (n,) of white position noise."""
         return np.sqrt(self.q_noise_density() / (2 * self.dt))
 
-    def motion_share(self) -> np.ndarray:
+    def motion_share(self, *, regular: bool = True) -> np.ndarray:
         """Return which part of the positions' power is motion and not white noise, (n, F) between 0 and 1.
 
             W(f) = 1 - S_noise(f) / S(f)
@@ -144,7 +149,7 @@ class Spectrum:
         # Sums from each begin to its end, and from there to the next begin: these are left out.
         sums = np.add.reduceat(np.pad(self.acceleration, ((0, 0), (0, 1))), np.stack(ends, 1).ravel(), axis=1)
         smooth = sums[:, ::2] / (ends[1] - ends[0])
-        noise = self.q_noise_density()[:, None] * self.difference_gain**2
+        noise = self.q_noise_density(regular=regular)[:, None] * self.difference_gain**2
         share = np.clip(1.0 - _NOISE_MARGIN * noise / np.maximum(smooth, 1e-300), 0.0, 1.0)
         share[:, f < LOWEST_HZ] = 1.0
         return np.minimum.accumulate(share, axis=1)

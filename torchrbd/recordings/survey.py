@@ -147,7 +147,7 @@ def survey(recording: Recording) -> Survey:
         q_resolution=census.resolution,
         tau_resolution=census.tau_resolution,
         qd_noise_std=qd_noise_std,
-        motion_share=spectrum.motion_share(),
+        motion_share=spectrum.motion_share(regular=clock.regular),
         share_hz=spectrum.frequency,
         link_ratio=link_ratio,
         temperature_min=coldest,
