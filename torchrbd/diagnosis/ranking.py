@@ -213,7 +213,7 @@ def _in_time(
         if max(map(abs, found.values())) < _NEAR_SAMPLES * fit.machine.rows.dt:
             break
         shift = {name: late + found.get(name, 0.0) for name, late in shift.items()}
-        fit = learn(Machine(read_rows(reading, columns, kept_back, shift), held))
+        fit = learn(Machine(read_rows(replace(reading, delay_s=shift), columns, kept_back), held))
     spread = fit.machine.timing_std * np.sqrt(fit.gaussian.covariance(fit.machine.timing).diagonal())
     every = zip(fit.machine.rows.seen_recordings, fit.delay_s, spread, strict=True)
     delay_s = {name: (float(late) + shift[name], float(std)) for name, late, std in every}

@@ -16,6 +16,7 @@ from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.estimators import estimate
 from torchrbd.inference.physical.fitting import FittedModel, judge, predict, term_candidates
 from torchrbd.inference.physical.terms import term_estimates
+from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.posterior.identifiability import identifiability
 from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.preparation import Prepared, prepare
@@ -64,8 +65,8 @@ def identify(
         InputError: a robot, recording or option that cannot be used.
     """
     robot, sources, settings = read_arguments(robot, recordings, options, "identify")
-    effects = settings.chosen_effects() if settings.effects else ()
-    prepared = prepare(robot, sources, settings, effects, progress)
+    effects = with_friction(settings)
+    prepared = with_machine(prepare(robot, sources, settings, effects, progress), settings)
     terms = term_candidates(prepared.columns, [e.id for e in effects])
     check_seen(settings.told_effects(), prepared.columns)
     prepared, terms = refined(prepared, terms, progress)

@@ -209,7 +209,8 @@ class Likelihood:
     def _noise(self, joint: int, dispersion: float, spread: np.ndarray, weight: np.ndarray) -> Noise:
         """Return the noise of what is left at a joint whose rows count like this."""
         rows, used = self.machine.rows, self.gaussian.used(joint)
-        return learnt(self.residual(joint), spread, weight, rows.run, rows.measured[joint], used, dispersion)
+        measured, white = rows.measured[joint], self.hyper.white
+        return learnt(self.residual(joint), spread, weight, rows.run, measured, used, dispersion, white=white)
 
     def reweighed(self) -> Likelihood:
         """Return the same model with rows that count as they are most likely to.
@@ -267,8 +268,13 @@ class Likelihood:
         return Likelihood(self.machine, self.hyper.with_(**changes), self.extra, self._slopes)
 
 
-def learn(machine: Machine) -> Likelihood:
-    """Learn noise, widths, drift, dispersion and the URDF's error from the data, the model being the machine's."""
+def learn(machine: Machine, *, white: bool = False) -> Likelihood:
+    """Learn noise, widths, drift, dispersion and the URDF's error from the data, the model being the machine's.
+
+    Args:
+        machine: rigid body and ordinary physics.
+        white: take rows to be independent, as least squares does, and friction to change its sign at once.
+    """
     rows, rms = machine.rows, np.maximum(machine.torque_rms, 1e-300)
     n_rows = rows.tau.shape[1]
     hyper = Hyper(
@@ -282,8 +288,10 @@ def learn(machine: Machine) -> Likelihood:
         resists=np.zeros((2, rows.n_dof, 3)),
         pi=rows.columns.robot.pi,
         friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
+        white=white,
     )
     fit = Likelihood(machine, hyper)
     for _ in range(_ROUNDS):
-        fit = fit.renoised().rewidened().renoised().relinearised().reweighed()
+        fit = fit.renoised() if white else fit.renoised().rewidened().renoised()
+        fit = fit.relinearised().reweighed()
     return fit.recalibrated().relinearised().reweighed().renoised(dispersed=True)

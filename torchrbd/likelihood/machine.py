@@ -8,9 +8,10 @@
           + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
           + drift(t)                                        a random walk's lowest frequencies
 
-The fastest part of the differentiated positions is encoder noise as well as motion; how much of each frequency is
-motion, the torque tells: even orders shrink it, the odd one turns its phase (regression calibration: Carroll et al.,
-"Measurement Error in Nonlinear Models", 2006, ch. 4). Friction keeps its sharp edges. What
+The fastest part of the differentiated positions is encoder noise as well as motion. As far as there is noise within the
+band, the torque tells how much of each frequency is motion: even orders shrink it, the odd one turns its phase
+(regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4). Friction keeps its sharp
+edges. What
 rounding adds is a function of the torque, a sawtooth that noise smooths to its first harmonic (Widrow and Kollar,
 "Quantization Noise", 2008).
 """
@@ -57,6 +58,7 @@ class Hyper:
         resists: (2, n, 3) precision and shift that keep ordinary friction from pushing, see ``nonnegative``.
         pi: (n_params,) inertial parameters that make the load.
         friction: (n, 3) beside it, see ``Signals``.
+        white: whether rows are taken to be independent, as least squares does.
     """
 
     kappa: float
@@ -69,6 +71,7 @@ class Hyper:
     resists: np.ndarray
     pi: Tensor
     friction: Tensor
+    white: bool = False
 
     def with_(self, **changes: object) -> Hyper:
         """Return the same with some values changed."""
@@ -201,7 +204,7 @@ class Machine:
         first, width = self._first(joint), float(hyper.rest_width[joint])
         friction = self.friction_columns(joint, width)
         bend = self.sign(joint, width * _WIDTH_STEP).sum(0) - self.sign(joint, width / _WIDTH_STEP).sum(0)
-        bend *= _WIDTH_STD * float(hyper.friction[joint, 1]) / (2 * math.log(_WIDTH_STEP))
+        bend *= (not hyper.white) * _WIDTH_STD * float(hyper.friction[joint, 1]) / (2 * math.log(_WIDTH_STEP))
         parts = [
             self._rigid[joint].T / math.sqrt(hyper.kappa),
             friction * self.friction_std(joint, friction)[:, None],
@@ -211,7 +214,7 @@ class Machine:
         places = [np.arange(len(self.inertial)), first + np.arange(len(ORDINARY) + 1), self.drifting(joint)]
         if slopes is not None:
             reach = _RESPONSE_SAMPLES * self.rows.dt
-            sizes = np.array([reach**k / math.factorial(k) for k in RESPONSE_ORDERS])
+            sizes = np.array([reach**k / math.factorial(k) for k in RESPONSE_ORDERS]) * self.rows.noise_share[joint]
             parts.append(slopes[1:, joint] * np.append(sizes, np.ones(_ROUNDING))[:, None])
             places.append(first + len(ORDINARY) + 1 + np.arange(len(RESPONSE_ORDERS) + _ROUNDING))
             parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))

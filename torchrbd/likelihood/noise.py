@@ -91,6 +91,8 @@ def learnt(
     measured: np.ndarray,
     used: float,
     dispersion: float,
+    *,
+    white: bool = False,
 ) -> Noise:
     """Learn the noise from what a fit leaves.
 
@@ -101,6 +103,7 @@ def learnt(
         measured: (M,) bool.
         used: degrees of freedom that the fit has taken from this joint.
         dispersion: how much more the blocks scatter than white rows would; all variances are raised by it.
+        white: whether rows are taken to be independent, as least squares does.
     """
     own = np.where(measured, weight / spread, 0.0)
     lags = autocovariance(own * residual, run, _MOST_ORDER)
@@ -108,7 +111,7 @@ def learnt(
     lags = lags / count
     lags[0] = max(lags[0] * (1 + _LEAST**2), 1e-300)
     best, found = math.inf, (np.zeros(0), float(lags[0]))
-    for p in range(_MOST_ORDER + 1):
+    for p in range(1 if white else _MOST_ORDER + 1):
         a = solve_toeplitz(lags[:p], lags[1 : p + 1]) if p else np.zeros(0)
         variance = float(lags[0] - a @ lags[1 : p + 1])
         if variance <= 0:

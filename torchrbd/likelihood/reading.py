@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrbd.likelihood.block_statistics import BlockStatistics, block_statistics
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.simulated import Simulated
+from torchrbd.physics.time_delay import delayed
 from torchrbd.recordings import Filtering, Recording, States, Survey, tiles
 from torchrbd.robot import RobotModel
 
@@ -35,6 +36,7 @@ class Reading:
         payload: per recording name, inertial parameters (n_params,) of known loads.
         simulated: per recording, what a simulator has beyond the URDF; empty if the URDF is what is compared with.
         smoothed: per recording, what replaces the filtered states; empty if they stay.
+        delay_s: by recording, how much later its torque is than its motion [s]; it is read so much earlier.
     """
 
     robot: RobotModel
@@ -45,6 +47,7 @@ class Reading:
     payload: dict[str, Tensor]
     simulated: tuple[Simulated, ...] = ()
     smoothed: tuple[StateEstimate, ...] = ()
+    delay_s: Mapping[str, float] = field(default_factory=dict)
 
     def measured(self, k: int) -> Tensor:
         """Return (n_dof,) bool, the joints whose torque in recording k counts; a constant one comes from no sensor."""
@@ -55,8 +58,10 @@ class Reading:
     def tiles(self, k: int) -> Iterator[States]:
         """Stream the states of recording k; known payloads and a simulator's extra torque are taken off."""
         recording = self.recordings[k]
-        load = self.payload.get(recording.name)
+        load, late = self.payload.get(recording.name), self.delay_s.get(recording.name, 0.0)
         for states in tiles(recording, self.surveys[k], self.filtering):
+            if late:
+                states = replace(states, tau=delayed(states.tau, -late / states.dt))
             if self.smoothed:
                 states = self.smoothed[k](states)
             if load is not None:

@@ -7,7 +7,7 @@ read, so that memory stays bounded.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,8 +19,7 @@ from torchrbd.errors import RecordingError
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.reading import Reading
 from torchrbd.physics import Signals
-from torchrbd.physics.time_delay import delayed
-from torchrbd.recordings import States
+from torchrbd.recordings import States, Survey
 
 # Samples of states that are kept at most, over all tiles.
 _MOST_STATES = 100_000
@@ -61,6 +60,7 @@ class Rows:
         block: (M,) number of the block of time, of one recording.
         encoder_std: (n,) noise of the positions [rad or m].
         torque_step: (n,) quantisation of the torques [N m or N], NaN where none is seen.
+        noise_share: (n,) part of the positions' power that is noise at the edge of the band.
         speed_std: (n,) error of the velocities [rad/s or m/s].
         dt: clock interval of the slowest recording [s].
         dt_out: time between two rows [s].
@@ -80,6 +80,7 @@ class Rows:
     block: np.ndarray
     encoder_std: np.ndarray
     torque_step: np.ndarray
+    noise_share: np.ndarray
     speed_std: np.ndarray
     dt: float
     dt_out: float
@@ -133,28 +134,24 @@ class Rows:
         return replace(self, columns=columns, tiles=tiles, _known={})
 
 
-def read_rows(
-    reading: Reading, columns: Columns, kept_back: KeptBack, delay_s: Mapping[str, float] | None = None
-) -> Rows:
+def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
     """Stream recordings once and keep their rows.
 
     Args:
         reading: the recordings and their filters.
         columns: of the robot.
         kept_back: what is not to be read.
-        delay_s: by recording, how much later its torque is than its motion [s]; it is read so much earlier.
 
     Raises:
         RecordingError: nothing is left to read.
     """
-    tiles, parts, late = [], [], delay_s or {}
+    tiles, parts = [], []
     for k, states in _spread(reading):
         kept = ~kept_back(states.recording, states.t_out)
         if not kept.any():
             continue
         measured = reading.measured(k).unsqueeze(1)
-        tau = torch.where(measured, torch.nan_to_num(states.tau), 0.0)
-        tau = states.decimate(delayed(tau, -late.get(states.recording, 0.0) / states.dt))
+        tau = states.decimate(torch.where(measured, torch.nan_to_num(states.tau), 0.0))
         states = states.thinned(_thinning(states, reading.filtering.cutoff_hz))
         tiles.append(Tile(states, columns.signals(states), kept))
         rigid = states.decimate(columns.robot.regressor_batch_last(states.q, states.qd, states.qdd))
@@ -187,11 +184,17 @@ def read_rows(
         block=_blocks(t, recording, reading.block_s),
         encoder_std=np.sqrt(np.mean([s.q_noise_std**2 for s in reading.surveys], axis=0)),
         torque_step=np.fmax.reduce([s.tau_resolution for s in reading.surveys]),
+        noise_share=np.max([_noise_share(s, reading.filtering.cutoff_hz) for s in reading.surveys], axis=0),
         speed_std=np.sqrt(np.mean([s.qd_error_std**2 for s in reading.surveys], axis=0)),
         dt=max(s.clock.dt for s in reading.surveys),
         dt_out=float(dt_out.max()),
         **joined,  # type: ignore[arg-type]
     )
+
+
+def _noise_share(survey: Survey, band_hz: float) -> np.ndarray:
+    """Return the part (n,) of the positions' power that is noise at a frequency [Hz]."""
+    return np.array([1.0 - np.interp(band_hz, survey.share_hz, share) for share in survey.motion_share])
 
 
 def _blocks(t: np.ndarray, recording: np.ndarray, block_s: float) -> np.ndarray:
