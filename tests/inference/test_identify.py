@@ -34,7 +34,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def found(recording: Recording) -> Identification:
-    return identify(WRONG, recording)
+    return identify(WRONG, recording, effects=[])
 
 
 def saved(recording: Recording, path: Path, *, torque_scale: float = 1.0) -> Path:
@@ -237,8 +237,9 @@ def test_a_known_payload_is_a_link_with_that_mass(kind: str) -> None:
     body = robot.body_names[-1]
     link = body if kind == "body" else robot.folded[body][1].name
     recording = record(loaded(urdf, link), 6, name="load.csv")
-    given = identify(urdf, recording, payload=f"load.csv=1.5,0.1,-0.05,0.2@{link}")
-    merged, ignored = identify(loaded(urdf, link), recording), identify(urdf, recording)
+    rigid: dict = {"effects": []}
+    given = identify(urdf, recording, payload=f"load.csv=1.5,0.1,-0.05,0.2@{link}", **rigid)
+    merged, ignored = identify(loaded(urdf, link), recording, **rigid), identify(urdf, recording, **rigid)
     for joint in robot.joint_names:
         assert given.fits["urdf"].rmse[joint] == pytest.approx(merged.fits["urdf"].rmse[joint], rel=1e-3)
     assert given.fits["urdf"].mean_nmse < 0.01 * ignored.fits["urdf"].mean_nmse
@@ -277,3 +278,13 @@ def test_options_that_do_not_fit_are_told(recording: Recording) -> None:
         identify(WRONG, [recording, recording])
     with pytest.raises(InputError, match=r"\d blocks of .* are left to fit; at least 6 are needed"):
         identify(WRONG, record(URDF, 4, duration_s=5.0))
+
+
+def test_friction_that_the_urdf_lacks_is_fitted_unless_told_otherwise(recording: Recording) -> None:
+    friction, rigid = identify(URDF, recording), identify(URDF, recording, effects=[])
+    named = {p.name.split("_joint")[0] for p in friction.parameters if p.status == "term"}
+    assert named == {"viscous_friction", "asymmetric_coulomb_friction"}
+    assert "extended" in friction.fits
+    assert set(rigid.fits) == {"urdf", "rigid_body"}
+    one = identify(URDF, recording, exclude=["asymmetric_coulomb_friction"])
+    assert {p.name.split("_joint")[0] for p in one.parameters if p.status == "term"} == {"viscous_friction"}

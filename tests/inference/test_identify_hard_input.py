@@ -55,7 +55,7 @@ def test_opposite_torques_with_little_noise(noise: float) -> None:
 
 
 def test_noise_free_simulation() -> None:
-    found = identify(URDF, record(URDF, 0, duration_s=20.0, torque_noise=0.0, encoder_noise=0.0))
+    found = identify(URDF, record(URDF, 0, duration_s=20.0, torque_noise=0.0, encoder_noise=0.0), effects=[])
     assert found.fits["rigid_body"].mean_nmse < 1e-6
     np.testing.assert_allclose([p.value for p in found.parameters], ROBOT.pi.numpy(), atol=0.02)
 

@@ -53,6 +53,7 @@ def changed(recording: Recording, change: Callable[[Chunk], None], keep: np.ndar
 
 def both(urdf: str, recordings: list[Recording], **options) -> tuple[Identification, Identification]:
     """Return what filtering finds and what smoothing finds."""
+    options = {"effects": []} | options
     filtered, smoothed = (
         torchrbd.identify(urdf, recordings, estimator=name, **options) for name in ("physical", "smoother")
     )

@@ -13,7 +13,8 @@ from rich_argparse import RawDescriptionRichHelpFormatter
 from torchrbd import __version__
 from torchrbd.estimators import COMPARABLE, ESTIMATORS, WITH_INTERVALS
 
-_FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint or only at PLACE (default: none)"
+_FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint or only at PLACE (default: {})"
+_FRICTION = "viscous and Coulomb friction; exclude both for the rigid body alone"
 
 
 class _Help(RawDescriptionRichHelpFormatter):
@@ -47,7 +48,7 @@ def parser() -> argparse.ArgumentParser:
         return sub
 
     sub = command("identify", "Fit the inertial parameters of a URDF to recordings; always physically valid.")
-    _add_shared(sub, _FITTED_EFFECTS)
+    _add_shared(sub, _FITTED_EFFECTS.format(_FRICTION))
     sub.add_argument("--estimator", metavar="NAME", help="how parameters are found, see below (default: auto)")
     sub.epilog = _list_of(ESTIMATORS)
     sub = command("diagnose", "Find, name and model what the URDF leaves out.")
@@ -68,7 +69,7 @@ def parser() -> argparse.ArgumentParser:
         "compare-estimators",
         "Estimate the parameters with many methods and judge each on held-out data.",
     )
-    _add_shared(sub, _FITTED_EFFECTS, output_required=False)
+    _add_shared(sub, _FITTED_EFFECTS.format("none"), output_required=False)
     sub.add_argument(
         "--estimators",
         nargs="+",

@@ -58,7 +58,8 @@ def identify(
         progress: told how far the work is.
         **options: holdout, holdout_fraction, time, joints, effects, exclude, gravity, trust, payload, simulated,
             mapping, cutoff_hz, estimator, encoder_noise, kappa and seed; ``help(torchrbd.Settings)`` has their
-            meaning, units and defaults. ``effects`` are fitted beside the inertial parameters, at every joint or where
+            meaning, units and defaults. ``effects`` are fitted beside the inertial parameters (viscous and Coulomb
+            friction, by direction, if not told; ``[]`` for the rigid body alone), at every joint or where
             "id@place" says, and their nonlinear parameters (a Stribeck speed) refined.
 
     Raises:
@@ -66,7 +67,7 @@ def identify(
     """
     robot, sources, settings = read_arguments(robot, recordings, options, "identify")
     effects = with_friction(settings)
-    prepared = with_machine(prepare(robot, sources, settings, effects, progress), settings)
+    prepared = with_machine(prepare(robot, sources, settings, effects, progress), settings, effects)
     terms = term_candidates(prepared.columns, [e.id for e in effects])
     check_seen(settings.told_effects(), prepared.columns)
     prepared, terms = refined(prepared, terms, progress)

@@ -7,6 +7,7 @@ is learnt by least squares in the band of the fit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -20,8 +21,6 @@ from torchrbd.likelihood.urdf_prior import data_prior
 from torchrbd.physics import Effect, effect
 
 ORDINARY = ("viscous_friction", "asymmetric_coulomb_friction")
-# Coulomb friction that is one number for both directions is the same physics.
-_SAME = ("coulomb_friction",)
 # Clocks that are apart by less than so many standard deviations are not.
 _TOLD = 3.0
 # Where a joint sticks, its friction makes rows count less than so much.
@@ -29,19 +28,18 @@ _STICKS = 0.5
 
 
 def with_friction(settings: Settings) -> tuple[Effect, ...]:
-    """Return the effects that the user names, and ordinary friction if none of it is named or excluded."""
-    named = settings.chosen_effects() if settings.effects else ()
-    taken = {e.id for e in named} | set(settings.exclude)
-    ordinary = ORDINARY if not taken.intersection((*ORDINARY, *_SAME)) else ()
-    return (*named, *(effect(identifier) for identifier in ordinary))
+    """Return the effects to fit: those that the user names, ordinary friction if that is left open."""
+    if settings.effects is not None:
+        return settings.chosen_effects() if settings.effects else ()
+    return tuple(effect(identifier) for identifier in ORDINARY if identifier not in settings.exclude)
 
 
-def with_machine(prepared: Prepared, settings: Settings) -> Prepared:
+def with_machine(prepared: Prepared, settings: Settings, effects: Sequence[Effect]) -> Prepared:
     """Return the same data with clocks as late and joints as sticky as least squares has them.
 
-    States that have been smoothed stay as they are.
+    States that have been smoothed stay as they are, as do data to which no friction is fitted.
     """
-    if prepared.states is not None:
+    if prepared.states is not None or not any(e.id in ORDINARY for e in effects):
         return prepared
     held = frozenset(settings.held_bodies(prepared.robot))
     fit = learn(Machine(read_rows(prepared.reading, prepared.columns, prepared.kept_back), held), white=True)
@@ -52,5 +50,6 @@ def with_machine(prepared: Prepared, settings: Settings) -> Prepared:
     columns = prepared.columns.sticking(prepared.columns.stick_levels * sticky)
     reading = replace(prepared.reading, delay_s=late)
     statistics = reading.statistics(columns, lambda *_: None)
-    prior = data_prior(statistics, settings.held_bodies(prepared.robot), settings.kappa)
+    training = statistics.select(~prepared.held_out)
+    prior = data_prior(training, settings.held_bodies(prepared.robot), settings.kappa)
     return replace(prepared, reading=reading, columns=columns, statistics=statistics, prior=prior)

@@ -155,8 +155,8 @@ def prepare(
     weight = statistics.torque[..., 0].sum(0)
     if not weight.any():
         raise RecordingError("no torque that changes is recorded for any of the joints in use; nothing can be fitted")
-    prior = data_prior(statistics, held, settings.kappa)
     training = statistics.select(~held_out)
+    prior = data_prior(training, held, settings.kappa)
     rough = fit_model(training, prior)
     levels, loaded = stick_levels(training, prior), len(unloaded) < len(effects)
     if loaded:
@@ -166,7 +166,8 @@ def prepare(
     if loaded or bool(levels.any()):
         columns = columns.sticking(levels)
         statistics = reading.statistics(columns, progress)
-        prior, training = data_prior(statistics, held, settings.kappa), statistics.select(~held_out)
+        training = statistics.select(~held_out)
+        prior = data_prior(training, held, settings.kappa)
         rough = fit_model(training, prior)
     prepared = Prepared(
         robot=robot,
@@ -281,7 +282,7 @@ def _smoothed(
         reading=reading,
         columns=found.columns,
         statistics=statistics,
-        prior=data_prior(statistics, held, settings.kappa),
+        prior=data_prior(statistics.select(~prepared.held_out), held, settings.kappa),
         input_noise=replace(prepared.input_noise, encoder_std=found.encoder_std),
         states=found.states,
     )

@@ -34,8 +34,8 @@ class Settings:
         joints: joints whose torque counts, by name. Default: all.
         effects: by id, at all their places, or as "id@place"; ``torchrbd.effects()`` lists the ids, a place is a
             joint, a pair "joint3_joint1" or a link. What acts for a time only is "id@place@recording=from:to" [s].
-            ``identify`` and ``compare_estimators`` fit them (default: none), ``diagnose`` searches among them
-            (default: all).
+            ``identify`` fits them (default: viscous and Coulomb friction; ``[]`` for the rigid body alone), and so does
+            ``compare_estimators`` (default: none); ``diagnose`` searches among them (default: all).
         exclude: effects not to use, by id. Default: none.
         gravity: in the base's axes, (x, y, z) [m/s^2], of a robot that is given by its URDF. Default: (0, 0, -9.81).
         trust: links whose inertia is not re-fitted, by name. Default: none.

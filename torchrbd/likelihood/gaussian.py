@@ -28,6 +28,7 @@ from scipy.special import log_ndtr
 
 from torchrbd.likelihood.physical import Quadratic
 
+_ROUNDING = 1e-13
 # Sweeps over the sites of truncated coefficients, and the least part of its variance that a truncation leaves.
 _SWEEPS, _LEAST_VARIANCE = 8, 1e-6
 
@@ -98,7 +99,9 @@ class Gaussian:
 
     def _solve(self, H: np.ndarray, h: np.ndarray) -> None:
         self.H, self.h = H, h
-        self.L = np.linalg.cholesky(H)
+        size = np.sqrt(H.diagonal())
+        # Of noise-free torques, rounding would decide the weak directions.
+        self.L = size[:, None] * np.linalg.cholesky(H / size / size[:, None] + _ROUNDING * np.eye(len(H)))
         self.z = cho_solve((self.L, True), h, check_finite=False)
         self.left = [b.y - self.z[b.own] @ b.X for b in self.blocks]
         power = sum(float(b.y @ b.y) for b in self.blocks)

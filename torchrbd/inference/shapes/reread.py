@@ -27,7 +27,7 @@ def reread(prepared: Prepared, columns: Columns, progress: Progress) -> Prepared
     prior = prepared.prior
     held = [name for b, name in enumerate(prepared.robot.body_names) if b not in prior.bodies]
     statistics = prepared.reading.statistics(columns, progress)
-    prior = data_prior(statistics, held, prior.kappa)
+    prior = data_prior(statistics.select(~prepared.held_out), held, prior.kappa)
     for c in columns.candidates:
         if isinstance(c, ShapeSlope):
             (k,) = columns.of(c)
