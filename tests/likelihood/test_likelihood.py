@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from likelihood.arms import none_kept_back, recorded, rows_of, wrong_robot
@@ -10,8 +12,8 @@ from likelihood.fits import COULOMB, DELAY_S, OPTIONS, URDF, VISCOUS, WIDTH, can
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Extra, Likelihood
-from torchrbd.likelihood.machine import Machine
-from torchrbd.likelihood.noise import Noise, learnt
+from torchrbd.likelihood.machine import RESPONSE_ORDERS, STICKS, Machine
+from torchrbd.likelihood.noise import learnt
 from torchrbd.physics import Site
 from torchrbd.robot import RobotModel
 
@@ -48,7 +50,7 @@ def test_noise_is_that_of_the_torque(fit: Likelihood) -> None:
     quiet = rows_of(wrong_robot(URDF, 1), [recorded(URDF, 2, with_friction(), noise=0.0, delay_s=DELAY_S, **OPTIONS)])
     rows = fit.machine.rows
     for j, e in enumerate(rows.tau - quiet.tau):
-        noise = learnt(e, np.ones(len(e)), rows.run, rows.measured[j], 0.0, 1.0)
+        noise = learnt(e, np.ones(len(e)), np.ones(len(e)), rows.run, rows.measured[j], 0.0, 1.0)
         assert fit.hyper.noise[j].sigma == pytest.approx(noise.sigma, rel=0.1)
     assert (fit.hyper.dispersion < 1.3).all()
 
@@ -74,7 +76,7 @@ def test_urdf_errs_as_much_as_the_evidence_says(fit: Likelihood) -> None:
 def test_evidence_favours_the_widths_and_the_noise_that_were_learnt(fit: Likelihood) -> None:
     for factor in (0.3, 3.0):
         assert fit._with(rest_width=factor * fit.hyper.rest_width).log_evidence < fit.log_evidence - 5
-        noise = tuple(Noise(n.predictor, factor * n.sigma, n.scale) for n in fit.hyper.noise)
+        noise = tuple(replace(n, sigma=factor * n.sigma) for n in fit.hyper.noise)
         assert fit._with(noise=noise).log_evidence < fit.log_evidence - 5
 
 
@@ -96,7 +98,7 @@ def test_differences_of_evidence_do_not_depend_on_the_torques_unit(fit: Likeliho
     """Nor where the models compared have noises of other orders: every model explains the same rows."""
 
     def differences(one: Likelihood) -> list[float]:
-        shorter = tuple(Noise(n.predictor[:1], n.sigma, n.scale) for n in one.hyper.noise)
+        shorter = tuple(replace(n, predictor=n.predictor[:1]) for n in one.hyper.noise)
         others = one._with(kappa=1.0), one._with(noise=shorter)
         return [o.log_evidence - one.log_evidence for o in others]
 
@@ -104,7 +106,7 @@ def test_differences_of_evidence_do_not_depend_on_the_torques_unit(fit: Likeliho
 
 
 def test_rows_that_count_do_not_depend_on_the_order_of_the_noise(fit: Likelihood) -> None:
-    none = tuple(Noise(np.zeros(0), n.sigma, n.scale) for n in fit.hyper.noise)
+    none = tuple(replace(n, predictor=np.zeros(0)) for n in fit.hyper.noise)
     for one, other in zip(fit._with(noise=none).index, fit.index, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -175,5 +177,5 @@ def test_machine_of_trusted_bodies_has_friction_alone() -> None:
     A, own = machine.design(0, fitted(delay_s=DELAY_S).hyper, None)
     assert len(A) == len(own)
     assert own.min() == 0
-    assert machine.n == 2 * (4 + 3 + len(machine.drifting(0))) + 1
+    assert machine.n == 2 * (4 + len(RESPONSE_ORDERS) + 2 + len(machine.drifting(0))) + 1
     assert isinstance(rows.columns, Columns)
