@@ -138,7 +138,7 @@ class Gaussian:
         V = solve_triangular(self.L, cross, lower=True, check_finite=False)
         return S - V.T @ V, r
 
-    def against_zero(self, index: Sequence[int]) -> float:
+    def against_zero(self, index: Sequence[int] | np.ndarray) -> float:
         """Return the log evidence against leaving out some coefficients: Savage and Dickey's density ratio at zero."""
         C, m = self.covariance(index), self.z[list(index)]
         return 0.5 * float(np.linalg.slogdet(C)[1] + m @ np.linalg.solve(C, m))

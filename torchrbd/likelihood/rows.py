@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import torch
@@ -175,8 +175,7 @@ def read_rows(
             | {"place": torch.cat((states.t_out[kept, None], place), 1).numpy()}
         )
     if not parts:
-        names = ", ".join(r.name for r in reading.recordings)
-        raise RecordingError(f"nothing of {names} is left beside what is held out; hold out less")
+        _nothing_left(reading)
     joined = {name: np.concatenate([p[name] for p in parts], axis=int(name != "place")) for name in parts[0]}
     t, recording, segment, dt_out = joined.pop("place").T
     begins = (np.diff(t, prepend=-np.inf) > 1.5 * dt_out) | (np.diff(t, prepend=0.0) < 0)
@@ -206,10 +205,20 @@ def _blocks(t: np.ndarray, recording: np.ndarray, block_s: float) -> np.ndarray:
 
 
 def not_held_out(reading: Reading, kept_back: KeptBack) -> list[int]:
-    """Return the numbers of the recordings that are not held out as a whole."""
+    """Return the numbers of the recordings that are not held out as a whole.
+
+    Raises:
+        RecordingError: all are.
+    """
     ends = [s.segments[-1][1] for s in reading.surveys]
     times = [torch.arange(0.0, end + _LOOK_S, _LOOK_S, dtype=torch.float64) for end in ends]
-    return [k for k, r in enumerate(reading.recordings) if not bool(kept_back(r.name, times[k]).all())]
+    found = [k for k, r in enumerate(reading.recordings) if not bool(kept_back(r.name, times[k]).all())]
+    return found or _nothing_left(reading)
+
+
+def _nothing_left(reading: Reading) -> NoReturn:
+    names = ", ".join(r.name for r in reading.recordings)
+    raise RecordingError(f"nothing of {names} is left beside what is held out; hold out less")
 
 
 def _spread(reading: Reading, numbers: Sequence[int]) -> Iterator[tuple[int, States]]:
