@@ -17,12 +17,12 @@ from torchrbd.diagnosis.hypotheses import (
     Hypothesis,
     _in_stretches,
     _Stretches,
-    names,
     refined,
     screened,
     told,
 )
-from torchrbd.diagnosis.ranking import with_own_noise
+from torchrbd.diagnosis.ranking import _ranked, sharpened, with_own_noise
+from torchrbd.inference.shapes.slope import axes
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood, learn
 from torchrbd.likelihood.machine import Machine
@@ -32,7 +32,7 @@ from torchrbd.physics import Site, Window
 from torchrbd.physics.registry import effect, effects
 
 ALL = list(effects().values())
-BEGIN_S, MASS, CENTRE = 10.0, 0.5, np.array([0.05, 0.1, 0.1])
+BEGIN_S, MASS, CENTRE = 10.3, 0.5, np.array([0.05, 0.1, 0.1])
 
 
 def rotor(m: Motion) -> np.ndarray:
@@ -69,10 +69,11 @@ def test_nothing_has_evidence_where_nothing_is() -> None:
     fit, rows, found = leading(None)
     assert len(found) > 40
     assert all(h.log_evidence < 8.0 for h in found)
-    assert all(with_own_noise(fit, rows, refined(fit, rows, h)).log_evidence < 8.0 for h in found[:5])
+    assert all(with_own_noise(fit, rows, sharpened(fit, rows, h)).log_evidence < 8.0 for h in found[:5])
     assert [h.log_evidence for h in found] == sorted((h.log_evidence for h in found), reverse=True)
-    assert not {name for name, _ in names(found)} & set(ORDINARY)
-    assert len(names(found)) == len(found)
+    names = {h.name for h in found}
+    assert not {name for name, _ in names} & set(ORDINARY)
+    assert len(names) == len(found)
 
 
 @pytest.mark.parametrize(
@@ -81,7 +82,7 @@ def test_nothing_has_evidence_where_nothing_is() -> None:
 )
 def test_injected_effect_is_first_with_large_evidence(name: str, joint: int, torque) -> None:
     fit, rows, found = leading(torque)
-    best = [with_own_noise(fit, rows, refined(fit, rows, h)) for h in found[:3]]
+    best = [with_own_noise(fit, rows, sharpened(fit, rows, h)) for h in found[:3]]
     assert best[0].name == (name, Site(joint))
     assert best[0].log_evidence > max(30.0, *(h.log_evidence + 20 for h in best[1:]))
     c = best[0]
@@ -99,12 +100,19 @@ def test_injected_effect_is_first_with_large_evidence(name: str, joint: int, tor
 def test_load_that_is_taken_up_is_found_with_its_time() -> None:
     fit, rows, found = leading(payload)
     assert found[0].name == ("payload", Site(body=1))
-    best = with_own_noise(fit, rows, found[0])
+    coarse, best = found[0].candidate.site.window, with_own_noise(fit, rows, sharpened(fit, rows, found[0]))
     assert best.log_evidence > 30
     window = best.candidate.site.window
+    assert coarse is not None
     assert window is not None
-    assert window.start_s == pytest.approx(BEGIN_S, abs=1.0)
+    assert abs(coarse.start_s - BEGIN_S) > 0.1
+    assert window.start_s == pytest.approx(BEGIN_S, abs=0.1)
     assert window.end_s > 19.0
+    # Edges near the best one share its evidence, and are paid for.
+    assert best.tried == found[0].tried
+    alone = told(fit, rows, refined(fit, rows, found[0]).candidate)
+    assert alone is not None
+    assert refined(fit, rows, found[0]).log_evidence < alone.log_evidence - np.log(found[0].tried)
     assert abs(best.coefficients[0] - MASS) < 4 * best.std[0]
 
 
@@ -114,6 +122,33 @@ def test_refining_comes_nearer_to_the_truth_than_the_grid() -> None:
     assert fine.tried == coarse.tried
     assert abs(fine.candidate.shape["order"] - 17.4) < abs(coarse.candidate.shape["order"] - 17.4)
     assert abs(fine.log_evidence - coarse.log_evidence) < 6.0
+
+
+def test_refined_cell_replaces_the_grids_best() -> None:
+    """The average is over the grid as before, and where its best one was over the values of the cell around it."""
+    fit, rows, found = leading(RIPPLE)
+    h, c = found[0], found[0].candidate
+
+    def evidence(order: float) -> float:
+        one = told(fit, rows, rows.columns.candidate(c.effect, c.site, {"order": order}))
+        assert one is not None
+        return one.log_evidence
+
+    grid = [s["order"] for s in c.effect.shapes(rows.columns.scale(c.site))]
+    low, high = axes(rows.columns, c)["order"].limits(c.shape["order"])
+    cell = logsumexp([evidence(v) for v in np.linspace(low, high, 9)]) - np.log(9)
+    others = [evidence(v) for v in grid if v != c.shape["order"]]
+    expected = logsumexp([*others, cell]) - np.log(len(grid))
+    assert refined(fit, rows, h).log_evidence == pytest.approx(expected, abs=1e-6)
+
+
+def test_refining_what_says_nothing_gains_nothing() -> None:
+    """Of two shapes that are alike, and as good as none, a finer cell makes no better hypothesis."""
+    fit = fitted()
+    rows = carried(fit)
+    for h in screened(fit, rows, [effect("one_sided_spring"), effect("stribeck_friction")]):
+        if abs(h.log_evidence) < 3:
+            assert refined(fit, rows, h).log_evidence < h.log_evidence + 0.3
 
 
 def test_shapes_that_were_tried_are_paid_for() -> None:
@@ -153,15 +188,15 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
     c = candidate(rows, "payload", Site(body=1, window=Window("second")))
     stretches = _Stretches.of(rows, 1)
     assert stretches.whole
-    F = rows.features(c)
-    std, scales = coefficient_std(c, F, fit.machine.torque_rms)
+    F, always = rows.features(c), candidate(rows, "payload", Site(body=1))
+    std, scales = coefficient_std(always, rows.features(always), fit.machine.torque_rms)
     blocks = np.append(stretches.blocks, rows.block.max() + 1)
     expected = []
     for begin, end in stretches:
         inside = (rows.block >= blocks[begin]) & (rows.block < blocks[end]) & (rows.recording == 1)
         columns = {j: fit.hyper.noise[j].white(F[:, j], i) * inside[i] for j, i in enumerate(fit.index)}
         S, r = fit.gaussian.beside(columns)
-        expected += [added(S, r, k * std, (0,)).log_evidence for k in scales]
+        expected += [added(S, r, k * std, c.effect.prior.positive).log_evidence for k in scales]
     got = _in_stretches(fit, rows, c, 1, stretches)
     assert got.tried == len(list(stretches)) == len(expected) // len(scales)
     assert got.log_evidence == pytest.approx(logsumexp(expected) - np.log(len(expected)), abs=1e-6)
@@ -169,6 +204,12 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
     assert window is not None
     assert window.recording == "second"
     assert window.start_s == pytest.approx(BEGIN_S, abs=1.0)
+    # A load is believed to be as heavy, however long it is carried.
+    np.testing.assert_allclose(got.extra(fit, rows).std, got.scale * std)
+    for begin, end in ((1.0, 3.0), (-np.inf, np.inf)):
+        one = told(fit, rows, candidate(rows, "payload", Site(body=1, window=Window("second", begin, end))))
+        assert one is not None
+        np.testing.assert_allclose(one.extra(fit, rows).std, one.scale * std)
 
 
 def test_stretches_cover_all_but_the_whole_of_a_single_recording() -> None:
@@ -186,11 +227,19 @@ def test_joint_without_torque_has_no_hypotheses() -> None:
     silent = joint_names(URDF)[1]
     recording = recorded(URDF, 2, with_friction(), missing=[silent], **OPTIONS)
     fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [recording])))
-    found = screened(fit, carried(fit), ALL)
+    rows = carried(fit)
+    found = screened(fit, rows, ALL)
     assert len(found) > 15
     own = [h for h in found if h.candidate.site.joint == 1 and not h.candidate.effect.whole_robot]
     assert not own
     assert all(np.isfinite(h.log_evidence) for h in found)
+    for h in found:
+        F = rows.features(h.candidate)
+        j = 0 if h.candidate.place is None else h.candidate.place
+        assert np.any(F[:, j] if h.candidate.place is None else F), h.name
+        assert np.isfinite(list(_ranked(h, fit, rows.columns.robot).parameters.values())).all()
+    assert ("time_delay", Site(1)) not in {h.name for h in found}
+    assert ("time_delay", Site(0)) in {h.name for h in found}
     assert all(h.log_evidence < 8.0 for h in found)
 
 

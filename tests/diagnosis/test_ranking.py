@@ -15,6 +15,7 @@ from torchrbd.errors import InputError, OptionError
 
 GIVEN = with_wrong_inertials(URDF, 1, 0.1).encode()
 FIRST, SECOND = joint_names(URDF)
+LATE = ("time_delay", ())
 SURE = math.log(9.0)
 ORDER, AMPLITUDE, INERTIA = 17.4, 0.08, 0.05
 CONCEALED = at_joint(1, lambda m: AMPLITUDE * np.sin(ORDER * m.q[:, 1] + 0.7) + INERTIA * m.qdd[:, 1])
@@ -30,7 +31,10 @@ def found() -> Ranking:
 
 def test_what_is_there_is_adopted_and_nothing_else(found: Ranking) -> None:
     assert {(h.effect, h.joints) for h in found.adopted} == {("torque_ripple", (SECOND,)), ("rotor_inertia", (SECOND,))}
-    assert found.first[0].effect == found.adopted[0].effect
+    late, best = found.first[:2]
+    assert (late.effect, late.joints, late.links) == ("time_delay", (), ())
+    assert late.parameters["delay"] == pytest.approx(DELAY_S, rel=0.1)
+    assert best.effect == found.adopted[0].effect
     for h in found.adopted:
         assert h.log_evidence > 30
         match h.effect:
@@ -44,16 +48,16 @@ def test_what_is_there_is_adopted_and_nothing_else(found: Ranking) -> None:
 
 def test_beside_what_was_adopted_nothing_is_sure(found: Ranking) -> None:
     adopted = {(h.effect, h.joints) for h in found.adopted}
-    last = [h for h in found.last if (h.effect, h.joints) not in adopted]
+    last = [h for h in found.last if (h.effect, h.joints) not in {*adopted, LATE}]
     assert len(last) > 20
     assert all(h.log_evidence < math.log(found.considered) + SURE for h in last)
-    assert {(h.effect, h.joints) for h in found.last[:2]} == adopted
+    assert {(h.effect, h.joints) for h in found.last[:3]} == {*adopted, LATE}
     for hypotheses in (found.first, found.last):
         assert [h.log_evidence for h in hypotheses] == sorted((h.log_evidence for h in hypotheses), reverse=True)
 
 
 def test_evidence_of_the_truth_is_about_that_of_the_ranking(found: Ranking) -> None:
-    best = found.first[0]
+    best = found.first[1]
     told = found.evidence_of("torque_ripple", [SECOND], shape={"order": ORDER})
     assert best.effect == "torque_ripple"
     # The order is known and need not be paid for.
@@ -86,6 +90,32 @@ def test_ordinary_friction_and_clock_are_told(found: Ranking) -> None:
     assert set(found.delay_s) == {"simulated"}
     delay, std = found.delay_s["simulated"]
     assert delay == pytest.approx(DELAY_S, abs=max(4 * std, 2e-4))
+
+
+def test_clocks_that_are_far_apart_are_brought_together() -> None:
+    """All torques come 30 ms late, three samples: they are read again by so much earlier."""
+    recording = recorded(URDF, 2, with_friction(), delay_s=0.03, **OPTIONS)
+    late = rank(GIVEN, recording, effects=["time_delay", "rotor_inertia", "joint_spring"])
+    assert late.delay_s["simulated"][0] == pytest.approx(0.03, abs=5e-4)
+    first = late.first[0]
+    assert (first.effect, first.joints, first.links) == ("time_delay", (), ())
+    assert first.parameters["delay"] == pytest.approx(0.03, abs=5e-4)
+    assert first.log_evidence == late.evidence_of("time_delay") > 100
+    assert late.adopted == ()
+    for h in late.ordinary:
+        if "viscous" in h.parameters:
+            assert h.parameters["viscous"] == pytest.approx({FIRST: 0.4, SECOND: 0.2}[h.joints[0]], rel=0.1)
+
+
+def test_recording_that_is_held_out_says_nothing_of_the_band(found: Ranking) -> None:
+    """Its clock is so slow that no filter of the ranking would pass it, its speed and noise larger."""
+    recording = recorded(URDF, 2, with_friction(), **{**OPTIONS, "duration_s": 10.0})
+    slow = recorded(URDF, 5, name="slow", **{**OPTIONS, "rate_hz": 20.0, "fastest_hz": 3.0, "encoder_noise": 1e-3})
+    some = {"effects": ["rotor_inertia", "quadratic_drag"]}
+    with_it, without = rank(GIVEN, recording, holdout=[slow], **some), rank(GIVEN, recording, **some)
+    assert with_it.band_hz == without.band_hz
+    assert with_it.first == without.first
+    assert with_it.delay_s == without.delay_s
 
 
 def test_recording_that_is_held_out_is_not_looked_at(found: Ranking) -> None:

@@ -7,7 +7,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
-from torchrbd.likelihood.gaussian import Addition, Block, Gaussian, added, mixture
+from torchrbd.likelihood.gaussian import Block, Gaussian, added, nonnegative
+from torchrbd.likelihood.physical import Quadratic
 
 N_COEFFICIENTS = 7
 
@@ -172,12 +173,75 @@ def test_joint_without_rows_says_nothing() -> None:
     assert got.used(3) == 0.0
 
 
-def test_mixture_averages_the_evidence_and_has_the_best_ones_coefficients() -> None:
-    parts = [Addition(e, np.array([e]), np.array([1.0 + e])) for e in (-3.0, 2.0, 1.0)]
-    got = mixture(parts)
-    assert got.log_evidence == pytest.approx(math.log(np.exp([-3.0, 2.0, 1.0]).mean()))
-    assert (got.mean[0], got.std[0]) == (2.0, 3.0)
-    assert mixture([Addition(900.0, np.zeros(1), np.zeros(1))] * 3).log_evidence == pytest.approx(900.0)
+def test_batches_are_their_problems_one_by_one() -> None:
+    rng = np.random.default_rng(9)
+    R = rng.normal(size=(4, 3, 3))
+    S, r, std = R @ R.transpose(0, 2, 1), rng.normal(size=(4, 3)), rng.uniform(0.0, 2.0, (4, 5, 3))
+    std[1, 2, 0] = 0.0
+    whole = added(S[:, None], r[:, None], std, positive=(0,))
+    assert whole.log_evidence.shape == (4, 5)
+    assert whole.mean.shape == whole.std.shape == (4, 5, 3)
+    for i, k in np.ndindex(4, 5):
+        one = added(S[i], r[i], std[i, k], positive=(0,))
+        assert whole.log_evidence[i, k] == pytest.approx(one.log_evidence, rel=1e-9, abs=1e-12)
+        np.testing.assert_allclose(whole.mean[i, k], one.mean, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(whole.std[i, k], one.std, rtol=1e-9)
+
+
+def test_first_coefficients_may_have_any_log_density() -> None:
+    """Their normalised Gaussian prior N(m, C), and N(0, 1) of the others, make the marginal density of the rows."""
+    blocks = problem(10)
+    X, y = stacked(blocks)
+    rng = np.random.default_rng(10)
+    R, m = rng.normal(size=(3, 3)), rng.normal(size=3)
+    C = R @ R.T + np.eye(3)
+    P = np.linalg.inv(C)
+    # Densities are over that of N(0, 1) without its 2 pi.
+    constant = -0.5 * float(m @ P @ m) + 0.5 * float(np.linalg.slogdet(P)[1])
+    got = Gaussian(blocks, N_COEFFICIENTS, Quadratic(P, P @ m, constant))
+    whole, mean = np.eye(N_COEFFICIENTS), np.zeros(N_COEFFICIENTS)
+    whole[:3, :3], mean[:3] = C, m
+    covariance = X @ whole @ X.T + np.eye(len(y))
+    expected = multivariate_normal.logpdf(y, X @ mean, covariance) + 0.5 * len(y) * math.log(2 * math.pi)
+    assert got.log_evidence == pytest.approx(expected, rel=1e-12)
+    np.testing.assert_allclose(got.z, mean + whole @ X.T @ np.linalg.solve(covariance, y - X @ mean), rtol=1e-9)
+
+
+def test_sites_multiply_the_prior() -> None:
+    """A site is a further row of the data: precision p and shift s are what y = s / root p says of root p z."""
+    blocks = problem(11)
+    precision, shift = np.zeros((2, N_COEFFICIENTS))
+    precision[4], shift[4] = 2.5, -1.2
+    got = Gaussian(blocks, N_COEFFICIENTS, sites=(precision, shift))
+    row = Block(np.array([[math.sqrt(2.5)]]), np.array([-1.2 / math.sqrt(2.5)]), np.array([4]))
+    other = Gaussian([*blocks, row], N_COEFFICIENTS)
+    np.testing.assert_allclose(got.z, other.z, rtol=1e-10)
+    np.testing.assert_allclose(got.covariance([4, 1]), other.covariance([4, 1]), rtol=1e-10)
+    np.testing.assert_allclose(got.data, Gaussian(blocks, N_COEFFICIENTS).data)
+
+
+@pytest.mark.parametrize("centre", [(0.5, -0.3, 0.2), (-0.8, 0.4, 0.6), (2.0, 1.5, -0.5)])
+def test_sites_have_the_moments_of_the_truncated_density(centre: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(12)
+    C, m = np.array([[1.0, 0.4, -0.2], [0.4, 0.8, 0.1], [-0.2, 0.1, 0.5]]), np.array(centre)
+    draws = rng.multivariate_normal(m, C, 1_500_000)
+    kept = draws[(draws >= 0).all(1)]
+    assert len(kept) > 50_000
+    precision, shift = nonnegative(m, C)
+    assert (precision >= 0).all()
+    covariance = np.linalg.inv(np.linalg.inv(C) + np.diag(precision))
+    mean = covariance @ (np.linalg.solve(C, m) + shift)
+    np.testing.assert_allclose(mean, kept.mean(0), rtol=0.02)
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), kept.std(0), rtol=0.02)
+
+
+def test_coefficient_that_is_surely_positive_needs_no_site() -> None:
+    precision, shift = nonnegative(np.array([9.0, 0.0]), np.diag([1.0, 1.0]))
+    assert (abs(precision[0]), abs(shift[0])) == pytest.approx((0.0, 0.0), abs=1e-9)
+    # A half-normal density has mean root(2 / pi) and variance 1 - 2 / pi.
+    variance = 1.0 / (1.0 + precision[1])
+    assert variance == pytest.approx(1.0 - 2.0 / math.pi)
+    assert variance * shift[1] == pytest.approx(math.sqrt(2.0 / math.pi))
 
 
 def test_matrix_that_is_no_precision_is_refused() -> None:

@@ -2,18 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
 from likelihood.arms import none_kept_back, recorded, rows_of, wrong_robot
-from likelihood.fits import COULOMB, DELAY_S, OPTIONS, URDF, VISCOUS, WIDTH, candidate, carried, fitted, with_friction
+from likelihood.fits import (
+    COULOMB,
+    DELAY_S,
+    OPTIONS,
+    URDF,
+    VISCOUS,
+    WIDTH,
+    at_joint,
+    candidate,
+    carried,
+    fitted,
+    with_friction,
+)
+from scipy.stats import norm
 
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.gaussian import added
-from torchrbd.likelihood.likelihood import Extra, Likelihood
-from torchrbd.likelihood.machine import Machine
-from torchrbd.likelihood.noise import Noise, learnt
+from torchrbd.likelihood.likelihood import Extra, Likelihood, learn
+from torchrbd.likelihood.machine import RESPONSE_ORDERS, STICKS, Machine
+from torchrbd.likelihood.noise import learnt
+from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 from torchrbd.physics import Site
+from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
+
+ROBOT = RobotModel.from_urdf(URDF)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +68,7 @@ def test_noise_is_that_of_the_torque(fit: Likelihood) -> None:
     quiet = rows_of(wrong_robot(URDF, 1), [recorded(URDF, 2, with_friction(), noise=0.0, delay_s=DELAY_S, **OPTIONS)])
     rows = fit.machine.rows
     for j, e in enumerate(rows.tau - quiet.tau):
-        noise = learnt(e, np.ones(len(e)), rows.run, rows.measured[j], 0.0, 1.0)
+        noise = learnt(e, np.ones(len(e)), np.ones(len(e)), rows.run, rows.measured[j], 0.0, 1.0)
         assert fit.hyper.noise[j].sigma == pytest.approx(noise.sigma, rel=0.1)
     assert (fit.hyper.dispersion < 1.3).all()
 
@@ -74,7 +94,7 @@ def test_urdf_errs_as_much_as_the_evidence_says(fit: Likelihood) -> None:
 def test_evidence_favours_the_widths_and_the_noise_that_were_learnt(fit: Likelihood) -> None:
     for factor in (0.3, 3.0):
         assert fit._with(rest_width=factor * fit.hyper.rest_width).log_evidence < fit.log_evidence - 5
-        noise = tuple(Noise(n.predictor, factor * n.sigma, n.scale) for n in fit.hyper.noise)
+        noise = tuple(replace(n, sigma=factor * n.sigma) for n in fit.hyper.noise)
         assert fit._with(noise=noise).log_evidence < fit.log_evidence - 5
 
 
@@ -96,7 +116,7 @@ def test_differences_of_evidence_do_not_depend_on_the_torques_unit(fit: Likeliho
     """Nor where the models compared have noises of other orders: every model explains the same rows."""
 
     def differences(one: Likelihood) -> list[float]:
-        shorter = tuple(Noise(n.predictor[:1], n.sigma, n.scale) for n in one.hyper.noise)
+        shorter = tuple(replace(n, predictor=n.predictor[:1]) for n in one.hyper.noise)
         others = one._with(kappa=1.0), one._with(noise=shorter)
         return [o.log_evidence - one.log_evidence for o in others]
 
@@ -104,7 +124,7 @@ def test_differences_of_evidence_do_not_depend_on_the_torques_unit(fit: Likeliho
 
 
 def test_rows_that_count_do_not_depend_on_the_order_of_the_noise(fit: Likelihood) -> None:
-    none = tuple(Noise(np.zeros(0), n.sigma, n.scale) for n in fit.hyper.noise)
+    none = tuple(replace(n, predictor=np.zeros(0)) for n in fit.hyper.noise)
     for one, other in zip(fit._with(noise=none).index, fit.index, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -175,5 +195,106 @@ def test_machine_of_trusted_bodies_has_friction_alone() -> None:
     A, own = machine.design(0, fitted(delay_s=DELAY_S).hyper, None)
     assert len(A) == len(own)
     assert own.min() == 0
-    assert machine.n == 2 * (4 + 3 + len(machine.drifting(0))) + 1
+    assert machine.n == 2 * (4 + len(RESPONSE_ORDERS) + 2 + len(machine.drifting(0))) + 1
     assert isinstance(rows.columns, Columns)
+
+
+def test_bodies_are_physical_and_the_prior_is_expanded_there(fit: Likelihood) -> None:
+    assert is_physical(fit.pi.reshape(-1, PARAMETERS_PER_BODY)).all()
+    again = fit.relinearised()
+    np.testing.assert_allclose(again.pi, fit.pi, rtol=0.02, atol=0.02 * float(fit.pi.abs().max()))
+    z = again.gaussian.z[: len(again.hyper.bodies)]
+    np.testing.assert_allclose(z, np.sqrt(again.hyper.kappa) * again.hyper.bodies, atol=0.3)
+
+
+def test_friction_that_is_not_there_does_not_push() -> None:
+    """A joint without friction has coefficients around zero whose truncated posterior is not negative."""
+    robot = wrong_robot(URDF, 1)
+    fit = learn(Machine(rows_of(robot, [recorded(URDF, 2, **{**OPTIONS, "noise": 0.2})])))
+    found = fit.machine.friction(fit.gaussian.z, fit.hyper)
+    assert (found > 0).all()
+    assert (found < 4 * friction_std(fit)).all()
+    assert (fit.hyper.resists[0] >= 0).all()
+    assert fit.hyper.resists[0].max() > 0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_encoder_noise_is_multiplied_by_the_mass_matrix(fit: Likelihood, share: float) -> None:
+    machine, rows = fit.machine, fit.machine.rows
+    M = rows.columns.robot.mass_matrix(torch.from_numpy(rows.q.T)).numpy()
+    for j in range(2):
+        noisy = ((M[:, j] * rows.encoder_std) ** 2).sum(1)
+        expected = np.sqrt(1.0 - share + share * noisy / noisy.mean())
+        np.testing.assert_allclose(machine.spread(j, share), expected, rtol=1e-9)
+        assert np.mean(machine.spread(j, share) ** 2) == pytest.approx(1.0)
+
+
+def direction_std(qd: torch.Tensor, speed_std: float) -> torch.Tensor:
+    """Return the standard deviation of the sign of a velocity that is known to a normal error."""
+    p = norm.cdf(qd.numpy() / speed_std)
+    return torch.from_numpy(2.0 * np.sqrt(p * norm.sf(qd.numpy() / speed_std)))
+
+
+def test_rows_count_less_where_the_velocity_does_not_tell_the_direction(fit: Likelihood) -> None:
+    machine, rows = fit.machine, fit.machine.rows
+    slow = int(np.argmin(np.abs(rows.qd[0])))
+    fast = np.abs(rows.qd[0]) > 0.5 * machine.speed_rms[0]
+    for stick in STICKS:
+        wrong = rows.evaluated(lambda s, k=stick: direction_std(s.qd[0], k * rows.speed_std[0]))
+        weight = machine.weight(0, 1.0, 0.05, stick)
+        np.testing.assert_allclose(weight, 1.0 / np.sqrt(1.0 + (wrong / 0.05) ** 2), rtol=1e-9)
+        assert (machine.weight(0, 0.0, 0.05, stick) == 1.0).all()
+        assert weight[slow] <= np.median(weight[fast])
+        np.testing.assert_allclose(weight[fast], 1.0, atol=0.01)
+    assert machine.weight(0, 1.0, 0.05, 10.0).mean() < machine.weight(0, 1.0, 0.05, 1.0).mean()
+
+
+def test_drift_is_a_random_walk_that_every_recording_has_alone() -> None:
+    rows = rows_of(ROBOT, [recorded(URDF, k, with_friction(), name=f"r{k}", **OPTIONS) for k in (2, 3)])
+    machine = Machine(rows)
+    hyper = fitted(delay_s=DELAY_S).hyper
+    A, own = machine.design(1, hyper, None)
+    drift = A[np.isin(own, machine.drifting(1))] / hyper.drift[1]
+    here = np.array([d[rows.recording == 0].any() for d in drift])
+    assert (here ^ np.array([d[rows.recording == 1].any() for d in drift])).all()
+    for inside, number in ((here, 0), (~here, 1)):
+        size = np.abs(drift[inside][:, rows.recording == number]).max(1)
+        np.testing.assert_allclose(size, [1.0, *(1.0 / np.arange(1, inside.sum()))], rtol=0.01)
+
+
+def test_slow_change_is_drift_and_nothing_else(fit: Likelihood) -> None:
+    """An offset that wanders changes neither friction nor clocks, and the drift's size is learnt of it."""
+    walk = fitted(at_joint(0, lambda m: 0.5 * np.sin(2 * np.pi * 0.04 * m.t + 0.3)), delay_s=DELAY_S)
+    assert walk.hyper.drift[0] > 5 * fit.hyper.drift[0]
+    assert (np.abs(walk.friction - fit.friction) < 3 * np.hypot(friction_std(walk), friction_std(fit))).all()
+    assert abs(walk.delay_s[0] - DELAY_S) < 3e-4
+
+
+def quantised(step: float) -> Recording:
+    """Record an arm without torque noise; the second joint's torque is rounded."""
+    (chunk,) = recorded(URDF, 2, with_friction(), noise=0.0, **OPTIONS).chunks(10**7)
+    tau = chunk.tau.copy()
+    tau[:, 1] = step * np.round(tau[:, 1] / step)
+    return Recording.from_arrays("rounded", ROBOT.joint_names, chunk.t, chunk.q, tau)
+
+
+def test_torque_is_told_to_be_rounded() -> None:
+    rows = rows_of(ROBOT, [quantised(0.25)])
+    assert np.isnan(rows.torque_step[0])
+    assert rows.torque_step[1] == pytest.approx(0.25, rel=1e-3)
+
+
+def test_rounding_is_a_sawtooth_of_the_torque() -> None:
+    """The first harmonic of round(x) - x is -(D / pi) sin(2 pi x / D): its coefficient is -1, that of the cosine 0."""
+    fit = learn(Machine(rows_of(ROBOT, [quantised(0.25)])))
+    slopes = fit.machine.slopes(fit.hyper)[-2:]
+    rows, step = carried(fit), float(fit.machine.rows.torque_step[1])
+    sine = rows.evaluated(lambda s: (step / np.pi) * torch.sin(2 * np.pi * s.supplied[1] / step))
+    # Its load is that of a fit just before.
+    np.testing.assert_allclose(slopes[0, 1], sine, atol=1e-2 * step)
+    assert not slopes[:, 0].any()
+    A, own = fit.machine.design(1, fit.hyper, slopes=fit._slopes)
+    at = [k for k, row in zip(own, A, strict=True) for s in fit._slopes[-2:, 1] if np.array_equal(row, s)]
+    assert fit.gaussian.z[at[0]] == pytest.approx(-1.0, abs=0.15)
+    assert abs(fit.gaussian.z[at[1]]) < 0.15
+    assert fit.gaussian.against_zero(at) > 30

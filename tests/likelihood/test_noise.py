@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import norm
 
 from torchrbd.likelihood.noise import Noise, autocovariance, drift_basis, learnt
 
@@ -16,8 +17,9 @@ def coloured(seed: int, n: int, a: np.ndarray = COEFFICIENTS, sigma: float = 0.3
 
 def of(e: np.ndarray, **options) -> Noise:
     n = len(e)
-    given = {"scale": np.ones(n), "run": np.zeros(n), "measured": np.ones(n, bool), "used": 0.0, "dispersion": 1.0}
-    return learnt(e, **{**given, **options})
+    one = np.ones(n)
+    given = {"spread": one, "weight": one, "run": np.zeros(n), "measured": np.ones(n, bool)}
+    return learnt(e, **{**given, "used": 0.0, "dispersion": 1.0, **options})
 
 
 def white(noise: Noise, e: np.ndarray, run: np.ndarray, measured: np.ndarray) -> np.ndarray:
@@ -55,7 +57,7 @@ def test_innovations_are_white_and_of_unit_variance() -> None:
 
 
 def noise_of(noise: Noise, n: int) -> Noise:
-    return Noise(noise.predictor, noise.sigma, np.ones(n))
+    return Noise(noise.predictor, noise.sigma, np.ones(n), np.ones(n))
 
 
 def test_recording_without_torque_is_left_out() -> None:
@@ -76,7 +78,7 @@ def test_rows_that_are_noisier_count_less() -> None:
     n = 20_000
     scale = 1.0 + 0.9 * np.sin(np.arange(n) / 500.0)
     e = scale * coloured(3, n)
-    noise = of(e, scale=scale)
+    noise = of(e, spread=scale)
     np.testing.assert_allclose(noise.predictor[:2], COEFFICIENTS, atol=0.05)
     u = white(noise, e, np.zeros(n), np.ones(n, bool))
     large = scale[-len(u) :] > 1.0
@@ -86,15 +88,61 @@ def test_rows_that_are_noisier_count_less() -> None:
 
 def test_signals_are_whitened_one_by_one_as_together() -> None:
     rng = np.random.default_rng(4)
-    noise = Noise(COEFFICIENTS, 0.3, rng.uniform(0.5, 2.0, 50))
+    noise = Noise(COEFFICIENTS, 0.3, rng.uniform(0.5, 2.0, 50), np.ones(50))
     run, measured = np.repeat([0, 1], 25), np.ones(50, bool)
     A, index = rng.normal(size=(3, 2, 50)), noise.index(run, measured)
     got = noise.white(A, index)
     for i in range(3):
         for k in range(2):
-            u = A[i, k] / noise.scale
-            one = [(u[m] - COEFFICIENTS[0] * u[m - 1] - COEFFICIENTS[1] * u[m - 2]) / 0.3 for m in index]
+            u, s = A[i, k], 0.3 * noise.spread
+            one = [(u[m] - COEFFICIENTS[0] * u[m - 1] - COEFFICIENTS[1] * u[m - 2]) / s[m] for m in index]
             np.testing.assert_allclose(got[i, k], one)
+
+
+def test_correlation_is_that_of_the_autoregression() -> None:
+    e = coloured(8, 400_000, sigma=1.0)
+    got = Noise(COEFFICIENTS, 1.0, np.ones(1), np.ones(1)).correlation
+    np.testing.assert_allclose(got, [np.mean(e[k:] * e[: len(e) - k]) for k in range(3)], rtol=0.03)
+    np.testing.assert_allclose(Noise(np.zeros(0), 1.0, np.ones(1), np.ones(1)).correlation, [1.0])
+
+
+def doubtful(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return coloured noise with more, white, in some rows, and what those rows count."""
+    weight = np.where(np.arange(n) % 400 < 80, 0.3, 1.0)
+    c0 = 0.09 * Noise(COEFFICIENTS, 1.0, np.ones(1), np.ones(1)).correlation[0]
+    more = np.sqrt(c0 * (1.0 / weight**2 - 1.0)) * np.random.default_rng(900 + seed).normal(size=n)
+    return coloured(seed, n) + more, weight
+
+
+def test_rows_of_which_nobody_knows_are_whitened_to_unit_variance() -> None:
+    """The variance of b * (w e) is the sum of those of coloured and of unknown noise, row by row."""
+    n = 200_000
+    e, weight = doubtful(9, n)
+    noise, run, measured = Noise(COEFFICIENTS, 0.3, np.ones(n), weight), np.zeros(n), np.ones(n, bool)
+    index = noise.index(run, measured)
+    u, phase = noise.white(e, index), index % 400
+    for inside in (phase == 0, phase == 1, (phase >= 2) & (phase < 80), phase == 80, phase == 81, phase > 82):
+        assert u[inside].var() == pytest.approx(1.0, rel=5 * np.sqrt(2.0 / inside.sum()) + 0.01)
+    plain = Noise(COEFFICIENTS, 0.3, np.ones(n), np.ones(n))
+    assert noise.std[400 * 3 + 200] == pytest.approx(plain.std[0])
+
+
+def test_noise_is_learnt_beside_rows_of_which_nobody_knows() -> None:
+    e, weight = doubtful(10, 40_000)
+    noise = of(e, weight=weight)
+    u = noise.white(e, noise.index(np.zeros(len(e)), np.ones(len(e), bool)))
+    assert np.mean(u**2) == pytest.approx(1.0, rel=1e-6)
+    assert noise.surprise(np.arange(100, 40_000)) < of(e).surprise(np.arange(100, 40_000))
+
+
+def test_surprise_is_the_log_density_but_for_half_the_squares() -> None:
+    """Of white noise: each row has standard deviation sigma s / w."""
+    rng, index = np.random.default_rng(11), np.arange(20, 50)
+    weight, spread = rng.uniform(0.2, 1.0, 50), rng.uniform(0.5, 2.0, 50)
+    noise, e = Noise(np.zeros(0), 0.3, spread, weight), rng.normal(size=50)
+    u = noise.white(e, index)
+    expected = -norm.logpdf(e[index], scale=0.3 * spread[index] / weight[index]).sum()
+    assert noise.surprise(index) + 0.5 * u @ u + 15 * np.log(2 * np.pi) == pytest.approx(expected)
 
 
 def test_degrees_of_freedom_and_dispersion_raise_the_variance() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from likelihood.arms import arm_urdf, friction, reading_of, recorded, rows_of
+from likelihood.arms import arm_urdf, friction, none_kept_back, reading_of, recorded, rows_of
 from simulated import joint_names
 
 from torchrbd.likelihood import rows as rows_module
@@ -135,6 +135,60 @@ def test_recording_that_is_kept_back_as_a_whole_has_no_rows() -> None:
     assert rows.recordings == ("r0", "r1")
 
 
+def disturbed(k: int, name: str, *, step: float = 0.0, **options: float) -> Recording:
+    """Record with positions that are noisy, by an encoder that is worse, and torques rounded to steps."""
+    one = recorded(URDF, k, name=name, **{**OPTIONS, "noise": 0.02, **options})
+    (chunk,) = one.chunks(10**7)
+    tau = step * np.round(chunk.tau / step) if step else chunk.tau
+    return Recording.from_arrays(name, one.joints, chunk.t, chunk.q, tau)
+
+
+def test_recording_that_is_kept_back_as_a_whole_is_not_looked_at() -> None:
+    """Neither its clock nor its noise nor its rounding; nor is it read, which its clock would not allow."""
+    own = disturbed(0, "own", encoder_noise=1e-4)
+    for other in (
+        disturbed(1, "other", encoder_noise=1e-3, step=0.5, rate_hz=100.0),
+        disturbed(1, "other", encoder_noise=1e-3, rate_hz=20.0),
+    ):
+        reading, columns = reading_of(ROBOT, [own, other], cutoff_hz=12.0)
+        got = read_rows(reading, columns, lambda name, t: torch.full((len(t),), name == "other"))
+        alone = rows_of(ROBOT, [own], cutoff_hz=12.0)
+        assert got.dt == alone.dt
+        for name in ("encoder_std", "speed_std", "torque_step", "tau"):
+            np.testing.assert_allclose(getattr(got, name), getattr(alone, name), rtol=1e-12)
+
+
+def test_steps_of_the_torque_are_the_coarsest_that_any_recording_shows() -> None:
+    plain, rounded = disturbed(0, "a"), disturbed(1, "b", step=0.5)
+    assert np.isnan(rows_of(ROBOT, [plain]).torque_step).all()
+    np.testing.assert_allclose(rows_of(ROBOT, [plain, rounded]).torque_step, 0.5, rtol=1e-3)
+
+
+def test_torque_that_is_late_is_read_earlier() -> None:
+    """By 12 ms, which is no whole number of samples."""
+    late, together = (recorded(URDF, 11, delay_s=d, name="a", **OPTIONS) for d in (0.012, 0.0))
+    reading, columns = reading_of(ROBOT, [late])
+    got = read_rows(reading, columns, none_kept_back, {"a": 0.012})
+    plain, expected = rows_of(ROBOT, [late]), rows_of(ROBOT, [together])
+    np.testing.assert_allclose(got.t, expected.t)
+    np.testing.assert_array_equal(got.rigid, expected.rigid)
+    scale = np.abs(expected.tau).max()
+    # At the beginning of a recording the late torque is not what it was before.
+    np.testing.assert_allclose(got.tau[:, 3:], expected.tau[:, 3:], atol=2e-3 * scale)
+    assert np.abs(plain.tau - expected.tau).max() > 0.02 * scale
+    np.testing.assert_array_equal(read_rows(reading, columns, none_kept_back, {"other": 0.012}).tau, plain.tau)
+
+
+@pytest.mark.parametrize("rate_hz", [1000.0, 200.0])
+def test_memory_is_bounded_whatever_divides_the_stride(rate_hz: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 1 kHz and 30 Hz the stride is 13, which is prime: nothing can be thinned."""
+    monkeypatch.setattr(rows_module, "_MOST_STATES", 15_000)
+    one = recorded(URDF, 12, duration_s=66_000.0 / rate_hz, rate_hz=rate_hz)
+    rows = rows_of(ROBOT, [one], cutoff_hz=None if rate_hz < 1000.0 else 30.0)
+    tiles = [tile.states.q.shape[1] for tile in rows.tiles]
+    assert 7_500 < sum(tiles) <= 1.05 * 15_000 + max(tiles)
+
+
 def test_gap_starts_a_new_run() -> None:
     one = recorded(URDF, 3, duration_s=14.0)
     (chunk,) = one.chunks(10**7)
@@ -174,7 +228,7 @@ def test_clock_and_encoder_noise_are_those_of_the_recordings() -> None:
             recorded(URDF, 9, duration_s=8.0, rate_hz=100.0, encoder_noise=3e-4),
         ],
     )
-    rows = read_rows(reading, columns, lambda name, t: torch.zeros(len(t), dtype=torch.bool))
+    rows = read_rows(reading, columns, none_kept_back)
     np.testing.assert_allclose(rows.encoder_std, np.sqrt((1e-4**2 + 3e-4**2) / 2), rtol=0.1)
     assert rows.dt == pytest.approx(0.01)
     assert rows.dt_out == pytest.approx(max(reading.filtering.stride(dt) * dt for dt in (0.005, 0.01)))

@@ -59,9 +59,8 @@ class Hypothesis:
 
     def extra(self, fit: Likelihood, rows: Rows) -> Extra:
         """Return its columns, as a model takes them."""
-        F = rows.features(self.candidate)
-        std, _ = coefficient_std(self.candidate, F, fit.machine.torque_rms)
-        return Extra(self.candidate.place, F, std * self.scale)
+        std, _ = _believed(fit, rows, self.candidate)
+        return Extra(self.candidate.place, rows.features(self.candidate), std * self.scale)
 
 
 def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
@@ -94,22 +93,29 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis whose shape, or window, lies between those of the grid, averaged over the finer cell."""
     if h.candidate.site.window is not None:
         return _located(fit, rows, h)
-    columns = rows.columns
+    columns, at = rows.columns, told(fit, rows, h.candidate)
+    if at is None:
+        return h
+    # What the average has of this shape is replaced by that of the cell around it, which axes share as factors.
+    cell = at.log_evidence
+    rest = _less(h.log_evidence, cell - math.log(h.tried))
     for name, axis in axes(columns, h.candidate).items():
         if axis.reach <= 0:
             continue
-        now = h.candidate
+        now = at.candidate
         values = np.linspace(*axis.limits(now.shape[name]), _FINE)
         near = [columns.candidate(now.effect, now.site, {**now.shape, name: float(v)}) for v in values]
         found = _told(fit, rows, near)
         if not found:
             continue
-        best = max(found, key=lambda one: one.log_evidence)
-        # The cell's part of the average was the grid's best value alone.
-        cell = _mean(np.array([one.log_evidence for one in found]))
-        more = np.logaddexp(h.log_evidence, cell - math.log(h.tried)) if h.tried > 1 else max(h.log_evidence, cell)
-        h = replace(best, log_evidence=float(more), tried=h.tried)
-    return h
+        cell += _mean(np.array([one.log_evidence for one in found])) - at.log_evidence
+        at = max(found, key=lambda one: one.log_evidence)
+    return replace(at, log_evidence=float(np.logaddexp(rest, cell - math.log(h.tried))), tried=h.tried)
+
+
+def _less(total: float, part: float) -> float:
+    """Return log(exp(total) - exp(part)), the part being no more than the total but for rounding."""
+    return total + math.log(-math.expm1(part - total)) if part < total else -math.inf
 
 
 def _located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
@@ -149,15 +155,27 @@ def _may_be(e: Effect, site: Site, rows: Rows) -> bool:
     return e.whole_robot or rows.seen[site.joint]
 
 
+def _believed(fit: Likelihood, rows: Rows, candidate: Candidate) -> tuple[np.ndarray, tuple[float, ...]]:
+    """Return how large coefficients are believed to be, (K,) and multiples, whatever the time in which they act."""
+    always = replace(candidate, site=replace(candidate.site, window=None))
+    return coefficient_std(always, rows.features(always), fit.machine.torque_rms)
+
+
+def _counts(fit: Likelihood, place: int | None, F: np.ndarray) -> bool:
+    """Say whether features (K, M) of a joint, or (K, n, M) of all, touch any torque that counts."""
+    each = ((F[:, j] if place is None else F)[:, i] for j, i in enumerate(fit.index) if place in (None, j))
+    return any(bool(own.any()) for own in each)
+
+
 def _averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hypothesis | None:
     """Return the evidence of an effect at a place, averaged over its shapes and sizes."""
-    parts = [(c, F) for c in candidates if np.isfinite(F := rows.features(c)).all() and F.any()]
+    parts = [(c, F) for c in candidates if np.isfinite(F := rows.features(c)).all() and _counts(fit, c.place, F)]
     if not parts:
         return None
     S, r = fit.beside(parts[0][0].place, np.concatenate([F for _, F in parts]))
     K = len(parts[0][1])
     at = np.arange(len(parts))[:, None] * K + np.arange(K)
-    believed = [coefficient_std(c, F, fit.machine.torque_rms) for c, F in parts]
+    believed = [_believed(fit, rows, c) for c, _ in parts]
     scales = np.array(believed[0][1])
     std = np.stack([s for s, _ in believed])[:, None] * scales[:, None]
     found = added(S[at[:, :, None], at[:, None, :]][:, None], r[at][:, None], std, parts[0][0].effect.prior.positive)
@@ -170,10 +188,10 @@ def _averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> H
 
 def _mean(log_evidence: np.ndarray) -> float:
     """Return the log of the mean evidence of alternatives that are equally likely."""
-    return float(logsumexp(log_evidence)) - math.log(log_evidence.size)
+    return float(np.asarray(logsumexp(log_evidence))) - math.log(log_evidence.size)
 
 
-def _in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis]:
+def _in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
     """Yield an effect at every place where it may act for a time, averaged over the stretches of each recording."""
     for number in np.unique(rows.recording):
         name = rows.recordings[number]
@@ -206,17 +224,23 @@ class _Stretches:
         return ((a, b) for a in range(n) for b in range(a + 1, n + 1) if b - a <= longest)
 
 
-def _in_stretches(fit: Likelihood, rows: Rows, candidate: Candidate, number: int, stretches: _Stretches) -> Hypothesis:
-    """Average over stretches of time: moments of a stretch are sums over its blocks."""
+def _in_stretches(
+    fit: Likelihood, rows: Rows, candidate: Candidate, number: int, stretches: _Stretches
+) -> Hypothesis | None:
+    """Average over stretches of time that touch torques: moments of a stretch are sums over its blocks."""
     F = rows.features(candidate)
-    std, multiples = coefficient_std(candidate, F, fit.machine.torque_rms)
+    std, multiples = _believed(fit, rows, candidate)
     V, gram, score = _sums(fit, rows, F, rows.recording == number, stretches.blocks)
-    begin, end = np.array(list(stretches)).T
+    begin, end = np.array(list(stretches), dtype=int).reshape(-1, 2).T
+    counts = np.trace(gram[end] - gram[begin], axis1=1, axis2=2) > 0
+    if not counts.any():
+        return None
     U, scales = V[end] - V[begin], np.array(multiples)
     S = gram[end] - gram[begin] - U.transpose(0, 2, 1) @ U
     r = score[end] - score[begin]
     found = added(S[:, None], r[:, None], std * scales[:, None], candidate.effect.prior.positive)
-    k, size = np.unravel_index(int(found.log_evidence.argmax()), found.log_evidence.shape)
+    told_of = np.where(counts[:, None], found.log_evidence, -math.inf)
+    k, size = np.unravel_index(int(told_of.argmax()), told_of.shape)
     window = Window(rows.recordings[number], float(stretches.times[begin[k]]), float(stretches.times[end[k]]))
     best = rows.columns.candidate(candidate.effect, replace(candidate.site, window=window), {})
     return Hypothesis(

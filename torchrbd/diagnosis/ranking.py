@@ -20,7 +20,7 @@ from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood, learn
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.reading import Progress, Reading
-from torchrbd.likelihood.rows import KeptBack, Rows, read_rows
+from torchrbd.likelihood.rows import KeptBack, Rows, not_held_out, read_rows
 from torchrbd.likelihood.scales import covered_scales
 from torchrbd.physics import Effect, Site, Window
 from torchrbd.physics.registry import effect
@@ -161,9 +161,10 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
         progress: told how far the work is.
     """
     robot, effects = reading.robot, settings.chosen_effects()
-    band = settings.cutoff_hz or band_hz(reading.surveys)
+    surveys = [reading.surveys[k] for k in not_held_out(reading, kept_back)]
+    band = settings.cutoff_hz or band_hz(surveys)
     reading = replace(reading, filtering=Filtering(band, of_motion=True), smoothed=())
-    columns = Columns(robot, (), covered_scales(reading.surveys, reading.filtering))
+    columns = Columns(robot, (), covered_scales(surveys, reading.filtering))
     progress("learning the noise", 0.0)
     fit, clocks = _in_time(reading, columns, kept_back, frozenset(settings.held_bodies(robot)))
     rows = _carried(fit)
@@ -230,9 +231,10 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis with the noise learnt beside it: what is not explained colours the noise, and hides in it.
 
     Both models have the noise that they leave, and rows count by the scatter of the blocks that the larger one leaves.
+    The priors of both are expanded around their own fits: bodies and friction that stood in for the effect lie far off.
     """
     beside = fit.extended((*fit.extra, h.extra(fit, rows)))
-    extended = beside.renoised(dispersed=True)
+    extended = beside.renoised().relinearised().renoised(dispersed=True)
     base = fit.renoised().dispersed(extended.hyper.dispersion)
     # What averaging over shapes, sizes and windows costs, the first noise has told.
     average = h.log_evidence - (beside.log_evidence - fit.log_evidence)
@@ -245,9 +247,27 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     )
 
 
+def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis whose shape, or window, is refined beside the noise, bodies and friction that go with it.
+
+    Those of a fit without it stand in for it, best where its shape is not the true one.
+    """
+    first = refined(fit, rows, h)
+    if first.tried == 1:
+        return first
+    own = fit.extended((*fit.extra, first.extra(fit, rows))).renoised().relinearised().extended(fit.extra)
+    then = told(fit, rows, refined(own, rows, first).candidate)
+    before = told(fit, rows, first.candidate)
+    if then is None or before is None:
+        return first
+    # What averaging costs is that of the first refinement.
+    average = first.log_evidence - before.log_evidence
+    return replace(then, log_evidence=then.log_evidence + average, tried=first.tried)
+
+
 def _leading(fit: Likelihood, rows: Rows, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Return hypotheses in order, the leading ones with refined shapes and their own noise."""
-    leading = [with_own_noise(fit, rows, refined(fit, rows, h)) for h in found[:_LEADING]]
+    leading = [with_own_noise(fit, rows, sharpened(fit, rows, h)) for h in found[:_LEADING]]
     return sorted((*leading, *found[_LEADING:]), key=lambda h: -h.log_evidence)
 
 

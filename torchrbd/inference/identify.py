@@ -14,9 +14,9 @@ from torch import Tensor
 from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.estimators import estimate
+from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.physical.fitting import FittedModel, judge, predict, term_candidates
 from torchrbd.inference.physical.terms import term_estimates
-from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.posterior.identifiability import identifiability
 from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.preparation import Prepared, prepare

@@ -141,7 +141,7 @@ class Gaussian:
         V = solve_triangular(self.L, cross, lower=True, check_finite=False)
         return S - V.T @ V, r
 
-    def against_zero(self, index: Sequence[int]) -> float:
+    def against_zero(self, index: Sequence[int] | np.ndarray) -> float:
         """Return the log evidence against leaving out some coefficients: Savage and Dickey's density ratio at zero."""
         C, m = self.covariance(index), self.z[list(index)]
         return 0.5 * float(np.linalg.slogdet(C)[1] + m @ np.linalg.solve(C, m))
@@ -154,12 +154,18 @@ def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int]
         S, r: what ``Gaussian.beside`` returns.
         std: (*batch, K) prior standard deviations of the coefficients.
         positive: indices of those that cannot be negative.
+
+    Raises:
+        LinAlgError: S is no precision.
     """
     A = np.eye(S.shape[-1]) + std[..., :, None] * S * std[..., None, :]
     inverse = np.linalg.inv(A)
     mean = std * (inverse @ (std * r)[..., None])[..., 0]
     spread = std * np.sqrt(np.maximum(np.diagonal(inverse, axis1=-2, axis2=-1), 0.0))
-    log_evidence = 0.5 * (mean * r).sum(-1) - 0.5 * np.linalg.slogdet(A)[1]
+    sign, log_det = np.linalg.slogdet(A)
+    if not (sign > 0).all():
+        raise np.linalg.LinAlgError("columns beside a posterior have no positive definite precision")
+    log_evidence = 0.5 * (mean * r).sum(-1) - 0.5 * log_det
     for k in positive:
         told = spread[..., k] > 0
         ratio = np.divide(mean[..., k], spread[..., k], out=np.zeros_like(spread[..., k]), where=told)

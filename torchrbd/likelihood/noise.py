@@ -49,7 +49,7 @@ class Noise:
             return self.sigma * self.spread
         b, c = np.concatenate(([1.0], -self.predictor)), self.correlation
         lags = np.arange(len(b))
-        w = np.stack([_late(self.weight, k) for k in lags])
+        w = np.stack([_late(self.weight, k) for k in range(len(b))])
         bw = b[:, None] * w
         relative = ((c[np.abs(lags[:, None] - lags)] @ bw) * bw).sum(0) + c[0] * b**2 @ (1.0 - w**2)
         return self.sigma * self.spread * np.sqrt(np.maximum(relative, 1.0))

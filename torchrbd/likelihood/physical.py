@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.special import multigammaln
+from scipy.special import multigammaln  # type: ignore[attr-defined]
 
 from torchrbd.likelihood.physical_fit import Problem, follow_path
 from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY

@@ -7,9 +7,9 @@ read, so that memory stays bounded.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import torch
@@ -19,7 +19,7 @@ from torchrbd.errors import RecordingError
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.reading import Reading
 from torchrbd.physics import Signals
-from torchrbd.recordings import States, Survey
+from torchrbd.recordings import Filtering, States, Survey
 
 # Samples of states that are kept at most, over all tiles.
 _MOST_STATES = 100_000
@@ -27,6 +27,8 @@ _MOST_STATES = 100_000
 _LEAST_RATE_HZ, _LEAST_RATE_CYCLES = 100.0, 16.0
 # Numbers of features that are remembered at most, about.
 _MOST_REMEMBERED = 20_000_000
+# Whether a recording is held out as a whole is asked of times so far apart [s]: blocks are longer.
+_LOOK_S = 0.1
 # Blocks of time into which a recording is divided at most.
 _MOST_BLOCKS = 64
 
@@ -146,13 +148,15 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
         RecordingError: nothing is left to read.
     """
     tiles, parts = [], []
-    for k, states in _spread(reading):
+    looked_at = not_held_out(reading, kept_back)
+    surveys = [reading.surveys[k] for k in looked_at]
+    for k, states in _spread(reading, looked_at):
         kept = ~kept_back(states.recording, states.t_out)
         if not kept.any():
             continue
         measured = reading.measured(k).unsqueeze(1)
         tau = states.decimate(torch.where(measured, torch.nan_to_num(states.tau), 0.0))
-        states = states.thinned(_thinning(states, reading.filtering.cutoff_hz))
+        states = states.thinned(_thinning(states.stride, states.dt, reading.filtering.cutoff_hz))
         tiles.append(Tile(states, columns.signals(states), kept))
         rigid = states.decimate(columns.robot.regressor_batch_last(states.q, states.qd, states.qdd))
         part = {
@@ -168,8 +172,7 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
             | {"place": torch.cat((states.t_out[kept, None], place), 1).numpy()}
         )
     if not parts:
-        names = ", ".join(r.name for r in reading.recordings)
-        raise RecordingError(f"nothing of {names} is left beside what is held out; hold out less")
+        _nothing_left(reading)
     joined = {name: np.concatenate([p[name] for p in parts], axis=int(name != "place")) for name in parts[0]}
     t, recording, segment, dt_out = joined.pop("place").T
     begins = (np.diff(t, prepend=-np.inf) > 1.5 * dt_out) | (np.diff(t, prepend=0.0) < 0)
@@ -182,11 +185,11 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
         recording=recording.astype(int),
         t=t,
         block=_blocks(t, recording, reading.block_s),
-        encoder_std=np.sqrt(np.mean([s.q_noise_std**2 for s in reading.surveys], axis=0)),
-        torque_step=np.fmax.reduce([s.tau_resolution for s in reading.surveys]),
-        noise_share=np.max([_noise_share(s, reading.filtering.cutoff_hz) for s in reading.surveys], axis=0),
-        speed_std=np.sqrt(np.mean([s.qd_error_std**2 for s in reading.surveys], axis=0)),
-        dt=max(s.clock.dt for s in reading.surveys),
+        encoder_std=np.sqrt(np.mean([s.q_noise_std**2 for s in surveys], axis=0)),
+        torque_step=np.fmax.reduce([s.tau_resolution for s in surveys]),
+        noise_share=np.max([_noise_share(s, reading.filtering.cutoff_hz) for s in surveys], axis=0),
+        speed_std=np.sqrt(np.mean([s.qd_error_std**2 for s in surveys], axis=0)),
+        dt=max(s.clock.dt for s in surveys),
         dt_out=float(dt_out.max()),
         **joined,  # type: ignore[arg-type]
     )
@@ -204,23 +207,42 @@ def _blocks(t: np.ndarray, recording: np.ndarray, block_s: float) -> np.ndarray:
     return np.unique(places, axis=0, return_inverse=True)[1].ravel()
 
 
-def _spread(reading: Reading) -> Iterator[tuple[int, States]]:
-    """Yield every tile of all recordings, or some that are spread over them if they are long."""
-    band = reading.filtering.cutoff_hz
-    total = sum(s.duration_s * min(s.rate_hz, _least_rate(band)) for s in reading.surveys)
+def not_held_out(reading: Reading, kept_back: KeptBack) -> list[int]:
+    """Return the numbers of the recordings that are not held out as a whole.
+
+    Raises:
+        RecordingError: all are.
+    """
+    ends = [s.segments[-1][1] for s in reading.surveys]
+    times = [torch.arange(0.0, end + _LOOK_S, _LOOK_S, dtype=torch.float64) for end in ends]
+    found = [k for k, r in enumerate(reading.recordings) if not bool(kept_back(r.name, times[k]).all())]
+    return found or _nothing_left(reading)
+
+
+def _nothing_left(reading: Reading) -> NoReturn:
+    names = ", ".join(r.name for r in reading.recordings)
+    raise RecordingError(f"nothing of {names} is left beside what is held out; hold out less")
+
+
+def _spread(reading: Reading, numbers: Sequence[int]) -> Iterator[tuple[int, States]]:
+    """Yield every tile of some recordings, or some that are spread over them if they are long."""
+    total = sum(_kept_states(reading.surveys[k], reading.filtering) for k in numbers)
     step, number = max(1, math.ceil(total / _MOST_STATES)), 0
-    for k in range(len(reading.recordings)):
+    for k in numbers:
         for states in reading.tiles(k):
             if number % step == 0:
                 yield k, states
             number += 1
 
 
-def _least_rate(band_hz: float) -> float:
-    return max(_LEAST_RATE_HZ, _LEAST_RATE_CYCLES * band_hz)
+def _kept_states(survey: Survey, filtering: Filtering) -> float:
+    """Return how many samples of a recording's states all of its tiles would keep, but for where they overlap."""
+    dt = survey.clock.dt
+    return survey.duration_s * survey.rate_hz / _thinning(filtering.stride(dt), dt, filtering.cutoff_hz)
 
 
-def _thinning(states: States, band_hz: float) -> int:
-    """Return by how much the clock may be coarser that has the same outputs."""
-    most = max(1, math.floor(1.0 / (states.dt * _least_rate(band_hz)) + 1e-6))
-    return max(d for d in range(1, most + 1) if states.stride % d == 0)
+def _thinning(stride: int, dt: float, band_hz: float) -> int:
+    """Return by how much a clock may be coarser that has the same outputs."""
+    least_hz = max(_LEAST_RATE_HZ, _LEAST_RATE_CYCLES * band_hz)
+    most = max(1, math.floor(1.0 / (dt * least_hz) + 1e-6))
+    return max(d for d in range(1, most + 1) if stride % d == 0)

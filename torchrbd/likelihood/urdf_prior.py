@@ -56,7 +56,7 @@ class Prior:
         return (first + torch.arange(PARAMETERS_PER_BODY)).flatten()
 
 
-def in_proportion(widths: np.ndarray, std: Sequence[float]) -> np.ndarray:
+def in_proportion(widths: np.ndarray, std: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return the largest multiple of ``std`` (K,) that is nowhere above ``widths`` (K,), zero where those are."""
     free = widths > 0
     return np.where(free, np.asarray(std) * np.min(widths / std, where=free, initial=np.inf), 0.0)
