@@ -212,13 +212,14 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
         np.testing.assert_allclose(one.extra(fit, rows).std, one.scale * std)
 
 
-def test_stretches_cover_all_but_the_whole_of_a_single_recording() -> None:
+def test_stretches_cover_most_of_a_single_recording_at_most() -> None:
     rows = carried(fitted())
     stretches = _Stretches.of(rows, 0)
     n = len(stretches.blocks)
     assert not stretches.whole
-    assert len(list(stretches)) == n * (n + 1) // 2 - 1
-    assert (0, n) not in list(stretches)
+    longest = int(0.9 * n)
+    assert set(stretches) == {(a, b) for a in range(n) for b in range(a + 1, min(a + longest, n) + 1)}
+    assert longest < n
     assert len(stretches.times) == n + 1
     assert (np.diff(stretches.times) > 0).all()
 

@@ -165,7 +165,9 @@ def test_dispersion_is_one_for_white_rows_and_more_for_errors_that_last(fit: Lik
         found.append(one.dispersion(0))
     assert np.mean(found) == pytest.approx(1.0, abs=0.15)
     block = np.unique(rows.block[one.index[0]], return_inverse=True)[1]
-    g.left[0] = white[0] * np.exp(rng.normal(size=block.max() + 1))[block] + rng.normal(size=block.max() + 1)[block]
+    g.left[0] = (
+        white[0] * np.exp(rng.normal(size=block.max() + 1))[block] + 2.0 * rng.normal(size=block.max() + 1)[block]
+    )
     assert one.dispersion(0) > 2.0
     assert fit.extended(()).dispersion(0) == pytest.approx(fit.dispersion(0))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -168,7 +170,7 @@ def test_torque_that_is_late_is_read_earlier() -> None:
     """By 12 ms, which is no whole number of samples."""
     late, together = (recorded(URDF, 11, delay_s=d, name="a", **OPTIONS) for d in (0.012, 0.0))
     reading, columns = reading_of(ROBOT, [late])
-    got = read_rows(reading, columns, none_kept_back, {"a": 0.012})
+    got = read_rows(replace(reading, delay_s={"a": 0.012}), columns, none_kept_back)
     plain, expected = rows_of(ROBOT, [late]), rows_of(ROBOT, [together])
     np.testing.assert_allclose(got.t, expected.t)
     np.testing.assert_array_equal(got.rigid, expected.rigid)
@@ -176,7 +178,8 @@ def test_torque_that_is_late_is_read_earlier() -> None:
     # At the beginning of a recording the late torque is not what it was before.
     np.testing.assert_allclose(got.tau[:, 3:], expected.tau[:, 3:], atol=2e-3 * scale)
     assert np.abs(plain.tau - expected.tau).max() > 0.02 * scale
-    np.testing.assert_array_equal(read_rows(reading, columns, none_kept_back, {"other": 0.012}).tau, plain.tau)
+    other = replace(reading, delay_s={"other": 0.012})
+    np.testing.assert_array_equal(read_rows(other, columns, none_kept_back).tau, plain.tau)
 
 
 @pytest.mark.parametrize("rate_hz", [1000.0, 200.0])

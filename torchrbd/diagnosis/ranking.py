@@ -85,7 +85,6 @@ class Ranking:
     considered: int
     _fit: Likelihood = field(repr=False)
     _rows: Rows = field(repr=False)
-    _late: Ranked = field(repr=False)
 
     def evidence_of(
         self,
@@ -115,8 +114,9 @@ class Ranking:
             window=None if window is None else Window(*window),
         )
         e = effect(effect_id or more["effect"])
-        if e.id == self._late.effect and site.joint is None:
-            return self._late.log_evidence
+        if e.first_order is not None and site.joint is None:
+            # Every model has it: its evidence is that of the first step.
+            return next((h.log_evidence for h in self.first if (h.effect, h.joints) == (e.id, ())), 0.0)
         candidate = rows.columns.candidate(e, site, known if e.first_order is None else e.first_order)
         one = told(self._fit, rows, candidate)
         return -math.inf if one is None else with_own_noise(self._fit, rows, one).log_evidence
@@ -187,7 +187,6 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
         considered=len(found) + len(late),
         _fit=fit,
         _rows=rows,
-        _late=clocks.ranked,
     )
 
 
