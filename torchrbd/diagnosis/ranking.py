@@ -247,12 +247,12 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
 
 
 def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis whose shape, or window, is refined beside the noise, bodies and friction that go with it.
+    """Return a hypothesis whose shape is refined beside the noise, bodies and friction that go with it.
 
-    Those of a fit without it stand in for it, best where its shape is not the true one.
+    Those of a fit without it stand in for it, best where its shape is not the true one; steps in time they cannot.
     """
     first = refined(fit, rows, h)
-    if first.tried == 1:
+    if first.tried == 1 or first.candidate.site.window is not None:
         return first
     own = fit.extended((*fit.extra, first.extra(fit, rows))).renoised().relinearised().extended(fit.extra)
     then = told(fit, rows, refined(own, rows, first).candidate)
