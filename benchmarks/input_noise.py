@@ -36,7 +36,7 @@ def parameters(
     """Return the parameters (10 n,) that an estimator finds, before any projection; NaN where it cannot be used."""
     if name not in estimators():
         options = {"cutoff_hz": cutoff_hz, "estimator": name, "encoder_noise": told_noise}
-        return torchrbd.identify(urdf, recording, **options).model.pi.detach().numpy()
+        return torchrbd.identify(urdf, recording, effects=[], **options).model.pi.detach().numpy()
     robot = RobotModel.from_urdf(urdf)
     prepared = prepare(robot, [recording], Settings(cutoff_hz=cutoff_hz, estimator=name), ())
     try:

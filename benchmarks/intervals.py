@@ -37,7 +37,7 @@ def standardised_errors(urdf: str, pi: np.ndarray, recording: Recording, **optio
         recording: the data.
         **options: of identify.
     """
-    found = torchrbd.identify(urdf, recording, **options)
+    found = torchrbd.identify(urdf, recording, effects=[], **options)
     true = base_parameters(found.robot).combination.numpy() @ pi
     return np.array([(b.value - t) / b.std for b, t in zip(found.base, true, strict=True)])
 

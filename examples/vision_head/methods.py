@@ -35,8 +35,8 @@ Method = Callable[[Case], Tensor]
 
 
 def default(case: Case) -> Tensor:
-    """Return what ``torchrbd.identify`` finds without any option."""
-    return identify(case.robot, case.recording).model.pi.detach()
+    """Return what ``torchrbd.identify`` finds of the rigid body alone."""
+    return identify(case.robot, case.recording, effects=[]).model.pi.detach()
 
 
 def registered(case: Case, name: str, projected: bool) -> Tensor:

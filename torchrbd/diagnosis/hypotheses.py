@@ -19,12 +19,13 @@ from torchrbd.inference.shapes.slope import axes
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Extra, Likelihood
+from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import coefficient_std
 from torchrbd.physics import Effect, Site, Window
 
 # The machine has these already, and one offset of the clocks for all joints.
-ORDINARY = ("viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction")
+ORDINARY = (*ORDINARY_EFFECTS, "coulomb_friction")
 # Edges of the stretches of time in which something may act, spread over a recording.
 _MOST_EDGES = 33
 # What is there for more than this part of a recording is there always.
@@ -124,12 +125,14 @@ def _located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     A load that comes or goes is a step, which whitened rows place to some hundredths of a second: the evidence of a
     window is that of its best edges, averaged over those near them.
     """
-    best, paid, step = h, 0.0, 2.0 * float(np.ptp(rows.t)) / max(len(np.unique(rows.block)), 1)
+    assert h.candidate.site.window is not None
+    own = rows.recording == rows.recordings.index(h.candidate.site.window.recording)
+    inside, dt = rows.t[own], 2 * rows.dt_out
+    best, paid, step = h, 0.0, 2.0 * float(np.ptp(inside)) / len(np.unique(rows.block[own]))
     for edge in ("start_s", "end_s"):
         window = best.candidate.site.window
         assert window is not None
-        inside = rows.t[rows.recording == rows.recordings.index(window.recording)]
-        now, dt = getattr(window, edge), 2 * rows.dt_out
+        now = getattr(window, edge)
         if math.isinf(now):
             continue
         times = np.arange(max(now - step, inside[0] + step / 2), min(now + step, inside[-1] - step / 2) + dt, dt)
@@ -139,8 +142,9 @@ def _located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
         if found:
             best = max(found, key=lambda one: one.log_evidence)
             paid += best.log_evidence - _mean(np.array([one.log_evidence for one in found]))
-    located = best.log_evidence - paid - math.log(h.tried) if best is not h else -math.inf
-    return replace(best, log_evidence=max(located, h.log_evidence if best is h else -math.inf), tried=h.tried)
+    if best is h:
+        return h
+    return replace(best, log_evidence=best.log_evidence - paid - math.log(h.tried), tried=h.tried)
 
 
 def _told(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> list[Hypothesis]:

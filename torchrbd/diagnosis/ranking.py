@@ -18,7 +18,7 @@ from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood, learn
-from torchrbd.likelihood.machine import Machine
+from torchrbd.likelihood.machine import ORDINARY_EFFECTS, Machine
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.rows import KeptBack, Rows, not_held_out, read_rows
 from torchrbd.likelihood.scales import covered_scales
@@ -143,10 +143,10 @@ def rank(
     """
     robot, sources, settings = read_arguments(robot, recordings, options, "rank")
     reading, _ = read(robot, sources, settings, progress)
-    held = {str(getattr(source, "name", source)) for source in settings.holdout}
+    held = {source.name for source in settings.holdout}
 
     def kept_back(name: str, t: torch.Tensor) -> torch.Tensor:
-        return torch.full((len(t),), name in held or any(name == Path(h).name for h in held))
+        return torch.full((len(t),), name in held)
 
     return ranking(reading, settings, kept_back, progress)
 
@@ -331,8 +331,8 @@ def _ordinary(fit: Likelihood) -> tuple[Ranked, ...]:
         at = fit.machine.ordinary(j)
         viscous, plus, minus = map(float, fit.friction[j])
         for identifier, index, values in (
-            ("viscous_friction", at[:1], {"viscous": viscous}),
-            ("asymmetric_coulomb_friction", at[1:], {"coulomb_plus": plus, "coulomb_minus": minus}),
+            (ORDINARY_EFFECTS[0], at[:1], {"viscous": viscous}),
+            (ORDINARY_EFFECTS[1], at[1:], {"coulomb_plus": plus, "coulomb_minus": minus}),
         ):
             width = {"width": float(fit.hyper.rest_width[j])} if len(index) > 1 else {}
             evidence = fit.gaussian.against_zero(index)

@@ -67,7 +67,7 @@ def identify(
     """
     robot, sources, settings = read_arguments(robot, recordings, options, "identify")
     effects = with_friction(settings)
-    prepared = with_machine(prepare(robot, sources, settings, effects, progress), settings, effects)
+    prepared = with_machine(prepare(robot, sources, settings, effects, progress), settings, effects, progress)
     terms = term_candidates(prepared.columns, [e.id for e in effects])
     check_seen(settings.told_effects(), prepared.columns)
     prepared, terms = refined(prepared, terms, progress)

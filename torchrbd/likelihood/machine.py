@@ -41,6 +41,8 @@ _DRIFT_HZ, _MOST_DRIFT = 0.1, 12
 # A joint that sticks creeps, and its friction is whatever holds: errors of the velocity, times one of these.
 STICKS = (1.0, 3.0, 10.0)
 ORDINARY = ("viscous", "coulomb_plus", "coulomb_minus")
+# The effects that these are the parameters of.
+ORDINARY_EFFECTS = ("viscous_friction", "asymmetric_coulomb_friction")
 
 
 @dataclass(frozen=True)
