@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from torchrbd.likelihood.noise import Noise, autocovariance, drift_basis, learnt
+from torchrbd.likelihood.noise import Noise, drift_basis, learnt, predictors
 
 COEFFICIENTS = np.array([1.2, -0.5])
 
@@ -167,13 +167,47 @@ def test_no_error_at_all_is_allowed() -> None:
     assert len(of(np.zeros(0)).predictor) == 0
 
 
-def test_autocovariance_sums_products_within_runs() -> None:
-    rng = np.random.default_rng(7)
-    lengths = [30, 1, 12, 50]
-    run, e = np.repeat(np.arange(4), lengths), rng.normal(size=93)
-    parts = [np.correlate(e[run == k], e[run == k], "full")[m - 1 :][:9] for k, m in enumerate(lengths)]
-    expected = np.sum([np.pad(p, (0, 9 - len(p))) for p in parts], axis=0)
-    np.testing.assert_allclose(autocovariance(e, run, 8), expected)
+def test_predictors_are_those_of_the_noise_whatever_the_runs() -> None:
+    runs = [coloured(k, n) for k, n in enumerate((9000, 1, 40, 15_000))]
+    run = np.repeat(np.arange(4), [len(r) for r in runs])
+    orders = list(predictors(np.concatenate(runs), run, 6))
+    assert [len(a) for a, _ in orders] == list(range(7))
+    np.testing.assert_allclose(orders[2][0], COEFFICIENTS, atol=0.02)
+    for a, _ in orders[1:]:
+        assert (np.abs(np.roots(np.concatenate(([1.0], -a)))) < 1.0).all()
+    e, inside = np.concatenate(runs), np.arange(len(run)) >= 6
+    inside[6:] &= run[6:] == run[:-6]
+    a, error = orders[6]
+    expected = e[inside] - sum(a[i] * e[np.flatnonzero(inside) - i - 1] for i in range(6))
+    np.testing.assert_allclose(error[inside], expected, atol=1e-12)
+
+
+def test_predictors_of_short_signals_are_those_of_least_squares_forwards_and_backwards() -> None:
+    """A strong resonance in few samples, which the autocovariance's own estimate smears."""
+    a = np.array([1.8, -0.97])
+    e = coloured(3, 60, a)
+    ((*_, (found, _)),) = [list(predictors(e, np.zeros(60), 2))]
+    X = np.concatenate((np.stack((e[1:-1], e[:-2]), 1), np.stack((e[1:-1], e[2:]), 1)))
+    expected = np.linalg.lstsq(X, np.concatenate((e[2:], e[:-2])), rcond=None)[0]
+    np.testing.assert_allclose(found, expected, atol=0.05)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_order_that_is_chosen_is_that_of_the_greatest_evidence(seed: int) -> None:
+    """Were orders not paid for in the same currency, a model would win by the order alone."""
+    e = coloured(seed, 3000, np.array([1.2, -0.5, 0.0, 0.08]))
+    run, measured = np.zeros(len(e)), np.ones(len(e), bool)
+    chosen = of(e)
+    index = chosen.index(run, measured)
+
+    def evidence(a: np.ndarray) -> float:
+        u = Noise(a, 1.0, np.ones(len(e)), np.ones(len(e))).white(e, index)
+        sigma = np.sqrt(np.mean(u**2))
+        one = Noise(a, sigma, np.ones(len(e)), np.ones(len(e)))
+        return -one.surprise(index) - 0.5 * len(index)
+
+    best = max(evidence(a) for a, _ in predictors(e, run, 16))
+    assert evidence(chosen.predictor) == pytest.approx(best, abs=1e-6)
 
 
 def test_drift_is_a_level_and_cosines_of_each_recording() -> None:

@@ -100,7 +100,7 @@ class Likelihood:
     def log_evidence(self) -> float:
         """Log marginal likelihood of all rows, to the power of one over their joint's dispersion."""
         each = zip(self.index, self.hyper.noise, self.hyper.dispersion, strict=True)
-        return self.gaussian.log_evidence - float(sum(np.log(n.std[i]).sum() / d for i, n, d in each))
+        return self.gaussian.log_evidence - float(sum(n.surprise(i) / d for i, n, d in each))
 
     @property
     def pi(self) -> torch.Tensor:

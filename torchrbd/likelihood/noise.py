@@ -15,11 +15,11 @@ of different orders explain the same rows.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
 
 _MOST_ORDER = 16
 # Noise below this part of the residual's RMS is rounding.
@@ -71,8 +71,8 @@ class Noise:
         return k[(run[k] == run[k - p]) & measured[k] & measured[k - p]]
 
     def surprise(self, index: np.ndarray) -> float:
-        """Return -log p of rows (m,), but for half the squares of the whitened ones."""
-        return float(np.log(self.std[index] / self.weight[index]).sum())
+        """Return -log p of rows (m,), but for half the squares of the whitened ones: its order is paid for."""
+        return float(np.log(self.std[index] / self.weight[index]).sum()) + order_cost(len(self.predictor), len(index))
 
     def white(self, A: np.ndarray, index: np.ndarray) -> np.ndarray:
         """Return signals (..., M) as the whitened rows (m,) see them, (..., m)."""
@@ -106,27 +106,30 @@ def learnt(
         white: whether rows are taken to be independent, as least squares does.
     """
     own = np.where(measured, weight / spread, 0.0)
-    lags = autocovariance(own * residual, run, _MOST_ORDER)
     count = max(float((own**2).sum()), 1.0)
-    lags = lags / count
-    lags[0] = max(lags[0] * (1 + _LEAST**2), 1e-300)
-    best, found = math.inf, (np.zeros(0), float(lags[0]))
-    for p in range(1 if white else _MOST_ORDER + 1):
-        a = solve_toeplitz(lags[:p], lags[1 : p + 1]) if p else np.zeros(0)
-        variance = float(lags[0] - a @ lags[1 : p + 1])
-        if variance <= 0:
-            break
-        # Schwarz's approximation of the evidence of the order.
-        loss = 0.5 * count * math.log(variance) + 0.5 * p * math.log(count)
-        if loss < best:
-            best, found = loss, (a, variance)
-    noise = Noise(found[0], math.sqrt(found[1]), spread, weight)
+    rms = math.sqrt(max(_power(own * residual) * len(own) / count, 1e-300)) if len(own) else 1.0
+    noise = Noise(np.zeros(0), rms, spread, weight)
     if len(index := noise.index(run, measured)):
-        left = float(np.mean(noise.white(residual, index) ** 2))
-        noise = replace(noise, sigma=noise.sigma * math.sqrt(max(left, _LEAST**2)))
+        orders = predictors(own * residual, run, 0 if white else _MOST_ORDER)
+
+        def loss(order: tuple[np.ndarray, np.ndarray]) -> float:
+            a, error = order
+            variance = max(_power(error[index]), (_LEAST * rms) ** 2)
+            return 0.5 * len(index) * math.log(variance) + order_cost(len(a), len(index))
+
+        noise = replace(noise, predictor=min(orders, key=loss)[0])
+        noise = replace(noise, sigma=rms * max(math.sqrt(_power(noise.white(residual, index))), _LEAST))
     # A fit that has many parameters leaves less than the noise.
     raised = max(dispersion, 1.0) / max(1.0 - used / count, 0.1)
     return replace(noise, sigma=noise.sigma * math.sqrt(raised))
+
+
+def order_cost(order: int, rows: float) -> float:
+    """Return what a predictor of so many coefficients costs the evidence [nats]: Schwarz's approximation.
+
+    Source: Schwarz, "Estimating the Dimension of a Model", Annals of Statistics 1978.
+    """
+    return 0.5 * order * math.log(max(rows, 1.0))
 
 
 def _late(x: np.ndarray, steps: int) -> np.ndarray:
@@ -134,10 +137,31 @@ def _late(x: np.ndarray, steps: int) -> np.ndarray:
     return x if not steps else np.concatenate((np.full(steps, x[0]), x[:-steps]))
 
 
-def autocovariance(e: np.ndarray, run: np.ndarray, order: int) -> np.ndarray:
-    """Return sum_t e_t e_(t-k) within runs for k up to ``order``, (order + 1,)."""
-    n = len(e)
-    return np.array([np.sum(e[k:] * e[: n - k] * (run[k:] == run[: n - k])) for k in range(order + 1)])
+def _power(x: np.ndarray) -> float:
+    return float(np.mean(x**2)) if len(x) else 0.0
+
+
+def predictors(e: np.ndarray, run: np.ndarray, most: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the predictor (p,) of each order up to ``most``, and what it does not predict of a signal (M,).
+
+    Each order's last reflection coefficient makes the errors of predicting forwards and backwards smallest together, so
+    that every predictor is stable.
+
+    Source: Burg, "Maximum Entropy Spectral Analysis", 1967; Kay, "Modern Spectral Estimation" (1988), sec. 7.6.
+    """
+    a, forward, backward = np.zeros(0), e, e
+    yield a, forward
+    for p in range(1, most + 1):
+        inside = run[p:] == run[:-p]
+        f, b = forward[p:] * inside, backward[p - 1 : -1] * inside
+        power = float(f @ f + b @ b) * (1 + _LEAST**2)
+        if power <= 0:
+            return
+        k = 2.0 * float(f @ b) / power
+        a = np.append(a - k * a[::-1], k)
+        forward, backward = forward.copy(), backward.copy()
+        forward[p:], backward[p:] = f - k * b, b - k * f
+        yield a, forward
 
 
 def drift_basis(t: np.ndarray, recording: np.ndarray, slowest_hz: float, most: int) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 import torch
+from scipy.linalg import solve_toeplitz
 
 from torchrbd.errors import OptionError
 
@@ -16,9 +17,9 @@ _BLACKMAN_REACH = 2.75
 _KAISER_REACH = 1.815
 _KAISER_BETA = 5.653
 _OVERSAMPLING = 2.5
-# Half-length of the filter that takes the noise out [s]: it tells frequencies some Hz apart. Points of its response for
-# each of its own.
-_WIENER_REACH_S, _OVERSAMPLED = 0.8, 8
+# Half-length of the filter that takes the noise out [s]: it tells frequencies some Hz apart. Points of a spectrum for
+# each of its own, and the least of the greatest density that it may count on.
+_WIENER_REACH_S, _OVERSAMPLED, _LEAST_DENSITY = 0.8, 8, 1e-9
 
 
 @dataclass(frozen=True)
@@ -62,23 +63,19 @@ class Filtering:
         # a slow clock leaves no room for the upper half of the transition band
         return torch.from_numpy(_state_kernels(min(self.state_cutoff_hz * dt, 1 / 3), dt))
 
-    def motion_kernels(self, dt: float, share: np.ndarray, share_hz: np.ndarray) -> torch.Tensor:
+    def motion_kernels(self, dt: float, share: np.ndarray, density: np.ndarray, hz: np.ndarray) -> torch.Tensor:
         """Return the state kernels of each joint, (n, 3, 2 S + 1).
 
         Args:
             dt: sampling interval [s].
-            share: (n, F) part of the positions' power that is motion, at frequencies ``share_hz`` (F,) [Hz].
+            share: (n, F) part of the positions' power that is motion, at frequencies ``hz`` (F,) [Hz].
+            density: (n, F) power density of the measured acceleration.
         """
         kernels = self.state_kernels(dt)
         if not self.of_motion:
             return kernels.expand(len(share), *kernels.shape)
         half = self._motion_reach(dt)
-        frequency = np.fft.rfftfreq(_OVERSAMPLED * half, dt)
-        # The window below smears the gain over this width: what falls there must not fall within the motion.
-        gain = np.stack([np.interp(frequency - 1.0 / _WIENER_REACH_S, share_hz, own) for own in share])
-        centred = np.roll(np.fft.irfft(gain, _OVERSAMPLED * half), half, axis=1)[:, : 2 * half + 1]
-        wiener = centred * np.hanning(2 * half + 3)[1:-1]
-        wiener /= wiener.sum(1, keepdims=True)
+        wiener = [_wiener_kernel(one, own, hz, dt, half) for one, own in zip(share, density, strict=True)]
         return torch.from_numpy(np.stack([[np.convolve(w, k) for k in kernels.numpy()] for w in wiener]))
 
     def feature_kernel(self, dt: float) -> torch.Tensor:
@@ -174,6 +171,24 @@ def _state_kernels(cutoff: float, dt: float) -> np.ndarray:
     velocity = _set_moments(kernels[1], x, {1: -1.0 / half, 3: 0.0})
     acceleration = _set_moments(kernels[2], x, {0: 0.0, 2: 2.0 / half**2, 4: 0.0})
     return np.stack([position, velocity / dt, acceleration / dt**2])
+
+
+def _wiener_kernel(share: np.ndarray, density: np.ndarray, hz: np.ndarray, dt: float, half: int) -> np.ndarray:
+    """Make the kernel (2 half + 1,) whose acceleration errs least: Wiener and Hopf's equations of that length.
+
+    The errors that it leaves do not correlate with what it has seen. Slow motion passes exactly.
+    """
+    size = 2 * _OVERSAMPLED * half
+    f = np.fft.rfftfreq(size, dt)
+    measured, motion = np.interp(f, hz, density), np.interp(f, hz, share * density)
+    measured += _LEAST_DENSITY * max(float(density.max()), 1e-300)
+    lags = np.fft.irfft(motion, size)[: half + 1]
+    wanted = np.concatenate((lags[:0:-1], lags))
+    slow = np.linspace(-1.0, 1.0, 2 * half + 1)[:, None] ** [0, 2]
+    free, *turn = solve_toeplitz(np.fft.irfft(measured, size)[: 2 * half + 1], np.column_stack((wanted, slow))).T
+    turned = np.array(turn)
+    kernel = free + np.linalg.solve(turned @ slow, [1.0, 0.0] - free @ slow) @ turned
+    return 0.5 * (kernel + kernel[::-1])
 
 
 def _set_moments(kernel: np.ndarray, x: np.ndarray, moments: dict[int, float]) -> np.ndarray:

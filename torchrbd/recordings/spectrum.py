@@ -134,6 +134,15 @@ class Spectrum:
         """Return the standard deviation (n,) of white position noise."""
         return np.sqrt(self.q_noise_density() / (2 * self.dt))
 
+    @property
+    def smooth_acceleration(self) -> np.ndarray:
+        """Return the power density (n, F) of the acceleration, averaged over a third of an octave."""
+        f = self.frequency
+        ends = np.searchsorted(f, f * 2.0 ** (-1.0 / 6.0)), np.searchsorted(f, f * 2.0 ** (1.0 / 6.0), side="right")
+        # Sums from each begin to its end, and from there to the next begin: these are left out.
+        sums = np.add.reduceat(np.pad(self.acceleration, ((0, 0), (0, 1))), np.stack(ends, 1).ravel(), axis=1)
+        return sums[:, ::2] / (ends[1] - ends[0])
+
     def motion_share(self, *, regular: bool = True) -> np.ndarray:
         """Return which part of the positions' power is motion and not white noise, (n, F) between 0 and 1.
 
@@ -144,11 +153,7 @@ class Spectrum:
 
         Source: Wiener, "Extrapolation, Interpolation and Smoothing of Stationary Time Series", 1949.
         """
-        f = self.frequency
-        ends = np.searchsorted(f, f * 2.0 ** (-1.0 / 6.0)), np.searchsorted(f, f * 2.0 ** (1.0 / 6.0), side="right")
-        # Sums from each begin to its end, and from there to the next begin: these are left out.
-        sums = np.add.reduceat(np.pad(self.acceleration, ((0, 0), (0, 1))), np.stack(ends, 1).ravel(), axis=1)
-        smooth = sums[:, ::2] / (ends[1] - ends[0])
+        f, smooth = self.frequency, self.smooth_acceleration
         noise = self.q_noise_density(regular=regular)[:, None] * self.difference_gain**2
         share = np.clip(1.0 - _NOISE_MARGIN * noise / np.maximum(smooth, 1e-300), 0.0, 1.0)
         share[:, f < LOWEST_HZ] = 1.0

@@ -130,7 +130,7 @@ class _Cutter:
         self._use_velocity = torch.from_numpy(~np.isnan(survey.qd_noise_std))
         # Where the velocity is measured, positions are not differentiated, and their noise is small.
         share = np.where(np.isnan(survey.qd_noise_std)[:, None], survey.motion_share, 1.0)
-        self._kernels = filtering.motion_kernels(self._dt, share, survey.share_hz)
+        self._kernels = filtering.motion_kernels(self._dt, share, survey.acceleration_density, survey.share_hz)
         self._feature_kernel = filtering.feature_kernel(self._dt)
         self._stride = filtering.stride(self._dt)
         self._state_half = self._kernels.shape[2] // 2

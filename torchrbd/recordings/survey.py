@@ -37,6 +37,7 @@ class Survey:
         qd_noise_std: (n,) white noise of the measured velocity for joints whose measured velocity is used instead of
             the differentiated position; NaN for the others [rad/s or m/s].
         motion_share: (n, F) part of the positions' power that is motion and not noise, at ``share_hz`` (F,) [Hz].
+        acceleration_density: (n, F) power density of the differentiated positions there.
         link_ratio: (n,) how far the position behind the gear moves when q does, by least squares; NaN where it is not
             recorded or q hardly moves.
         temperature_min, temperature_max: (n,) [deg C], NaN where not recorded.
@@ -64,6 +65,7 @@ class Survey:
     qd_noise_std: np.ndarray
     motion_share: np.ndarray
     share_hz: np.ndarray
+    acceleration_density: np.ndarray
     link_ratio: np.ndarray
     temperature_min: np.ndarray
     temperature_max: np.ndarray
@@ -149,6 +151,7 @@ def survey(recording: Recording) -> Survey:
         qd_noise_std=qd_noise_std,
         motion_share=spectrum.motion_share(regular=clock.regular),
         share_hz=spectrum.frequency,
+        acceleration_density=spectrum.smooth_acceleration,
         link_ratio=link_ratio,
         temperature_min=coldest,
         temperature_max=warmest,
