@@ -31,7 +31,7 @@ def test_share_is_one_minus_noise_over_power_that_is_averaged_over_a_third_of_an
     f, expected = one.frequency, np.empty(one.acceleration.shape)
     for k in range(len(f)):
         near = [i for i in range(len(f)) if f[k] * 2 ** (-1 / 6) <= f[i] <= f[k] * 2 ** (1 / 6)]
-        noise = 1.2 * one.q_noise_density() * one.difference_gain[k] ** 2
+        noise = 1.2 * one.q_noise_density(fastest_hz=125.0) * one.difference_gain[k] ** 2
         expected[:, k] = 1.0 - noise / one.acceleration[:, near].mean(1)
     expected = np.clip(expected, 0.0, 1.0)
     expected[:, f < LOWEST_HZ] = 1.0
@@ -69,3 +69,13 @@ def test_fast_clock_takes_little_memory() -> None:
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 50e6
+
+
+def test_noise_of_a_slow_encoder_on_a_fast_clock_is_not_taken_for_motion() -> None:
+    """Steps of 0.2 mrad at 0.05 rad/s come each 4 ms: the Nyquist frequency of 2 kHz tells little of their noise."""
+    rate_hz = 2000.0
+    t = np.arange(0.0, 20.0, 1.0 / rate_hz)
+    q = 0.05 * np.stack([np.sin(t), np.sin(0.7 * t + 1.0)])
+    one = spectrum(np.round(q / 2e-4) * 2e-4, rate_hz)
+    inside = (one.frequency > 4.0) & (one.frequency < 12.0)
+    assert one.motion_share()[:, inside].max() < 0.5
