@@ -31,7 +31,7 @@ def test_share_is_one_minus_noise_over_power_that_is_averaged_over_a_third_of_an
     f, expected = one.frequency, np.empty(one.acceleration.shape)
     for k in range(len(f)):
         near = [i for i in range(len(f)) if f[k] * 2 ** (-1 / 6) <= f[i] <= f[k] * 2 ** (1 / 6)]
-        noise = 1.2 * one.q_noise_density(fastest_hz=125.0) * one.difference_gain[k] ** 2
+        noise = 1.2 * one.q_noise_density(below_hz=56.25) * one.difference_gain[k] ** 2
         expected[:, k] = 1.0 - noise / one.acceleration[:, near].mean(1)
     expected = np.clip(expected, 0.0, 1.0)
     expected[:, f < LOWEST_HZ] = 1.0
@@ -79,3 +79,11 @@ def test_noise_of_a_slow_encoder_on_a_fast_clock_is_not_taken_for_motion() -> No
     one = spectrum(np.round(q / 2e-4) * 2e-4, rate_hz)
     inside = (one.frequency > 4.0) & (one.frequency < 12.0)
     assert one.motion_share()[:, inside].max() < 0.5
+
+
+def test_noise_of_a_fast_irregular_clock_is_not_told_from_the_motion() -> None:
+    q = moving(1000.0, 1e-6)
+    q += 0.02 * np.sin(2 * np.pi * 6.0 * np.arange(q.shape[1]) / 1000.0)
+    one = spectrum(q, 1000.0)
+    near = np.argmin(np.abs(one.frequency - 6.0))
+    assert (one.motion_share(regular=False)[:, near] > 0.99).all()

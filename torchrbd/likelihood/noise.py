@@ -107,18 +107,19 @@ def learnt(
     """
     own = np.where(measured, weight / spread, 0.0)
     count = max(float((own**2).sum()), 1.0)
-    rms = math.sqrt(max(_power(own * residual) * len(own) / count, 1e-300)) if len(own) else 1.0
+    rms = math.sqrt(max(float(((own * residual) ** 2).sum()) / count, 1e-300))
     noise = Noise(np.zeros(0), rms, spread, weight)
     if len(index := noise.index(run, measured)):
         orders = predictors(own * residual, run, 0 if white else _MOST_ORDER)
 
         def loss(order: tuple[np.ndarray, np.ndarray]) -> float:
             a, error = order
-            variance = max(_power(error[index]), (_LEAST * rms) ** 2)
+            variance = max(float(np.mean(error[index] ** 2)), (_LEAST * rms) ** 2)
             return 0.5 * len(index) * math.log(variance) + order_cost(len(a), len(index))
 
         noise = replace(noise, predictor=min(orders, key=loss)[0])
-        noise = replace(noise, sigma=rms * max(math.sqrt(_power(noise.white(residual, index))), _LEAST))
+        left = float(np.mean(noise.white(residual, index) ** 2))
+        noise = replace(noise, sigma=rms * math.sqrt(max(left, _LEAST**2)))
     # A fit that has many parameters leaves less than the noise.
     raised = max(dispersion, 1.0) / max(1.0 - used / count, 0.1)
     return replace(noise, sigma=noise.sigma * math.sqrt(raised))
@@ -135,10 +136,6 @@ def order_cost(order: int, rows: float) -> float:
 def _late(x: np.ndarray, steps: int) -> np.ndarray:
     """Return x (M,) so many steps later, the first value before its beginning."""
     return x if not steps else np.concatenate((np.full(steps, x[0]), x[:-steps]))
-
-
-def _power(x: np.ndarray) -> float:
-    return float(np.mean(x**2)) if len(x) else 0.0
 
 
 def predictors(e: np.ndarray, run: np.ndarray, most: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -159,8 +156,8 @@ def predictors(e: np.ndarray, run: np.ndarray, most: int) -> Iterator[tuple[np.n
             return
         k = 2.0 * float(f @ b) / power
         a = np.append(a - k * a[::-1], k)
-        forward, backward = forward.copy(), backward.copy()
-        forward[p:], backward[p:] = f - k * b, b - k * f
+        forward = np.concatenate((forward[:p], f - k * b))
+        backward = np.concatenate((backward[:p], b - k * f))
         yield a, forward
 
 

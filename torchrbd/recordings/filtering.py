@@ -69,7 +69,7 @@ class Filtering:
         Args:
             dt: sampling interval [s].
             share: (n, F) part of the positions' power that is motion, at frequencies ``hz`` (F,) [Hz].
-            density: (n, F) power density of the measured acceleration.
+            density: (n, F) power density of the measured acceleration there, in any unit.
         """
         kernels = self.state_kernels(dt)
         if not self.of_motion:
@@ -176,7 +176,9 @@ def _state_kernels(cutoff: float, dt: float) -> np.ndarray:
 def _wiener_kernel(share: np.ndarray, density: np.ndarray, hz: np.ndarray, dt: float, half: int) -> np.ndarray:
     """Make the kernel (2 half + 1,) whose acceleration errs least: Wiener and Hopf's equations of that length.
 
-    The errors that it leaves do not correlate with what it has seen. Slow motion passes exactly.
+    The errors that it leaves do not correlate with what it has seen. Levels, ramps and parabolas pass exactly.
+
+    Source: Levinson, "The Wiener RMS Error Criterion in Filter Design and Prediction", J. Math. and Phys. 1946.
     """
     size = 2 * _OVERSAMPLED * half
     f = np.fft.rfftfreq(size, dt)

@@ -24,8 +24,8 @@ _LAG_TOLERANCE = 0.005
 _QUIETER = 0.25
 # Of the noise, which is known to some tenths only.
 _NOISE_MARGIN = 1.2
-# Noise among the motion is that just beyond it, as far as clocks of this rate tell.
-_FASTEST_HZ = 125.0
+# Noise among the motion is that just beyond it [Hz], whatever the clock.
+_NOISE_BELOW_HZ = 56.25
 
 
 class Spectrum:
@@ -122,15 +122,15 @@ class Spectrum:
         """Return `(2 sin(w dt / 2) / dt)^2` (F,), the power gain of a first difference."""
         return (2 * np.sin(np.pi * self.frequency * self.dt) / self.dt) ** 2
 
-    def q_noise_density(self, *, regular: bool = True, fastest_hz: float = math.inf) -> np.ndarray:
+    def q_noise_density(self, *, regular: bool = True, below_hz: float = math.inf) -> np.ndarray:
         """Return the one-sided power density (n,) of white position noise, from that near the Nyquist frequency.
 
         What has been interpolated from an irregular clock has less of it there: lower frequencies tell, if ``regular``
         is false. An encoder that moves less than one step between samples rounds many of them alike, and its noise is
-        not white up to the Nyquist frequency of a fast clock: that of a clock of ``fastest_hz`` tells more.
+        not white up to the Nyquist frequency of a fast clock: frequencies ``below_hz`` tell more of lower ones.
         """
         low, high = _NOISE_BAND if regular else _SMOOTHED_BAND
-        cycles = self.frequency * max(self.dt, 1.0 / fastest_hz)
+        cycles = self.frequency * max(self.dt, high / below_hz)
         band = (cycles > low) & (cycles < high)
         return np.median(self.acceleration[:, band] / self.difference_gain[band] ** 2, axis=1)
 
@@ -158,7 +158,7 @@ class Spectrum:
         Source: Wiener, "Extrapolation, Interpolation and Smoothing of Stationary Time Series", 1949.
         """
         f, smooth = self.frequency, self.smooth_acceleration
-        noise = self.q_noise_density(regular=regular, fastest_hz=_FASTEST_HZ)[:, None] * self.difference_gain**2
+        noise = self.q_noise_density(regular=regular, below_hz=_NOISE_BELOW_HZ)[:, None] * self.difference_gain**2
         share = np.clip(1.0 - _NOISE_MARGIN * noise / np.maximum(smooth, 1e-300), 0.0, 1.0)
         share[:, f < LOWEST_HZ] = 1.0
         return np.minimum.accumulate(share, axis=1)

@@ -37,7 +37,7 @@ class Survey:
         qd_noise_std: (n,) white noise of the measured velocity for joints whose measured velocity is used instead of
             the differentiated position; NaN for the others [rad/s or m/s].
         motion_share: (n, F) part of the positions' power that is motion and not noise, at ``share_hz`` (F,) [Hz].
-        acceleration_density: (n, F) power density of the differentiated positions there.
+        acceleration_density: (n, F) power density of the positions, differentiated twice, there [rad²/s³ or m²/s³].
         link_ratio: (n,) how far the position behind the gear moves when q does, by least squares; NaN where it is not
             recorded or q hardly moves.
         temperature_min, temperature_max: (n,) [deg C], NaN where not recorded.
