@@ -26,7 +26,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.likelihood.noise import Noise, drift_basis
+from torchrbd.likelihood.noise import Noise, drift_basis, predicted
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import inertial_scale
 from torchrbd.physics import Signals
@@ -90,6 +90,7 @@ class Machine:
     Attributes:
         n: number of coefficients.
         torque_rms: (n_dof,) of what is measured [N m or N].
+        index: per joint, the rows (m,) that are whitened.
     """
 
     def __init__(self, rows: Rows, held: frozenset[str] = frozenset()) -> None:
@@ -106,6 +107,7 @@ class Machine:
         mass = rows.columns.robot.mass_matrix(torch.from_numpy(rows.q.T)).numpy()
         self._carried = np.einsum("mjk,k->jm", mass**2, rows.encoder_std**2)
         self._undirected = {k: rows.evaluated(partial(self._direction_std, k)) for k in STICKS}
+        self.index = [predicted(rows.run, measured) for measured in rows.measured]
         self.sign = lru_cache(maxsize=256)(self._sign)
 
     def _direction_std(self, stick: float, signals: Signals) -> Tensor:
@@ -127,26 +129,21 @@ class Machine:
         """Return where the coefficients of a joint's drift stand."""
         return self._first(joint) + np.arange(self._local - len(self._drift), self._local)
 
-    def spread(self, joint: int, encoder_share: float) -> np.ndarray:
-        """Return how noisy a joint's rows are against each other, (M,): s^2 = 1 - share + share m^2 / mean m^2.
+    def spread(self, joint: int, encoder_share: float, loose: float = 0.0, stick: float = 1.0) -> np.ndarray:
+        """Return how noisy a joint's rows are against each other, (M,): s^2 = 1 - k + k m^2 / mean m^2 + l^2 u^2
 
         Encoder noise is differentiated twice and multiplied by the row of the mass matrix, m^2 = sum_k M_jk^2 s_k^2.
-        """
-        m = self._carried[joint]
-        return np.sqrt(1.0 - encoder_share + encoder_share * m / max(float(m.mean()), 1e-300))
-
-    def weight(self, joint: int, coulomb: float, noise_std: float, stick: float) -> np.ndarray:
-        """Return what rows count, (M,): less where the velocity does not tell the direction of Coulomb friction.
-
-        The standard deviation of the direction passes the filter: all samples of a reversal err together.
+        Friction errs where the velocity does not tell its direction; u is the standard deviation of that direction.
 
         Args:
             joint: which.
-            coulomb: friction [N m or N].
-            noise_std: of the torque [N m or N].
+            encoder_share: k, part of the noise that encoders make, on average.
+            loose: l, Coulomb friction in units of the noise.
             stick: speeds of so many standard deviations of the velocity's error may be rest, see ``STICKS``.
         """
-        return 1.0 / np.sqrt(1.0 + (coulomb / max(noise_std, 1e-300) * self._undirected[stick][joint]) ** 2)
+        m = self._carried[joint]
+        encoders = 1.0 - encoder_share + encoder_share * m / max(float(m.mean()), 1e-300)
+        return np.sqrt(encoders + (loose * self._undirected[stick][joint]) ** 2)
 
     @property
     def timing(self) -> np.ndarray:
