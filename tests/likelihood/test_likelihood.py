@@ -26,7 +26,7 @@ from scipy.stats import norm
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Extra, Likelihood, learn
-from torchrbd.likelihood.machine import RESPONSE_ORDERS, STICKS, Machine
+from torchrbd.likelihood.machine import STICKS, Machine
 from torchrbd.likelihood.noise import learnt
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 from torchrbd.physics import Site
@@ -197,7 +197,7 @@ def test_machine_of_trusted_bodies_has_friction_alone() -> None:
     A, own = machine.design(0, fitted(delay_s=DELAY_S).hyper, None)
     assert len(A) == len(own)
     assert own.min() == 0
-    assert machine.n == 2 * (4 + len(RESPONSE_ORDERS) + 2 + len(machine.drifting(0))) + 1
+    assert machine.n == 2 * (4 + 2 + len(machine.drifting(0)) + 1) + 1
     assert isinstance(rows.columns, Columns)
 
 

@@ -4,14 +4,15 @@
           + d qd + c_+ max(g, 0) + c_- min(g, 0)            viscous and two-sided Coulomb friction, g = tanh(qd / w)
           + s dg/dlog w                                     how wide the sign change is
           + t0 d(tau_s)/dt                                  one offset between the clocks of torque and motion
-          + sum_k a_k d^k(load)/dt^k,  k = 2, 3, 4          what the fastest part of the estimated motion is worth
+          + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
+                                                            what the fastest part of each joint's motion is worth
           + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
           + drift(t)                                        a random walk's lowest frequencies
 
 The fastest part of the differentiated positions is encoder noise as well as motion. As far as there is noise within the
-band, the torque tells how much of each frequency is motion: even orders shrink it, the odd one turns its phase
-(regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4). Friction keeps its sharp
-edges. What
+band, the torques of all joints tell how much of it is motion, joint by joint: q + a d^2q/dt^2 is q with its highest
+frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4).
+Friction keeps its sharp edges. What
 rounding adds is a function of the torque, a sawtooth that noise smooths to its first harmonic (Widrow and Kollar,
 "Quantization Noise", 2008).
 """
@@ -31,9 +32,9 @@ from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import inertial_scale
 from torchrbd.physics import Signals
 
-# Clocks are off by some samples; so far the response may remember.
-_TIMING_SAMPLES, _RESPONSE_SAMPLES = 3.0, 2.0
-RESPONSE_ORDERS, _ROUNDING = (2, 3, 4), 2
+# Clocks are off by some samples; a position may be an average over so many.
+_TIMING_SAMPLES, _AVERAGE_SAMPLES = 3.0, 2.0
+_ROUNDING = 2
 # Friction of a joint may take all of its torque; its sign change may be wider or narrower by this part.
 _WIDTH_STD, _WIDTH_STEP = 0.5, 1.1
 # What changes more slowly than this is drift, as far as so many cosines a recording tell.
@@ -99,9 +100,9 @@ class Machine:
         self.torque_rms = np.sqrt((rows.tau**2).sum(1) / np.maximum(rows.measured.sum(1), 1))
         self.speed_rms = np.sqrt(np.mean(rows.qd**2, axis=1))
         self._drift, self._drift_size = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
-        self._local = len(ORDINARY) + 1 + len(RESPONSE_ORDERS) + _ROUNDING + len(self._drift)
+        self._local = len(ORDINARY) + 1 + _ROUNDING + len(self._drift)
         self._inside = [rows.recording == k for k in np.unique(rows.recording)]
-        self.n = len(self.inertial) + rows.n_dof * self._local + len(self._inside)
+        self.n = len(self.inertial) + rows.n_dof * (self._local + 1) + len(self._inside)
         self._rigid = [rows.rigid[j][:, self.inertial] @ self.scale for j in range(rows.n_dof)]
         self.target = np.stack([rows.tau[j] - rows.rigid[j] @ self.mean for j in range(rows.n_dof)])
         mass = rows.columns.robot.mass_matrix(torch.from_numpy(rows.q.T)).numpy()
@@ -176,19 +177,22 @@ class Machine:
         size = np.sqrt(np.mean(features**2, axis=1))
         return np.where(size > 0, self.torque_rms[joint] / np.maximum(size, 1e-300), 0.0)
 
+    @property
+    def averaging(self) -> np.ndarray:
+        """Where the coefficients of the joints' fastest motion stand, (n_dof,)."""
+        return self._first(self.rows.n_dof) + np.arange(self.rows.n_dof)
+
     def slopes(self, hyper: Hyper) -> np.ndarray:
-        """Return d(tau_s)/dt of all that is supplied, d^k(load)/dt^k and rounding, (1 + 3 + 2, n, M), around a fit."""
+        """Return d(tau_s)/dt of all that is supplied, rounding, and each joint's fastest motion, (1 + 2 + n, n, M)."""
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
         def derivatives(signals: Signals) -> Tensor:
-            found, x = [signals.rate(signals.supplied)], signals.rate(signals.load)
-            for order in range(2, max(RESPONSE_ORDERS) + 1):
-                x = signals.rate(x)
-                if order in RESPONSE_ORDERS:
-                    found.append(x)
             turns = 2.0 * math.pi * signals.supplied / step
             amplitude = torch.where(step.isinf(), 0.0, step / math.pi)
-            return torch.stack((*found, amplitude * turns.sin(), amplitude * turns.cos()))
+            fastest = [signals.deviating(k, signals.qdd[k]) for k in range(self.rows.n_dof)]
+            return torch.stack(
+                (signals.rate(signals.supplied), amplitude * turns.sin(), amplitude * turns.cos(), *fastest)
+            )
 
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
 
@@ -212,10 +216,11 @@ class Machine:
         ]
         places = [np.arange(len(self.inertial)), first + np.arange(len(ORDINARY) + 1), self.drifting(joint)]
         if slopes is not None:
-            reach = _RESPONSE_SAMPLES * self.rows.dt
-            sizes = np.array([reach**k / math.factorial(k) for k in RESPONSE_ORDERS]) * self.rows.noise_share[joint]
-            parts.append(slopes[1:, joint] * np.append(sizes, np.ones(_ROUNDING))[:, None])
-            places.append(first + len(ORDINARY) + 1 + np.arange(len(RESPONSE_ORDERS) + _ROUNDING))
+            parts.append(slopes[1 : 1 + _ROUNDING, joint])
+            places.append(first + len(ORDINARY) + 1 + np.arange(_ROUNDING))
+            average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
+            parts.append(slopes[1 + _ROUNDING :, joint] * average[:, None])
+            places.append(self.averaging)
             parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))
             places.append(self.timing)
         return np.concatenate(parts), np.concatenate(places)
