@@ -183,16 +183,15 @@ class Machine:
         return self._first(self.rows.n_dof) + np.arange(self.rows.n_dof)
 
     def slopes(self, hyper: Hyper) -> np.ndarray:
-        """Return d(tau_s)/dt of all that is supplied, rounding, and each joint's fastest motion, (1 + 2 + n, n, M)."""
+        """Return d(tau_s)/dt of all that is supplied, each joint's fastest motion, and rounding, (1 + n + 2, n, M)."""
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
         def derivatives(signals: Signals) -> Tensor:
             turns = 2.0 * math.pi * signals.supplied / step
             amplitude = torch.where(step.isinf(), 0.0, step / math.pi)
             fastest = [signals.deviating(k, signals.qdd[k]) for k in range(self.rows.n_dof)]
-            return torch.stack(
-                (signals.rate(signals.supplied), amplitude * turns.sin(), amplitude * turns.cos(), *fastest)
-            )
+            rounding = amplitude * turns.sin(), amplitude * turns.cos()
+            return torch.stack((signals.rate(signals.supplied), *fastest, *rounding))
 
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
 
@@ -216,10 +215,10 @@ class Machine:
         ]
         places = [np.arange(len(self.inertial)), first + np.arange(len(ORDINARY) + 1), self.drifting(joint)]
         if slopes is not None:
-            parts.append(slopes[1 : 1 + _ROUNDING, joint])
+            parts.append(slopes[-_ROUNDING:, joint])
             places.append(first + len(ORDINARY) + 1 + np.arange(_ROUNDING))
             average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
-            parts.append(slopes[1 + _ROUNDING :, joint] * average[:, None])
+            parts.append(slopes[1:-_ROUNDING, joint] * average[:, None])
             places.append(self.averaging)
             parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))
             places.append(self.timing)
