@@ -136,7 +136,8 @@ def test_needles_are_thickened_and_nothing_else() -> None:
     across = np.sort(moments.sum() / 2 - moments)
     second = float(rod[4] + rod[6] - rod[9]) / 2
     np.testing.assert_allclose(across[:2], 0.1**2 * second, rtol=1e-3)
-    assert across[2] == pytest.approx(1.01 / 12, rel=0.02)
+    before = central_moments(rod.numpy())
+    assert across[2] == pytest.approx(before.max(), rel=1e-3)
     torch.testing.assert_close(thickened(thick), thick, rtol=1e-9, atol=1e-12)
     sturdy = random_bodies(6, 50)
     sturdy = sturdy[torch.linalg.eigvalsh(central_covariance(sturdy))[:, 0] > 0.02 * sturdy[:, 4:].abs().amax(1)]

@@ -25,6 +25,8 @@ from torchrbd.recordings.blocks import Block
 
 # H [s], and rows that a reading must last.
 _RETURN_S, _LEAST_ROWS = 0.5, 3
+# Rows that are worked on at a time, at least.
+_AT_ONCE = 256
 
 
 def between_steps(blocks: Iterator[Block], quantised: np.ndarray) -> Iterator[Block]:
@@ -46,7 +48,7 @@ def between_steps(blocks: Iterator[Block], quantised: np.ndarray) -> Iterator[Bl
             held, done = None, 0
         held = block if held is None else held.joined(block)
         known = int(np.searchsorted(held.t, held.t[-1] - reach, side="left"))
-        if known > done:
+        if known >= done + _AT_ONCE:
             yield from _part(held, joints, done, known)
             # A reading is told by the steps around it, which may be as far before.
             first = max(0, int(np.searchsorted(held.t, held.t[known] - reach, side="left")) - _LEAST_ROWS)
