@@ -186,19 +186,21 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
     """Each stretch is judged as its whitened columns are, zero outside of it, beside the fit."""
     fit, rows = two_recordings
     c = candidate(rows, "payload", Site(body=1, window=Window("second")))
-    stretches = _Stretches.of(rows, 1)
-    assert stretches.whole
+    stretches = _Stretches.of_blocks(rows, "second")
     F, always = rows.features(c), candidate(rows, "payload", Site(body=1))
     std, scales = coefficient_std(always, rows.features(always), fit.machine.torque_rms)
-    blocks = np.append(stretches.blocks, rows.block.max() + 1)
-    expected = []
-    for begin, end in stretches:
-        inside = (rows.block >= blocks[begin]) & (rows.block < blocks[end]) & (rows.recording == 1)
+    expected, best = [], -np.inf
+    for begin, end in stretches.times[stretches.pairs]:
+        inside = (rows.t >= begin) & (rows.t < end) & (rows.recording == 1)
         columns = {j: fit.hyper.noise[j].white(F[:, j]) * inside[i] for j, i in enumerate(fit.index)}
         S, r = fit.gaussian.beside(columns)
-        expected += [added(S, r, k * std, c.effect.prior.positive).log_evidence for k in scales]
-    got = _in_stretches(fit, rows, c, 1, stretches)
-    assert got.tried == len(list(stretches)) == len(expected) // len(scales)
+        own = [added(S, r, k * std, c.effect.prior.positive).log_evidence for k in scales]
+        expected, best = expected + own, max(best, logsumexp(own) - np.log(len(own)))
+    found = _in_stretches(fit, rows, c, stretches)
+    assert found is not None
+    got, one = found
+    assert one == pytest.approx(best, abs=1e-6)
+    assert got.tried == len(stretches.pairs) == len(expected) // len(scales)
     assert got.log_evidence == pytest.approx(logsumexp(expected) - np.log(len(expected)), abs=1e-6)
     window = got.candidate.site.window
     assert window is not None
@@ -212,16 +214,31 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
         np.testing.assert_allclose(one.extra(fit, rows).std, one.scale * std)
 
 
-def test_stretches_cover_most_of_a_single_recording_at_most() -> None:
+def test_stretches_cover_most_of_a_single_recording_at_most(two_recordings: tuple[Likelihood, Rows]) -> None:
     rows = carried(fitted())
-    stretches = _Stretches.of(rows, 0)
-    n = len(stretches.blocks)
-    assert not stretches.whole
+    stretches = _Stretches.of_blocks(rows, rows.recordings[0])
+    n = len(stretches.times) - 1
     longest = int(0.9 * n)
-    assert set(stretches) == {(a, b) for a in range(n) for b in range(a + 1, min(a + longest, n) + 1)}
+    expected = {(a, b) for a in range(n) for b in range(a + 1, min(a + longest, n) + 1)}
+    assert set(map(tuple, stretches.pairs.tolist())) == expected
     assert longest < n
-    assert len(stretches.times) == n + 1
     assert (np.diff(stretches.times) > 0).all()
+    whole = _Stretches.of_blocks(two_recordings[1], "second")
+    assert (0, len(whole.times) - 1) in set(map(tuple, whole.pairs.tolist()))
+
+
+def test_window_is_located_between_rows() -> None:
+    rows = carried(fitted())
+    name = rows.recordings[0]
+    for window in (Window(name, 6.0, 9.0), Window(name, 6.0), Window(name)):
+        near = _Stretches.near(rows, window)
+        begin, end = near.times[near.pairs].T
+        assert (end > begin).all()
+        reach = 2.0 * np.ptp(rows.t) / len(np.unique(rows.block))
+        for edge, now in ((begin, window.start_s), (end, window.end_s)):
+            assert (edge == now).all() if np.isinf(now) else (np.abs(edge - now) <= reach + 1e-9).all()
+        if np.isfinite(window.start_s):
+            assert np.diff(np.unique(begin)).max() == pytest.approx(2 * rows.dt_out)
 
 
 def test_joint_without_torque_has_no_hypotheses() -> None:

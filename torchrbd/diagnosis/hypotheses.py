@@ -123,28 +123,17 @@ def _located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis whose window begins and ends when it fits best, near the edges of blocks.
 
     A load that comes or goes is a step, which whitened rows place to some hundredths of a second: the evidence of a
-    window is that of its best edges, averaged over those near them.
+    window is averaged over those near it.
     """
-    assert h.candidate.site.window is not None
-    own = rows.recording == rows.recordings.index(h.candidate.site.window.recording)
-    inside, dt = rows.t[own], 2 * rows.dt_out
-    best, paid, step = h, 0.0, 2.0 * float(np.ptp(inside)) / len(np.unique(rows.block[own]))
-    for edge in ("start_s", "end_s"):
-        window = best.candidate.site.window
-        assert window is not None
-        now = getattr(window, edge)
-        if math.isinf(now):
-            continue
-        times = np.arange(max(now - step, inside[0] + step / 2), min(now + step, inside[-1] - step / 2) + dt, dt)
-        windows = [replace(window, **{edge: float(t)}) for t in times]
-        sites = [replace(best.candidate.site, window=w) for w in windows if w.end_s - w.start_s > step / 4]
-        found = _told(fit, rows, [rows.columns.candidate(best.candidate.effect, site, {}) for site in sites])
-        if found:
-            best = max(found, key=lambda one: one.log_evidence)
-            paid += best.log_evidence - _mean(np.array([one.log_evidence for one in found]))
-    if best is h:
+    window = h.candidate.site.window
+    assert window is not None
+    always = replace(h.candidate, site=replace(h.candidate.site, window=Window(window.recording)))
+    near = _in_stretches(fit, rows, always, _Stretches.near(rows, window))
+    exact = None if near is None else told(fit, rows, near[0].candidate)
+    if near is None or exact is None:
         return h
-    return replace(best, log_evidence=best.log_evidence - paid - math.log(h.tried), tried=h.tried)
+    paid = near[1] - near[0].log_evidence + math.log(h.tried)
+    return replace(exact, log_evidence=exact.log_evidence - paid, tried=h.tried)
 
 
 def _told(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> list[Hypothesis]:
@@ -197,45 +186,66 @@ def _mean(log_evidence: np.ndarray) -> float:
 
 def _in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
     """Yield an effect at every place where it may act for a time, averaged over the stretches of each recording."""
-    for number in np.unique(rows.recording):
-        name = rows.recordings[number]
+    for name in rows.seen_recordings:
         for site in e.sites(rows.columns.robot, (Window(name),)):
             candidate = rows.columns.candidate(e, site, {})
-            yield _in_stretches(fit, rows, candidate, int(number), _Stretches.of(rows, int(number)))
+            found = _in_stretches(fit, rows, candidate, _Stretches.of_blocks(rows, name))
+            yield None if found is None else found[0]
 
 
 @dataclass(frozen=True)
 class _Stretches:
-    """Stretches of one recording: their edges by block, and the time at each edge [s], infinite at both ends."""
+    """Stretches of one recording: its rows (M,), times (B + 1,) of edges [s] from -inf to inf, pairs of them (N, 2)."""
 
-    blocks: np.ndarray
+    inside: np.ndarray
     times: np.ndarray
-    whole: bool
+    pairs: np.ndarray
 
     @staticmethod
-    def of(rows: Rows, number: int) -> _Stretches:
-        inside = rows.recording == number
-        blocks, first = np.unique(rows.block[inside], return_index=True)
-        step = math.ceil(len(blocks) / (_MOST_EDGES - 1))
+    def of_blocks(rows: Rows, recording: str) -> _Stretches:
+        """Return all that begin and end with blocks; at most most of it, or all where there are other recordings."""
+        inside = rows.recording == rows.recordings.index(recording)
+        _, first = np.unique(rows.block[inside], return_index=True)
+        n = len(first[:: (step := math.ceil(len(first) / (_MOST_EDGES - 1)))])
         times = np.append(rows.t[inside][first][::step], math.inf)
         times[0] = -math.inf
-        return _Stretches(blocks[::step], times, bool((rows.recording != number).any()))
+        longest = math.floor(_MOST_OF_TIME * n) if inside.all() else n
+        return _Stretches(inside, times, _pairs(np.arange(n + 1), np.arange(n + 1), longest))
 
-    def __iter__(self) -> Iterator[tuple[int, int]]:
-        """Yield begin and end of each stretch, by edge; at most most of it, or all where there are other recordings."""
-        n = len(self.blocks)
-        longest = n if self.whole else math.floor(_MOST_OF_TIME * n)
-        return ((a, b) for a in range(n) for b in range(a + 1, n + 1) if b - a <= longest)
+    @staticmethod
+    def near(rows: Rows, window: Window) -> _Stretches:
+        """Return those whose edges lie within a block of a window's."""
+        inside = rows.recording == rows.recordings.index(window.recording)
+        t, reach = rows.t[inside], 2.0 * float(np.ptp(rows.t[inside])) / len(np.unique(rows.block[inside]))
+        least, ends = t[0] + 0.5 * reach, []
+        for now in (window.start_s, window.end_s):
+            low, high = max(now - reach, least), min(now + reach, t[-1] - 0.5 * reach)
+            told = math.isinf(now) or not low < high
+            ends.append(np.array([now]) if told else np.arange(low, high, 2 * rows.dt_out))
+        times = np.unique(np.concatenate((*ends, (-math.inf, math.inf))))
+        begin, end = (np.searchsorted(times, e) for e in ends)
+        pairs = _pairs(begin, end, len(times))
+        return _Stretches(inside, times, pairs[times[pairs[:, 1]] - times[pairs[:, 0]] > 0.25 * reach])
+
+
+def _pairs(begin: np.ndarray, end: np.ndarray, longest: int) -> np.ndarray:
+    """Return all (begin, end), (N, 2), that are no longer."""
+    pairs = np.stack(np.meshgrid(begin, end, indexing="ij"), -1).reshape(-1, 2)
+    length = pairs[:, 1] - pairs[:, 0]
+    return pairs[(length > 0) & (length <= longest)]
 
 
 def _in_stretches(
-    fit: Likelihood, rows: Rows, candidate: Candidate, number: int, stretches: _Stretches
-) -> Hypothesis | None:
-    """Average over stretches of time that touch torques: moments of a stretch are sums over its blocks."""
-    F = rows.features(candidate)
+    fit: Likelihood, rows: Rows, candidate: Candidate, stretches: _Stretches
+) -> tuple[Hypothesis, float] | None:
+    """Average over stretches of time that touch torques; return the evidence of the best one too.
+
+    Moments of a stretch are differences of those before its edges.
+    """
+    F, site = rows.features(candidate), candidate.site
     std, multiples = _believed(fit, rows, candidate)
-    V, gram, score = _sums(fit, rows, F, rows.recording == number, stretches.blocks)
-    begin, end = np.array(list(stretches), dtype=int).reshape(-1, 2).T
+    V, gram, score = _sums(fit, rows, F, stretches)
+    begin, end = stretches.pairs.T
     counts = np.trace(gram[end] - gram[begin], axis1=1, axis2=2) > 0
     if not counts.any():
         return None
@@ -245,26 +255,28 @@ def _in_stretches(
     found = added(S[:, None], r[:, None], std * scales[:, None], candidate.effect.prior.positive)
     told_of = np.where(counts[:, None], found.log_evidence, -math.inf)
     k, size = np.unravel_index(int(told_of.argmax()), told_of.shape)
-    window = Window(rows.recordings[number], float(stretches.times[begin[k]]), float(stretches.times[end[k]]))
-    best = rows.columns.candidate(candidate.effect, replace(candidate.site, window=window), {})
-    return Hypothesis(
-        best, _mean(found.log_evidence), found.mean[k, size], found.std[k, size], float(scales[size]), len(begin)
+    assert site.window is not None
+    edges = float(stretches.times[begin[k]]), float(stretches.times[end[k]])
+    best = rows.columns.candidate(
+        candidate.effect, replace(site, window=Window(site.window.recording, *edges)), candidate.shape
     )
+    mean, one = _mean(found.log_evidence), _mean(found.log_evidence[k])
+    return Hypothesis(best, mean, found.mean[k, size], found.std[k, size], float(scales[size]), len(begin)), one
 
 
 def _sums(
-    fit: Likelihood, rows: Rows, F: np.ndarray, inside: np.ndarray, edges: np.ndarray
+    fit: Likelihood, rows: Rows, F: np.ndarray, stretches: _Stretches
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return L^-1 X'C (B + 1, P, K), C'C (B + 1, K, K) and C'e (B + 1, K) of the blocks before each edge."""
-    B, K, P = len(edges), len(F), len(fit.gaussian.z)
+    """Return L^-1 X'C (B + 1, P, K), C'C (B + 1, K, K) and C'e (B + 1, K) of the rows before each edge."""
+    B, K, P = len(stretches.times) - 1, len(F), len(fit.gaussian.z)
     cross, gram, score = np.zeros((B, P, K)), np.zeros((B, K, K)), np.zeros((B, K))
     for j, index in enumerate(fit.index):
         if not len(index):
             continue
-        own = np.flatnonzero(inside[index])
+        own = np.flatnonzero(stretches.inside[index])
         C = fit.hyper.noise[j].white(F[:, j])[:, own]
         b, e = fit.gaussian.blocks[j], fit.gaussian.left[j]
-        places = np.searchsorted(edges, rows.block[index[own]], side="right") - 1
+        places = np.searchsorted(stretches.times, rows.t[index[own]], side="right") - 1
         for k, part in enumerate(np.split(np.arange(len(own)), np.searchsorted(places, np.arange(1, B)))):
             cross[k, b.own] += b.X[:, own[part]] @ C[:, part].T
             gram[k] += C[:, part] @ C[:, part].T
