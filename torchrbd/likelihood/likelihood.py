@@ -39,6 +39,8 @@ _WIDTHS = (
 _FIRST_NOISE, _FIRST_DRIFT, _LEAST_DRIFT, _LEAST_NOISE = 0.05, 0.01, 1e-4, 1e-6
 _SHARES, _DOUBTS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0), (0.0, 0.1, 0.3, 1.0)
 _ROUNDS = 3
+# What columns do not depend on.
+_NOT_OF_COLUMNS = {"noise", "dispersion", "bodies", "resists", "encoder_share"}
 # Directions of a joint's columns below this are told by rounding.
 _LEAST_DIRECTION = 1e-3
 
@@ -66,6 +68,7 @@ class Likelihood:
         hyper: what is learnt.
         extra: columns beside them.
         slopes: see ``Machine.slopes``.
+        raw: per joint, columns (P_j, M) and which coefficients they have, of a model that has the same.
 
     Attributes:
         index: per joint, the rows (m,) that are whitened.
@@ -73,26 +76,33 @@ class Likelihood:
     """
 
     def __init__(
-        self, machine: Machine, hyper: Hyper, extra: Sequence[Extra] = (), slopes: np.ndarray | None = None
+        self,
+        machine: Machine,
+        hyper: Hyper,
+        extra: Sequence[Extra] = (),
+        slopes: np.ndarray | None = None,
+        raw: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
     ) -> None:
         self.machine, self.hyper, self.extra, self._slopes = machine, hyper, tuple(extra), slopes
         n = machine.n
         self._first = n + np.cumsum([0, *(len(e.std) for e in self.extra)])
-        self._raw: list[np.ndarray] = []
-        self.index, blocks = machine.index, []
-        for j, noise in enumerate(hyper.noise):
-            A, own = machine.design(j, hyper, slopes)
-            for first, e in zip(self._first[:-1], self.extra, strict=True):
-                if (features := e.at(j)) is not None:
-                    A = np.concatenate((A, features * e.std[:, None]))
-                    own = np.concatenate((own, first + np.arange(len(e.std))))
-            self._raw.append(A)
-            blocks.append(Block(noise.white(A), noise.white(machine.target[j]), own))
+        self._raw = [self._columns(j) for j in range(machine.rows.n_dof)] if raw is None else raw
+        self.index, each = machine.index, zip(self._raw, hyper.noise, machine.target, strict=True)
+        blocks = [Block(noise.white(A), noise.white(target), own) for (A, own), noise, target in each]
         root = np.sqrt(hyper.kappa)
         sites = np.zeros((2, int(self._first[-1])))
         sites[:, machine.resisting] = hyper.resists.reshape(2, -1)
         bodies = expanded(root * hyper.bodies, hyper.kappa)
         self.gaussian = Gaussian(blocks, sites.shape[1], bodies, (sites[0], sites[1]))
+
+    def _columns(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the columns (P_j, M) of a joint, and which coefficients they have (P_j,)."""
+        A, own = self.machine.design(joint, self.hyper, self._slopes)
+        for first, e in zip(self._first[:-1], self.extra, strict=True):
+            if (features := e.at(joint)) is not None:
+                A = np.concatenate((A, features * e.std[:, None]))
+                own = np.concatenate((own, first + np.arange(len(e.std))))
+        return A, own
 
     @property
     def log_evidence(self) -> float:
@@ -130,7 +140,8 @@ class Likelihood:
 
     def residual(self, joint: int) -> np.ndarray:
         """Return what is left of a joint's torque, (M,) [N m or N]."""
-        return self.machine.target[joint] - self.gaussian.z[self.gaussian.blocks[joint].own] @ self._raw[joint]
+        A, own = self._raw[joint]
+        return self.machine.target[joint] - self.gaussian.z[own] @ A
 
     def beside(self, place: int | None, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return precision (K, K) and score (K,) of features (K, M) of a joint, or (K, n, M) of all, beside the fit."""
@@ -204,12 +215,23 @@ class Likelihood:
             widths[j] = max(found)[1]
         return self._with(rest_width=widths)
 
+    @cached_property
+    def least_squares(self) -> Likelihood:
+        """The same model, the rows of a joint independent of each other: what predicts, however wrong a law is.
+
+        Noise is learnt of what this leaves, as in two-step generalised least squares (Greene, "Econometric Analysis").
+        Were it learnt of what whitened rows leave, a wrong law would be fitted to what is fast, its slow error pass for
+        slow noise, and the next whitened rows count what is slow even less.
+        """
+        if not any(len(n.predictor) for n in self.hyper.noise):
+            return self
+        return self._with(noise=tuple(replace(n, predictor=np.zeros(0), sigma=n.std) for n in self.hyper.noise))
+
     def _noise(self, joint: int, dispersion: float, spread: np.ndarray) -> Noise:
         """Return the noise of what is left at a joint whose rows are as noisy as ``spread`` (M,) against each other."""
-        rows, used = self.machine.rows, self.gaussian.used(joint)
-        return learnt(
-            self.residual(joint), self.index[joint], spread, rows.run, used, dispersion, white=self.hyper.white
-        )
+        fit, index, run = self.least_squares, self.index[joint], self.machine.rows.run
+        used, white = fit.gaussian.used(joint), self.hyper.white
+        return learnt(fit.residual(joint), index, spread, run, used, dispersion, white=white)
 
     def reweighed(self) -> Likelihood:
         """Return the same model with rows that count as they are most likely to.
@@ -264,7 +286,8 @@ class Likelihood:
         return Likelihood(self.machine, self.hyper, extra, self._slopes)
 
     def _with(self, **changes: object) -> Likelihood:
-        return Likelihood(self.machine, self.hyper.with_(**changes), self.extra, self._slopes)
+        raw = self._raw if changes.keys() <= _NOT_OF_COLUMNS else None
+        return Likelihood(self.machine, self.hyper.with_(**changes), self.extra, self._slopes, raw)
 
 
 def learn(machine: Machine, *, white: bool = False) -> Likelihood:
