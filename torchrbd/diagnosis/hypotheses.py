@@ -28,6 +28,8 @@ from torchrbd.physics import Effect, Site, Window
 ORDINARY = (*ORDINARY_EFFECTS, "coulomb_friction")
 # Edges of the stretches of time in which something may act, spread over a recording.
 _MOST_EDGES = 33
+# Moments at which something may begin or end for good.
+_MOST_TIMES = 600
 # What is there for more than this part of a recording is there always.
 _MOST_OF_TIME = 0.9
 # Points between a shape's neighbours on the grid.
@@ -128,12 +130,20 @@ def _located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     window = h.candidate.site.window
     assert window is not None
     always = replace(h.candidate, site=replace(h.candidate.site, window=Window(window.recording)))
-    near = _in_stretches(fit, rows, always, _Stretches.near(rows, window))
+    stretches = _Stretches.near(rows, window)
+    near = _in_stretches(fit, rows, always, stretches)
     exact = None if near is None else told(fit, rows, near[0].candidate)
     if near is None or exact is None:
         return h
-    paid = near[1] - near[0].log_evidence + math.log(h.tried)
+    # All that are near stand for one that begins and ends with blocks, or for themselves among finer ones.
+    part = len(stretches.pairs) / h.tried if _open(window) else 1.0 / h.tried
+    paid = near[1] - near[0].log_evidence - math.log(part)
     return replace(exact, log_evidence=exact.log_evidence - paid, tried=h.tried)
+
+
+def _open(window: Window) -> bool:
+    """Say whether a window has one end only."""
+    return math.isinf(window.start_s) != math.isinf(window.end_s)
 
 
 def _told(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> list[Hypothesis]:
@@ -185,12 +195,21 @@ def _mean(log_evidence: np.ndarray) -> float:
 
 
 def _in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
-    """Yield an effect at every place where it may act for a time, averaged over the stretches of each recording."""
+    """Yield an effect at every place where it may act for a time, averaged over the stretches of each recording.
+
+    What comes and stays, or is there and goes, is as likely as what comes and goes; when, is told to some rows.
+    """
     for name in rows.seen_recordings:
+        kinds = _Stretches.of_blocks(rows, name), _Stretches.with_one_end(rows, name)
         for site in e.sites(rows.columns.robot, (Window(name),)):
             candidate = rows.columns.candidate(e, site, {})
-            found = _in_stretches(fit, rows, candidate, _Stretches.of_blocks(rows, name))
-            yield None if found is None else found[0]
+            found = [one[0] for kind in kinds if (one := _in_stretches(fit, rows, candidate, kind)) is not None]
+            if not found:
+                yield None
+                continue
+            best = max(found, key=lambda h: h.log_evidence)
+            mean = float(np.logaddexp.reduce([h.log_evidence for h in found])) - math.log(len(kinds))
+            yield replace(best, log_evidence=mean, tried=len(kinds) * best.tried)
 
 
 @dataclass(frozen=True)
@@ -211,6 +230,16 @@ class _Stretches:
         times[0] = -math.inf
         longest = math.floor(_MOST_OF_TIME * n) if inside.all() else n
         return _Stretches(inside, times, _pairs(np.arange(n + 1), np.arange(n + 1), longest))
+
+    @staticmethod
+    def with_one_end(rows: Rows, recording: str) -> _Stretches:
+        """Return all that begin between two rows and last, or lasted until then; each other row will do."""
+        inside = rows.recording == rows.recordings.index(recording)
+        step = max(2, math.ceil(inside.sum() / _MOST_TIMES))
+        times = np.concatenate(([-math.inf], rows.t[inside][step:-step:step], [math.inf]))
+        k = np.arange(1, len(times) - 1)
+        pairs = np.concatenate((np.stack((0 * k, k), 1), np.stack((k, 0 * k + len(times) - 1), 1)))
+        return _Stretches(inside, times, pairs)
 
     @staticmethod
     def near(rows: Rows, window: Window) -> _Stretches:
