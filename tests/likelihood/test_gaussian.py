@@ -7,8 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
-from torchrbd.likelihood.gaussian import Block, Gaussian, added, nonnegative
-from torchrbd.likelihood.physical import Quadratic
+from torchrbd.likelihood.gaussian import Block, Gaussian, Quadratic, added, nonnegative
 
 N_COEFFICIENTS = 7
 

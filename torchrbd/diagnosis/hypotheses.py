@@ -12,15 +12,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
-from torchrbd.inference.shapes.slope import axes
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Extra, Likelihood
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.rows import Rows
+from torchrbd.likelihood.shapes import axes
 from torchrbd.likelihood.sizes import coefficient_std
 from torchrbd.physics import Effect, Site, Window
 
@@ -269,6 +268,6 @@ def _sums(
             cross[k, b.own] += b.X[:, own[part]] @ C[:, part].T
             gram[k] += C[:, part] @ C[:, part].T
             score[k] += C[:, part] @ e[own[part]]
-    V = solve_triangular(fit.gaussian.L, cross.transpose(1, 0, 2).reshape(P, -1), lower=True, check_finite=False)
+    V = fit.gaussian.half(cross.transpose(1, 0, 2).reshape(P, -1))
     before = V.reshape(P, B, K).transpose(1, 0, 2), gram, score
     return tuple(np.concatenate((np.zeros_like(x[:1]), np.cumsum(x, 0))) for x in before)  # type: ignore[return-value]

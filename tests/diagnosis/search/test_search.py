@@ -22,8 +22,8 @@ from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.unnamed import smooth_candidates
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.inference.shapes.slope import axes
 from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.shapes import axes
 from torchrbd.physics import Site, effect
 from torchrbd.physics.smooth_torque import SMOOTH, SmoothTorque
 from torchrbd.robot import RobotModel

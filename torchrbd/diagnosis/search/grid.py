@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from heapq import nlargest
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.white_rows import Rows
-from torchrbd.inference.shapes.slope import axes
 from torchrbd.likelihood.columns import Candidate, Columns
+from torchrbd.likelihood.shapes import axes
 from torchrbd.physics import Effect, Site, Window
 
 _EVALUATIONS, _SWEEPS, _CLOSE = 10, 2, 0.03
@@ -99,8 +98,7 @@ class Group:
         rows = fit.rows
         part = slice(None) if self.place is None else rows.parts[self.place]
         C, X = self.widened(rows)[part], fit.X[part]
-        V = solve_triangular(fit.L, X.T @ C, lower=True)
-        S, r = C.T @ C - V.T @ V + np.eye(C.shape[1]), C.T @ fit.e[part]
+        S, r = fit.posterior.schur(X.T @ C, C.T @ C + np.eye(C.shape[1])), C.T @ fit.e[part]
         known = {label for place, label in fit.places if place == self.place}
         for c in self.candidates:
             fresh = [self.columns[label] for label in c.labels if label in self.columns and label not in known]

@@ -163,7 +163,7 @@ def _within_chance(fit: Fit, candidate: Candidate, w: torch.Tensor) -> Iterator[
     beside = fit if candidate in fit.terms else Fit(fit.rows, (*fit.terms, candidate))
     numbers = [beside.numbers[candidate.place, label] for label in candidate.labels]
     widths = fit.rows.widths_of(candidate)
-    S = torch.from_numpy(beside.covariance(numbers) * widths * widths[:, None])
+    S = torch.from_numpy(beside.posterior.covariance(numbers) * widths * widths[:, None])
     std = S.diagonal().sqrt()
     none = torch.where((w < 0) & (-w < INSIGNIFICANT * std), 0.0, w)
     if none.nan_to_num().any():

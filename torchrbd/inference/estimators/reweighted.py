@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchrbd.inference.estimators.problem import LinearProblem
 from torchrbd.likelihood.block_statistics import assemble, filtered_rows
-from torchrbd.likelihood.map_fit import LEAST_NOISE
+from torchrbd.likelihood.equations import LEAST_NOISE
 
 _HUBER, _NORMAL_MAD = 1.345, 0.6745
 _MOST_PASSES, _SETTLED = 20, 0.1

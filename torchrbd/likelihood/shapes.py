@@ -59,6 +59,11 @@ class Axis:
         """Distance between the first and the last value."""
         return self.values[-1] - self.values[0]
 
+    @property
+    def std(self) -> float:
+        """Standard deviation of a value that may be anywhere between these."""
+        return self.reach / 12**0.5
+
     def spacing(self, value: float) -> float:
         """Return the distance of values around one, 0 if there is one only."""
         low, high = self._around(value)

@@ -1,4 +1,4 @@
-"""Linear Gaussian fits on block statistics: the posterior mean and precision of x, with one noise level a joint.
+"""Normal equations of block statistics, and the noise by which joints are weighed in them.
 
 In prior coordinates x = x0 + S z the prior is N(0, 1), so that H_z = S'HS + 1 is well scaled:
 
@@ -9,67 +9,99 @@ Only the *free* columns move; the others keep their reference value.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
 from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.gaussian import Posterior
 from torchrbd.likelihood.urdf_prior import Prior
 
 # Torque is believed to this part of its RMS at best: noise-free simulations would have infinite weights.
 LEAST_NOISE = 1e-5
 _LEAST_FREEDOM = 0.02
+# Rounds of re-weighting of a linear fit: three digits settle in about three.
+_ROUNDS = 4
+
+F = TypeVar("F")
 
 
 @dataclass(frozen=True)
-class Scaled:
-    """Normal equations in prior coordinates, over all columns: H (n, n), h (n,)."""
+class Equations:
+    """Normal equations in prior coordinates, over all columns and without the prior: H (n, n), h (n,)."""
 
     H: Tensor
     h: Tensor
 
+    def posterior(self, free: Tensor | slice = slice(None)) -> Posterior:
+        """Return the posterior of the coefficients z of some columns, the others at zero."""
+        H = self.H[free][:, free].numpy()
+        return Posterior(H + np.eye(len(H)), self.h[free].numpy())
 
-def scaled_equations(prior: Prior, totals: Sequence[Tensor], columns: Columns, weights: Tensor) -> Scaled:
+
+def scaled_equations(prior: Prior, totals: Sequence[Tensor], columns: Columns, weights: Tensor) -> Equations:
     """Return S'HS and S'(h - H x0) of summed moments."""
     H, h = assemble(columns, totals, weights)
-    return Scaled(prior.scale.T @ H @ prior.scale, prior.scale.T @ (h - H @ prior.mean))
+    return Equations(prior.scale.T @ H @ prior.scale, prior.scale.T @ (h - H @ prior.mean))
 
 
-def solve(prior: Prior, equations: Scaled, free: Tensor) -> Tensor:
-    """Return the posterior mean x (n,) with the columns ``free`` (indices) fitted and the others at their reference.
+def linear_fit(statistics: BlockStatistics, prior: Prior, free: Tensor) -> tuple[Tensor, Tensor]:
+    """Fit some columns, the others at their reference, joints weighed by the noise that is left.
 
     Terms at a nonzero reference (friction that the URDF has) are part of x0 whether they are free or not.
-    """
-    H = equations.H[free.unsqueeze(1), free]
-    H = H + torch.eye(len(free), dtype=H.dtype)
-    z = torch.cholesky_solve(equations.h[free].unsqueeze(1), torch.linalg.cholesky(H)).squeeze(1)
-    return prior.mean + prior.scale[:, free] @ z
-
-
-def noise_variance(statistics: BlockStatistics, prior: Prior, free: Tensor, *, rounds: int = 4) -> Tensor:
-    """Estimate each joint's torque noise by iterated weighted least squares.
 
     Args:
         statistics: blocks to fit.
         prior: the prior.
         free: indices of the fitted columns.
-        rounds: of re-weighting; three digits settle in about three.
 
     Returns:
-        (n_dof,) [(N m)^2] or [N^2]; inf for a joint without torque.
+        Posterior mean x (n,) and noise variance (n_dof,) [(N m)^2] or [N^2]; inf for a joint without torque.
     """
-    totals = statistics.total()
-    S = prior.scale[:, free]
-    variance = first_noise_variance(statistics)
+    totals, S = statistics.total(), prior.scale[:, free]
+
+    def fit(variance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        found = scaled_equations(prior, totals, statistics.columns, 1.0 / variance).posterior(free)
+        x, half = prior.mean + S @ torch.from_numpy(found.z), torch.from_numpy(found.half(S.T.numpy()))
+        return x, x, half.T @ half
+
+    return with_noise(statistics, fit, first_noise_variance(statistics), rounds=_ROUNDS)
+
+
+def with_noise(
+    statistics: BlockStatistics,
+    fit: Callable[[Tensor], tuple[F, Tensor, Tensor]],
+    variance: Tensor,
+    *,
+    rounds: int,
+    settled: float = 0.0,
+    states: Tensor | None = None,
+) -> tuple[F, Tensor]:
+    """Fit, and estimate each joint's noise from what the fit leaves, in turn.
+
+    Args:
+        statistics: the blocks that are fitted.
+        fit: returns of noise variances (n_dof,) a fit, its x (n,) and their covariance (n, n).
+        variance: (n_dof,) to start from.
+        rounds: at most.
+        settled: change of the logarithm below which the noise has settled.
+        states: see ``residual_variance``.
+
+    Returns:
+        The fit, and the noise (n_dof,) that it assumes.
+    """
     for _ in range(rounds):
-        equations = scaled_equations(prior, totals, statistics.columns, 1.0 / variance)
-        H = equations.H[free.unsqueeze(1), free] + torch.eye(len(free), dtype=torch.float64)
-        covariance = S @ torch.linalg.inv(H) @ S.T
-        variance = residual_variance(statistics, solve(prior, equations, free), covariance, variance)
-    return variance
+        found, x, covariance = fit(variance)
+        left = residual_variance(statistics, x, covariance, variance, states)
+        if bool(((left / variance).log()[torch.isfinite(left)].abs() < settled).all()):
+            return found, variance
+        variance = left
+    return fit(variance)[0], variance
 
 
 def first_noise_variance(statistics: BlockStatistics) -> Tensor:
