@@ -19,7 +19,7 @@ from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Extra, Likelihood
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.rows import Rows
-from torchrbd.likelihood.shapes import axes
+from torchrbd.likelihood.shapes import varied
 from torchrbd.likelihood.sizes import coefficient_std
 from torchrbd.physics import Effect, Site, Window
 
@@ -99,9 +99,7 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     # What the average has of this shape is replaced by that of the cell around it, which axes share as factors.
     cell = at.log_evidence
     rest = _less(h.log_evidence, cell - math.log(h.tried))
-    for name, axis in axes(columns, h.candidate).items():
-        if axis.reach <= 0:
-            continue
+    for name, axis in varied(columns, h.candidate).items():
         now = at.candidate
         values = np.linspace(*axis.limits(now.shape[name]), _FINE)
         near = [columns.candidate(now.effect, now.site, {**now.shape, name: float(v)}) for v in values]

@@ -70,13 +70,13 @@ def linear_fit(statistics: BlockStatistics, prior: Prior, free: Tensor) -> tuple
         x, half = prior.mean + S @ torch.from_numpy(found.z), torch.from_numpy(found.half(S.T.numpy()))
         return x, x, half.T @ half
 
-    return with_noise(statistics, fit, first_noise_variance(statistics), rounds=_ROUNDS)
+    return with_noise(statistics, fit, rounds=_ROUNDS)
 
 
 def with_noise(
     statistics: BlockStatistics,
     fit: Callable[[Tensor], tuple[F, Tensor, Tensor]],
-    variance: Tensor,
+    variance: Tensor | None = None,
     *,
     rounds: int,
     settled: float = 0.0,
@@ -87,7 +87,7 @@ def with_noise(
     Args:
         statistics: the blocks that are fitted.
         fit: returns of noise variances (n_dof,) a fit, its x (n,) and their covariance (n, n).
-        variance: (n_dof,) to start from.
+        variance: (n_dof,) to start from; a hundredth of the torque's mean square if not given.
         rounds: at most.
         settled: change of the logarithm below which the noise has settled.
         states: see ``residual_variance``.
@@ -95,6 +95,7 @@ def with_noise(
     Returns:
         The fit, and the noise (n_dof,) that it assumes.
     """
+    variance = first_noise_variance(statistics) if variance is None else variance
     for _ in range(rounds):
         found, x, covariance = fit(variance)
         left = residual_variance(statistics, x, covariance, variance, states)
@@ -106,7 +107,7 @@ def with_noise(
 
 def first_noise_variance(statistics: BlockStatistics) -> Tensor:
     """Return the noise to start from, a tenth of the torque: (n_dof,), inf for a joint without torque."""
-    return _bounded(statistics, 0.1**2 * statistics.torque[..., 2].sum(0) / _count(statistics))
+    return bounded(statistics, 0.1**2 * statistics.torque[..., 2].sum(0) / _count(statistics))
 
 
 def residual_variance(
@@ -133,15 +134,15 @@ def residual_variance(
     )
     count = _count(statistics)
     left = count if states is None else count * (1.0 - states).clamp_min(_LEAST_FREEDOM)
-    return _bounded(statistics, statistics.squared_error(x).sum(0) / (left - used).clamp_min(0.1 * left))
+    return bounded(statistics, statistics.squared_error(x).sum(0) / (left - used).clamp_min(0.1 * left))
 
 
 def _count(statistics: BlockStatistics) -> Tensor:
     return statistics.torque[..., 0].sum(0).clamp_min(1e-300)
 
 
-def _bounded(statistics: BlockStatistics, variance: Tensor) -> Tensor:
-    """Keep noise above rounding; a joint without torque has infinite noise."""
+def bounded(statistics: BlockStatistics, variance: Tensor) -> Tensor:
+    """Return noise (n_dof,) kept above rounding; a joint without torque has infinite noise."""
     count = _count(statistics)
     least = (LEAST_NOISE**2 * statistics.torque[..., 2].sum(0) / count).clamp_min(1e-300)
     return torch.where(count > 1e-300, torch.maximum(variance, least), torch.inf)

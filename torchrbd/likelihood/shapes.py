@@ -102,6 +102,11 @@ def axes(columns: Columns, term: Candidate) -> dict[str, Axis]:
     return {name: Axis(_thinned(own, most)) for name, own in values.items()}
 
 
+def varied(columns: Columns, term: Candidate) -> dict[str, Axis]:
+    """Return the same without choices between kinds, such as the side of a stop: these stay as the grid has them."""
+    return {name: axis for name, axis in axes(columns, term).items() if axis.reach > 0}
+
+
 def _thinned(values: Sequence[float], most: int) -> tuple[float, ...]:
     """Return at most so many of ascending values, the ends among them."""
     n = min(most, len(values))
@@ -109,16 +114,14 @@ def _thinned(values: Sequence[float], most: int) -> tuple[float, ...]:
 
 
 def slopes(columns: Columns, term: Candidate, weights: Tensor) -> list[ShapeSlope]:
-    """Return the slopes of a term with coefficients ``weights`` (K,) in its shape parameters.
-
-    That in a choice between kinds, such as the side of a stop, is zero: it stays as the grid has it.
-    """
+    """Return the slopes of a term with coefficients ``weights`` (K,) in its shape parameters."""
     found, given = [], tuple(weights.tolist())
-    for name, axis in axes(columns, term).items():
-        if axis.reach > 0:
-            label = f"slope of {given} {term.effect.id} at {term.site} in {name}"
-            step = _STEP * axis.spacing(term.shape[name])
-            found.append(ShapeSlope(term.effect, term.site, term.shape, (label,), name, step, given))
+    for name, axis in varied(columns, term).items():
+        label, step = (
+            f"slope of {given} {term.effect.id} at {term.site} in {name}",
+            _STEP * axis.spacing(term.shape[name]),
+        )
+        found.append(ShapeSlope(term.effect, term.site, term.shape, (label,), name, step, given))
     return found
 
 

@@ -18,6 +18,7 @@ from torchrbd.diagnosis.locate.signals import LEAST_SHARE, Bases, Signal, Smooth
 from torchrbd.diagnosis.rows.regression import Extra, Fit
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.diagnosis.rows.whitening import LEAST_NOISE, Noise, whitened
+from torchrbd.likelihood.gaussian import Posterior
 
 # In log-likelihood units, beyond the costs of freedom and search: on 40 simulated arms with nothing but friction, which
 # stick, coloured noise and drift, the three largest were 5.5, 4.8 and 4.0.
@@ -252,9 +253,8 @@ def coefficients(fit: Fit, phi: Mapping[int, np.ndarray]) -> tuple[float, np.nda
 
 
 def _told(G: np.ndarray, alone: np.ndarray, u: np.ndarray) -> tuple[float, np.ndarray]:
-    size = np.sqrt(np.maximum(alone, 1e-300))
-    w = np.linalg.solve(G / size / size[:, None] + LEAST_SHARE * np.eye(len(u)), u / size)
-    return 0.5 * float(w @ (u / size)), w / size
+    w = Posterior(G + LEAST_SHARE * np.diag(np.maximum(alone, 1e-300)), u).z
+    return 0.5 * float(w @ u), w
 
 
 def _half_height(fit: Fit, joint: int, phi: np.ndarray, v: np.ndarray, region: Interval) -> Interval:

@@ -71,8 +71,7 @@ class Fit:
             columns |= dict(zip(_places(number, one), rows.widened(one.place, one.features).T, strict=True))
         self.places = list(columns)
         self.X = np.concatenate((rows.X, np.array(list(columns.values())).reshape(-1, len(rows.y)).T), axis=1)
-        self._gram = self.X.T @ self.X
-        self.posterior = Posterior(self._gram + np.eye(len(self._gram)), self.X.T @ rows.y)
+        self.posterior = Posterior(self.X.T @ self.X + np.eye(self.X.shape[1]), self.X.T @ rows.y)
         self.x = self.posterior.z
         self.e = rows.y - self.X @ self.x
 
@@ -123,12 +122,9 @@ class Fit:
         return self.x - self.posterior.solve(self.X.T @ (C @ w))
 
     @cached_property
-    def _directions(self) -> np.ndarray:
-        """T (P + T, R) with orthonormal columns X T, whatever the prior."""
-        size = np.sqrt(np.maximum(self._gram.diagonal(), 1e-300))
-        values, vectors = np.linalg.eigh(self._gram / size / size[:, None])
-        kept = values > LEAST_DIRECTION * values.max(initial=0.0)
-        return vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
+    def _free(self) -> Posterior:
+        """The posterior without a prior."""
+        return Posterior(self.X.T @ self.X, self.X.T @ self.rows.y, LEAST_DIRECTION)
 
     def std(self, k: int) -> float:
         """Return the standard deviation of coefficient k, in prior coordinates."""
@@ -139,9 +135,9 @@ class Fit:
 
         The prior is left out: what an inertial parameter of any size can imitate, the data cannot tell from it.
         """
-        cross = self._directions.T @ (self.X.T @ C)
-        total = (C**2).sum(0)
-        return float(((total - (cross**2).sum(0)) / np.maximum(total, 1e-300)).max())
+        total = C.T @ C
+        left = self._free.schur(self.X.T @ C, total)
+        return float((left.diagonal() / np.maximum(total.diagonal(), 1e-300)).max())
 
     def errors_with(self, C: np.ndarray) -> np.ndarray:
         """Return the left-out squared errors (B, n) of the fit with columns C (N, K) added."""

@@ -13,7 +13,7 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.likelihood.columns import Candidate, Columns
-from torchrbd.likelihood.shapes import axes
+from torchrbd.likelihood.shapes import varied
 from torchrbd.physics import Effect, Site, Window
 
 _EVALUATIONS, _SWEEPS, _CLOSE = 10, 2, 0.03
@@ -189,8 +189,7 @@ def fresh_columns(fit: Fit, candidate: Candidate) -> np.ndarray:
 
 def refined(fit: Fit, candidate: Candidate) -> Candidate:
     """Return a candidate with the shape, between the neighbours on its grid, that gains most beside a fit."""
-    columns = fit.rows.samples.columns
-    grid = {name: axis for name, axis in axes(columns, candidate).items() if axis.reach > 0}
+    grid = varied(fit.rows.samples.columns, candidate)
     for _ in range(_SWEEPS if len(grid) > 1 else 1):
         for name, axis in grid.items():
             candidate = _along(fit, candidate, name, axis.limits(candidate.shape[name]))

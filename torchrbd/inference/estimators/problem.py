@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.preparation import Prepared
+from torchrbd.inference.shapes.grid import columns_of
 from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.equations import first_noise_variance, with_noise
@@ -86,8 +87,7 @@ class LinearProblem:
             x, covariance = self.least_squares(1.0 / variance)
             return x, x, covariance
 
-        first = first_noise_variance(self.training)
-        return with_noise(self.training, fit, first, rounds=_MOST_ROUNDS, settled=_SETTLED)
+        return with_noise(self.training, fit, rounds=_MOST_ROUNDS, settled=_SETTLED)
 
     def information(self) -> Tensor:
         """Return what the fitted blocks tell of x as weighted least squares weighs them, (n, n)."""
@@ -115,8 +115,7 @@ def linear_problem(prepared: Prepared, terms: Sequence[Candidate] = ()) -> Linea
         terms: effects that are fitted beside the inertial parameters.
     """
     columns, prior, training = prepared.columns, prepared.prior, prepared.training
-    own = torch.tensor(sorted({k for c in terms for k in columns.of(c)}), dtype=torch.long)
-    free = torch.cat((prior.inertial, own))
+    free = columns_of(prepared, terms)
     H, _ = assemble(columns, training.total(), 1.0 / first_noise_variance(training))
     H = H[free][:, free]
     # What a column tells in units of the prior: that of a parameter without effect is rounding, not exactly zero.

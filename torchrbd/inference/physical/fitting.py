@@ -153,13 +153,7 @@ def _sandwich_filling(
 
     Blocks are long against the correlation time, so that their scatter measures what correlated noise does to x.
     """
-    columns, n_blocks = statistics.columns, len(statistics)
-    gradient = torch.zeros(n_blocks, columns.n, dtype=torch.float64)
-    for joint, moments in enumerate(statistics.moments):
-        own = columns.of_joint[joint]
-        v = torch.cat((-fit.x[own], torch.ones(1, dtype=torch.float64)))
-        gradient[:, own] += (moments @ v)[:, :-1] / variance[joint]
-    scores = gradient @ prior.scale[:, fit.free]
+    n_blocks, scores = len(statistics), statistics.scores(fit.x, 1.0 / variance) @ prior.scale[:, fit.free]
     scores = scores - scores.mean(0)
     prior_curvature = fit.precision - H[fit.free.unsqueeze(1), fit.free]
     return n_blocks / max(n_blocks - 1, 1) * scores.T @ scores + prior_curvature

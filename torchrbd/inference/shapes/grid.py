@@ -24,6 +24,11 @@ def columns_of(prepared: Prepared, terms: Sequence[Candidate]) -> Tensor:
     return torch.cat((prepared.prior.inertial, torch.tensor(own, dtype=torch.long)))
 
 
+def linear_fit_of(prepared: Prepared, terms: Sequence[Candidate]) -> tuple[Tensor, Tensor]:
+    """Return x (n,) of a linear fit of the rigid body and terms, and the noise variance (n_dof,) of each joint."""
+    return linear_fit(prepared.training, prepared.prior, columns_of(prepared, terms))
+
+
 def best_on_grid(prepared: Prepared, terms: Sequence[Candidate]) -> Terms:
     """Return terms with those shapes on their grids that fit best, chosen in turn until none changes.
 
@@ -52,9 +57,8 @@ def _best(prepared: Prepared, others: Sequence[Candidate], grid: Sequence[Candid
 
     With S and r the precision and score of its fresh columns beside those of the others, it is r' S^-1 r / 2.
     """
-    base, training = columns_of(prepared, others), prepared.training
-    _, noise = linear_fit(training, prepared.prior, base)
-    equations = scaled_equations(prepared.prior, training.total(), prepared.columns, 1.0 / noise)
+    base, (_, noise) = columns_of(prepared, others), linear_fit_of(prepared, others)
+    equations = scaled_equations(prepared.prior, prepared.training.total(), prepared.columns, 1.0 / noise)
     known = set(base.tolist())
     fresh = [[k for k in prepared.columns.of(c) if k not in known] for c in grid]
     index = sorted({k for own in fresh for k in own})

@@ -22,11 +22,11 @@ from torch import Tensor
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.scatter import block_scatter
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.shapes.grid import Terms, best_on_grid, columns_of
+from torchrbd.inference.shapes.grid import Terms, best_on_grid, columns_of, linear_fit_of
 from torchrbd.inference.shapes.reread import reread, with_input_noise
 from torchrbd.likelihood.block_statistics import assemble
 from torchrbd.likelihood.columns import URDF_FRICTION, Candidate
-from torchrbd.likelihood.equations import Equations, linear_fit
+from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.shapes import ShapeSlope, axes, feature_slopes, slopes
 from torchrbd.physics import Shape
@@ -143,7 +143,7 @@ def refined_from(prepared: Prepared, terms: Sequence[Candidate], progress: Progr
     """
     if not _refinable(terms):
         return with_input_noise(prepared, terms), tuple(terms)
-    now = _read(prepared, terms, _carried(prepared, terms, _fitted(prepared, terms)[0]), progress)
+    now = _read(prepared, terms, _carried(prepared, terms, linear_fit_of(prepared, terms)[0]), progress)
     best = [(c.shape, now.loss_of(k)) for k, c in enumerate(now.terms)]
     for _ in range(_MOST_PASSES):
         shapes, settled = now.next_shapes()
@@ -211,7 +211,9 @@ def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, prog
     every = [s for own in by_term for parts in own.values() for s in parts]
     prepared = reread(prepared, columns.of_candidates((*terms, *every), pi, friction), progress)
     columns = prepared.columns
-    x, loss, noise = _fitted(prepared, terms)
+    x, noise = linear_fit_of(prepared, terms)
+    count = prepared.training.torque[..., 0].sum(0)
+    loss = torch.where(count > 0, 0.5 * count * noise.log(), 0.0)
     slope = torch.zeros(columns.n, len(around), dtype=torch.float64)
     for i, (k, name) in enumerate(around):
         index = [columns.of(s)[0] for s in by_term[k][name]]
@@ -223,15 +225,6 @@ def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, prog
     at = np.arange(into.shape[1] - len(around), into.shape[1])
     covariance = found.covariance(at) * np.outer(width, width)
     return _Pass(prepared, terms, x, loss, around, found.z[at] * width, covariance)
-
-
-def _fitted(prepared: Prepared, terms: Sequence[Candidate]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return x (n,) of a linear fit of terms, the loss of each joint and its noise, (n_dof,)."""
-    training = prepared.training
-    x, noise = linear_fit(training, prepared.prior, columns_of(prepared, terms))
-    count = training.torque[..., 0].sum(0)
-    loss = torch.where(count > 0, 0.5 * count * noise.log(), torch.zeros_like(count))
-    return x, loss, noise
 
 
 def _between(a: Shape, b: Shape) -> Shape:
