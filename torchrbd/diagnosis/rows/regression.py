@@ -19,8 +19,7 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.rows.samples import Samples
-from torchrbd.diagnosis.rows.white_rows import Place, Rows
-from torchrbd.diagnosis.rows.whitening import LEAST_NOISE, ORDER, Noise, predictor, relief, whitened
+from torchrbd.diagnosis.rows.white_rows import LEAST_NOISE, ORDER, Colour, Place, Rows, joint_noise, predictor
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import Posterior
 from torchrbd.likelihood.urdf_prior import Prior
@@ -201,16 +200,16 @@ class Fit:
             left[slice(None) if one.place is None else one.place] -= np.tensordot(w, one.features, 1)
         return np.where(samples.measured, left, 0.0)
 
-    def noise(self) -> Noise:
+    def noise(self) -> Colour:
         """Return the noise that makes this leftover white."""
         left, rows = self.leftover(), self.rows
         filters, scale = np.zeros((len(left), ORDER)), np.ones(len(left))
         Q = self.posterior.half(self.X.T)
         for j, index in enumerate(rows.index):
             if len(index):
-                weighted = left[j] * rows.samples.weight[j]
-                filters[j] = predictor(weighted, index)
-                e = whitened(weighted, index, filters[j], 1.0) * relief(rows.samples.weight[j], index, filters[j])
+                weight = rows.samples.weight[j]
+                filters[j] = predictor(left[j] * weight, index)
+                e = joint_noise(filters[j], 1.0, weight).white(left[j], index)
                 used = min(float((Q[:, rows.parts[j]] ** 2).sum()), 0.9 * rows.counts[j])
                 least = LEAST_NOISE * np.sqrt(np.mean(rows.samples.tau[j] ** 2))
                 scale[j] = max(float(np.sqrt(np.sum(e**2) / (rows.counts[j] - used) + least**2)), 1e-300)
@@ -221,7 +220,7 @@ def fitted(
     samples: Samples,
     prior: Prior,
     terms: Sequence[Candidate],
-    noise: Noise | None = None,
+    noise: Colour | None = None,
     extra: Sequence[Extra] = (),
     rounds: int = _ROUNDS,
 ) -> Fit:
