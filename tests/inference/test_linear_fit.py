@@ -12,7 +12,7 @@ from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, multisine, record
 
 from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.equations import linear_fit, residual_variance, scaled_equations
+from torchrbd.likelihood.equations import linear_fit, residual_variance, scaled_equations, with_noise
 from torchrbd.likelihood.urdf_prior import Prior, divergence_hessian, unphysical_bodies
 from torchrbd.parameters import is_physical
 from torchrbd.recordings import survey
@@ -120,6 +120,33 @@ def test_noise_level_is_recovered(noise: float) -> None:
     ratio = found.numpy() / expected
     assert np.abs(ratio - 1).max() < 0.2  # 1500 independent samples a joint: 4 % standard deviation
     assert ratio.mean() == pytest.approx(1.0, abs=0.1)
+
+
+def test_noise_settles_where_the_fit_leaves_what_it_assumes() -> None:
+    robot, recording = recorded(2, 3, torque_noise=0.05)
+    columns = columns_of(robot)
+    prior, statistics = prior_of(columns), statistics_of(columns, recording)
+    free, fits = prior.inertial, []
+
+    def fit(variance: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        equations = scaled_equations(prior, statistics.total(), columns, 1.0 / variance)
+        S, covariance = prior.scale[:, free], equations.posterior(free).covariance(np.arange(len(free)))
+        fits.append(variance)
+        return (
+            variance,
+            prior.mean + S @ torch.from_numpy(equations.posterior(free).z),
+            S @ torch.from_numpy(covariance) @ S.T,
+        )
+
+    assumed, variance = with_noise(statistics, fit, rounds=30, settled=1e-8)
+    assert assumed is variance
+    assert 2 < len(fits) < 30
+    _, x, covariance = fit(variance)
+    torch.testing.assert_close(residual_variance(statistics, x, covariance, variance), variance, rtol=1e-8, atol=0)
+    _, other = linear_fit(statistics, prior, free)
+    torch.testing.assert_close(other, variance, rtol=1e-2, atol=0)
+    given = torch.ones(3, dtype=torch.float64)
+    assert with_noise(statistics, fit, given, rounds=0)[1] is given
 
 
 def test_noise_of_a_joint_without_torque_is_infinite() -> None:
