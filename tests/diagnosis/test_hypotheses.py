@@ -194,7 +194,7 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
     expected = []
     for begin, end in stretches:
         inside = (rows.block >= blocks[begin]) & (rows.block < blocks[end]) & (rows.recording == 1)
-        columns = {j: fit.hyper.noise[j].white(F[:, j], i) * inside[i] for j, i in enumerate(fit.index)}
+        columns = {j: fit.hyper.noise[j].white(F[:, j]) * inside[i] for j, i in enumerate(fit.index)}
         S, r = fit.gaussian.beside(columns)
         expected += [added(S, r, k * std, c.effect.prior.positive).log_evidence for k in scales]
     got = _in_stretches(fit, rows, c, 1, stretches)

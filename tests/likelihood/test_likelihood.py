@@ -26,7 +26,7 @@ from scipy.stats import norm
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Extra, Likelihood, learn
-from torchrbd.likelihood.machine import RESPONSE_ORDERS, STICKS, Machine
+from torchrbd.likelihood.machine import STICKS, Machine
 from torchrbd.likelihood.noise import learnt
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 from torchrbd.physics import Site
@@ -68,7 +68,7 @@ def test_noise_is_that_of_the_torque(fit: Likelihood) -> None:
     quiet = rows_of(wrong_robot(URDF, 1), [recorded(URDF, 2, with_friction(), noise=0.0, delay_s=DELAY_S, **OPTIONS)])
     rows = fit.machine.rows
     for j, e in enumerate(rows.tau - quiet.tau):
-        noise = learnt(e, np.ones(len(e)), np.ones(len(e)), rows.run, rows.measured[j], 0.0, 1.0)
+        noise = learnt(e, fit.index[j], np.ones(len(e)), rows.run, 0.0, 1.0)
         assert fit.hyper.noise[j].sigma == pytest.approx(noise.sigma, rel=0.1)
     assert (fit.hyper.dispersion < 1.3).all()
 
@@ -78,7 +78,7 @@ def test_residual_is_what_the_coefficients_leave(fit: Likelihood) -> None:
     for j in range(2):
         A, own = machine.design(j, fit.hyper, fit._slopes)
         np.testing.assert_allclose(fit.residual(j), machine.target[j] - z[own] @ A, atol=1e-9)
-        white = fit.hyper.noise[j].white(fit.residual(j), fit.index[j])
+        white = fit.hyper.noise[j].white(fit.residual(j))
         np.testing.assert_allclose(white, fit.gaussian.left[j], atol=1e-9)
         assert white.var() == pytest.approx(1.0, rel=0.15)
 
@@ -197,7 +197,7 @@ def test_machine_of_trusted_bodies_has_friction_alone() -> None:
     A, own = machine.design(0, fitted(delay_s=DELAY_S).hyper, None)
     assert len(A) == len(own)
     assert own.min() == 0
-    assert machine.n == 2 * (4 + len(RESPONSE_ORDERS) + 2 + len(machine.drifting(0))) + 1
+    assert machine.n == 2 * (4 + 2 + len(machine.drifting(0)) + 1) + 1
     assert isinstance(rows.columns, Columns)
 
 
@@ -237,18 +237,18 @@ def direction_std(qd: torch.Tensor, speed_std: float) -> torch.Tensor:
     return torch.from_numpy(2.0 * np.sqrt(p * norm.sf(qd.numpy() / speed_std)))
 
 
-def test_rows_count_less_where_the_velocity_does_not_tell_the_direction(fit: Likelihood) -> None:
+def test_rows_are_noisier_where_the_velocity_does_not_tell_the_direction(fit: Likelihood) -> None:
     machine, rows = fit.machine, fit.machine.rows
     slow = int(np.argmin(np.abs(rows.qd[0])))
     fast = np.abs(rows.qd[0]) > 0.5 * machine.speed_rms[0]
     for stick in STICKS:
         wrong = rows.evaluated(lambda s, k=stick: direction_std(s.qd[0], k * rows.speed_std[0]))
-        weight = machine.weight(0, 1.0, 0.05, stick)
-        np.testing.assert_allclose(weight, 1.0 / np.sqrt(1.0 + (wrong / 0.05) ** 2), rtol=1e-9)
-        assert (machine.weight(0, 0.0, 0.05, stick) == 1.0).all()
-        assert weight[slow] <= np.median(weight[fast])
-        np.testing.assert_allclose(weight[fast], 1.0, atol=0.01)
-    assert machine.weight(0, 1.0, 0.05, 10.0).mean() < machine.weight(0, 1.0, 0.05, 1.0).mean()
+        spread = machine.spread(0, 0.0, 20.0, stick)
+        np.testing.assert_allclose(spread, np.sqrt(1.0 + (20.0 * wrong) ** 2), rtol=1e-9)
+        assert (machine.spread(0, 0.0, 0.0, stick) == 1.0).all()
+        assert spread[slow] >= np.median(spread[fast])
+        np.testing.assert_allclose(spread[fast], 1.0, atol=0.01)
+    assert machine.spread(0, 0.0, 20.0, 10.0).mean() > machine.spread(0, 0.0, 20.0, 1.0).mean()
 
 
 def test_drift_is_a_random_walk_that_every_recording_has_alone() -> None:

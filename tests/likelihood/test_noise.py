@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from torchrbd.likelihood.noise import Noise, drift_basis, learnt, predictors
+from torchrbd.likelihood.noise import Noise, drift_basis, learnt, predicted, predictors
 
 COEFFICIENTS = np.array([1.2, -0.5])
 
@@ -15,15 +15,16 @@ def coloured(seed: int, n: int, a: np.ndarray = COEFFICIENTS, sigma: float = 0.3
     return lfilter([1.0], np.concatenate(([1.0], -a)), e)[500:]
 
 
-def of(e: np.ndarray, **options) -> Noise:
+def of(e: np.ndarray, measured: np.ndarray | None = None, **options) -> Noise:
     n = len(e)
-    one = np.ones(n)
-    given = {"spread": one, "weight": one, "run": np.zeros(n), "measured": np.ones(n, bool)}
-    return learnt(e, **{**given, "used": 0.0, "dispersion": 1.0, **options})
+    given = {"spread": np.ones(n), "run": np.zeros(n), "used": 0.0, "dispersion": 1.0, **options}
+    index = predicted(given["run"], np.ones(n, bool) if measured is None else measured)
+    return learnt(e, index, **given)
 
 
-def white(noise: Noise, e: np.ndarray, run: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    return noise.white(e, noise.index(run, measured))
+def noise_of(noise: Noise, run: np.ndarray) -> Noise:
+    """Return the same noise of other rows."""
+    return Noise(predicted(run, np.ones(len(run), bool)), noise.predictor, noise.sigma, np.ones(len(run)))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -45,19 +46,14 @@ def test_order_and_coefficients_of_an_autoregression_are_found(seed: int) -> Non
 def test_innovations_are_white_and_of_unit_variance() -> None:
     runs = [coloured(k, n) for k, n in enumerate((3000, 1, 7000, 2, 40, 4000))]
     e, run = np.concatenate(runs), np.repeat(np.arange(6), [len(r) for r in runs])
-    measured = np.ones(len(e), bool)
     noise = of(e, run=run)
-    u = white(noise, e, run, measured)
+    u = noise.white(e)
     assert u.var() == pytest.approx(1.0, rel=0.03)
     for lag in range(1, 6):
         assert abs(np.mean(u[lag:] * u[:-lag])) < 0.03
     assert len(u) == sum(max(0, len(r) - 16) for r in runs)
-    alone = [white(noise_of(noise, len(r)), r, np.zeros(len(r)), np.ones(len(r), bool)) for r in runs if len(r) > 16]
+    alone = [noise_of(noise, np.zeros(len(r))).white(r) for r in runs if len(r) > 16]
     np.testing.assert_allclose(u, np.concatenate(alone))
-
-
-def noise_of(noise: Noise, n: int) -> Noise:
-    return Noise(noise.predictor, noise.sigma, np.ones(n), np.ones(n))
 
 
 def test_recording_without_torque_is_left_out() -> None:
@@ -65,13 +61,12 @@ def test_recording_without_torque_is_left_out() -> None:
     e = np.concatenate((coloured(0, 4000), np.full(3000, 1e6), coloured(1, 4000)))
     run = np.repeat([0, 1, 2], [4000, 3000, 4000])
     measured = run != 1
-    noise, kept = of(e, run=run, measured=measured), of(e[measured], run=run[measured])
-    np.testing.assert_allclose(noise.predictor, kept.predictor)
+    # What is not measured holds zeros, as rows have it.
+    noise, kept = of(np.where(measured, e, 0.0), measured, run=run), of(e[measured], run=run[measured])
+    assert (run[noise.index] != 1).all()
     assert noise.sigma == pytest.approx(kept.sigma)
-    assert (run[noise.index(run, measured)] != 1).all()
-    np.testing.assert_allclose(
-        white(noise, e, run, measured), white(noise_of(kept, 8000), e[measured], run[measured], measured[measured])
-    )
+    np.testing.assert_allclose(noise.predictor, kept.predictor)
+    np.testing.assert_allclose(noise.white(e), kept.white(e[measured]))
 
 
 def test_rows_that_are_noisier_count_less() -> None:
@@ -80,7 +75,7 @@ def test_rows_that_are_noisier_count_less() -> None:
     e = scale * coloured(3, n)
     noise = of(e, spread=scale)
     np.testing.assert_allclose(noise.predictor[:2], COEFFICIENTS, atol=0.05)
-    u = white(noise, e, np.zeros(n), np.ones(n, bool))
+    u = noise.white(e)
     large = scale[-len(u) :] > 1.0
     assert u[large].var() == pytest.approx(1.0, rel=0.05)
     assert u[~large].var() == pytest.approx(1.0, rel=0.05)
@@ -88,10 +83,9 @@ def test_rows_that_are_noisier_count_less() -> None:
 
 def test_signals_are_whitened_one_by_one_as_together() -> None:
     rng = np.random.default_rng(4)
-    noise = Noise(COEFFICIENTS, 0.3, rng.uniform(0.5, 2.0, 50), np.ones(50))
-    run, measured = np.repeat([0, 1], 25), np.ones(50, bool)
-    A, index = rng.normal(size=(3, 2, 50)), noise.index(run, measured)
-    got = noise.white(A, index)
+    index = predicted(np.repeat([0, 1], 25), np.ones(50, bool))
+    noise, A = Noise(index, COEFFICIENTS, 0.3, rng.uniform(0.5, 2.0, 50)), rng.normal(size=(3, 2, 50))
+    got = noise.white(A)
     for i in range(3):
         for k in range(2):
             u, s = A[i, k], 0.3 * noise.spread
@@ -101,54 +95,37 @@ def test_signals_are_whitened_one_by_one_as_together() -> None:
 
 def test_correlation_is_that_of_the_autoregression() -> None:
     e = coloured(8, 400_000, sigma=1.0)
-    got = Noise(COEFFICIENTS, 1.0, np.ones(1), np.ones(1)).correlation
+    none = np.zeros(0, int)
+    got = Noise(none, COEFFICIENTS, 1.0, np.ones(1)).correlation
     np.testing.assert_allclose(got, [np.mean(e[k:] * e[: len(e) - k]) for k in range(3)], rtol=0.03)
-    np.testing.assert_allclose(Noise(np.zeros(0), 1.0, np.ones(1), np.ones(1)).correlation, [1.0])
+    np.testing.assert_allclose(Noise(none, np.zeros(0), 1.0, np.ones(1)).correlation, [1.0])
+    assert Noise(none, COEFFICIENTS, 0.3, np.ones(1)).std == pytest.approx(0.3 * e.std(), rel=0.02)
 
 
-def doubtful(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return coloured noise with more, white, in some rows, and what those rows count."""
-    weight = np.where(np.arange(n) % 400 < 80, 0.3, 1.0)
-    c0 = 0.09 * Noise(COEFFICIENTS, 1.0, np.ones(1), np.ones(1)).correlation[0]
-    more = np.sqrt(c0 * (1.0 / weight**2 - 1.0)) * np.random.default_rng(900 + seed).normal(size=n)
-    return coloured(seed, n) + more, weight
-
-
-def test_rows_of_which_nobody_knows_are_whitened_to_unit_variance() -> None:
-    """The variance of b * (w e) is the sum of those of coloured and of unknown noise, row by row."""
-    n = 200_000
-    e, weight = doubtful(9, n)
-    noise, run, measured = Noise(COEFFICIENTS, 0.3, np.ones(n), weight), np.zeros(n), np.ones(n, bool)
-    index = noise.index(run, measured)
-    u, phase = noise.white(e, index), index % 400
-    for inside in (phase == 0, phase == 1, (phase >= 2) & (phase < 80), phase == 80, phase == 81, phase > 82):
-        assert u[inside].var() == pytest.approx(1.0, rel=5 * np.sqrt(2.0 / inside.sum()) + 0.01)
-    plain = Noise(COEFFICIENTS, 0.3, np.ones(n), np.ones(n))
-    assert noise.std[400 * 3 + 200] == pytest.approx(plain.std[0])
-
-
-def test_noise_is_learnt_beside_rows_of_which_nobody_knows() -> None:
-    e, weight = doubtful(10, 40_000)
-    noise = of(e, weight=weight)
-    u = noise.white(e, noise.index(np.zeros(len(e)), np.ones(len(e), bool)))
-    assert np.mean(u**2) == pytest.approx(1.0, rel=1e-6)
-    assert noise.surprise(np.arange(100, 40_000)) < of(e).surprise(np.arange(100, 40_000))
+def test_rows_that_err_more_for_a_while_are_learnt_as_such() -> None:
+    """The likelihood tells how much noisier the rows of a stretch are; evidence is against all being alike."""
+    n = 20_000
+    inside = np.arange(n) % 400 < 80
+    scale = np.where(inside, 3.0, 1.0)
+    e = lfilter([1.0], np.concatenate(([1.0], -COEFFICIENTS)), 0.3 * scale * np.random.default_rng(10).normal(size=n))
+    found = {x: of(e, spread=np.where(inside, x, 1.0)).surprise for x in (1.0, 2.0, 3.0, 4.5)}
+    assert min(found, key=found.get) == 3.0
+    assert found[1.0] > found[3.0] + 100
 
 
 def test_surprise_is_the_log_density_but_for_half_the_squares() -> None:
-    """Of white noise: each row has standard deviation sigma s / w."""
+    """Of white noise: each row has standard deviation sigma s."""
     rng, index = np.random.default_rng(11), np.arange(20, 50)
-    weight, spread = rng.uniform(0.2, 1.0, 50), rng.uniform(0.5, 2.0, 50)
-    noise, e = Noise(np.zeros(0), 0.3, spread, weight), rng.normal(size=50)
-    u = noise.white(e, index)
-    expected = -norm.logpdf(e[index], scale=0.3 * spread[index] / weight[index]).sum()
-    assert noise.surprise(index) + 0.5 * u @ u + 15 * np.log(2 * np.pi) == pytest.approx(expected)
+    noise, e = Noise(index, np.zeros(0), 0.3, rng.uniform(0.5, 2.0, 50)), rng.normal(size=50)
+    u = noise.white(e)
+    expected = -norm.logpdf(e[index], scale=0.3 * noise.spread[index]).sum()
+    assert noise.surprise + 0.5 * u @ u + 15 * np.log(2 * np.pi) == pytest.approx(expected)
 
 
 def test_degrees_of_freedom_and_dispersion_raise_the_variance() -> None:
     e = coloured(5, 4000)
     plain = of(e)
-    assert of(e, used=1000.0).sigma == pytest.approx(plain.sigma / np.sqrt(0.75))
+    assert of(e, used=0.25 * (4000 - 16)).sigma == pytest.approx(plain.sigma / np.sqrt(0.75))
     assert of(e, dispersion=4.0).sigma == pytest.approx(2.0 * plain.sigma)
     assert of(e, dispersion=0.1).sigma == pytest.approx(plain.sigma)
 
@@ -196,17 +173,13 @@ def test_predictors_of_short_signals_are_those_of_least_squares_forwards_and_bac
 def test_the_order_that_is_chosen_is_that_of_the_greatest_evidence(seed: int) -> None:
     """Were orders not paid for in the same currency, a model would win by the order alone."""
     e = coloured(seed, 3000, np.array([1.2, -0.5, 0.0, 0.08]))
-    run, measured = np.zeros(len(e)), np.ones(len(e), bool)
     chosen = of(e)
-    index = chosen.index(run, measured)
 
     def evidence(a: np.ndarray) -> float:
-        u = Noise(a, 1.0, np.ones(len(e)), np.ones(len(e))).white(e, index)
-        sigma = np.sqrt(np.mean(u**2))
-        one = Noise(a, sigma, np.ones(len(e)), np.ones(len(e)))
-        return -one.surprise(index) - 0.5 * len(index)
+        sigma = np.sqrt(np.mean(Noise(chosen.index, a, 1.0, np.ones(len(e))).white(e) ** 2))
+        return -Noise(chosen.index, a, sigma, np.ones(len(e))).surprise - 0.5 * len(chosen.index)
 
-    best = max(evidence(a) for a, _ in predictors(e, run, 16))
+    best = max(evidence(a) for a, _ in predictors(e, np.zeros(len(e)), 16))
     assert evidence(chosen.predictor) == pytest.approx(best, abs=1e-6)
 
 

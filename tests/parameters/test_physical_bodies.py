@@ -15,8 +15,10 @@ from torchrbd.parameters import (
     is_extended,
     is_physical,
     nearest_physical,
+    thickened,
     to_log_cholesky,
 )
+from torchrbd.parameters.inertial import central_covariance
 from torchrbd.robot import pseudo_inertia
 
 
@@ -121,6 +123,26 @@ def test_a_point_becomes_a_body_of_plausible_width() -> None:
     torch.testing.assert_close(repaired[:4], point[:4])
     moments = central_moments(repaired.numpy())
     np.testing.assert_allclose(moments, 2 * 0.6 * (0.3 * 0.2) ** 2, rtol=1e-4)
+
+
+def test_needles_are_thickened_and_nothing_else() -> None:
+    """A rod of 1 m about its end, r = 0.58 m: at least 0.1 r wide in all directions, mass, centre and length kept."""
+    rod = torch.from_numpy(from_points(np.full(101, 0.01), np.linspace(0, 1, 101)[:, None] * np.array([[0.0, 0, 1]])))
+    rod[[4, 6, 9]] += 1e-6
+    assert is_physical(rod)
+    thick = thickened(rod)
+    torch.testing.assert_close(thick[:4], rod[:4], rtol=1e-12, atol=1e-14)
+    moments = central_moments(thick.numpy())
+    across = np.sort(moments.sum() / 2 - moments)
+    second = float(rod[4] + rod[6] - rod[9]) / 2
+    np.testing.assert_allclose(across[:2], 0.1**2 * second, rtol=1e-3)
+    before = central_moments(rod.numpy())
+    assert across[2] == pytest.approx(before.max(), rel=1e-3)
+    torch.testing.assert_close(thickened(thick), thick, rtol=0.03, atol=1e-5)
+    sturdy = random_bodies(6, 50)
+    sturdy = sturdy[torch.linalg.eigvalsh(central_covariance(sturdy))[:, 0] > 0.02 * sturdy[:, 4:].abs().amax(1)]
+    assert len(sturdy) > 5
+    assert torch.equal(thickened(sturdy), sturdy)
 
 
 def test_orthonormal_basis_of_the_symmetric_matrices() -> None:

@@ -19,7 +19,7 @@ from torchrbd.errors import InputError
 from torchrbd.physics import Effect, Shape, Signals, Site
 from torchrbd.physics.actuator_lag import ActuatorLag
 from torchrbd.physics.backlash import Backlash, deviation
-from torchrbd.physics.joint_elasticity import JointElasticity, slope_along
+from torchrbd.physics.joint_elasticity import JointElasticity
 from torchrbd.physics.presliding_hysteresis import PreslidingHysteresis
 from torchrbd.physics.recurrence import recurrence
 from torchrbd.physics.time_delay import TimeDelay
@@ -270,7 +270,7 @@ class TestTwoMasses:
         assert w == pytest.approx(play, rel=0.2)
         # without the flight, sides change at once: that explains nothing
         at = pendulum_signals(q, t)
-        at_once = slope_along(at, Site(0), -torch.sign(at.load[0]) / 2)
+        at_once = at.deviating(0, -torch.sign(at.load[0]) / 2)
         left = band_limited(torque - at.load[0].numpy(), 1000.0)
         assert fitted(band_limited(at_once[0], 1000.0), left)[1] < 0.3
 

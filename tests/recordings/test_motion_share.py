@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 
-from torchrbd.recordings.clock import Block
+from torchrbd.recordings.blocks import Block
 from torchrbd.recordings.spectrum import LOWEST_HZ, Spectrum
 
 

@@ -259,7 +259,7 @@ def _sums(
         if not len(index):
             continue
         own = np.flatnonzero(inside[index])
-        C = fit.hyper.noise[j].white(F[:, j], index)[:, own]
+        C = fit.hyper.noise[j].white(F[:, j])[:, own]
         b, e = fit.gaussian.blocks[j], fit.gaussian.left[j]
         places = np.searchsorted(edges, rows.block[index[own]], side="right") - 1
         for k, part in enumerate(np.split(np.arange(len(own)), np.searchsorted(places, np.arange(1, B)))):

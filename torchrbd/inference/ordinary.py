@@ -23,8 +23,6 @@ from torchrbd.physics import Effect, effect
 
 # Clocks that are apart by less than so many standard deviations are not.
 _TOLD = 3.0
-# Where a joint sticks, its friction makes rows count less than so much.
-_STICKS = 0.5
 
 
 def with_friction(settings: Settings) -> tuple[Effect, ...]:
@@ -47,7 +45,7 @@ def with_machine(prepared: Prepared, settings: Settings, effects: Sequence[Effec
     spread = fit.machine.timing_std * fit.gaussian.covariance(fit.machine.timing).diagonal() ** 0.5
     clocks = zip(fit.machine.rows.seen_recordings, fit.delay_s, spread, strict=True)
     late = {name: float(d) for name, d, std in clocks if abs(d) > _TOLD * std}
-    sticky = torch.tensor([bool((noise.weight < _STICKS).any()) for noise in fit.hyper.noise])
+    sticky = torch.tensor([bool((noise.spread > 2.0).any()) for noise in fit.hyper.noise])
     columns = prepared.columns.sticking(prepared.columns.stick_levels * sticky)
     reading = replace(prepared.reading, delay_s=late)
     statistics = reading.statistics(columns, progress)

@@ -76,20 +76,18 @@ class Likelihood:
         self, machine: Machine, hyper: Hyper, extra: Sequence[Extra] = (), slopes: np.ndarray | None = None
     ) -> None:
         self.machine, self.hyper, self.extra, self._slopes = machine, hyper, tuple(extra), slopes
-        rows, n = machine.rows, machine.n
+        n = machine.n
         self._first = n + np.cumsum([0, *(len(e.std) for e in self.extra)])
         self._raw: list[np.ndarray] = []
-        self.index, blocks = [], []
+        self.index, blocks = machine.index, []
         for j, noise in enumerate(hyper.noise):
             A, own = machine.design(j, hyper, slopes)
             for first, e in zip(self._first[:-1], self.extra, strict=True):
                 if (features := e.at(j)) is not None:
                     A = np.concatenate((A, features * e.std[:, None]))
                     own = np.concatenate((own, first + np.arange(len(e.std))))
-            index = noise.index(rows.run, rows.measured[j])
             self._raw.append(A)
-            self.index.append(index)
-            blocks.append(Block(noise.white(A, index), noise.white(machine.target[j], index), own))
+            blocks.append(Block(noise.white(A), noise.white(machine.target[j]), own))
         root = np.sqrt(hyper.kappa)
         sites = np.zeros((2, int(self._first[-1])))
         sites[:, machine.resisting] = hyper.resists.reshape(2, -1)
@@ -99,8 +97,8 @@ class Likelihood:
     @property
     def log_evidence(self) -> float:
         """Log marginal likelihood of all rows, to the power of one over their joint's dispersion."""
-        each = zip(self.index, self.hyper.noise, self.hyper.dispersion, strict=True)
-        return self.gaussian.log_evidence - float(sum(n.surprise(i) / d for i, n, d in each))
+        each = zip(self.hyper.noise, self.hyper.dispersion, strict=True)
+        return self.gaussian.log_evidence - float(sum(n.surprise / d for n, d in each))
 
     @property
     def pi(self) -> torch.Tensor:
@@ -138,7 +136,7 @@ class Likelihood:
         """Return precision (K, K) and score (K,) of features (K, M) of a joint, or (K, n, M) of all, beside the fit."""
         joints = [j for j in (range(len(self.index)) if place is None else (place,)) if len(self.index[j])]
         return self.gaussian.beside(
-            {j: self.hyper.noise[j].white(features[:, j] if place is None else features, self.index[j]) for j in joints}
+            {j: self.hyper.noise[j].white(features[:, j] if place is None else features) for j in joints}
         )
 
     def dispersion(self, joint: int) -> float:
@@ -172,7 +170,7 @@ class Likelihood:
                 noise.append(self.hyper.noise[j])
                 continue
             rms = self.machine.torque_rms[j]
-            found = self._noise(j, dispersion[j], self.hyper.noise[j].spread, self.hyper.noise[j].weight)
+            found = self._noise(j, dispersion[j], self.hyper.noise[j].spread)
             noise.append(replace(found, sigma=max(found.sigma, _LEAST_NOISE * rms)))
             at = self.machine.drifting(j)
             power = np.mean(self.gaussian.z[at] ** 2 + self.gaussian.covariance(at).diagonal())
@@ -201,16 +199,17 @@ class Likelihood:
             for part in _WIDTHS:
                 width = float(np.hypot(part * self.machine.speed_rms[j], self.machine.rows.speed_std[j]))
                 F = self.machine.sign(j, width)
-                S, r = rest.beside({j: noise.white(F, self.index[j])})
+                S, r = rest.beside({j: noise.white(F)})
                 found.append((float(added(S, r, self.machine.friction_std(j, F)).log_evidence), width))
             widths[j] = max(found)[1]
         return self._with(rest_width=widths)
 
-    def _noise(self, joint: int, dispersion: float, spread: np.ndarray, weight: np.ndarray) -> Noise:
-        """Return the noise of what is left at a joint whose rows count like this."""
+    def _noise(self, joint: int, dispersion: float, spread: np.ndarray) -> Noise:
+        """Return the noise of what is left at a joint whose rows are as noisy as ``spread`` (M,) against each other."""
         rows, used = self.machine.rows, self.gaussian.used(joint)
-        measured, white = rows.measured[joint], self.hyper.white
-        return learnt(self.residual(joint), spread, weight, rows.run, measured, used, dispersion, white=white)
+        return learnt(
+            self.residual(joint), self.index[joint], spread, rows.run, used, dispersion, white=self.hyper.white
+        )
 
     def reweighed(self) -> Likelihood:
         """Return the same model with rows that count as they are most likely to.
@@ -222,13 +221,13 @@ class Likelihood:
         for j, index in enumerate(self.index):
             if not len(index):
                 continue
-            now, coulomb = noise[j], 0.5 * float(np.abs(self.friction[j, 1:]).sum())
             d = float(self.hyper.dispersion[j])
-            std = now.sigma * float(np.sqrt(now.correlation[0] / d))
-            ways = [self.machine.weight(j, doubt * coulomb, std, k) for doubt in _DOUBTS for k in STICKS]
-            now = min((self._noise(j, d, now.spread, w) for w in ways), key=lambda n: n.surprise(index))
-            found = [(part, self._noise(j, d, self.machine.spread(j, part), now.weight)) for part in _SHARES]
-            share[j], noise[j] = min(found, key=lambda one: one[1].surprise(index))
+            coulomb = 0.5 * float(np.abs(self.friction[j, 1:]).sum()) / (noise[j].std / np.sqrt(d))
+            ways = [(x * coulomb, stick) for x in _DOUBTS for stick in STICKS]
+            found = [(way, self._noise(j, d, self.machine.spread(j, share[j], *way))) for way in ways]
+            way, _ = min(found, key=lambda one: one[1].surprise)
+            parts = [(part, self._noise(j, d, self.machine.spread(j, part, *way))) for part in _SHARES]
+            share[j], noise[j] = min(parts, key=lambda one: one[1].surprise)
         return self._with(encoder_share=share, noise=tuple(noise))
 
     def recalibrated(self) -> Likelihood:
@@ -271,27 +270,31 @@ class Likelihood:
 def learn(machine: Machine, *, white: bool = False) -> Likelihood:
     """Learn noise, widths, drift, dispersion and the URDF's error from the data, the model being the machine's.
 
+    Least squares is learnt first: beside coefficients that are far off, slow errors pass for noise that is slow, which
+    then keeps them there.
+
     Args:
         machine: rigid body and ordinary physics.
         white: take rows to be independent, as least squares does, and friction to change its sign at once.
     """
     rows, rms = machine.rows, np.maximum(machine.torque_rms, 1e-300)
-    n_rows = rows.tau.shape[1]
+    one = np.ones(rows.tau.shape[1])
     hyper = Hyper(
         kappa=3.0,
         encoder_share=np.zeros(rows.n_dof),
         rest_width=np.array([s.rest_width for s in rows.columns.scales]),
         drift=_FIRST_DRIFT * rms,
-        noise=tuple(Noise(np.zeros(0), _FIRST_NOISE * r, np.ones(n_rows), np.ones(n_rows)) for r in rms),
+        noise=tuple(Noise(i, np.zeros(0), _FIRST_NOISE * r, one) for i, r in zip(machine.index, rms, strict=True)),
         dispersion=np.ones(rows.n_dof),
         bodies=np.zeros(len(machine.inertial)),
         resists=np.zeros((2, rows.n_dof, 3)),
         pi=rows.columns.robot.pi,
         friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
-        white=white,
+        white=True,
     )
     fit = Likelihood(machine, hyper)
-    for _ in range(_ROUNDS):
-        fit = fit.renoised() if white else fit.renoised().rewidened().renoised()
+    for whitens in (False,) * _ROUNDS if white else (False, *(True,) * _ROUNDS):
+        fit = fit._with(white=not whitens).renoised()
+        fit = fit if white else fit.rewidened().renoised()
         fit = fit.relinearised().reweighed()
     return fit.recalibrated().relinearised().reweighed().renoised(dispersed=True)

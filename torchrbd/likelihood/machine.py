@@ -4,14 +4,15 @@
           + d qd + c_+ max(g, 0) + c_- min(g, 0)            viscous and two-sided Coulomb friction, g = tanh(qd / w)
           + s dg/dlog w                                     how wide the sign change is
           + t0 d(tau_s)/dt                                  one offset between the clocks of torque and motion
-          + sum_k a_k d^k(load)/dt^k,  k = 2, 3, 4          what the fastest part of the estimated motion is worth
+          + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
+                                                            what the fastest part of each joint's motion is worth
           + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
           + drift(t)                                        a random walk's lowest frequencies
 
 The fastest part of the differentiated positions is encoder noise as well as motion. As far as there is noise within the
-band, the torque tells how much of each frequency is motion: even orders shrink it, the odd one turns its phase
-(regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4). Friction keeps its sharp
-edges. What
+band, the torques of all joints tell how much of it is motion, joint by joint: q + a d^2q/dt^2 is q with its highest
+frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4).
+Friction keeps its sharp edges. What
 rounding adds is a function of the torque, a sawtooth that noise smooths to its first harmonic (Widrow and Kollar,
 "Quantization Noise", 2008).
 """
@@ -26,14 +27,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.likelihood.noise import Noise, drift_basis
+from torchrbd.likelihood.noise import Noise, drift_basis, predicted
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import inertial_scale
 from torchrbd.physics import Signals
 
-# Clocks are off by some samples; so far the response may remember.
-_TIMING_SAMPLES, _RESPONSE_SAMPLES = 3.0, 2.0
-RESPONSE_ORDERS, _ROUNDING = (2, 3, 4), 2
+# Clocks are off by some samples; a position may be an average over so many.
+_TIMING_SAMPLES, _AVERAGE_SAMPLES = 3.0, 2.0
+_ROUNDING = 2
 # Friction of a joint may take all of its torque; its sign change may be wider or narrower by this part.
 _WIDTH_STD, _WIDTH_STEP = 0.5, 1.1
 # What changes more slowly than this is drift, as far as so many cosines a recording tell.
@@ -90,6 +91,7 @@ class Machine:
     Attributes:
         n: number of coefficients.
         torque_rms: (n_dof,) of what is measured [N m or N].
+        index: per joint, the rows (m,) that are whitened.
     """
 
     def __init__(self, rows: Rows, held: frozenset[str] = frozenset()) -> None:
@@ -98,14 +100,15 @@ class Machine:
         self.torque_rms = np.sqrt((rows.tau**2).sum(1) / np.maximum(rows.measured.sum(1), 1))
         self.speed_rms = np.sqrt(np.mean(rows.qd**2, axis=1))
         self._drift, self._drift_size = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
-        self._local = len(ORDINARY) + 1 + len(RESPONSE_ORDERS) + _ROUNDING + len(self._drift)
+        self._local = len(ORDINARY) + 1 + _ROUNDING + len(self._drift)
         self._inside = [rows.recording == k for k in np.unique(rows.recording)]
-        self.n = len(self.inertial) + rows.n_dof * self._local + len(self._inside)
+        self.n = len(self.inertial) + rows.n_dof * (self._local + 1) + len(self._inside)
         self._rigid = [rows.rigid[j][:, self.inertial] @ self.scale for j in range(rows.n_dof)]
         self.target = np.stack([rows.tau[j] - rows.rigid[j] @ self.mean for j in range(rows.n_dof)])
         mass = rows.columns.robot.mass_matrix(torch.from_numpy(rows.q.T)).numpy()
         self._carried = np.einsum("mjk,k->jm", mass**2, rows.encoder_std**2)
         self._undirected = {k: rows.evaluated(partial(self._direction_std, k)) for k in STICKS}
+        self.index = [predicted(rows.run, measured) for measured in rows.measured]
         self.sign = lru_cache(maxsize=256)(self._sign)
 
     def _direction_std(self, stick: float, signals: Signals) -> Tensor:
@@ -127,26 +130,21 @@ class Machine:
         """Return where the coefficients of a joint's drift stand."""
         return self._first(joint) + np.arange(self._local - len(self._drift), self._local)
 
-    def spread(self, joint: int, encoder_share: float) -> np.ndarray:
-        """Return how noisy a joint's rows are against each other, (M,): s^2 = 1 - share + share m^2 / mean m^2.
+    def spread(self, joint: int, encoder_share: float, loose: float = 0.0, stick: float = 1.0) -> np.ndarray:
+        """Return how noisy a joint's rows are against each other, (M,): s^2 = 1 - k + k m^2 / mean m^2 + l^2 u^2
 
         Encoder noise is differentiated twice and multiplied by the row of the mass matrix, m^2 = sum_k M_jk^2 s_k^2.
-        """
-        m = self._carried[joint]
-        return np.sqrt(1.0 - encoder_share + encoder_share * m / max(float(m.mean()), 1e-300))
-
-    def weight(self, joint: int, coulomb: float, noise_std: float, stick: float) -> np.ndarray:
-        """Return what rows count, (M,): less where the velocity does not tell the direction of Coulomb friction.
-
-        The standard deviation of the direction passes the filter: all samples of a reversal err together.
+        Friction errs where the velocity does not tell its direction; u is the standard deviation of that direction.
 
         Args:
             joint: which.
-            coulomb: friction [N m or N].
-            noise_std: of the torque [N m or N].
+            encoder_share: k, part of the noise that encoders make, on average.
+            loose: l, Coulomb friction in units of the noise.
             stick: speeds of so many standard deviations of the velocity's error may be rest, see ``STICKS``.
         """
-        return 1.0 / np.sqrt(1.0 + (coulomb / max(noise_std, 1e-300) * self._undirected[stick][joint]) ** 2)
+        m = self._carried[joint]
+        encoders = 1.0 - encoder_share + encoder_share * m / max(float(m.mean()), 1e-300)
+        return np.sqrt(encoders + (loose * self._undirected[stick][joint]) ** 2)
 
     @property
     def timing(self) -> np.ndarray:
@@ -179,19 +177,21 @@ class Machine:
         size = np.sqrt(np.mean(features**2, axis=1))
         return np.where(size > 0, self.torque_rms[joint] / np.maximum(size, 1e-300), 0.0)
 
+    @property
+    def averaging(self) -> np.ndarray:
+        """Where the coefficients of the joints' fastest motion stand, (n_dof,)."""
+        return self._first(self.rows.n_dof) + np.arange(self.rows.n_dof)
+
     def slopes(self, hyper: Hyper) -> np.ndarray:
-        """Return d(tau_s)/dt of all that is supplied, d^k(load)/dt^k and rounding, (1 + 3 + 2, n, M), around a fit."""
+        """Return d(tau_s)/dt of all that is supplied, each joint's fastest motion, and rounding, (1 + n + 2, n, M)."""
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
         def derivatives(signals: Signals) -> Tensor:
-            found, x = [signals.rate(signals.supplied)], signals.rate(signals.load)
-            for order in range(2, max(RESPONSE_ORDERS) + 1):
-                x = signals.rate(x)
-                if order in RESPONSE_ORDERS:
-                    found.append(x)
             turns = 2.0 * math.pi * signals.supplied / step
             amplitude = torch.where(step.isinf(), 0.0, step / math.pi)
-            return torch.stack((*found, amplitude * turns.sin(), amplitude * turns.cos()))
+            fastest = [signals.deviating(k, signals.qdd[k]) for k in range(self.rows.n_dof)]
+            rounding = amplitude * turns.sin(), amplitude * turns.cos()
+            return torch.stack((signals.rate(signals.supplied), *fastest, *rounding))
 
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
 
@@ -215,10 +215,11 @@ class Machine:
         ]
         places = [np.arange(len(self.inertial)), first + np.arange(len(ORDINARY) + 1), self.drifting(joint)]
         if slopes is not None:
-            reach = _RESPONSE_SAMPLES * self.rows.dt
-            sizes = np.array([reach**k / math.factorial(k) for k in RESPONSE_ORDERS]) * self.rows.noise_share[joint]
-            parts.append(slopes[1:, joint] * np.append(sizes, np.ones(_ROUNDING))[:, None])
-            places.append(first + len(ORDINARY) + 1 + np.arange(len(RESPONSE_ORDERS) + _ROUNDING))
+            parts.append(slopes[-_ROUNDING:, joint])
+            places.append(first + len(ORDINARY) + 1 + np.arange(_ROUNDING))
+            average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
+            parts.append(slopes[1:-_ROUNDING, joint] * average[:, None])
+            places.append(self.averaging)
             parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))
             places.append(self.timing)
         return np.concatenate(parts), np.concatenate(places)

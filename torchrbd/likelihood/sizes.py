@@ -15,7 +15,7 @@ import torch
 
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.urdf_prior import in_proportion, orthonormal_steps
-from torchrbd.parameters import PARAMETERS_PER_BODY, nearest_physical
+from torchrbd.parameters import PARAMETERS_PER_BODY, nearest_physical, thickened
 from torchrbd.robot import RobotModel, pseudo_inertia
 
 # Parts of a joint's torque, and of what a physical unit's prior says.
@@ -35,7 +35,7 @@ def inertial_scale(robot: RobotModel, held: frozenset[str] = frozenset()) -> tup
     """
     pi = robot.pi.reshape(-1, PARAMETERS_PER_BODY).clone()
     bodies = [b for b, name in enumerate(robot.body_names) if float(pi[b, 0]) > 0 and name not in held]
-    pi[bodies] = nearest_physical(pi[bodies])
+    pi[bodies] = thickened(nearest_physical(pi[bodies]))
     scale = orthonormal_steps(torch.linalg.cholesky(pseudo_inertia(pi[bodies])))
     index = [PARAMETERS_PER_BODY * b + k for b in bodies for k in range(PARAMETERS_PER_BODY)]
     return pi.flatten().numpy(), np.array(index, dtype=int), scale.numpy()

@@ -9,6 +9,7 @@ from torchrbd.parameters.inertial import (
     is_extended,
     is_physical,
     nearest_physical,
+    thickened,
 )
 from torchrbd.parameters.log_cholesky import from_log_cholesky, to_log_cholesky
 
@@ -23,5 +24,6 @@ __all__ = [
     "is_extended",
     "is_physical",
     "nearest_physical",
+    "thickened",
     "to_log_cholesky",
 ]

@@ -76,6 +76,26 @@ def nearest_physical(pi: Tensor, thinness: float = 0.05, width: float = 0.3) -> 
         thinness: least radius of gyration in any direction, as a fraction of r.
         width: radius of gyration of a point in all directions, as a fraction of r.
     """
+    return torch.where(is_extended(pi, thinness).unsqueeze(-1), pi, _raised(pi, thinness, width))
+
+
+def thickened(pi: Tensor, thinness: float = 0.1) -> Tensor:
+    """Return physical bodies that are nowhere thinner than a part of their radius of gyration about the origin.
+
+    A needle says that its axis is known as well as it is thin, which no drawing of a link does: of an error of its
+    direction by an angle, a second moment of the angle's square times m r^2 comes across.
+
+    Args:
+        pi: (*batch, 10), every one physical.
+        thinness: least radius of gyration in any direction, as a fraction of r.
+    """
+    eigenvalues = torch.linalg.eigvalsh(central_covariance(pi))
+    thin = eigenvalues[..., 0] < thinness**2 * _second_moment(pi, eigenvalues)
+    return torch.where(thin.unsqueeze(-1), _raised(pi, thinness, thinness), pi)
+
+
+def _raised(pi: Tensor, thinness: float, width: float) -> Tensor:
+    """Return bodies whose central covariance has eigenvalues of m (thinness r)^2 at least, m (width r)^2 in a point."""
     m, c = pi[..., 0], pi[..., 1:4] / pi[..., 0, None]
     eigenvalues, axes = torch.linalg.eigh(central_covariance(pi))
     least = _second_moment(pi, eigenvalues)
@@ -84,4 +104,4 @@ def nearest_physical(pi: Tensor, thinness: float = 0.05, width: float = 0.3) -> 
     raised = torch.maximum(eigenvalues, least.unsqueeze(-1))
     J = pseudo_inertia(pi)
     J[..., :3, :3] = axes @ torch.diag_embed(raised) @ axes.mT + m[..., None, None] * c.unsqueeze(-1) * c.unsqueeze(-2)
-    return torch.where(is_extended(pi, thinness).unsqueeze(-1), pi, from_pseudo_inertia(J))
+    return from_pseudo_inertia(J)

@@ -31,7 +31,6 @@ import torch
 from torch import Tensor
 
 from torchrbd.physics.base import CoefficientPrior, Effect, Shape
-from torchrbd.physics.joint_elasticity import slope_along
 from torchrbd.physics.signals import JointScale, Signals
 from torchrbd.physics.sites import Site
 
@@ -75,7 +74,7 @@ class Backlash(Effect):
         motion = signals.qd[joint], signals.qdd[joint]
         x = deviation(signals.load[joint], M, motion, friction, float(t[1] - t[0]), play)
         label = f"backlash({play:.6g}, {shape['link_friction']:.0f}) {site.name(signals.robot)}"
-        return {label: slope_along(signals, site, x / play)}
+        return {label: signals.deviating(site.joint, x / play)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"backlash": coefficients[0], **{name: coefficients.new_tensor(v) for name, v in shape.items()}}

@@ -50,7 +50,7 @@ class JointElasticity(Effect):
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, band = signals.sequence(), shape["bandwidth"]
         yielding = below(-signals.load[site.joint], float(t[1] - t[0]), band)
-        return {f"elastic({band:.6g} Hz) {site.name(signals.robot)}": slope_along(signals, site, yielding)}
+        return {f"elastic({band:.6g} Hz) {site.name(signals.robot)}": signals.deviating(site.joint, yielding)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"stiffness": 1.0 / coefficients[0], "bandwidth": coefficients.new_tensor(shape["bandwidth"])}
@@ -70,10 +70,3 @@ def below(x: Tensor, dt: float, hz: float) -> Tensor:
     f = torch.fft.rfftfreq(longer.shape[-1], dt, dtype=x.dtype, device=x.device)
     spectrum = torch.fft.rfft(longer) * torch.exp(-0.5 * (f / hz) ** 2)
     return torch.fft.irfft(spectrum, longer.shape[-1])[..., x.shape[-1] - 1 : 2 * x.shape[-1] - 1]
-
-
-def slope_along(signals: Signals, site: Site, shift: Tensor) -> Tensor:
-    """Return what the load changes by, (n, *batch), as a joint's link deviates by ``shift`` (*batch) over time."""
-    speed = signals.rate(shift)
-    deviation = torch.stack((shift, speed, signals.rate(speed)))
-    return (signals.load_slopes[:, :, site.joint] * deviation[:, None]).sum(0)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchrbd.errors import RecordingError
+from torchrbd.recordings.blocks import Block, Ends, split
+from torchrbd.recordings.encoder_steps import between_steps
 from torchrbd.recordings.recording import Chunk, Recording
 
 _GAP = 5.0
@@ -20,9 +22,6 @@ _FIRST_ROWS = 16384
 _ENOUGH_STEPS, _ENOUGH_WHERE_STILL, _MOSTLY_STILL = 50, 5, 0.1
 _FEW = 20
 
-Ends = tuple[int, int, int]
-"""Where in the channels of a block x, set-points and positions behind gears end."""
-
 
 @dataclass(frozen=True)
 class Clock:
@@ -33,12 +32,14 @@ class Clock:
         gap: rows further apart than this [s] start a new segment; nothing is interpolated across.
         duplicate: rows closer than this [s] to the row before are dropped.
         regular: whether rows lie on the uniform clock but for rounding; others are interpolated, which smooths noise.
+        quantised: (n,) whether a joint's positions show steps.
     """
 
     dt: float
     gap: float
     duplicate: float
     regular: bool = True
+    quantised: tuple[bool, ...] = ()
 
     @staticmethod
     def of(recording: Recording) -> Clock:
@@ -46,9 +47,9 @@ class Clock:
 
         Raises: RecordingError if there are too few rows to tell.
         """
-        t = np.empty(0)
+        t, q = np.empty(0), np.empty((0, len(recording.joints)))
         for chunk in recording.chunks():
-            t = np.concatenate([t, chunk.t])[:_FIRST_ROWS]
+            t, q = (np.concatenate(x)[:_FIRST_ROWS] for x in ((t, chunk.t), (q, chunk.q)))
             if len(t) == _FIRST_ROWS:
                 break
         steps = np.diff(t[~np.isnan(t)])
@@ -66,7 +67,8 @@ class Clock:
         if regular:  # a regular clock that lost some rows keeps its rate
             steps = steps[typical]
         # nine digits: .001 stays .001 however the times were rounded
-        return Clock(float(f"{steps.mean():.9g}"), _GAP * median, _DUPLICATE * median, regular)
+        quantised = tuple(bool(np.isfinite(_step_of(changes))) for changes in np.diff(q, axis=0).T)
+        return Clock(float(f"{steps.mean():.9g}"), _GAP * median, _DUPLICATE * median, regular, quantised)
 
 
 class Census:
@@ -103,39 +105,6 @@ def _step_of(changes: np.ndarray) -> float:
     few = size[size < _FEW * single] / single
     quantised = len(few) >= 0.2 * len(size) and np.mean(np.abs(few - np.round(few)) < 0.1) > 0.95
     return single if quantised else np.nan
-
-
-@dataclass(frozen=True)
-class Block:
-    """Hold consecutive samples of one segment.
-
-    Attributes:
-        segment: which segment.
-        t: (K,) [s].
-        x: (C, K) channels: q, tau, then qd if the recording has it.
-        q_ref: (n, K) set-points, or None.
-        q_link: (l, K) positions behind the gear of the joints that have them, or None.
-        temperature: (m, K) of the joints that have one, or None.
-    """
-
-    segment: int
-    t: np.ndarray
-    x: np.ndarray
-    q_ref: np.ndarray | None = None
-    q_link: np.ndarray | None = None
-    temperature: np.ndarray | None = None
-
-    @property
-    def channels(self) -> np.ndarray:
-        """Return x, q_ref, q_link and temperature as one array."""
-        parts = (self.x, self.q_ref, self.q_link, self.temperature)
-        return np.concatenate([one for one in parts if one is not None])
-
-    @property
-    def ends(self) -> Ends:
-        """Return where in the channels x, q_ref and q_link end."""
-        lengths = (len(self.x), *(0 if one is None else len(one) for one in (self.q_ref, self.q_link)))
-        return lengths[0], lengths[0] + lengths[1], sum(lengths)
 
 
 def clean_blocks(recording: Recording, clock: Clock, census: Census | None = None) -> Iterator[Block]:
@@ -176,7 +145,7 @@ def clean_blocks(recording: Recording, clock: Clock, census: Census | None = Non
         for piece, (start, end) in enumerate(zip((0, *starts), (*starts, len(t)), strict=True)):
             segment += piece > 0
             if end > start:
-                yield _block(segment, t[start:end], x[:, start:end], ends)
+                yield split(segment, t[start:end], x[:, start:end], ends)
 
 
 def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = None) -> Iterator[Block]:
@@ -186,7 +155,7 @@ def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = N
     how the rows were chunked. Segments of fewer than four rows are left out.
     """
     held: _Resampler | None = None
-    for block in clean_blocks(recording, clock, census):
+    for block in between_steps(clean_blocks(recording, clock, census), np.array(clock.quantised)):
         if held is not None and held.segment != block.segment:
             yield from held.advance(last=True)
             held = None
@@ -225,13 +194,7 @@ class _Resampler:
         self._next += len(t)
         used = max(0, int(first[-1]))
         self._t, self._x = self._t[used:], self._x[:, used:]
-        yield _block(self.segment, t, np.asarray(x), self._ends)
-
-
-def _block(segment: int, t: np.ndarray, channels: np.ndarray, ends: Ends) -> Block:
-    """Split channels (C, K) where x, the set-points and the positions behind gears end; temperatures may follow."""
-    x, *others = np.split(channels, ends)
-    return Block(segment, t, x, *(one if len(one) else None for one in others))
+        yield split(self.segment, t, np.asarray(x), self._ends)
 
 
 def _held(x: np.ndarray, before: np.ndarray) -> np.ndarray:

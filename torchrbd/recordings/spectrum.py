@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from torchrbd.recordings.clock import Block
+from torchrbd.recordings.blocks import Block
 
 LOWEST_HZ = 0.5
 HIGHEST_SHARE = 0.2

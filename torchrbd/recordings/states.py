@@ -10,7 +10,8 @@ import scipy.fft
 import torch
 
 from torchrbd.errors import RecordingError
-from torchrbd.recordings.clock import Block, uniform_blocks
+from torchrbd.recordings.blocks import Block
+from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering
 from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.survey import Survey

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pinocchio as pin
+from scipy.signal import butter, sosfiltfilt
 
 from ..robots import Robot
 from ..simulate import Refused
@@ -25,6 +26,8 @@ from .motion import Way
 STEP, CONTROL = 0.0005, 2
 """Length of a step [s], and of those the controller takes each so manyeth."""
 _FURTHEST = 0.3
+# A command faster than a recorder can see [Hz], beyond this part of its RMS: the servo is not stable.
+_SEEN_HZ, _CHATTERS = 60.0, 0.01
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ def simulate(robot: Robot, friction: Friction, effect: Effect | None, way: Way, 
     """Follow a set-point that is sampled at every step.
 
     Raises:
-        Refused: the robot does not stay near it.
+        Refused: the robot does not stay near it, or trembles.
     """
     bare = model_of(robot, None if effect is not None and effect.window else effect)
     model = with_effect = model_of(robot, effect)
@@ -131,6 +134,9 @@ def simulate(robot: Robot, friction: Friction, effect: Effect | None, way: Way, 
             raise Refused("left its path")
     if not np.abs(q - way.q).max() < _FURTHEST:
         raise Refused("left its path")
+    fast = sosfiltfilt(butter(4, _SEEN_HZ, "highpass", fs=1 / STEP, output="sos"), command, axis=0)
+    if (np.std(fast, axis=0) > _CHATTERS * np.std(command, axis=0)).any():
+        raise Refused("its servo chatters")
     return _track(robot, friction, effect, way, (q, v, command, acting, level))
 
 
