@@ -16,7 +16,7 @@ from torchrbd.diagnosis.locate.intervals import Interval, signal_interval
 from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.locate.signals import LEAST_SHARE, Bases, Signal, Smooth, form_columns, smooth
 from torchrbd.diagnosis.rows.regression import Extra, Fit
-from torchrbd.diagnosis.rows.white_rows import LEAST_NOISE, Colour, Rows, joint_noise
+from torchrbd.diagnosis.rows.white_rows import LEAST_NOISE, Colour, Rows
 from torchrbd.likelihood.gaussian import Posterior
 
 # In log-likelihood units, beyond the costs of freedom and search: on 40 simulated arms with nothing but friction, which
@@ -229,8 +229,8 @@ def common_noise(fit: Fit) -> Colour:
     common = np.median(filters[seen], axis=0)
     for j in seen:
         weighted = left[j] * rows.samples.weight[j]
-        alike = np.ones_like(weighted)
-        e, own = (joint_noise(a, 1.0, alike).white(weighted, rows.index[j]) for a in (common, filters[j]))
+        plain = replace(rows.noises[j], sigma=1.0, spread=np.ones_like(weighted))
+        e, own = (replace(plain, predictor=a).white(weighted) for a in (common, filters[j]))
         scale[j] *= np.sqrt(np.mean(e**2) / max(float(np.mean(own**2)), 1e-300))
         filters[j] = common
     return filters, scale

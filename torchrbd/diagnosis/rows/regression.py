@@ -209,7 +209,7 @@ class Fit:
             if len(index):
                 weight = rows.samples.weight[j]
                 filters[j] = predictor(left[j] * weight, index)
-                e = joint_noise(filters[j], 1.0, weight).white(left[j], index)
+                e = joint_noise(index, filters[j], 1.0, weight).white(left[j] * weight)
                 used = min(float((Q[:, rows.parts[j]] ** 2).sum()), 0.9 * rows.counts[j])
                 least = LEAST_NOISE * np.sqrt(np.mean(rows.samples.tau[j] ** 2))
                 scale[j] = max(float(np.sqrt(np.sum(e**2) / (rows.counts[j] - used) + least**2)), 1e-300)

@@ -6,7 +6,6 @@ motion does not tell: the noise seems larger than it is, and the joint's frictio
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 
 from torchrbd.diagnosis.rows.regression import Fit, fitted
@@ -23,7 +22,7 @@ def weighed(fit: Fit) -> Fit:
             moves = samples.columns.scale(term.site).moves
             if term.effect.id == "coulomb_friction" and moves and rows.counts[term.joint]:
                 (coulomb,), j = fit.coefficients(term), term.joint
-                level = abs(coulomb) / (rows.noises[j].sigma * np.sqrt(rows.noises[j].correlation[0]))
+                level = abs(coulomb) / rows.noises[j].std
                 # Joints whose friction the first fit is not sure of have none.
                 levels[j] = level if levels[j] > 0 else 0.0
         if number and torch.allclose(levels, samples.columns.stick_levels, rtol=0.1):

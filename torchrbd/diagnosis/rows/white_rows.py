@@ -58,7 +58,7 @@ class Rows:
         ends = np.cumsum([0, *(len(i) for i in self.index)])
         self.parts = [slice(a, b) for a, b in pairwise(ends.tolist())]
         self.joint = np.repeat(np.arange(n), np.diff(ends))
-        self.noises = [joint_noise(*one) for one in zip(*noise, samples.weight, strict=True)]
+        self.noises = [joint_noise(*one) for one in zip(self.index, *noise, samples.weight, strict=True)]
         inertial = prior.inertial.numpy()
         self._scale = prior.scale.numpy()[np.ix_(inertial, inertial)]
         self._inertial, mean = inertial, prior.mean.numpy()[: samples.rigid.shape[2]]
@@ -74,7 +74,7 @@ class Rows:
 
     def white(self, x: np.ndarray, joint: int) -> np.ndarray:
         """Return signals (..., M) of a joint as its whitened rows see them, (..., m_j)."""
-        return self.noises[joint].white(x, self.index[joint])
+        return self.noises[joint].white(x * self.samples.weight[joint])
 
     def columns(self, candidate: Candidate) -> tuple[list[Place], np.ndarray]:
         """Return places and whitened columns (N, K) of a candidate, in prior coordinates."""
@@ -117,9 +117,23 @@ class Rows:
         return pi
 
 
-def joint_noise(predictor: np.ndarray, sigma: float, weight: np.ndarray) -> Noise:
-    """Return the noise of a joint whose samples have weights (M,)."""
-    return Noise(predictor, sigma, np.ones_like(weight), weight)
+def joint_noise(index: np.ndarray, predictor: np.ndarray, sigma: float, weight: np.ndarray) -> Noise:
+    """Return the noise of a joint's samples, times their weights w (M,), 0 to 1.
+
+    A sample of weight w is noise and something unknown, 1/w^2 - 1 times the variance c_0 of the noise. So the variance
+    of a whitened row of weighted samples, in units of that of an unweighted row, is
+
+        v(k) = sum_il b_i b_l w(k - i) w(k - l) c_|i-l| + c_0 sum_i b_i^2 (1 - w(k - i)^2),   b = (1, -a)
+
+    Where a predecessor counts little, the noise is not predicted, and v > 1.
+    """
+    noise = Noise(index, predictor, sigma, np.ones_like(weight))
+    b, c, lags = np.concatenate(([1.0], -predictor)), noise.correlation, np.arange(len(predictor) + 1)
+    w = np.stack([weight[index - i] for i in lags])
+    bw = b[:, None] * w
+    v = ((c[np.abs(lags[:, None] - lags)] @ bw) * bw).sum(0) + c[0] * b**2 @ (1.0 - w**2)
+    noise.spread[index] = np.sqrt(np.maximum(v, 1.0))
+    return noise
 
 
 def predictor(r: np.ndarray, index: np.ndarray) -> np.ndarray:
