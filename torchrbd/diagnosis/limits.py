@@ -97,7 +97,7 @@ def _coefficients(fit: Fit, candidate: Candidate) -> tuple[np.ndarray, np.ndarra
     if not C.any(0).all() or not np.isfinite(C).all() or fit.share_left(C) <= LEAST_SHARE:
         return none, np.diag(none), none, none > 0
     B = fit.posterior.solve(fit.X.T @ C)
-    w, inverse = fit.addition(C).w, np.linalg.inv(fit.precision(C))
+    (_, w), inverse = fit.addition(C), np.linalg.inv(fit.precision(C))
     inverse = inverse * _wider(fit, C - fit.X @ B, w, inverse)
     # How (x, w) moves with w, at the candidate's coefficients.
     T = np.zeros((len(own), len(w)))

@@ -73,7 +73,7 @@ def test_screening_is_fitting_one_by_one(dragged: tuple[Search, Fit]) -> None:
     search, fit = dragged
     for one in search.grid.screened(fit):
         C = fresh_columns(fit, one.candidate)
-        assert one.gain == pytest.approx(fit.addition(C).gain, rel=1e-6, abs=1e-6)
+        assert one.gain == pytest.approx(fit.addition(C)[0], rel=1e-6, abs=1e-6)
         assert one.score == pytest.approx(
             one.gain - 0.5 * np.log(fit.rows.counts.max()) * complexity(fit, one.candidate)
         )

@@ -30,14 +30,6 @@ LEAST_DIRECTION = 1e-12
 
 
 @dataclass(frozen=True)
-class Addition:
-    """What columns gain beside a fit: ``gain`` in log-likelihood units, coefficients w (K,) in prior coordinates."""
-
-    gain: float
-    w: np.ndarray
-
-
-@dataclass(frozen=True)
 class Extra:
     """Features without a name: (K, M) at a joint, or (K, n, M) at all if ``place`` is None."""
 
@@ -110,11 +102,11 @@ class Fit:
         """Return the precision S (K, K) of the coefficients of columns C (N, K) beside the fit."""
         return self.posterior.schur(self.X.T @ C, C.T @ C + np.eye(C.shape[1]))
 
-    def addition(self, C: np.ndarray) -> Addition:
-        """Return what columns C (N, K) gain on the rows that they are fitted to."""
+    def addition(self, C: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return what columns C (N, K) gain on the rows seen, as log-likelihood, and their coefficients w (K,)."""
         r = C.T @ self.e
         w = np.linalg.solve(self.precision(C), r)
-        return Addition(0.5 * float(w @ r), w)
+        return 0.5 * float(w @ r), w
 
     def coefficients_with(self, C: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Return x (P + T,) of the fit beside columns C (N, K) with coefficients w."""

@@ -228,4 +228,4 @@ def _gain(fit: Fit, candidate: Candidate) -> float:
     features = fit.rows.samples.evaluated(candidate)[fresh]
     if not fresh or not np.isfinite(features).all():
         return 0.0
-    return fit.addition(fit.rows.widened(candidate.place, features)).gain
+    return fit.addition(fit.rows.widened(candidate.place, features))[0]

@@ -102,7 +102,7 @@ def where_larger(fit: Fit, candidate: Candidate) -> Candidate:
     C = fresh_columns(fit, candidate)
     if not set(places) <= set(fit.places) or C.shape[1] != len(places):
         return candidate
-    more = fit.addition(C).w
+    _, more = fit.addition(C)
     x = fit.coefficients_with(C, more)[len(fit.x) - len(fit.places) :]
     features = samples.features(common)
     elsewhere = x[[fit.places.index(p) for p in places]] * rows.widths_of(common)
