@@ -31,7 +31,7 @@ from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.regression.ard import ard
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.block_statistics import assemble
-from torchrbd.likelihood.map_fit import noise_variance, scaled_equations, solve
+from torchrbd.likelihood.equations import linear_fit
 from torchrbd.parameters import base_parameters, is_physical
 from torchrbd.recordings import Recording
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
@@ -83,7 +83,7 @@ def make_case(urdf: str, seed: int, good: bool) -> Case:
     robot = RobotModel.from_urdf(urdf)
     robot.pi = wrong(robot.pi, rng)
     prepared = prepare(robot, [Recording.from_arrays("data", names, motion.t, moved.q, noisy)], Settings(), ())
-    variance = noise_variance(prepared.training, prepared.prior, prepared.prior.inertial)
+    _, variance = linear_fit(prepared.training, prepared.prior, prepared.prior.inertial)
     H, h = assemble(prepared.columns, prepared.training.total(), 1.0 / variance)
     n = robot.n_params
     return Case(prepared, variance, H[:n, :n], h[:n], urdf, multisine(len(names), 2000 + seed, duration_s=10.0))
@@ -108,8 +108,7 @@ def ridge(case: Case) -> Tensor:
 def ridge_in_prior_metric(case: Case) -> Tensor:
     """The quadratic form of the entropic prior around the URDF, kappa 3, without constraint."""
     prior, prepared = case.prepared.prior, case.prepared
-    equations = scaled_equations(prior, prepared.training.total(), prepared.columns, 1.0 / case.variance)
-    return solve(prior, equations, prior.inertial)[: len(case.h)]
+    return linear_fit(prepared.training, prior, prior.inertial)[0][: len(case.h)]
 
 
 def relevance_projection(case: Case) -> Tensor:

@@ -22,11 +22,11 @@ from torchrbd.diagnosis.hypotheses import (
     told,
 )
 from torchrbd.diagnosis.ranking import _ranked, sharpened, with_own_noise
-from torchrbd.inference.shapes.slope import axes
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood, learn
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.rows import Rows
+from torchrbd.likelihood.shapes import axes
 from torchrbd.likelihood.sizes import coefficient_std
 from torchrbd.physics import Site, Window
 from torchrbd.physics.registry import effect, effects

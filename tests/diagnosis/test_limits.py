@@ -11,8 +11,7 @@ from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.results import Limit
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import read_samples
-from torchrbd.diagnosis.rows.white_rows import Rows
-from torchrbd.diagnosis.rows.whitening import Noise
+from torchrbd.diagnosis.rows.white_rows import Colour, Rows
 from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.diagnosis.search.select import Search
 from torchrbd.inference.preparation import prepare
@@ -31,7 +30,7 @@ EFFECTS = (
 )
 
 
-def begun(stiffness: float = 0.0, noise: Noise | None = None) -> tuple[Search, Fit]:
+def begun(stiffness: float = 0.0, noise: Colour | None = None) -> tuple[Search, Fit]:
     """Return a search of an arm with friction everywhere and a spring at joint2, and a fit with friction alone."""
     urdf = random_urdf(12, 3, kinds=("revolute",), branching=0.0, massless=0.0)
     at = joint_names(urdf).index("joint2")

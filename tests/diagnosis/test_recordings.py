@@ -103,7 +103,7 @@ def test_the_best_set_of_recordings_is_found_without_fitting_all(begun: Search) 
     assert set(first.candidate.site.recordings or ()) in ({"1.csv", "3.csv"}, {"0.csv", "2.csv"})
     names = recordings(fit.rows.samples)
     every = {s: in_some(fit, "coulomb_friction", s) for k in (1, 2, 3) for s in combinations(names, k)}
-    gains = {s: fit.addition(fresh_columns(fit, c)).gain for s, c in every.items()}
+    gains = {s: fit.addition(fresh_columns(fit, c))[0] for s, c in every.items()}
     assert first.gain == pytest.approx(max(gains.values()), rel=1e-3)
     assert first.gain == pytest.approx(gains[first.candidate.site.recordings or ()], rel=1e-3)
 
@@ -112,7 +112,7 @@ def test_what_is_more_in_some_is_told_where_it_is_more(begun: Search) -> None:
     """The same as less in the others, as long as the effect stands in the model for all."""
     fit = begun.start
     more, less = (in_some(fit, "coulomb_friction", where) for where in (("1.csv", "3.csv"), ("0.csv", "2.csv")))
-    gains = [fit.addition(fresh_columns(fit, c)).gain for c in (more, less)]
+    gains = [fit.addition(fresh_columns(fit, c))[0] for c in (more, less)]
     assert gains[0] == pytest.approx(gains[1], rel=1e-3)
     assert where_larger(fit, more) == more
     assert where_larger(fit, less) == more

@@ -12,7 +12,7 @@ from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, multisine, record
 
 from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.map_fit import noise_variance, residual_variance, scaled_equations, solve
+from torchrbd.likelihood.equations import linear_fit, residual_variance, scaled_equations, with_noise
 from torchrbd.likelihood.urdf_prior import Prior, divergence_hessian, unphysical_bodies
 from torchrbd.parameters import is_physical
 from torchrbd.recordings import survey
@@ -71,9 +71,9 @@ def test_solution_is_the_dense_ridge_regression() -> None:
     equations = scaled_equations(prior, statistics_of(columns, recording).total(), columns, torch.from_numpy(weights))
     free = everything(columns, prior)
     free = free[~torch.isin(free, torch.tensor([columns.index(0, "q"), columns.index(2, "qd")]))]
-    x = solve(prior, equations, free).numpy()
     root = np.sqrt(full.weight * weights)
     x0, S = prior.mean.numpy(), prior.scale.numpy()[:, free]
+    x = x0 + S @ equations.posterior(free).z
     rows = np.concatenate([(root[j] * full.A[j]) @ S for j in range(3)] + [np.eye(len(free))])
     rest = np.concatenate([root[j] * (full.tau[j] - full.A[j] @ x0) for j in range(3)] + [np.zeros(len(free))])
     z, *_ = np.linalg.lstsq(rows, rest, rcond=None)
@@ -113,7 +113,7 @@ def test_noise_level_is_recovered(noise: float) -> None:
     robot = RobotModel.from_urdf(urdf)
     columns = columns_of(robot, ())
     prior, statistics = prior_of(columns), statistics_of(columns, recording)
-    found = noise_variance(statistics, prior, prior.inertial)
+    _, found = linear_fit(statistics, prior, prior.inertial)
     clean = inverse_dynamics(urdf, multisine(4, 4, duration_s=150.0))
     kernel = FILTERING.feature_kernel(survey(recording).clock.dt).numpy()
     expected = noise**2 * np.mean(clean**2, 0) * np.sum(kernel**2)
@@ -122,12 +122,39 @@ def test_noise_level_is_recovered(noise: float) -> None:
     assert ratio.mean() == pytest.approx(1.0, abs=0.1)
 
 
+def test_noise_settles_where_the_fit_leaves_what_it_assumes() -> None:
+    robot, recording = recorded(2, 3, torque_noise=0.05)
+    columns = columns_of(robot)
+    prior, statistics = prior_of(columns), statistics_of(columns, recording)
+    free, fits = prior.inertial, []
+
+    def fit(variance: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        equations = scaled_equations(prior, statistics.total(), columns, 1.0 / variance)
+        S, covariance = prior.scale[:, free], equations.posterior(free).covariance(np.arange(len(free)))
+        fits.append(variance)
+        return (
+            variance,
+            prior.mean + S @ torch.from_numpy(equations.posterior(free).z),
+            S @ torch.from_numpy(covariance) @ S.T,
+        )
+
+    assumed, variance = with_noise(statistics, fit, rounds=30, settled=1e-8)
+    assert assumed is variance
+    assert 2 < len(fits) < 30
+    _, x, covariance = fit(variance)
+    torch.testing.assert_close(residual_variance(statistics, x, covariance, variance), variance, rtol=1e-8, atol=0)
+    _, other = linear_fit(statistics, prior, free)
+    torch.testing.assert_close(other, variance, rtol=1e-2, atol=0)
+    given = torch.ones(3, dtype=torch.float64)
+    assert with_noise(statistics, fit, given, rounds=0)[1] is given
+
+
 def test_noise_of_a_joint_without_torque_is_infinite() -> None:
     robot = RobotModel.from_urdf(urdf_of(0, 3))
     columns = columns_of(robot, ())
     statistics = random_moments(columns, 0, 100, columns.reference())
     statistics.torque[:, 1] = 0.0
     statistics.moments[1].zero_()
-    found = noise_variance(statistics, prior_of(columns), prior_of(columns).inertial)
+    _, found = linear_fit(statistics, prior_of(columns), prior_of(columns).inertial)
     assert torch.isinf(found).tolist() == [False, True, False]
     assert (found > 0).all()

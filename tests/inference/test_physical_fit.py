@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
 from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.map_fit import scaled_equations
+from torchrbd.likelihood.equations import scaled_equations
 from torchrbd.likelihood.physical_fit import PhysicalFit, physical_fit
 from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.parameters import from_log_cholesky, to_log_cholesky

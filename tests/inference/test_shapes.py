@@ -17,8 +17,8 @@ from torchrbd.inference.physical.terms import term_parameters
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined
-from torchrbd.inference.shapes.slope import Axis, ShapeSlope, axes, slopes
 from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.shapes import Axis, ShapeSlope, axes, slopes
 from torchrbd.physics import (
     Effect,
     Site,

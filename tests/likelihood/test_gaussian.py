@@ -7,8 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
-from torchrbd.likelihood.gaussian import Block, Gaussian, added, nonnegative
-from torchrbd.likelihood.physical import Quadratic
+from torchrbd.likelihood.gaussian import Block, Gaussian, Posterior, Quadratic, added, nonnegative
 
 N_COEFFICIENTS = 7
 
@@ -61,6 +60,36 @@ def test_posterior_is_that_of_the_stacked_rows() -> None:
     np.testing.assert_allclose(got.z, C @ X.T @ y, rtol=1e-10)
     np.testing.assert_allclose(got.covariance([4, 0]), C[np.ix_([4, 0], [4, 0])], rtol=1e-10)
     np.testing.assert_allclose(np.concatenate(got.left), y - X @ got.z, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("units", [1.0, 1e6])
+def test_posterior_of_normal_equations_is_that_of_the_rows_left(units: float) -> None:
+    """Whatever the units of a coefficient, leaving rows out is subtraction, and columns beside are projected."""
+    rng = np.random.default_rng(13)
+    X, y, C = rng.normal(size=(20, 4)), rng.normal(size=20), rng.normal(size=(20, 2))
+    X[:, 1] *= units
+    prior = np.diag([1.0, units**2, 1.0, 1.0])
+    whole, left = Posterior(X.T @ X + prior, X.T @ y), X[:15]
+    got, H = whole.without(X[15:].T @ X[15:], X[15:].T @ y[15:]), left.T @ left + prior
+    np.testing.assert_allclose(got.z, np.linalg.solve(H, left.T @ y[:15]), rtol=1e-9)
+    np.testing.assert_allclose(got.L @ got.L.T, H, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(got.L @ got.half(H), H, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(got.solve(H), np.eye(4), atol=1e-6)
+    S = C[:15].T @ C[:15] - C[:15].T @ left @ np.linalg.solve(H, left.T @ C[:15])
+    np.testing.assert_allclose(got.schur(left.T @ C[:15], C[:15].T @ C[:15]), S, rtol=1e-9)
+
+
+def test_coefficient_that_nothing_tells_is_zero_where_rounding_is_all_of_the_prior() -> None:
+    rng = np.random.default_rng(14)
+    X, y = rng.normal(size=(20, 3)), rng.normal(size=20)
+    X[:, 1] = 0.0
+    expected = np.linalg.lstsq(X, y, rcond=None)[0]
+    np.testing.assert_allclose(Posterior(X.T @ X, X.T @ y, 1e-11).z, expected, atol=1e-9)
+
+
+def test_matrix_that_is_no_posterior_precision_is_refused() -> None:
+    with pytest.raises(np.linalg.LinAlgError):
+        Posterior(np.array([[1.0, 5.0], [5.0, 1.0]]), np.zeros(2))
 
 
 def test_degrees_of_freedom_are_the_trace_of_the_hat_matrix() -> None:

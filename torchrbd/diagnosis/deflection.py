@@ -33,6 +33,7 @@ from torchrbd.diagnosis.search.options import accepted
 from torchrbd.diagnosis.springs import spring_sentence
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
+from torchrbd.likelihood.gaussian import Posterior
 from torchrbd.recordings import States, tiles
 
 # What acts on the link and so loads the spring, beside the rigid body.
@@ -183,14 +184,12 @@ def _deflection(rows: _Rows, model: FittedModel, joint: int) -> Deflection:
 
 def _left_out(parts: np.ndarray) -> np.ndarray:
     """Return the coefficients (b, K) without each block."""
-    total = parts.sum(0)
-    return np.stack([_solved(total - part) for part in parts])
+    return np.stack([_solved(np.delete(parts, b, axis=0).sum(0)) for b in range(len(parts))])
 
 
 def _solved(moments: np.ndarray) -> np.ndarray:
     """Return the least-squares coefficients (K,) of moments (K + 1, K + 1), the dependent variable last."""
-    scale = np.sqrt(np.maximum(moments.diagonal()[:-1], 1e-300))
-    return np.linalg.lstsq(moments[:-1, :-1] / np.outer(scale, scale), moments[:-1, -1] / scale, _RANK)[0] / scale
+    return Posterior(moments[:-1, :-1], moments[:-1, -1], _RANK).z
 
 
 def _errors(parts: np.ndarray, w: np.ndarray) -> np.ndarray:

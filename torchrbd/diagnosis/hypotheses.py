@@ -12,15 +12,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
-from torchrbd.inference.shapes.slope import axes
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Extra, Likelihood
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.rows import Rows
+from torchrbd.likelihood.shapes import varied
 from torchrbd.likelihood.sizes import coefficient_std
 from torchrbd.physics import Effect, Site, Window
 
@@ -102,9 +101,7 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     # What the average has of this shape is replaced by that of the cell around it, which axes share as factors.
     cell = at.log_evidence
     rest = _less(h.log_evidence, cell - math.log(h.tried))
-    for name, axis in axes(columns, h.candidate).items():
-        if axis.reach <= 0:
-            continue
+    for name, axis in varied(columns, h.candidate).items():
         now = at.candidate
         values = np.linspace(*axis.limits(now.shape[name]), _FINE)
         near = [columns.candidate(now.effect, now.site, {**now.shape, name: float(v)}) for v in values]
@@ -310,6 +307,6 @@ def _sums(
             cross[k, b.own] += b.X[:, own[part]] @ C[:, part].T
             gram[k] += C[:, part] @ C[:, part].T
             score[k] += C[:, part] @ e[own[part]]
-    V = solve_triangular(fit.gaussian.L, cross.transpose(1, 0, 2).reshape(P, -1), lower=True, check_finite=False)
+    V = fit.gaussian.half(cross.transpose(1, 0, 2).reshape(P, -1))
     before = V.reshape(P, B, K).transpose(1, 0, 2), gram, score
     return tuple(np.concatenate((np.zeros_like(x[:1]), np.cumsum(x, 0))) for x in before)  # type: ignore[return-value]

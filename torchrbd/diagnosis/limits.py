@@ -15,7 +15,6 @@ import math
 
 import numpy as np
 import torch
-from scipy.linalg import cho_solve
 
 from torchrbd.diagnosis.curves import driven_by
 from torchrbd.diagnosis.explain import places
@@ -94,21 +93,18 @@ def _coefficients(fit: Fit, candidate: Candidate) -> tuple[np.ndarray, np.ndarra
     own = [known.get((candidate.place, label), -1) for label in candidate.labels]
     fresh = np.array([k < 0 for k in own])
     C = rows.columns(candidate)[1][:, fresh]
-    z, covariance = np.zeros(len(own)), np.zeros((len(own), len(own)))
+    none = np.zeros(len(own))
     if not C.any(0).all() or not np.isfinite(C).all() or fit.share_left(C) <= LEAST_SHARE:
-        return z, covariance, z, np.zeros(len(own), dtype=bool)
-    B = cho_solve((fit.L, True), fit.X.T @ C)
-    S = C.T @ C + np.eye(C.shape[1]) - (C.T @ fit.X) @ B
-    w, inverse = np.linalg.solve(S, C.T @ fit.e), np.linalg.inv(S)
+        return none, np.diag(none), none, none > 0
+    B = fit.posterior.solve(fit.X.T @ C)
+    (_, w), inverse = fit.addition(C), np.linalg.inv(fit.precision(C))
     inverse = inverse * _wider(fit, C - fit.X @ B, w, inverse)
-    old = [k for k in own if k >= 0]
-    z[fresh], z[~fresh] = w, (fit.x - B @ w)[old]
-    covariance[np.ix_(fresh, fresh)] = inverse
-    if old:
-        unit = np.eye(len(fit.x))[:, old]
-        covariance[np.ix_(~fresh, ~fresh)] = cho_solve((fit.L, True), unit)[old] + B[old] @ inverse @ B[old].T
-        covariance[np.ix_(~fresh, fresh)] = -B[old] @ inverse
-        covariance[np.ix_(fresh, ~fresh)] = -inverse @ B[old].T
+    # How (x, w) moves with w, at the candidate's coefficients.
+    T = np.zeros((len(own), len(w)))
+    T[fresh], T[~fresh] = np.eye(len(w)), -B[old := [k for k in own if k >= 0]]
+    z, covariance = T @ w, T @ inverse @ T.T
+    z[~fresh] += fit.x[old]
+    covariance[np.ix_(~fresh, ~fresh)] += fit.posterior.covariance(old)
     return z, covariance, rows.widths_of(candidate), fresh
 
 

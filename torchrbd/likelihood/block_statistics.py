@@ -106,6 +106,13 @@ class BlockStatistics:
             errors.append(((moments @ v) * v).sum(-1))
         return torch.stack(errors, -1).clamp_min(0.0)
 
+    def scores(self, x: Tensor, weights: Tensor) -> Tensor:
+        """Return sum_j w_j A_jb (tau - x), the pull of each block at coefficients x (n,), (B, n)."""
+        found = torch.zeros(len(self), self.columns.n, dtype=torch.float64)
+        for own, moments, weight in zip(self.columns.of_joint, self.moments, weights.tolist(), strict=True):
+            found[:, own] += weight * (moments @ torch.cat((-x[own], x.new_ones(1))))[:, :-1]
+        return found
+
     def torque_variance(self) -> Tensor:
         """Return the variance of the measured torque over all blocks, (n_dof,)."""
         weight, first, second = self.torque.sum(0).unbind(-1)

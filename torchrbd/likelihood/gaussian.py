@@ -1,4 +1,4 @@
-"""The linear-Gaussian posterior of whitened rows, and the evidence of columns that are added to it.
+"""The linear-Gaussian posterior, of normal equations or whitened rows, and the evidence of columns added to it.
 
 In coordinates z ~ N(0, 1) and with whitened rows y = X z + n,
 
@@ -12,6 +12,8 @@ r = C'(y - X z^), and raise the log marginal likelihood by
 which counts the Occam factor of a proper prior: MacKay, "Information Theory, Inference, and Learning Algorithms"
 (2003), ch. 28. A coefficient that physics keeps from being negative has a half-normal prior: its posterior's
 probability of being positive, over that of the prior, multiplies B.
+
+All linear fits stand on ``Posterior``: those of block statistics, of whitened rows, and of leaving some of these out.
 """
 
 from __future__ import annotations
@@ -26,11 +28,18 @@ import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.special import log_ndtr
 
-from torchrbd.likelihood.physical import Quadratic
-
 _ROUNDING = 1e-13
 # Sweeps over the sites of truncated coefficients, and the least part of its variance that a truncation leaves.
 _SWEEPS, _LEAST_VARIANCE = 8, 1e-6
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """A log density, -1/2 z'P z + s'z + c: precision P (N, N), shift s (N,), constant c."""
+
+    precision: np.ndarray
+    shift: np.ndarray
+    constant: float
 
 
 @dataclass(frozen=True)
@@ -56,7 +65,61 @@ class Addition:
     std: np.ndarray
 
 
-class Gaussian:
+class Posterior:
+    """The posterior N(z^, H^-1) of coefficients z (P,) from their normal equations H z = h, prior included.
+
+    Args:
+        H: (P, P) precision.
+        h: (P,) shift.
+        rounding: part of its diagonal that is added to H.
+
+    Attributes:
+        L: (P, P) Cholesky factor of the precision.
+        z: (P,) mean.
+
+    Raises:
+        LinAlgError: H is no precision.
+    """
+
+    def __init__(self, H: np.ndarray, h: np.ndarray, rounding: float = _ROUNDING) -> None:
+        self.H, self.h = H, h
+        size = np.sqrt(np.maximum(H.diagonal(), 1e-300))
+        # Of noise-free torques, rounding would decide the weak directions.
+        self.L = size[:, None] * np.linalg.cholesky(H / size / size[:, None] + rounding * np.eye(len(H)))
+        self.z = self.solve(h)
+
+    def half(self, B: np.ndarray) -> np.ndarray:
+        """Return L^-1 B of B (P, ...)."""
+        return solve_triangular(self.L, B, lower=True, check_finite=False)
+
+    def solve(self, B: np.ndarray) -> np.ndarray:
+        """Return H^-1 B of B (P, ...)."""
+        return cho_solve((self.L, True), B, check_finite=False)
+
+    def schur(self, cross: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return what is left beside the coefficients of products ``own`` (K, K) of columns, ``cross`` (P, K) with X.
+
+        S = C'C - V'V,   V = L^-1 X'C
+        """
+        V = self.half(cross)
+        return own - V.T @ V
+
+    def without(self, H: np.ndarray, h: np.ndarray) -> Posterior:
+        """Return the posterior without rows that have X'X = H (P, P) and X'y = h (P,)."""
+        return Posterior(self.H - H, self.h - h)
+
+    def covariance(self, index: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Return the posterior covariance of some coefficients, (K, K)."""
+        V = self.half(np.eye(len(self.z))[:, index])
+        return V.T @ V
+
+    def against_zero(self, index: Sequence[int] | np.ndarray) -> float:
+        """Return the log evidence against leaving out some coefficients: Savage and Dickey's density ratio at zero."""
+        C, m = self.covariance(index), self.z[list(index)]
+        return 0.5 * float(np.linalg.slogdet(C)[1] + m @ np.linalg.solve(C, m))
+
+
+class Gaussian(Posterior):
     """The posterior of coefficients z (P,), given one block of whitened rows a joint.
 
     Args:
@@ -67,8 +130,6 @@ class Gaussian:
 
     Attributes:
         data, score: X'X (P, P) and X'y (P,), without any prior.
-        L: (P, P) Cholesky factor of the precision.
-        z: (P,) posterior mean.
         left: per joint, whitened residual (m,).
         log_evidence: of the rows, in units of their noise.
     """
@@ -80,9 +141,8 @@ class Gaussian:
         first: Quadratic | None = None,
         sites: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
-        self.blocks = tuple(blocks)
         self.data, self.score = np.zeros((n, n)), np.zeros(n)
-        for b in self.blocks:
+        for b in blocks:
             self.data[np.ix_(b.own, b.own)] += b.X @ b.X.T
             self.score[b.own] += b.X @ b.y
         H, h = self.data + np.eye(n), self.score.copy()
@@ -95,16 +155,13 @@ class Gaussian:
         if sites is not None:
             H[np.diag_indices(n)] += sites[0]
             h += sites[1]
-        self._solve(H, h)
+        self._explain(blocks, H, h)
 
-    def _solve(self, H: np.ndarray, h: np.ndarray) -> None:
-        self.H, self.h = H, h
-        size = np.sqrt(H.diagonal())
-        # Of noise-free torques, rounding would decide the weak directions.
-        self.L = size[:, None] * np.linalg.cholesky(H / size / size[:, None] + _ROUNDING * np.eye(len(H)))
-        self.z = cho_solve((self.L, True), h, check_finite=False)
-        self.left = [b.y - self.z[b.own] @ b.X for b in self.blocks]
-        power = sum(float(b.y @ b.y) for b in self.blocks)
+    def _explain(self, blocks: Sequence[Block], H: np.ndarray, h: np.ndarray) -> None:
+        super().__init__(H, h)
+        self.blocks = tuple(blocks)
+        self.left = [b.y - self.z[b.own] @ b.X for b in blocks]
+        power = sum(float(b.y @ b.y) for b in blocks)
         self.log_evidence = self._constant - 0.5 * (power - float(h @ self.z)) - float(np.log(np.diag(self.L)).sum())
 
     def among(self, kept: np.ndarray) -> Gaussian:
@@ -112,39 +169,27 @@ class Gaussian:
         number = np.full(len(self.z), -1)
         number[kept] = np.arange(len(kept))
         inside = [number[b.own] >= 0 for b in self.blocks]
+        blocks = [Block(b.X[k], b.y, number[b.own[k]]) for b, k in zip(self.blocks, inside, strict=True)]
         one = copy(self)
-        one.blocks = tuple(Block(b.X[k], b.y, number[b.own[k]]) for b, k in zip(self.blocks, inside, strict=True))
-        one._solve(self.H[np.ix_(kept, kept)], self.h[kept])
+        one._explain(blocks, self.H[np.ix_(kept, kept)], self.h[kept])
         return one
-
-    def covariance(self, index: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Return the posterior covariance of some coefficients, (K, K)."""
-        V = solve_triangular(self.L, np.eye(len(self.z))[:, index], lower=True, check_finite=False)
-        return V.T @ V
 
     @lru_cache(maxsize=64)  # noqa: B019  (a posterior lives as long as its fit)
     def used(self, joint: int) -> float:
         """Return the degrees of freedom that the fit takes from a joint's rows."""
         b = self.blocks[joint]
-        V = solve_triangular(self.L, np.eye(len(self.z))[:, b.own], lower=True, check_finite=False)
-        return float(((V @ b.X) ** 2).sum())
+        return float(((self.half(np.eye(len(self.z))[:, b.own]) @ b.X) ** 2).sum())
 
     def beside(self, columns: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return precision S (K, K) and score r (K,) of whitened columns, (K, m) by joint."""
         K = len(next(iter(columns.values())))
-        cross, S, r = np.zeros((len(self.z), K)), np.zeros((K, K)), np.zeros(K)
+        cross, own, r = np.zeros((len(self.z), K)), np.zeros((K, K)), np.zeros(K)
         for joint, C in columns.items():
             b = self.blocks[joint]
             cross[b.own] += b.X @ C.T
-            S += C @ C.T
+            own += C @ C.T
             r += C @ self.left[joint]
-        V = solve_triangular(self.L, cross, lower=True, check_finite=False)
-        return S - V.T @ V, r
-
-    def against_zero(self, index: Sequence[int] | np.ndarray) -> float:
-        """Return the log evidence against leaving out some coefficients: Savage and Dickey's density ratio at zero."""
-        C, m = self.covariance(index), self.z[list(index)]
-        return 0.5 * float(np.linalg.slogdet(C)[1] + m @ np.linalg.solve(C, m))
+        return self.schur(cross, own), r
 
 
 def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int] = ()) -> Addition:

@@ -15,26 +15,17 @@ theorem 3.2.1.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 from scipy.special import multigammaln  # type: ignore[attr-defined]
 
+from torchrbd.likelihood.gaussian import Quadratic
 from torchrbd.likelihood.physical_fit import Problem, follow_path
 from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY
 
 _B = ORTHONORMAL.numpy()
 _SIZE = 4
-
-
-@dataclass(frozen=True)
-class Quadratic:
-    """A log density, -1/2 z'P z + s'z + c: precision P (N, N), shift s (N,), constant c."""
-
-    precision: np.ndarray
-    shift: np.ndarray
-    constant: float
 
 
 def expanded(z: np.ndarray, kappa: float) -> Quadratic:

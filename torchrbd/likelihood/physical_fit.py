@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrbd.likelihood.map_fit import Scaled
+from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.urdf_prior import Prior, orthonormal_steps
 from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY, is_physical
 from torchrbd.robot import from_pseudo_inertia
@@ -91,7 +91,7 @@ class Problem:
         return torch.einsum("bk,kij->bij", y[: self.n_inertial].reshape(-1, PARAMETERS_PER_BODY), ORTHONORMAL)
 
 
-def physical_fit(prior: Prior, equations: Scaled, terms: Tensor) -> PhysicalFit:
+def physical_fit(prior: Prior, equations: Equations, terms: Tensor) -> PhysicalFit:
     """Fit inertial parameters and terms.
 
     Equations stiffer than 1e13 prior precisions are weakened to that.

@@ -1,4 +1,4 @@
-"""Whitening against filters, spectra and simulated noise."""
+"""Whitening of joints whose samples may count little, against simulated noise."""
 
 from __future__ import annotations
 
@@ -7,45 +7,29 @@ import pytest
 from diagnosis.locate.field import background, case
 from scipy.signal import lfilter
 
-from torchrbd.diagnosis.rows.whitening import ORDER, autocovariance, predictor, relief, whitened
+from torchrbd.diagnosis.rows.white_rows import ORDER, joint_noise, predictor
 
 A = np.array([0.9, -0.4, 0.1, 0.05])
 
 
-def coloured(samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    white = np.random.default_rng(seed).standard_normal(samples)
-    return white, lfilter([1.0], [1.0, *-A], white)
-
-
-def test_whitened_coloured_noise_is_white() -> None:
-    white, noise = coloured(4000, 1)
-    index = np.arange(ORDER, 4000)
-    both = whitened(np.stack((noise, 3 * noise)), index, A, 2.0)
-    np.testing.assert_allclose(both, [white[ORDER:] / 2, 1.5 * white[ORDER:]], atol=1e-12)
-    np.testing.assert_allclose(whitened(noise, index[5:9], A, 2.0), white[ORDER:][5:9] / 2, atol=1e-12)
-
-
-def test_predictor_and_autocovariance_are_those_of_the_noise() -> None:
-    _, noise = coloured(400_000, 2)
+def test_predictor_is_that_of_the_noise() -> None:
+    noise = lfilter([1.0], [1.0, *-A], np.random.default_rng(2).standard_normal(400_000))
     np.testing.assert_allclose(predictor(noise, np.arange(ORDER, len(noise))), A, atol=0.06)
-    lags = [np.mean(noise[k:] * noise[: len(noise) - k]) for k in range(ORDER + 1)]
-    np.testing.assert_allclose(autocovariance(A, 1.0), lags, atol=0.03)
-    np.testing.assert_allclose(autocovariance(A, 3.0), 9 * autocovariance(A, 1.0))
 
 
 def test_rows_beside_sticks_have_unit_variance() -> None:
     """Samples hold something unknown of the variance that their weights tell, at random places."""
     rng = np.random.default_rng(3)
-    _, noise = coloured(200_000, 3)
+    noise = lfilter([1.0], [1.0, *-A], rng.standard_normal(200_000))
     weight = np.where(rng.random(len(noise)) < 0.3, rng.uniform(0.05, 0.9, len(noise)), 1.0)
-    c = autocovariance(A, 1.0)[0]
-    seen = noise + np.sqrt(c * (1 / weight**2 - 1)) * rng.standard_normal(len(noise))
     index = np.arange(ORDER, len(noise))
-    plain, counts = whitened(seen * weight, index, A, 1.0), relief(weight, index, A)
+    got, alike = joint_noise(index, A, 2.0, weight), joint_noise(index, A, 2.0, np.ones(len(noise)))
+    seen = noise + np.sqrt(got.correlation[0] * (1 / weight**2 - 1)) * rng.standard_normal(len(noise))
+    plain, counts = alike.white(2.0 * seen * weight), got.white(2.0 * seen * weight)
     for part in (weight[index] == 1, weight[index - 1] < 0.3, weight[index] < 0.3):
         assert np.mean(plain[part] ** 2) > 1.1
-        assert np.mean((plain * counts)[part] ** 2) == pytest.approx(1.0, abs=0.03)
-    assert np.all(relief(np.ones(50), np.arange(ORDER, 50), A) == pytest.approx(1.0))
+        assert np.mean(counts[part] ** 2) == pytest.approx(1.0, abs=0.03)
+    np.testing.assert_allclose(alike.spread, 1.0)
 
 
 def test_rows_of_a_null_have_unit_variance_where_they_count() -> None:

@@ -22,8 +22,8 @@ from torchrbd.diagnosis.search.select import Search
 from torchrbd.diagnosis.search.unnamed import smooth_candidates
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.inference.shapes.slope import axes
 from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.shapes import axes
 from torchrbd.physics import Site, effect
 from torchrbd.physics.smooth_torque import SMOOTH, SmoothTorque
 from torchrbd.robot import RobotModel
@@ -73,7 +73,7 @@ def test_screening_is_fitting_one_by_one(dragged: tuple[Search, Fit]) -> None:
     search, fit = dragged
     for one in search.grid.screened(fit):
         C = fresh_columns(fit, one.candidate)
-        assert one.gain == pytest.approx(fit.addition(C).gain, rel=1e-6, abs=1e-6)
+        assert one.gain == pytest.approx(fit.addition(C)[0], rel=1e-6, abs=1e-6)
         assert one.score == pytest.approx(
             one.gain - 0.5 * np.log(fit.rows.counts.max()) * complexity(fit, one.candidate)
         )

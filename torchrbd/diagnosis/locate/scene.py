@@ -9,7 +9,8 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.diagnosis.rows.samples import Samples, Tile
+from torchrbd.diagnosis.rows.samples import Samples
+from torchrbd.likelihood.rows import Tile
 from torchrbd.robot import RobotModel
 
 

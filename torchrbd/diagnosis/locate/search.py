@@ -16,8 +16,8 @@ from torchrbd.diagnosis.locate.intervals import Interval, signal_interval
 from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.locate.signals import LEAST_SHARE, Bases, Signal, Smooth, form_columns, smooth
 from torchrbd.diagnosis.rows.regression import Extra, Fit
-from torchrbd.diagnosis.rows.white_rows import Rows
-from torchrbd.diagnosis.rows.whitening import LEAST_NOISE, Noise, whitened
+from torchrbd.diagnosis.rows.white_rows import LEAST_NOISE, Colour, Rows
+from torchrbd.likelihood.gaussian import Posterior
 
 # In log-likelihood units, beyond the costs of freedom and search: on 40 simulated arms with nothing but friction, which
 # stick, coloured noise and drift, the three largest were 5.5, 4.8 and 4.0.
@@ -218,7 +218,7 @@ def each_body(fit: Fit, features: np.ndarray, seen: Sequence[int]) -> Iterator[t
         yield gain, body, w
 
 
-def common_noise(fit: Fit) -> Noise:
+def common_noise(fit: Fit) -> Colour:
     """Return each joint's noise with the colour that most joints share: what hides in one has coloured its own.
 
     It serves to find candidates; what these are worth is judged with the joint's own noise, estimated beside them.
@@ -229,7 +229,8 @@ def common_noise(fit: Fit) -> Noise:
     common = np.median(filters[seen], axis=0)
     for j in seen:
         weighted = left[j] * rows.samples.weight[j]
-        e, own = (whitened(weighted, rows.index[j], a, 1.0) for a in (common, filters[j]))
+        plain = replace(rows.noises[j], sigma=1.0, spread=np.ones_like(weighted))
+        e, own = (replace(plain, predictor=a).white(weighted) for a in (common, filters[j]))
         scale[j] *= np.sqrt(np.mean(e**2) / max(float(np.mean(own**2)), 1e-300))
         filters[j] = common
     return filters, scale
@@ -252,9 +253,8 @@ def coefficients(fit: Fit, phi: Mapping[int, np.ndarray]) -> tuple[float, np.nda
 
 
 def _told(G: np.ndarray, alone: np.ndarray, u: np.ndarray) -> tuple[float, np.ndarray]:
-    size = np.sqrt(np.maximum(alone, 1e-300))
-    w = np.linalg.solve(G / size / size[:, None] + LEAST_SHARE * np.eye(len(u)), u / size)
-    return 0.5 * float(w @ (u / size)), w / size
+    w = Posterior(G + LEAST_SHARE * np.diag(np.maximum(alone, 1e-300)), u).z
+    return 0.5 * float(w @ u), w
 
 
 def _half_height(fit: Fit, joint: int, phi: np.ndarray, v: np.ndarray, region: Interval) -> Interval:

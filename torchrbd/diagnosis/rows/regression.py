@@ -3,7 +3,7 @@
 With X the whitened columns of a model in prior coordinates (so that the prior is N(0, 1)), y the whitened torque and
 C the K columns of an addition,
 
-    H = X'X + 1 = L L',   V = L^-1 X'C,   S = C'C + 1 - V'V,   w = S^-1 C'(y - X x),   gain = 1/2 w'S w
+    S = C'C + 1 - C'X (X'X + 1)^-1 X'C,   w = S^-1 C'(y - X x),   gain = 1/2 w'S w
 
 so that an addition costs O(N P K) and never a new factorisation. Leaving a fold out replaces each product by that of
 the other folds.
@@ -17,25 +17,16 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from scipy.linalg import cho_solve, solve_triangular
 
 from torchrbd.diagnosis.rows.samples import Samples
-from torchrbd.diagnosis.rows.white_rows import Place, Rows
-from torchrbd.diagnosis.rows.whitening import LEAST_NOISE, ORDER, Noise, predictor, relief, whitened
+from torchrbd.diagnosis.rows.white_rows import LEAST_NOISE, ORDER, Colour, Place, Rows, joint_noise, predictor
 from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.gaussian import Posterior
 from torchrbd.likelihood.urdf_prior import Prior
 
 _ROUNDS = 3
 # Directions of the scaled columns below this are told by rounding alone.
 LEAST_DIRECTION = 1e-12
-
-
-@dataclass(frozen=True)
-class Addition:
-    """What columns gain beside a fit: ``gain`` in log-likelihood units, coefficients w (K,) in prior coordinates."""
-
-    gain: float
-    w: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -57,6 +48,7 @@ class Fit:
     Attributes:
         places: of the terms' columns, in the order of the last columns of X.
         X: (N, P + T).
+        posterior: of the coefficients, in prior coordinates.
         x: coefficients (P + T,) in prior coordinates.
         e: (N,) leftover.
     """
@@ -70,8 +62,8 @@ class Fit:
             columns |= dict(zip(_places(number, one), rows.widened(one.place, one.features).T, strict=True))
         self.places = list(columns)
         self.X = np.concatenate((rows.X, np.array(list(columns.values())).reshape(-1, len(rows.y)).T), axis=1)
-        self._H, self._h = self.X.T @ self.X, self.X.T @ rows.y
-        self.L, self.x = _solved(self._H, self._h)
+        self.posterior = Posterior(self.X.T @ self.X + np.eye(self.X.shape[1]), self.X.T @ rows.y)
+        self.x = self.posterior.z
         self.e = rows.y - self.X @ self.x
 
     @property
@@ -80,14 +72,14 @@ class Fit:
         return torch.from_numpy(self.rows.pi(self.x[: self.rows.X.shape[1]]))
 
     @cached_property
-    def _folds(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Per fold: its rows, X and leftover there, and factor and leftover's image of the fit on the other folds."""
+    def _folds(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, Posterior]]:
+        """Per fold: its rows, X there, what the fit on the other folds leaves there, and its posterior."""
         found = []
         for f in np.unique(self.rows.fold):
             own = np.flatnonzero(self.rows.fold == f)
             X, y = self.X[own], self.rows.y[own]
-            L, x = _solved(self._H - X.T @ X, self._h - X.T @ y)
-            found.append((own, X, y - X @ x, L, x))
+            rest = self.posterior.without(X.T @ X, X.T @ y)
+            found.append((own, X, y - X @ rest.z, rest))
         return found
 
     @cached_property
@@ -108,56 +100,46 @@ class Fit:
 
     def precision(self, C: np.ndarray) -> np.ndarray:
         """Return the precision S (K, K) of the coefficients of columns C (N, K) beside the fit."""
-        V = solve_triangular(self.L, self.X.T @ C, lower=True)
-        return C.T @ C + np.eye(C.shape[1]) - V.T @ V
+        return self.posterior.schur(self.X.T @ C, C.T @ C + np.eye(C.shape[1]))
 
-    def addition(self, C: np.ndarray) -> Addition:
-        """Return what columns C (N, K) gain on the rows that they are fitted to."""
+    def addition(self, C: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return what columns C (N, K) gain on the rows seen, as log-likelihood, and their coefficients w (K,)."""
         r = C.T @ self.e
         w = np.linalg.solve(self.precision(C), r)
-        return Addition(0.5 * float(w @ r), w)
+        return 0.5 * float(w @ r), w
 
     def coefficients_with(self, C: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Return x (P + T,) of the fit beside columns C (N, K) with coefficients w."""
-        return self.x - cho_solve((self.L, True), self.X.T @ (C @ w))
+        return self.x - self.posterior.solve(self.X.T @ (C @ w))
 
     @cached_property
-    def _directions(self) -> np.ndarray:
-        """T (P + T, R) with orthonormal columns X T, whatever the prior."""
-        size = np.sqrt(np.maximum(self._H.diagonal(), 1e-300))
-        values, vectors = np.linalg.eigh(self._H / size / size[:, None])
-        kept = values > LEAST_DIRECTION * values.max(initial=0.0)
-        return vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
-
-    def covariance(self, numbers: Sequence[int]) -> np.ndarray:
-        """Return the covariance (K, K) of some coefficients, in prior coordinates."""
-        V = solve_triangular(self.L, np.eye(len(self.x))[:, numbers], lower=True)
-        return V.T @ V
+    def _free(self) -> Posterior:
+        """The posterior without a prior."""
+        return Posterior(self.X.T @ self.X, self.X.T @ self.rows.y, LEAST_DIRECTION)
 
     def std(self, k: int) -> float:
         """Return the standard deviation of coefficient k, in prior coordinates."""
-        return float(np.sqrt(self.covariance([k])[0, 0]))
+        return float(np.sqrt(self.posterior.covariance([k])[0, 0]))
 
     def share_left(self, C: np.ndarray) -> float:
         """Return the largest part (0 to 1) of a column of C (N, K) that the model cannot imitate, however free it is.
 
         The prior is left out: what an inertial parameter of any size can imitate, the data cannot tell from it.
         """
-        cross = self._directions.T @ (self.X.T @ C)
-        total = (C**2).sum(0)
-        return float(((total - (cross**2).sum(0)) / np.maximum(total, 1e-300)).max())
+        total = C.T @ C
+        left = self._free.schur(self.X.T @ C, total)
+        return float((left.diagonal() / np.maximum(total.diagonal(), 1e-300)).max())
 
     def errors_with(self, C: np.ndarray) -> np.ndarray:
         """Return the left-out squared errors (B, n) of the fit with columns C (N, K) added."""
-        B, CC, Cy, eye = self.X.T @ C, C.T @ C, C.T @ self.rows.y, np.eye(C.shape[1])
+        XC, CC, Cy = self.X.T @ C, C.T @ C + np.eye(C.shape[1]), C.T @ self.rows.y
         e = np.empty_like(self.rows.y)
-        for own, X, left, L, x in self._folds:
+        for own, X, left, rest in self._folds:
             C_f = C[own]
-            B_f = B - X.T @ C_f
-            V = solve_triangular(L, B_f, lower=True)
-            S = CC - C_f.T @ C_f + eye - V.T @ V
-            w = np.linalg.solve(S, Cy - C_f.T @ self.rows.y[own] - B_f.T @ x)
-            e[own] = left - C_f @ w + X @ solve_triangular(L, V @ w, lower=True, trans=1)
+            cross = XC - X.T @ C_f
+            S = rest.schur(cross, CC - C_f.T @ C_f)
+            w = np.linalg.solve(S, Cy - C_f.T @ self.rows.y[own] - cross.T @ rest.z)
+            e[own] = left - C_f @ w + X @ rest.solve(cross @ w)
         return self.by_block(e)
 
     def by_block(self, e: np.ndarray) -> np.ndarray:
@@ -179,13 +161,13 @@ class Fit:
         rows = self.rows
         white = {j: rows.white(A, j) for j, A in features.items()}
         cross = np.sum([self.X[rows.parts[j]].T @ A.T for j, A in white.items()], axis=0)
-        V = solve_triangular(self.L, cross, lower=True, check_finite=False)
         alone = np.sum([A @ A.T for A in white.values()], axis=0)
-        return alone - V.T @ V, alone, np.sum([A @ self.e[rows.parts[j]] for j, A in white.items()], axis=0)
+        score = np.sum([A @ self.e[rows.parts[j]] for j, A in white.items()], axis=0)
+        return self.posterior.schur(cross, alone), alone, score
 
     def projected(self, C: np.ndarray) -> np.ndarray:
         """Return what the model cannot imitate of whitened columns C (N, ...)."""
-        return C - self.X @ cho_solve((self.L, True), self.X.T @ C)
+        return C - self.X @ self.posterior.solve(self.X.T @ C)
 
     def coefficients(self, term: Candidate) -> np.ndarray:
         """Return the coefficients w (K,) of a term in their own units."""
@@ -210,16 +192,16 @@ class Fit:
             left[slice(None) if one.place is None else one.place] -= np.tensordot(w, one.features, 1)
         return np.where(samples.measured, left, 0.0)
 
-    def noise(self) -> Noise:
+    def noise(self) -> Colour:
         """Return the noise that makes this leftover white."""
         left, rows = self.leftover(), self.rows
         filters, scale = np.zeros((len(left), ORDER)), np.ones(len(left))
-        Q = solve_triangular(self.L, self.X.T, lower=True)
+        Q = self.posterior.half(self.X.T)
         for j, index in enumerate(rows.index):
             if len(index):
-                weighted = left[j] * rows.samples.weight[j]
-                filters[j] = predictor(weighted, index)
-                e = whitened(weighted, index, filters[j], 1.0) * relief(rows.samples.weight[j], index, filters[j])
+                weight = rows.samples.weight[j]
+                filters[j] = predictor(left[j] * weight, index)
+                e = joint_noise(index, filters[j], 1.0, weight).white(left[j] * weight)
                 used = min(float((Q[:, rows.parts[j]] ** 2).sum()), 0.9 * rows.counts[j])
                 least = LEAST_NOISE * np.sqrt(np.mean(rows.samples.tau[j] ** 2))
                 scale[j] = max(float(np.sqrt(np.sum(e**2) / (rows.counts[j] - used) + least**2)), 1e-300)
@@ -230,7 +212,7 @@ def fitted(
     samples: Samples,
     prior: Prior,
     terms: Sequence[Candidate],
-    noise: Noise | None = None,
+    noise: Colour | None = None,
     extra: Sequence[Extra] = (),
     rounds: int = _ROUNDS,
 ) -> Fit:
@@ -245,8 +227,3 @@ def fitted(
 
 def _places(number: int, extra: Extra) -> list[Place]:
     return [(extra.place, f"extra {number} {k}") for k in range(len(extra.features))]
-
-
-def _solved(H: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    L = np.linalg.cholesky(H + np.eye(len(H)))
-    return L, cho_solve((L, True), h)

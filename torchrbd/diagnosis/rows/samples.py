@@ -17,22 +17,13 @@ import torch
 
 from torchrbd.inference.preparation import Prepared
 from torchrbd.likelihood.columns import Candidate, Columns
+from torchrbd.likelihood.rows import Tile
 from torchrbd.likelihood.shocks import shock
-from torchrbd.physics import Signals
 from torchrbd.recordings import States
 
 # States that are kept at most, over all tiles, and how many a second of each: nonlinear features of a motion below the
 # cut-off need some more than the motion itself.
 MOST_STATES, LEAST_RATE_HZ, LEAST_RATE_CYCLES = 100_000, 100.0, 12.0
-
-
-@dataclass(frozen=True)
-class Tile:
-    """A piece of a recording: states, what effects see of them, and which outputs count."""
-
-    states: States
-    signals: Signals
-    kept: torch.Tensor
 
 
 @dataclass(frozen=True)

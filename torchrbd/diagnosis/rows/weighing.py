@@ -6,11 +6,9 @@ motion does not tell: the noise seems larger than it is, and the joint's frictio
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 
 from torchrbd.diagnosis.rows.regression import Fit, fitted
-from torchrbd.diagnosis.rows.whitening import autocovariance
 
 _ROUNDS = 2
 
@@ -24,8 +22,7 @@ def weighed(fit: Fit) -> Fit:
             moves = samples.columns.scale(term.site).moves
             if term.effect.id == "coulomb_friction" and moves and rows.counts[term.joint]:
                 (coulomb,), j = fit.coefficients(term), term.joint
-                filters, scale = rows.noise[0][j], rows.noise[1][j]
-                level = abs(coulomb) / np.sqrt(autocovariance(filters, scale)[0])
+                level = abs(coulomb) / rows.noises[j].std
                 # Joints whose friction the first fit is not sure of have none.
                 levels[j] = level if levels[j] > 0 else 0.0
         if number and torch.allclose(levels, samples.columns.stick_levels, rtol=0.1):

@@ -6,18 +6,29 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
 
 from torchrbd.diagnosis.rows.samples import Samples
-from torchrbd.diagnosis.rows.whitening import ORDER, Noise, relief, whitened
 from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.noise import Noise
 from torchrbd.likelihood.urdf_prior import TERM_WIDTH, Prior, in_proportion
 
+# Coefficients that predict a sample's noise from those before.
+ORDER = 4
+# A sample of torque is believed to this part of the joint's RMS at best: what is smaller does not matter, and simulated
+# torques without noise would make it significant.
+LEAST_NOISE = 2e-3
+# White floor of the spectrum: what whitening amplifies at most.
+_FLOOR = 0.02
 FOLDS, MOST_BLOCKS, LEAST_RECORDINGS = 8, 64, 4
 # No peak of a term's torque is believed beyond so many times the root mean square of its joint's.
 PEAK_WIDTH = 3.0
 
 Place = tuple[int | None, str]
 """A column beside the rigid body's: the joint that has it (None: all joints share it), and its label."""
+
+Colour = tuple[np.ndarray, np.ndarray]
+"""Noise of joints whatever their samples count: predictors (n, ORDER) and what they leave (n,), [N m] or [N]."""
 
 
 class Rows:
@@ -26,9 +37,10 @@ class Rows:
     Args:
         samples: the data.
         prior: of the inertial parameters.
-        noise: filters (n, ORDER) and scale (n,).
+        noise: its colour.
 
     Attributes:
+        noises: per joint, the noise of its samples.
         X: (N, P) rigid body, in prior coordinates.
         y: (N,) torque less that of the prior's mean.
         parts: per joint, its slice of the N rows.
@@ -39,14 +51,14 @@ class Rows:
         counts: (n,) rows of each joint, by what they count.
     """
 
-    def __init__(self, samples: Samples, prior: Prior, noise: Noise) -> None:
+    def __init__(self, samples: Samples, prior: Prior, noise: Colour) -> None:
         self.samples, self.prior, self.noise = samples, prior, noise
         n = len(samples.tau)
         self.index = [_with_predecessors(samples, j) for j in range(n)]
         ends = np.cumsum([0, *(len(i) for i in self.index)])
         self.parts = [slice(a, b) for a, b in pairwise(ends.tolist())]
         self.joint = np.repeat(np.arange(n), np.diff(ends))
-        self._relief = [relief(samples.weight[j], i, noise[0][j]) for j, i in enumerate(self.index)]
+        self.noises = [joint_noise(*one) for one in zip(self.index, *noise, samples.weight, strict=True)]
         inertial = prior.inertial.numpy()
         self._scale = prior.scale.numpy()[np.ix_(inertial, inertial)]
         self._inertial, mean = inertial, prior.mean.numpy()[: samples.rigid.shape[2]]
@@ -62,9 +74,7 @@ class Rows:
 
     def white(self, x: np.ndarray, joint: int) -> np.ndarray:
         """Return signals (..., M) of a joint as its whitened rows see them, (..., m_j)."""
-        filters, scale = self.noise
-        e = whitened(x * self.samples.weight[joint], self.index[joint], filters[joint], scale[joint])
-        return e * self._relief[joint]
+        return self.noises[joint].white(x * self.samples.weight[joint])
 
     def columns(self, candidate: Candidate) -> tuple[list[Place], np.ndarray]:
         """Return places and whitened columns (N, K) of a candidate, in prior coordinates."""
@@ -105,6 +115,32 @@ class Rows:
         pi = self.prior.mean.numpy()[: self.samples.rigid.shape[2]].copy()
         pi[self._inertial] += self._scale @ z
         return pi
+
+
+def joint_noise(index: np.ndarray, predictor: np.ndarray, sigma: float, weight: np.ndarray) -> Noise:
+    """Return the noise of a joint's samples, times their weights w (M,), 0 to 1.
+
+    A sample of weight w is noise and something unknown, 1/w^2 - 1 times the variance c_0 of the noise. So the variance
+    of a whitened row of weighted samples, in units of that of an unweighted row, is
+
+        v(k) = sum_il b_i b_l w(k - i) w(k - l) c_|i-l| + c_0 sum_i b_i^2 (1 - w(k - i)^2),   b = (1, -a)
+
+    Where a predecessor counts little, the noise is not predicted, and v > 1.
+    """
+    noise = Noise(index, predictor, sigma, np.ones_like(weight))
+    b, c, lags = np.concatenate(([1.0], -predictor)), noise.correlation, np.arange(len(predictor) + 1)
+    w = np.stack([weight[index - i] for i in lags])
+    bw = b[:, None] * w
+    v = ((c[np.abs(lags[:, None] - lags)] @ bw) * bw).sum(0) + c[0] * b**2 @ (1.0 - w**2)
+    noise.spread[index] = np.sqrt(np.maximum(v, 1.0))
+    return noise
+
+
+def predictor(r: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return the predictor (ORDER,) of a leftover (M,) from its predecessors, by Yule and Walker's equations."""
+    c = np.array([np.mean(r[index] * r[index - i]) for i in range(ORDER + 1)])
+    c[0] = (1 + _FLOOR) * max(c[0], np.mean(r[index - ORDER] ** 2), 1e-300)
+    return solve_toeplitz(c[:-1], c[1:])
 
 
 def _with_predecessors(samples: Samples, joint: int) -> np.ndarray:

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from heapq import nlargest
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.white_rows import Rows
-from torchrbd.inference.shapes.slope import axes
 from torchrbd.likelihood.columns import Candidate, Columns
+from torchrbd.likelihood.shapes import varied
 from torchrbd.physics import Effect, Site, Window
 
 _EVALUATIONS, _SWEEPS, _CLOSE = 10, 2, 0.03
@@ -99,8 +98,7 @@ class Group:
         rows = fit.rows
         part = slice(None) if self.place is None else rows.parts[self.place]
         C, X = self.widened(rows)[part], fit.X[part]
-        V = solve_triangular(fit.L, X.T @ C, lower=True)
-        S, r = C.T @ C - V.T @ V + np.eye(C.shape[1]), C.T @ fit.e[part]
+        S, r = fit.posterior.schur(X.T @ C, C.T @ C + np.eye(C.shape[1])), C.T @ fit.e[part]
         known = {label for place, label in fit.places if place == self.place}
         for c in self.candidates:
             fresh = [self.columns[label] for label in c.labels if label in self.columns and label not in known]
@@ -191,8 +189,7 @@ def fresh_columns(fit: Fit, candidate: Candidate) -> np.ndarray:
 
 def refined(fit: Fit, candidate: Candidate) -> Candidate:
     """Return a candidate with the shape, between the neighbours on its grid, that gains most beside a fit."""
-    columns = fit.rows.samples.columns
-    grid = {name: axis for name, axis in axes(columns, candidate).items() if axis.reach > 0}
+    grid = varied(fit.rows.samples.columns, candidate)
     for _ in range(_SWEEPS if len(grid) > 1 else 1):
         for name, axis in grid.items():
             candidate = _along(fit, candidate, name, axis.limits(candidate.shape[name]))
@@ -231,4 +228,4 @@ def _gain(fit: Fit, candidate: Candidate) -> float:
     features = fit.rows.samples.evaluated(candidate)[fresh]
     if not fresh or not np.isfinite(features).all():
         return 0.0
-    return fit.addition(fit.rows.widened(candidate.place, features)).gain
+    return fit.addition(fit.rows.widened(candidate.place, features))[0]

@@ -59,8 +59,7 @@ def judged(fit: Fit, candidate: Candidate) -> Option:
     noise that it leaves, and the fit with its own.
     """
     C = fresh_columns(fit, candidate)
-    addition = fit.addition(C)
-    if addition.gain < LEAST_RENOISED:
+    if fit.addition(C)[0] < LEAST_RENOISED:
         errors = fit.errors_with(C)
     else:
         errors = Fit(fit.rows, (*fit.terms, candidate)).renoised().errors
@@ -122,7 +121,7 @@ def coefficients(fit: Fit, candidate: Candidate) -> list[float]:
     known = fit.numbers
     C, x, new = fresh_columns(fit, candidate), fit.x, iter(())
     if C.shape[1]:
-        w = fit.addition(C).w
+        _, w = fit.addition(C)
         x, new = fit.coefficients_with(C, w), iter(w)
     places = [(candidate.place, label) for label in candidate.labels]
     widths = rows.widths_of(candidate)
@@ -163,7 +162,7 @@ def _within_chance(fit: Fit, candidate: Candidate, w: torch.Tensor) -> Iterator[
     beside = fit if candidate in fit.terms else Fit(fit.rows, (*fit.terms, candidate))
     numbers = [beside.numbers[candidate.place, label] for label in candidate.labels]
     widths = fit.rows.widths_of(candidate)
-    S = torch.from_numpy(beside.covariance(numbers) * widths * widths[:, None])
+    S = torch.from_numpy(beside.posterior.covariance(numbers) * widths * widths[:, None])
     std = S.diagonal().sqrt()
     none = torch.where((w < 0) & (-w < INSIGNIFICANT * std), 0.0, w)
     if none.nan_to_num().any():

@@ -8,8 +8,7 @@ import numpy as np
 
 from torchrbd.diagnosis.rows.gain import Gain, gain
 from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.diagnosis.rows.white_rows import Rows
-from torchrbd.diagnosis.rows.whitening import Noise
+from torchrbd.diagnosis.rows.white_rows import Colour, Rows
 from torchrbd.diagnosis.search.grid import refined
 from torchrbd.diagnosis.search.options import OFFSET, UNEVEN, accepted, instead, least_gain, matters, plausible
 from torchrbd.diagnosis.search.steps import Steps
@@ -95,7 +94,7 @@ def _lost(fit: Fit, rest: Fit) -> Gain:
     return gain(rest.errors, fit.errors, fit.rows.counts)
 
 
-def _uncoloured(fit: Fit) -> Noise:
+def _uncoloured(fit: Fit) -> Colour:
     """Return noise without colour, as large as what a fit leaves."""
     left, weight = fit.leftover(), fit.rows.samples.weight
     scale = np.sqrt(((left * weight) ** 2).sum(1) / np.maximum((weight**2).sum(1), 1e-300))

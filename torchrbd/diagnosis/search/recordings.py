@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import Samples
@@ -51,7 +50,7 @@ def _screened(group: Group, fit: Fit) -> Iterator[Screened]:
     number = np.unique(samples.recording[np.concatenate(rows.index)], return_inverse=True)[1][part]
     C, X, e = group.widened(rows)[part], fit.X[part], fit.e[part]
     here = [number == r for r in range(len(names))]
-    V = np.stack([solve_triangular(fit.L, X[at].T @ C[at], lower=True) for at in here])
+    V = np.stack([fit.posterior.half(X[at].T @ C[at]) for at in here])
     own, u = np.stack([C[at].T @ C[at] for at in here]), np.stack([C[at].T @ e[at] for at in here])
     freedom, choice = 0.5 * np.log(max(rows.counts.max(), 2)), (len(names) - 1) * np.log(2.0)
     for c in (c for c in group.candidates if c.effect.comes_and_goes):
@@ -103,7 +102,7 @@ def where_larger(fit: Fit, candidate: Candidate) -> Candidate:
     C = fresh_columns(fit, candidate)
     if not set(places) <= set(fit.places) or C.shape[1] != len(places):
         return candidate
-    more = fit.addition(C).w
+    _, more = fit.addition(C)
     x = fit.coefficients_with(C, more)[len(fit.x) - len(fit.places) :]
     features = samples.features(common)
     elsewhere = x[[fit.places.index(p) for p in places]] * rows.widths_of(common)

@@ -8,8 +8,11 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError
-from torchrbd.inference.estimators.problem import LinearProblem, pseudo_inverse
+from torchrbd.inference.estimators.problem import LinearProblem
 from torchrbd.likelihood.block_statistics import filtered_rows
+
+# Of the largest singular value: what is below it is rounding.
+_SINGULAR = 1e-13
 
 
 def instrumental_variables(problem: LinearProblem) -> tuple[Tensor, str]:
@@ -53,6 +56,19 @@ def instrumental_variables(problem: LinearProblem) -> tuple[Tensor, str]:
             g[own] += w * Z @ a[-1]
             length_sq[own] += w * a[:-1].square().sum(1)
     b = problem.chosen
-    inverse, rank = pseudo_inverse(G[b][:, b], length_sq[b].sqrt())
+    inverse, rank = _pseudo_inverse(G[b][:, b], length_sq[b].sqrt())
     x = problem.reference + problem.lift @ (inverse @ (g - G @ problem.reference)[b])
     return x, "" if rank == len(b) else f"the set-points tell {rank} of {len(b)} combinations"
+
+
+def _pseudo_inverse(A: Tensor, length: Tensor) -> tuple[Tensor, int]:
+    """Return the inverse of normal equations A (d, d), and their rank: directions lost in rounding are left out.
+
+    Args:
+        A: not necessarily symmetric (instruments).
+        length: (d,) of the columns, to balance A.
+    """
+    scale = length.unsqueeze(1) * length
+    U, s, Vh = torch.linalg.svd(A / scale)
+    rank = int((s > _SINGULAR * s[:1]).sum())
+    return (Vh[:rank].T / s[:rank]) @ U[:, :rank].T / scale, rank

@@ -20,16 +20,18 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.preparation import Prepared
+from torchrbd.inference.shapes.grid import columns_of
 from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
 from torchrbd.likelihood.columns import Candidate
-from torchrbd.likelihood.map_fit import first_noise_variance, residual_variance
+from torchrbd.likelihood.equations import first_noise_variance, with_noise
+from torchrbd.likelihood.gaussian import Posterior
 from torchrbd.recordings import States
 
 # Of a column's square. Right angles written as 1.5708 make columns that depend on each other up to 4e-6 differ.
 _DEPENDENT = 1e-10
 # Of the largest: what is below it is rounding.
-_EFFECT, _SINGULAR = 1e-12, 1e-13
-_MOST_ROUNDS, _SETTLED = 10, 1e-3
+_EFFECT = 1e-12
+_MOST_ROUNDS, _SETTLED = 10, 1e-6
 
 
 @dataclass(frozen=True)
@@ -73,23 +75,19 @@ class LinearProblem:
         """
         totals = self.training.total() if totals is None else totals
         H, h = assemble(self.training.columns, totals, weights)
-        H_b = H[self.chosen][:, self.chosen]
-        inverse, _ = pseudo_inverse(H_b, H_b.diagonal().sqrt())
-        beta = inverse @ (h - H @ self.reference)[self.chosen]
-        return self.reference + self.lift @ beta, self.lift @ inverse @ self.lift.T
+        b = self.chosen
+        found = Posterior(H[b][:, b].numpy(), (h - H @ self.reference)[b].numpy())
+        half = torch.from_numpy(found.half(self.lift.T.numpy()))
+        return self.reference + self.lift @ torch.from_numpy(found.z), half.T @ half
 
     def weighted(self) -> tuple[Tensor, Tensor]:
         """Return x (n,) of weighted least squares and the joints' residual variances (n_dof,) that weigh it."""
-        variance = first_noise_variance(self.training)
-        for _ in range(_MOST_ROUNDS):
+
+        def fit(variance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             x, covariance = self.least_squares(1.0 / variance)
-            found = residual_variance(self.training, x, covariance, variance)
-            seen = torch.isfinite(found)
-            settled = bool(((found / variance).log()[seen].abs() < _SETTLED).all())
-            variance = found
-            if settled:
-                break
-        return self.least_squares(1.0 / variance)[0], variance
+            return x, x, covariance
+
+        return with_noise(self.training, fit, rounds=_MOST_ROUNDS, settled=_SETTLED)
 
     def information(self) -> Tensor:
         """Return what the fitted blocks tell of x as weighted least squares weighs them, (n, n)."""
@@ -117,8 +115,7 @@ def linear_problem(prepared: Prepared, terms: Sequence[Candidate] = ()) -> Linea
         terms: effects that are fitted beside the inertial parameters.
     """
     columns, prior, training = prepared.columns, prepared.prior, prepared.training
-    own = torch.tensor(sorted({k for c in terms for k in columns.of(c)}), dtype=torch.long)
-    free = torch.cat((prior.inertial, own))
+    free = columns_of(prepared, terms)
     H, _ = assemble(columns, training.total(), 1.0 / first_noise_variance(training))
     H = H[free][:, free]
     # What a column tells in units of the prior: that of a parameter without effect is rounding, not exactly zero.
@@ -138,16 +135,3 @@ def linear_problem(prepared: Prepared, terms: Sequence[Candidate] = ()) -> Linea
     stiffness = torch.linalg.eigvalsh(G_b)
     condition = float((stiffness[-1] / stiffness[0].clamp_min(1e-300)).sqrt())
     return LinearProblem(prepared, training, tuple(terms), free, free[picked], lift, condition)
-
-
-def pseudo_inverse(A: Tensor, length: Tensor) -> tuple[Tensor, int]:
-    """Return the inverse of normal equations A (d, d), and their rank: directions lost in rounding are left out.
-
-    Args:
-        A: not necessarily symmetric (instruments).
-        length: (d,) of the columns, to balance A.
-    """
-    scale = length.unsqueeze(1) * length
-    U, s, Vh = torch.linalg.svd(A / scale)
-    rank = int((s > _SINGULAR * s[:1]).sum())
-    return (Vh[:rank].T / s[:rank]) @ U[:, :rank].T / scale, rank

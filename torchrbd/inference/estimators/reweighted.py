@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchrbd.inference.estimators.problem import LinearProblem
 from torchrbd.likelihood.block_statistics import assemble, filtered_rows
-from torchrbd.likelihood.map_fit import LEAST_NOISE
+from torchrbd.likelihood.equations import bounded
 
 _HUBER, _NORMAL_MAD = 1.345, 0.6745
 _MOST_PASSES, _SETTLED = 20, 0.1
@@ -60,10 +60,8 @@ def _reweighted_pass(problem: LinearProblem, x: Tensor, variance: Tensor) -> tup
             w = weight * (_HUBER * variance[joint].sqrt() / size.clamp_min(1e-300)).clamp_max(1.0)
             totals[joint] += (a * w) @ a.T
             sizes_of_residuals[joint].append(size)
-    power = problem.training.torque.sum(0)
-    least = LEAST_NOISE**2 * power[:, 2] / power[:, 0].clamp_min(1e-300)
     found = [
         torch.cat(parts).median().div(_NORMAL_MAD).square() if parts else torch.tensor(torch.inf, dtype=torch.float64)
         for parts in sizes_of_residuals
     ]
-    return totals, torch.maximum(torch.stack(found), least)
+    return totals, bounded(problem.training, torch.stack(found))

@@ -10,12 +10,12 @@ from torch import Tensor
 
 from torchrbd.inference.physical.scatter import Scatter
 from torchrbd.inference.physical.uncertain_states import UncertainStates
-from torchrbd.inference.shapes.slope import ShapeSlope
 from torchrbd.inference.torque_error import Fit
 from torchrbd.likelihood.block_statistics import BlockStatistics
 from torchrbd.likelihood.columns import Candidate, Columns
-from torchrbd.likelihood.map_fit import first_noise_variance, residual_variance, scaled_equations
+from torchrbd.likelihood.equations import Equations, first_noise_variance, scaled_equations, with_noise
 from torchrbd.likelihood.physical_fit import PhysicalFit, physical_fit
+from torchrbd.likelihood.shapes import ShapeSlope
 from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Site, Term
@@ -124,21 +124,19 @@ def fit_model(
     variance = first_noise_variance(statistics) if noise is None else noise
     if states is not None and noise is None:
         variance = torch.where(torch.isfinite(variance), states.torque_variance, variance)
-    for _ in range(_MOST_ROUNDS):
+
+    # The noise of the physical fit: an impossible robot may explain impossible data without any.
+    def fitted(variance: Tensor) -> tuple[tuple[PhysicalFit, Equations], Tensor, Tensor]:
         equations = scaled_equations(prior, totals, columns, 1.0 / variance)
         if states is not None:
             equations = states.discount(prior, equations)
         fit = physical_fit(prior, equations, term_columns)
         S = prior.scale[:, fit.free]
-        if noise is not None:
-            break
-        # The noise of the physical fit: an impossible robot may explain impossible data without any.
-        covariance = S @ torch.linalg.inv(fit.precision) @ S.T
-        found = residual_variance(statistics, fit.x, covariance, variance, None if states is None else states.used)
-        seen = torch.isfinite(found)
-        if bool(((found / variance).log()[seen].abs() < _SETTLED).all()):
-            break
-        variance = found
+        return (fit, equations), fit.x, S @ torch.linalg.inv(fit.precision) @ S.T
+
+    rounds, used = _MOST_ROUNDS if noise is None else 0, None if states is None else states.used
+    (fit, equations), variance = with_noise(statistics, fitted, variance, rounds=rounds, settled=_SETTLED, states=used)
+    S = prior.scale[:, fit.free]
     stiffness, axes = torch.linalg.eigh(fit.precision)
     filling = _sandwich_filling(statistics, prior, fit, equations.H, variance)
     # Widened along the axes of the precision: combinations that are known well are widened for themselves.
@@ -155,13 +153,7 @@ def _sandwich_filling(
 
     Blocks are long against the correlation time, so that their scatter measures what correlated noise does to x.
     """
-    columns, n_blocks = statistics.columns, len(statistics)
-    gradient = torch.zeros(n_blocks, columns.n, dtype=torch.float64)
-    for joint, moments in enumerate(statistics.moments):
-        own = columns.of_joint[joint]
-        v = torch.cat((-fit.x[own], torch.ones(1, dtype=torch.float64)))
-        gradient[:, own] += (moments @ v)[:, :-1] / variance[joint]
-    scores = gradient @ prior.scale[:, fit.free]
+    n_blocks, scores = len(statistics), statistics.scores(fit.x, 1.0 / variance) @ prior.scale[:, fit.free]
     scores = scores - scores.mean(0)
     prior_curvature = fit.precision - H[fit.free.unsqueeze(1), fit.free]
     return n_blocks / max(n_blocks - 1, 1) * scores.T @ scores + prior_curvature

@@ -27,7 +27,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError
-from torchrbd.likelihood.map_fit import Scaled
+from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.physical_fit import physical_fit
 from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.parameters import PARAMETERS_PER_BODY
@@ -68,7 +68,7 @@ def project(prior: Prior, x_hat: Tensor, metric: Tensor, terms: Tensor | None = 
     S, away = prior.scale[:k, :k], x_hat - prior.mean[:k]
     kappa = _EPSILON * 0.5 * float(away @ M @ away)
     M = M / kappa if kappa > 0.0 else torch.zeros_like(M)
-    equations = Scaled(S.T @ M @ S, S.T @ (M @ away))
+    equations = Equations(S.T @ M @ S, S.T @ (M @ away))
     free = torch.arange(0) if terms is None else terms
     return physical_fit(replace(prior, kappa=1.0), equations, free).x[:k]
 

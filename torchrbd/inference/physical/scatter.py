@@ -69,10 +69,10 @@ class Scatter:
 
     def effective_blocks(self, g: Tensor) -> float:
         """Return nu: how many blocks of equal weight would tell g'x as evenly."""
-        along = torch.zeros(self.statistics.columns.n, dtype=torch.float64)
-        along[self.free] = self.laplace @ g
-        told = torch.zeros(len(self.statistics), dtype=torch.float64)
-        for own, moments, weight in _joints(self.statistics, self.weights):
+        statistics = self.statistics
+        along = torch.zeros(statistics.columns.n, dtype=torch.float64).index_copy(0, self.free, self.laplace @ g)
+        told = torch.zeros(len(statistics), dtype=torch.float64)
+        for own, moments, weight in zip(statistics.columns.of_joint, statistics.moments, self.weights, strict=True):
             told += weight * ((moments[:, :-1, :-1] @ along[own]) @ along[own])
         power = float(told.square().sum())
         return float(told.sum()) ** 2 / power if power > 0.0 else 1.0
@@ -91,17 +91,13 @@ def block_scatter(
         noise_variance: (n_dof,) of the torques.
     """
     weights = 1.0 / noise_variance
-    pulls = torch.zeros(len(statistics), statistics.columns.n, dtype=torch.float64)
-    for own, moments, weight in _joints(statistics, weights):
-        error = torch.cat((-x[own], torch.ones(1, dtype=torch.float64)))
-        pulls[:, own] += weight * (moments @ error)[:, :-1]
     # In units of the standard deviations, since coefficients differ by orders of magnitude.
     # One that moves no joint has none.
     size = laplace.diagonal().sqrt()
     size = torch.where(size > 0, size, torch.ones_like(size))
     correlation = laplace / size / size.unsqueeze(1)
     information, steps = torch.zeros_like(laplace), []
-    for b, pull in enumerate(pulls[:, free] * size):
+    for b, pull in enumerate(statistics.scores(x, weights)[:, free] * size):
         H, _ = assemble(statistics.columns, [m[b] for m in statistics.moments], weights)
         own = H[free.unsqueeze(1), free]
         information += own
@@ -109,9 +105,3 @@ def block_scatter(
         steps.append(size * (correlation @ torch.linalg.solve(left, pull)))
     found = torch.stack(steps) if steps else torch.zeros(0, len(free), dtype=torch.float64)
     return Scatter(statistics, weights, free, laplace, information, found - found.mean(0))
-
-
-def _joints(statistics: BlockStatistics, weights: Tensor) -> list[tuple[Tensor, Tensor, float]]:
-    """Return columns, moments and weight of each joint whose torque counts."""
-    every = zip(statistics.columns.of_joint, statistics.moments, weights.tolist(), strict=True)
-    return [(own, moments, weight) for own, moments, weight in every if weight > 0.0]

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.results import ParameterEstimate
-from torchrbd.inference.shapes.slope import Axis, ShapeSlope, axes
 from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.shapes import Axis, ShapeSlope, axes
 
 # Of the range of a shape on the grid.
 _DIFFERENCE = 1e-3

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrbd.likelihood.map_fit import Scaled
+from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.urdf_prior import Prior
 
 
@@ -32,7 +32,7 @@ class UncertainStates:
     used: Tensor
     torque_variance: Tensor
 
-    def discount(self, prior: Prior, known: Scaled) -> Scaled:
+    def discount(self, prior: Prior, known: Equations) -> Equations:
         """Return the normal equations of torques whose states are uncertain from those for known states.
 
         In prior coordinates, a fit to the states as they are has z^ = (H + 1)^-1 h; it stays where it is, but is known
@@ -40,10 +40,7 @@ class UncertainStates:
         estimated:  L' = C' C^-1 L C^-T C'^T,  C C^T = H + 1.
         """
         S = prior.scale
-        one = torch.eye(len(S), dtype=S.dtype)
-        before = torch.linalg.cholesky(S.T @ self.gram @ S + one)
-        now = torch.linalg.cholesky(known.H + one)
-        half = now @ torch.linalg.solve_triangular(before, S.T, upper=False)
+        before, now = Equations(S.T @ self.gram @ S, known.h).posterior(), known.posterior()
+        half = torch.from_numpy(now.L @ before.half(S.T.numpy()))
         lost = half @ self.lost @ half.T
-        z = torch.cholesky_solve(known.h.unsqueeze(1), now).squeeze(1)
-        return Scaled(known.H - lost, known.h - lost @ z)
+        return Equations(known.H - lost, known.h - lost @ torch.from_numpy(now.z))

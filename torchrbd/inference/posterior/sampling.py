@@ -24,7 +24,7 @@ from torch import Tensor
 from torchrbd.errors import InputError
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.posterior.hamiltonian import sample
-from torchrbd.likelihood.map_fit import Scaled
+from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.physical_fit import physical_fit
 from torchrbd.likelihood.urdf_prior import Prior, local_coordinates
 from torchrbd.parameters import BASIS, ORTHONORMAL, PARAMETERS_PER_BODY
@@ -123,7 +123,7 @@ def _density(prior: Prior, model: FittedModel, covariance: Tensor) -> _Density:
     scaled = torch.zeros(len(mean), len(mean), dtype=torch.float64)
     own = S[free.unsqueeze(1), free]
     scaled[free.unsqueeze(1), free] = own.T @ H @ own
-    fit = physical_fit(wishart, Scaled(scaled, torch.zeros_like(mean).index_copy(0, free, own.T @ h)), free[n:])
+    fit = physical_fit(wishart, Equations(scaled, torch.zeros_like(mean).index_copy(0, free, own.T @ h)), free[n:])
     stiffness, axes = torch.linalg.eigh(fit.precision)
     root = own @ (axes / stiffness.clamp_min(1e-3).sqrt())
     inverse = _inverse(_coordinates(replace(prior, kappa=wishart.kappa), fit.x, free))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torchrbd.inference.preparation import Prepared
 from torchrbd.likelihood.columns import Candidate
-from torchrbd.likelihood.map_fit import noise_variance, scaled_equations
+from torchrbd.likelihood.equations import linear_fit, scaled_equations
 from torchrbd.physics import Site
 
 _MOST_SWEEPS = 5
@@ -21,6 +22,11 @@ def columns_of(prepared: Prepared, terms: Sequence[Candidate]) -> Tensor:
     """Return the columns that a fit of the rigid body and terms moves."""
     own = sorted({k for c in terms for k in prepared.columns.of(c)})
     return torch.cat((prepared.prior.inertial, torch.tensor(own, dtype=torch.long)))
+
+
+def linear_fit_of(prepared: Prepared, terms: Sequence[Candidate]) -> tuple[Tensor, Tensor]:
+    """Return x (n,) of a linear fit of the rigid body and terms, and the noise variance (n_dof,) of each joint."""
+    return linear_fit(prepared.training, prepared.prior, columns_of(prepared, terms))
 
 
 def best_on_grid(prepared: Prepared, terms: Sequence[Candidate]) -> Terms:
@@ -49,22 +55,19 @@ def best_on_grid(prepared: Prepared, terms: Sequence[Candidate]) -> Terms:
 def _best(prepared: Prepared, others: Sequence[Candidate], grid: Sequence[Candidate]) -> Candidate:
     """Return the candidate that lowers the loss of a linear fit most beside other terms.
 
-    With those eliminated, H_s = H_ss - H_so H_oo^-1 H_os and h_s = h_s - H_so H_oo^-1 h_o, it is h_s' H_s^-1 h_s / 2.
+    With S and r the precision and score of its fresh columns beside those of the others, it is r' S^-1 r / 2.
     """
-    base, training = columns_of(prepared, others), prepared.training
-    weights = 1.0 / noise_variance(training, prepared.prior, base)
-    equations = scaled_equations(prepared.prior, training.total(), prepared.columns, weights)
-    H = equations.H + torch.eye(len(equations.H), dtype=torch.float64)
-    factor = torch.linalg.cholesky(H[base.unsqueeze(1), base])
+    base, (_, noise) = columns_of(prepared, others), linear_fit_of(prepared, others)
+    equations = scaled_equations(prepared.prior, prepared.training.total(), prepared.columns, 1.0 / noise)
     known = set(base.tolist())
     fresh = [[k for k in prepared.columns.of(c) if k not in known] for c in grid]
     index = sorted({k for own in fresh for k in own})
     row = {k: i for i, k in enumerate(index)}
-    beside = torch.linalg.solve_triangular(factor, H[base][:, index], upper=False)
-    solved = torch.linalg.solve_triangular(factor, equations.h[base].unsqueeze(1), upper=False).squeeze(1)
-    left, slope = H[index][:, index] - beside.T @ beside, equations.h[index] - beside.T @ solved
+    fit, cross = equations.posterior(base), equations.H[base][:, index].numpy()
+    S = fit.schur(cross, equations.H[index][:, index].numpy() + np.eye(len(index)))
+    r = equations.h[index].numpy() - cross.T @ fit.z
     gains = []
     for own in fresh:
         at = [row[k] for k in own]
-        gains.append(float(slope[at] @ torch.linalg.lstsq(left[at][:, at], slope[at].unsqueeze(1)).solution.squeeze(1)))
+        gains.append(float(r[at] @ np.linalg.solve(S[np.ix_(at, at)], r[at])))
     return grid[max(range(len(grid)), key=gains.__getitem__)]

@@ -1,8 +1,8 @@
 """Refine the shapes of terms, and the torques that features are built from, by further passes over the data.
 
-From the best point of the grid on, every pass linearises the terms in their shapes (``slope.py``) and takes the
-Gauss-Newton steps of all shapes at once, none further than to the next value on the grid. A term that fits its joint
-worse than before goes half the way back. The load, and the friction beside it, is that of the last fit.
+From the best point of the grid on, every pass linearises the terms in their shapes (``likelihood/shapes.py``) and takes
+the Gauss-Newton steps of all shapes at once, none further than to the next value on the grid. A term that fits its
+joint worse than before goes half the way back. The load, and the friction beside it, is that of the last fit.
 
 Source: Golub, Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
 separate", SIAM J. Numerical Analysis 1973, for the profile (variable projection) problem; solved here in the full
@@ -22,13 +22,13 @@ from torch import Tensor
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.scatter import block_scatter
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.shapes.grid import Terms, best_on_grid, columns_of
+from torchrbd.inference.shapes.grid import Terms, best_on_grid, columns_of, linear_fit_of
 from torchrbd.inference.shapes.reread import reread, with_input_noise
-from torchrbd.inference.shapes.slope import ShapeSlope, axes, feature_slopes, slopes
 from torchrbd.likelihood.block_statistics import assemble
 from torchrbd.likelihood.columns import URDF_FRICTION, Candidate
-from torchrbd.likelihood.map_fit import noise_variance, scaled_equations, solve
+from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.reading import Progress
+from torchrbd.likelihood.shapes import ShapeSlope, axes, feature_slopes, slopes
 from torchrbd.physics import Shape
 
 _MOST_PASSES = 12
@@ -62,8 +62,8 @@ class _Pass:
     x: Tensor
     loss: Tensor
     around: tuple[tuple[int, str], ...]
-    step: Tensor
-    covariance: Tensor
+    step: np.ndarray
+    covariance: np.ndarray
 
     def loss_of(self, k: int) -> float:
         """Return the loss where term k acts."""
@@ -86,12 +86,11 @@ class _Pass:
             return list(shapes), settled
         grids = [axes(self.prepared.columns, self.terms[k])[name] for k, name in self.around]
         values = np.array([shapes[k][name] for k, name in self.around])
-        size = self.covariance.diagonal().sqrt()
+        size = np.sqrt(self.covariance.diagonal())
         limits = np.array([axis.limits(value) for axis, value in zip(grids, values, strict=True)]).T - values
-        correlation = self.covariance / size / size.unsqueeze(1)
-        root = torch.linalg.cholesky(torch.linalg.inv(correlation)).mT
-        bounded = lsq_linear(root.numpy(), (root @ (self.step / size)).numpy(), limits / size.numpy())
-        steps = zip(self.around, grids, values, bounded.x * size.numpy(), size.tolist(), strict=True)
+        root = np.linalg.cholesky(np.linalg.inv(self.covariance / np.outer(size, size))).T
+        bounded = lsq_linear(root, root @ (self.step / size), limits / size)
+        steps = zip(self.around, grids, values, bounded.x * size, size, strict=True)
         for (k, name), axis, value, step, std in steps:
             enough = max(_SETTLED_STD * std, _SETTLED_GRID * axis.spacing(value))
             settled[k] = settled[k] and abs(step) < enough
@@ -144,7 +143,7 @@ def refined_from(prepared: Prepared, terms: Sequence[Candidate], progress: Progr
     """
     if not _refinable(terms):
         return with_input_noise(prepared, terms), tuple(terms)
-    now = _read(prepared, terms, _carried(prepared, terms, _fitted(prepared, terms)[0]), progress)
+    now = _read(prepared, terms, _carried(prepared, terms, linear_fit_of(prepared, terms)[0]), progress)
     best = [(c.shape, now.loss_of(k)) for k, c in enumerate(now.terms)]
     for _ in range(_MOST_PASSES):
         shapes, settled = now.next_shapes()
@@ -212,30 +211,20 @@ def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, prog
     every = [s for own in by_term for parts in own.values() for s in parts]
     prepared = reread(prepared, columns.of_candidates((*terms, *every), pi, friction), progress)
     columns = prepared.columns
-    x, loss, noise = _fitted(prepared, terms)
+    x, noise = linear_fit_of(prepared, terms)
+    count = prepared.training.torque[..., 0].sum(0)
+    loss = torch.where(count > 0, 0.5 * count * noise.log(), 0.0)
     slope = torch.zeros(columns.n, len(around), dtype=torch.float64)
     for i, (k, name) in enumerate(around):
         index = [columns.of(s)[0] for s in by_term[k][name]]
-        slope[index, i] = axes(columns, terms[k])[name].reach / 12**0.5 * x[columns.of(terms[k])]
+        slope[index, i] = axes(columns, terms[k])[name].std * x[columns.of(terms[k])]
     H, h = assemble(columns, prepared.training.total(), 1.0 / noise)
     into = torch.cat((prepared.prior.scale[:, columns_of(prepared, terms)], slope), 1)
-    precision = into.T @ H @ into + torch.eye(into.shape[1], dtype=torch.float64)
-    covariance = torch.cholesky_inverse(torch.linalg.cholesky(precision))
-    width = torch.tensor([axes(columns, terms[k])[name].reach / 12**0.5 for k, name in around], dtype=torch.float64)
-    n = len(around)
-    step = (covariance @ (into.T @ (h - H @ prepared.prior.mean)))[len(covariance) - n :] * width
-    own = covariance[len(covariance) - n :, len(covariance) - n :] * width * width.unsqueeze(1)
-    return _Pass(prepared, terms, x, loss, around, step, own)
-
-
-def _fitted(prepared: Prepared, terms: Sequence[Candidate]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return x (n,) of a linear fit of terms, the loss of each joint and its noise, (n_dof,)."""
-    training, prior, free = prepared.training, prepared.prior, columns_of(prepared, terms)
-    noise = noise_variance(training, prior, free)
-    count = training.torque[..., 0].sum(0)
-    loss = torch.where(count > 0, 0.5 * count * noise.log(), torch.zeros_like(count))
-    equations = scaled_equations(prior, training.total(), prepared.columns, 1.0 / noise)
-    return solve(prior, equations, free), loss, noise
+    found = Equations(into.T @ H @ into, into.T @ (h - H @ prepared.prior.mean)).posterior()
+    width = np.array([axes(columns, terms[k])[name].std for k, name in around])
+    at = np.arange(into.shape[1] - len(around), into.shape[1])
+    covariance = found.covariance(at) * np.outer(width, width)
+    return _Pass(prepared, terms, x, loss, around, found.z[at] * width, covariance)
 
 
 def _between(a: Shape, b: Shape) -> Shape:

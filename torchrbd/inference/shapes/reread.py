@@ -11,11 +11,11 @@ from torch import nn
 from torchrbd.inference.input_noise import input_noise
 from torchrbd.inference.physical.fitting import fit_model
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.shapes.slope import ShapeSlope, axes
 from torchrbd.inference.smoothing.smooth import Trajectory
 from torchrbd.inference.smoothing.smoother import StateSmoother
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.reading import Progress
+from torchrbd.likelihood.shapes import ShapeSlope, axes
 from torchrbd.likelihood.urdf_prior import data_prior
 
 
@@ -31,7 +31,7 @@ def reread(prepared: Prepared, columns: Columns, progress: Progress) -> Prepared
     for c in columns.candidates:
         if isinstance(c, ShapeSlope):
             (k,) = columns.of(c)
-            prior.scale[k, k] = min(float(prior.scale[k, k]), axes(columns, c)[c.parameter].reach / 12**0.5)
+            prior.scale[k, k] = min(float(prior.scale[k, k]), axes(columns, c)[c.parameter].std)
     return replace(prepared, columns=columns, statistics=statistics, prior=prior)
 
 

@@ -31,7 +31,7 @@ from torchrbd.inference.smoothing.information import Information, distance, elim
 from torchrbd.inference.smoothing.linearisation import residual
 from torchrbd.inference.smoothing.stretch import Stretch
 from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.map_fit import Scaled
+from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.physical_fit import PhysicalFit, physical_fit
 from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, to_log_cholesky
@@ -187,7 +187,7 @@ class StateSmoother(nn.Module):
         away = self.x.detach() - self.prior.mean
         h = curvature @ away
         h[free] += found.slope
-        return physical_fit(self.prior, Scaled(S.T @ curvature @ S, S.T @ h), self.terms)
+        return physical_fit(self.prior, Equations(S.T @ curvature @ S, S.T @ h), self.terms)
 
     @torch.no_grad()
     def _update_noise(self, found: Information, fit: PhysicalFit) -> float:

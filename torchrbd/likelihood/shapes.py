@@ -59,6 +59,11 @@ class Axis:
         """Distance between the first and the last value."""
         return self.values[-1] - self.values[0]
 
+    @property
+    def std(self) -> float:
+        """Standard deviation of a value that may be anywhere between these."""
+        return self.reach / 12**0.5
+
     def spacing(self, value: float) -> float:
         """Return the distance of values around one, 0 if there is one only."""
         low, high = self._around(value)
@@ -97,6 +102,11 @@ def axes(columns: Columns, term: Candidate) -> dict[str, Axis]:
     return {name: Axis(_thinned(own, most)) for name, own in values.items()}
 
 
+def varied(columns: Columns, term: Candidate) -> dict[str, Axis]:
+    """Return the same without choices between kinds, such as the side of a stop: these stay as the grid has them."""
+    return {name: axis for name, axis in axes(columns, term).items() if axis.reach > 0}
+
+
 def _thinned(values: Sequence[float], most: int) -> tuple[float, ...]:
     """Return at most so many of ascending values, the ends among them."""
     n = min(most, len(values))
@@ -104,16 +114,14 @@ def _thinned(values: Sequence[float], most: int) -> tuple[float, ...]:
 
 
 def slopes(columns: Columns, term: Candidate, weights: Tensor) -> list[ShapeSlope]:
-    """Return the slopes of a term with coefficients ``weights`` (K,) in its shape parameters.
-
-    That in a choice between kinds, such as the side of a stop, is zero: it stays as the grid has it.
-    """
+    """Return the slopes of a term with coefficients ``weights`` (K,) in its shape parameters."""
     found, given = [], tuple(weights.tolist())
-    for name, axis in axes(columns, term).items():
-        if axis.reach > 0:
-            label = f"slope of {given} {term.effect.id} at {term.site} in {name}"
-            step = _STEP * axis.spacing(term.shape[name])
-            found.append(ShapeSlope(term.effect, term.site, term.shape, (label,), name, step, given))
+    for name, axis in varied(columns, term).items():
+        label, step = (
+            f"slope of {given} {term.effect.id} at {term.site} in {name}",
+            _STEP * axis.spacing(term.shape[name]),
+        )
+        found.append(ShapeSlope(term.effect, term.site, term.shape, (label,), name, step, given))
     return found
 
 
