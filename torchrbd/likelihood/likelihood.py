@@ -134,6 +134,10 @@ class Likelihood:
         """Return what is left of a joint's torque, (M,) [N m or N]."""
         return self.machine.target[joint] - self.gaussian.z[self.gaussian.blocks[joint].own] @ self._raw[joint]
 
+    def columns(self, joint: int) -> np.ndarray:
+        """Return the columns of a joint before they are whitened, (P_j, M), in prior coordinates."""
+        return self._raw[joint]
+
     def beside(self, place: int | None, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return precision (K, K) and score (K,) of features (K, M) of a joint, or (K, n, M) of all, beside the fit."""
         joints = [j for j in (range(len(self.index)) if place is None else (place,)) if len(self.index[j])]
