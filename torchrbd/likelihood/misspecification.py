@@ -27,6 +27,8 @@ from scipy.stats import chi2
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.noise import Noise
 
+# Below this p-value the model is taken to be wrong.
+MISFIT = 0.01
 # Where least squares loses less than this part of its variance by whitening, both estimates are one.
 _LEAST_LOSS = 0.01
 # The noise forgets what its response has below this part of its first value, or what is so many rows ago.
@@ -85,7 +87,13 @@ class TwoEstimates:
         self.efficient, self.ordinary = self._Hw @ (g.score + shift), self._Ho @ (score + shift)
 
     def test(self, index: Sequence[int] | np.ndarray) -> Misfit:
-        """Test whether the estimates of some coefficients (K,) are one but for noise."""
+        """Test whether the estimates of some coefficients (K,) are one but for noise.
+
+        Raises:
+            ValueError: of none.
+        """
+        if not len(index):
+            raise ValueError("no coefficients to compare: expected one index or more")
         Kw, Ko = self._Hw[index], self._Ho[index]
         V, C = (Ko - Kw) @ self._P @ (Ko - Kw).T, Ko @ self._P @ Ko.T
         for own, memory, X, before in self._parts:
