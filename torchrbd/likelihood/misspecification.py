@@ -127,13 +127,13 @@ def remembered(U: np.ndarray, noise: Noise, run: np.ndarray) -> tuple[np.ndarray
         (K, M) of the innovations of each row, and the covariance (K, K) by those before the beginning of each run.
     """
     recursion = np.concatenate(([1.0], -noise.predictor))
-    response = np.abs(lfilter([1.0], recursion, np.eye(1, _MOST_MEMORY)[0]))
+    response = np.abs(np.asarray(lfilter([1.0], recursion, np.eye(1, _MOST_MEMORY)[0])))
     reach = int(np.flatnonzero(response > _FORGOTTEN)[-1])
     memory, before = np.zeros_like(U), np.zeros((len(U), len(U)))
     for number in np.unique(run):
         inside = np.flatnonzero(run == number)
         later = np.concatenate((U[:, inside[::-1]], np.zeros((len(U), reach))), axis=1)
-        found = lfilter([1.0], recursion, later, axis=1)
+        found = np.asarray(lfilter([1.0], recursion, later, axis=1))
         memory[:, inside] = found[:, : len(inside)][:, ::-1] * noise.std[inside]
         early = found[:, len(inside) :] * noise.std[inside[0]]
         before += early @ early.T
