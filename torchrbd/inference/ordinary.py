@@ -15,6 +15,7 @@ from dataclasses import replace
 import torch
 
 from torchrbd.errors import RecordingError
+from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
@@ -54,14 +55,30 @@ def with_machine(prepared: Prepared, settings: Settings, effects: Sequence[Effec
     held = frozenset(settings.held_bodies(prepared.robot))
     plain = learn(Machine(read_rows(prepared.reading, prepared.columns, prepared.kept_back), held), white=True)
     sticky = torch.tensor([bool((noise.weight < _STICKS).any()) for noise in plain.hyper.noise])
-    found, scales = _told_by_what_is_fast(prepared, held)
+    found, wide = _told_by_what_is_fast(prepared, held)
     late = {} if not found else of_one_machine(found, [r.name for r in prepared.recordings])
-    columns = prepared.columns.at_scales(scales).sticking(prepared.columns.stick_levels * sticky)
     reading = replace(prepared.reading, delay_s={name: d for name, (d, std) in late.items() if abs(d) > _TOLD * std})
+    prepared = replace(prepared, reading=reading)
+    # What is fast may tell a width that what is slow contradicts: each joint has that which leaves less.
+    narrow = prepared.columns.scales
+    better = _left(prepared, wide, effects, held) < _left(prepared, narrow, effects, held)
+    scales = [new if less else old for old, new, less in zip(narrow, wide, better.tolist(), strict=True)]
+    columns = prepared.columns.at_scales(scales).sticking(prepared.columns.stick_levels * sticky)
     statistics = reading.statistics(columns, progress)
-    training = statistics.select(~prepared.held_out)
-    prior = data_prior(training, held, settings.kappa)
-    return replace(prepared, reading=reading, columns=columns, statistics=statistics, prior=prior)
+    prior = data_prior(statistics.select(~prepared.held_out), held, settings.kappa)
+    return replace(prepared, columns=columns, statistics=statistics, prior=prior)
+
+
+def _left(
+    prepared: Prepared, scales: Sequence[JointScale], effects: Sequence[Effect], held: frozenset[str]
+) -> torch.Tensor:
+    """Return the squared errors (n_dof,) that least squares leaves with such scales, all samples counting alike."""
+    columns = prepared.columns.at_scales(scales)
+    columns = columns.sticking(torch.zeros_like(columns.stick_levels))
+    training = prepared.reading.statistics(columns, lambda *_: None).select(~prepared.held_out)
+    terms = term_candidates(columns, [e.id for e in effects if e.id in ORDINARY_EFFECTS])
+    fit = fit_model(training, data_prior(training, held, prepared.prior.kappa), terms)
+    return training.squared_error(fit.x).sum(0)
 
 
 def _told_by_what_is_fast(
