@@ -66,7 +66,8 @@ def test_a_ranking_keeps_its_numbers_and_its_gaps(found: Identification, tmp_pat
     result = Diagnosis(found, "missing_physics", "z", (), ranking=ranked)
     write_diagnosis(result, tmp_path / "d")
     content = read(tmp_path / "d")["ranking"]
-    assert content.keys() == {"band_hz", "considered", "delay_s", "ordinary", "first", "adopted", "last"}
+    assert content.keys() == {"band_hz", "considered", "delay_s", "misfit", "ordinary", "first", "adopted", "last"}
+    assert content["misfit"]["b"] == {"statistic": 42.0, "dof": 3, "p_value": 4e-9}
     assert (content["band_hz"], content["considered"]) == (15.0, 42)
     assert content["delay_s"]["fit.csv"] == {"value": -0.0012, "std": 0.0001}
     assert [len(content[name]) for name in ("ordinary", "first", "adopted", "last")] == [4, 30, 1, 2]

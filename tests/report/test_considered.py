@@ -10,7 +10,8 @@ from report.rendered import Text, render, tidy
 from torchrbd.cli.tables import print_diagnosis
 from torchrbd.diagnosis.ranking import Ranked
 from torchrbd.diagnosis.results import Alternative, Diagnosis
-from torchrbd.report.considered import agreement, leading, nats
+from torchrbd.likelihood.misspecification import Misfit
+from torchrbd.report.considered import agreement, leading, misfit_sentence, nats
 
 JOINTS = ("joint1", "joint2", "slide")
 COULOMB = Ranked("coulomb_friction", ("joint2",), (), 50.0, {"coulomb": 1.0})
@@ -37,6 +38,7 @@ def test_hypotheses_are_shown_with_bars_places_units_and_times(tmp_path):
         "ln 42 = 3.7",
         "below 15 Hz",
         "30 more were considered",
+        "Whitened rows and plain least squares disagree on the friction of slide (p = 4.00·10⁻⁹): its law",
         "fit.csv 1.20 ± 0.20 ms earlier",
         "hold.csv 0 ± 50 ms later",
         "joint1 0.500 N m s/rad URDF 0.250 120 0.500 N m 0.500 N m 0.0100 rad/s 120",
@@ -118,3 +120,9 @@ def test_an_effect_that_is_not_registered_here_has_its_row(tmp_path):
 )
 def test_nats(evidence, words):
     assert nats(evidence) == words
+
+
+def test_estimates_that_agree_are_said_to_agree():
+    agrees = "Whitened rows and plain least squares agree on the friction of every joint."
+    assert misfit_sentence({"a": Misfit(2.0, 3, 0.57), "b": Misfit(0.0, 0, 1.0)}) == agrees
+    assert misfit_sentence({"a": Misfit(0.0, 0, 1.0)}) == misfit_sentence({}) == ""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,11 +16,13 @@ from torchrbd.inference.identify import Source, read_arguments
 from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
+from torchrbd.likelihood.clocks import Clocks, in_time
 from torchrbd.likelihood.columns import Candidate, Columns
-from torchrbd.likelihood.likelihood import Likelihood, learn
-from torchrbd.likelihood.machine import ORDINARY_EFFECTS, Machine
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.machine import ORDINARY_EFFECTS
+from torchrbd.likelihood.misspecification import MISFIT, Misfit, TwoEstimates
 from torchrbd.likelihood.reading import Progress, Reading
-from torchrbd.likelihood.rows import KeptBack, Rows, not_held_out, read_rows
+from torchrbd.likelihood.rows import KeptBack, Rows, not_held_out
 from torchrbd.likelihood.scales import covered_scales
 from torchrbd.physics import Effect, Site, Window
 from torchrbd.physics.registry import effect
@@ -33,9 +35,6 @@ _LEADING, _SHOWN = 5, 30
 # A leader is adopted, and the others are ranked beside it, while its odds against chance are above nine to one, of all
 # hypotheses one being expected; at most so many.
 _SURE, _MOST_ADOPTED = math.log(9.0), 6
-
-# Torque and motion are together if their clocks are so many samples apart; readings until they are.
-_NEAR_SAMPLES, _MOST_READINGS = 0.5, 2
 
 
 @dataclass(frozen=True)
@@ -68,12 +67,14 @@ class Ranking:
 
     Attributes:
         band_hz: up to which torques were compared.
-        ordinary: friction of each joint, which every machine has: evidence against leaving it out.
+        ordinary: friction of each joint, which every machine has: evidence against leaving it out. Where ``misfit``
+            says that its law is wrong, coefficients are those of plain least squares, which predict.
         delay_s: by recording, how much later the torque is than the motion, and its standard deviation.
         first: beside a rigid body with ordinary friction.
         adopted: those that were taken into the model, one after the other.
         last: beside these; the adopted ones among them, each against leaving it out.
         considered: number of effects at their places.
+        misfit: by joint, whether whitened rows and plain least squares agree on its friction (Hausman's test).
     """
 
     band_hz: float
@@ -83,6 +84,7 @@ class Ranking:
     adopted: tuple[Ranked, ...]
     last: tuple[Ranked, ...]
     considered: int
+    misfit: dict[str, Misfit]
     _fit: Likelihood = field(repr=False)
     _rows: Rows = field(repr=False)
 
@@ -166,59 +168,40 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
     reading = replace(reading, filtering=Filtering(band, of_motion=True), smoothed=())
     columns = Columns(robot, (), covered_scales(surveys, reading.filtering))
     progress("learning the noise", 0.0)
-    fit, clocks = _in_time(reading, columns, kept_back, frozenset(settings.held_bodies(robot)))
+    clocks = in_time(reading, columns, kept_back, frozenset(settings.held_bodies(robot)))
+    fit = clocks.fit
     rows = _carried(fit)
     progress("ranking", 0.0)
     found = _leading(fit, rows, screened(fit, rows, effects))
     last, adopted, terms = _last(fit, rows, effects, found, progress)
-    late = [clocks.ranked] if any(e.id == clocks.ranked.effect for e in effects) and robot.n_dof > 1 else []
+    late = [_delay(clocks)] if any(e.id == "time_delay" for e in effects) and robot.n_dof > 1 else []
 
     def shown(hypotheses: Sequence[Hypothesis], beside: Likelihood) -> tuple[Ranked, ...]:
         every = [*(_ranked(h, beside, robot) for h in hypotheses[:_SHOWN]), *late]
         return tuple(sorted(every, key=lambda h: -h.log_evidence)[:_SHOWN])
 
+    two = TwoEstimates(fit)
+    seen = [j for j in range(robot.n_dof) if fit.machine.rows.seen[j]]
+    misfit = {robot.joint_names[j]: two.test(fit.machine.ordinary(j)) for j in seen}
     return Ranking(
         band_hz=band,
-        ordinary=_ordinary(fit),
+        ordinary=_ordinary(fit, two, misfit),
         delay_s=clocks.delay_s,
         first=shown(found, fit),
         adopted=tuple(_ranked(h, fit, robot) for h in adopted),
         last=shown(last, terms),
         considered=len(found) + len(late),
+        misfit=misfit,
         _fit=fit,
         _rows=rows,
     )
 
 
-class _Clocks(NamedTuple):
-    """By recording, how much later the torque is than the motion and its standard deviation [s]; as a hypothesis."""
-
-    delay_s: dict[str, tuple[float, float]]
-    ranked: Ranked
-
-
-def _in_time(
-    reading: Reading, columns: Columns, kept_back: KeptBack, held: frozenset[str]
-) -> tuple[Likelihood, _Clocks]:
-    """Learn the likelihood of ordinary physics, torque and motion brought together where their clocks are far apart.
-
-    The offset of the clocks is a linear term of every model; where it is not small, torques are read anew by so much
-    earlier. The evidence against clocks that agree is that of the first reading.
-    """
-    fit = learn(Machine(read_rows(reading, columns, kept_back), held))
-    against = fit.gaussian.against_zero(fit.machine.timing)
-    shift = dict.fromkeys((r.name for r in reading.recordings), 0.0)
-    for _ in range(_MOST_READINGS):
-        found = dict(zip(fit.machine.rows.seen_recordings, fit.delay_s.tolist(), strict=True))
-        if max(map(abs, found.values())) < _NEAR_SAMPLES * fit.machine.rows.dt:
-            break
-        shift = {name: late + found.get(name, 0.0) for name, late in shift.items()}
-        fit = learn(Machine(read_rows(replace(reading, delay_s=shift), columns, kept_back), held))
-    spread = fit.machine.timing_std * np.sqrt(fit.gaussian.covariance(fit.machine.timing).diagonal())
-    every = zip(fit.machine.rows.seen_recordings, fit.delay_s, spread, strict=True)
-    delay_s = {name: (float(late) + shift[name], float(std)) for name, late, std in every}
-    mean = float(np.average([d for d, _ in delay_s.values()], weights=[1.0 / s**2 for _, s in delay_s.values()]))
-    return fit, _Clocks(delay_s, Ranked("time_delay", (), (), against, {"delay": mean}))
+def _delay(clocks: Clocks) -> Ranked:
+    """Return clocks that are apart, of all recordings alike, as a hypothesis."""
+    late, std = np.array(list(clocks.delay_s.values())).T
+    mean = float(np.average(late, weights=std**-2.0))
+    return Ranked("time_delay", (), (), clocks.against, {"delay": mean})
 
 
 def _carried(fit: Likelihood) -> Rows:
@@ -322,14 +305,15 @@ def _whole(candidate: Candidate, coefficients: np.ndarray, fit: Likelihood) -> n
     return coefficients + [own.get(label, 0.0) for label in candidate.labels]
 
 
-def _ordinary(fit: Likelihood) -> tuple[Ranked, ...]:
+def _ordinary(fit: Likelihood, two: TwoEstimates, misfit: Mapping[str, Misfit]) -> tuple[Ranked, ...]:
     """Return the friction that every joint has, and the evidence against leaving it out."""
     robot, found = fit.machine.rows.columns.robot, []
+    predicting = np.maximum(fit.machine.friction(two.ordinary, fit.hyper), 0.0)
     for j, name in enumerate(robot.joint_names):
         if not fit.machine.rows.seen[j]:
             continue
         at = fit.machine.ordinary(j)
-        viscous, plus, minus = map(float, fit.friction[j])
+        viscous, plus, minus = map(float, (predicting if misfit[name].p_value < MISFIT else fit.friction)[j])
         for identifier, index, values in (
             (ORDINARY_EFFECTS[0], at[:1], {"viscous": viscous}),
             (ORDINARY_EFFECTS[1], at[1:], {"coulomb_plus": plus, "coulomb_minus": minus}),

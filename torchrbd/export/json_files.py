@@ -88,9 +88,10 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
         autocorrelation time of the errors) and white_s (that of white noise).
     ranking: what was considered, by its evidence, or null if that could not be told: band_hz, up to which torques were
         compared; considered, the number of effects at their places; delay_s, by recording, how much later the torque is
-        than the motion (value, std); and four lists of hypotheses: ordinary (friction of each joint, which every
-        machine has), first (the best 30 beside rigid body and ordinary friction), adopted (what was taken into the
-        model, one after the other), last (the best 30 beside these, and the adopted ones among them).
+        than the motion (value, std); misfit, by joint, whether whitened rows and plain least squares agree on its
+        friction (Hausman's test: statistic, dof, p_value); and four lists of hypotheses: ordinary (friction of each
+        joint, which every machine has), first (the best 30 beside rigid body and ordinary friction), adopted (what was
+        taken into the model, one after the other), last (the best 30 beside these, and the adopted ones among them).
         A hypothesis: effect, joints and links (none of either: the whole robot), log_evidence (against leaving it out,
         in nats), parameters by name (SI units), other (the joint on whose motion it depends) or null, window
         (recording, from_s, to_s) or null, and shape, its nonlinear parameters.
@@ -120,6 +121,7 @@ def _ranking(found: Ranking) -> dict[str, Any]:
         "band_hz": found.band_hz,
         "considered": found.considered,
         "delay_s": {name: {"value": value, "std": std} for name, (value, std) in found.delay_s.items()},
+        "misfit": {name: asdict(one) for name, one in found.misfit.items()},
         **{name: [_hypothesis(one) for one in hypotheses] for name, hypotheses in lists.items()},
     }
 

@@ -1,8 +1,10 @@
 """Ordinary machine physics of an identification: friction at every joint, and clocks that are apart.
 
 Friction is estimated beside the inertial parameters, not searched for: parameters of a machine that is fitted without
-its friction are those of another machine. By how much torque and motion are apart in time, and whether joints stick,
-is learnt by least squares in the band of the fit.
+its friction are those of another machine. By how much torque and motion are apart in time, how wide the sign change of
+friction is and whether joints stick is told by what is fast, reversals above all, and therefore learnt from whitened
+rows; coefficients are those of least squares in the band of the fit, which predict where the law of friction is not
+quite right.
 """
 
 from __future__ import annotations
@@ -12,17 +14,27 @@ from dataclasses import replace
 
 import torch
 
+from torchrbd.errors import RecordingError
+from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.band import band_hz
+from torchrbd.likelihood.clocks import in_time, of_one_machine
+from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.likelihood import learn
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS, Machine
+from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
 from torchrbd.likelihood.reading import Progress
-from torchrbd.likelihood.rows import read_rows
+from torchrbd.likelihood.rows import not_held_out, read_rows
+from torchrbd.likelihood.scales import covered_scales
 from torchrbd.likelihood.urdf_prior import data_prior
-from torchrbd.physics import Effect, effect
+from torchrbd.physics import Effect, JointScale, effect
+from torchrbd.recordings import Filtering
 
 # Clocks that are apart by less than so many standard deviations are not.
 _TOLD = 3.0
+# Where a joint sticks, its friction makes rows so many times noisier.
+_STICKS = 2.0
 
 
 def with_friction(settings: Settings) -> tuple[Effect, ...]:
@@ -33,7 +45,7 @@ def with_friction(settings: Settings) -> tuple[Effect, ...]:
 
 
 def with_machine(prepared: Prepared, settings: Settings, effects: Sequence[Effect], progress: Progress) -> Prepared:
-    """Return the same data with clocks as late and joints as sticky as least squares has them.
+    """Return the same data with clocks, sign changes of friction and sticks as the likelihood has them.
 
     States that have been smoothed stay as they are, as do data to which no friction is fitted.
     """
@@ -41,14 +53,56 @@ def with_machine(prepared: Prepared, settings: Settings, effects: Sequence[Effec
         return prepared
     progress("learning clocks and sticks", 0.0)
     held = frozenset(settings.held_bodies(prepared.robot))
-    fit = learn(Machine(read_rows(prepared.reading, prepared.columns, prepared.kept_back), held), white=True)
-    spread = fit.machine.timing_std * fit.gaussian.covariance(fit.machine.timing).diagonal() ** 0.5
-    clocks = zip(fit.machine.rows.seen_recordings, fit.delay_s, spread, strict=True)
-    late = {name: float(d) for name, d, std in clocks if abs(d) > _TOLD * std}
-    sticky = torch.tensor([bool((noise.spread > 2.0).any()) for noise in fit.hyper.noise])
-    columns = prepared.columns.sticking(prepared.columns.stick_levels * sticky)
-    reading = replace(prepared.reading, delay_s=late)
+    plain = learn(Machine(read_rows(prepared.reading, prepared.columns, prepared.kept_back), held), white=True)
+    sticky = torch.tensor([bool((noise.spread > _STICKS).any()) for noise in plain.hyper.noise])
+    found, wide = _told_by_what_is_fast(prepared, held)
+    late = {} if not found else of_one_machine(found, [r.name for r in prepared.recordings])
+    reading = replace(prepared.reading, delay_s={name: d for name, (d, std) in late.items() if abs(d) > _TOLD * std})
+    prepared = replace(prepared, reading=reading)
+    # What is fast may tell a width that what is slow contradicts: each joint has that which leaves less.
+    narrow = prepared.columns.scales
+    better = _left(prepared, wide, effects, held) < _left(prepared, narrow, effects, held)
+    scales = [new if less else old for old, new, less in zip(narrow, wide, better.tolist(), strict=True)]
+    columns = prepared.columns.at_scales(scales).sticking(prepared.columns.stick_levels * sticky)
     statistics = reading.statistics(columns, progress)
-    training = statistics.select(~prepared.held_out)
-    prior = data_prior(training, held, settings.kappa)
-    return replace(prepared, reading=reading, columns=columns, statistics=statistics, prior=prior)
+    prior = data_prior(statistics.select(~prepared.held_out), held, settings.kappa)
+    return replace(prepared, columns=columns, statistics=statistics, prior=prior)
+
+
+def _left(
+    prepared: Prepared, scales: Sequence[JointScale], effects: Sequence[Effect], held: frozenset[str]
+) -> torch.Tensor:
+    """Return the squared errors (n_dof,) that least squares leaves with such scales, all samples counting alike."""
+    columns = prepared.columns.at_scales(scales)
+    columns = columns.sticking(torch.zeros_like(columns.stick_levels))
+    training = prepared.reading.statistics(columns, lambda *_: None).select(~prepared.held_out)
+    terms = term_candidates(columns, [e.id for e in effects if e.id in ORDINARY_EFFECTS])
+    fit = fit_model(training, data_prior(training, held, prepared.prior.kappa), terms)
+    return training.squared_error(fit.x).sum(0)
+
+
+def _told_by_what_is_fast(
+    prepared: Prepared, held: frozenset[str]
+) -> tuple[dict[str, tuple[float, float]], list[JointScale]]:
+    """Return clocks and how wide friction's sign changes are, as whitened rows of a wide band tell them.
+
+    Those of which plain least squares says otherwise are told by a law that is wrong: such clocks are left out, such
+    sign changes stay as wide as the velocity's error makes them.
+
+    Returns:
+        by recording, the offset of its clocks and its standard deviation [s]; what each joint covers.
+    """
+    seen = [prepared.reading.surveys[k] for k in not_held_out(prepared.reading, prepared.kept_back)]
+    reading = replace(prepared.reading, filtering=Filtering(band_hz(seen), of_motion=True))
+    scales = list(prepared.columns.scales)
+    try:
+        columns = Columns(prepared.robot, (), covered_scales(seen, reading.filtering))
+        clocks = in_time(reading, columns, prepared.kept_back, held)
+    except RecordingError:
+        return {}, scales
+    two, machine = TwoEstimates(clocks.fit), clocks.fit.machine
+    agree = [two.test([k]).p_value > MISFIT for k in machine.timing]
+    for j, width in enumerate(clocks.fit.hyper.rest_width.tolist()):
+        if machine.rows.seen[j] and two.test([machine.bend(j)]).p_value > MISFIT:
+            scales[j] = replace(scales[j], rest_width=max(width, scales[j].rest_width))
+    return {name: one for (name, one), told in zip(clocks.delay_s.items(), agree, strict=True) if told}, scales

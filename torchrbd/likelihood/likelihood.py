@@ -143,6 +143,10 @@ class Likelihood:
         A, own = self._raw[joint]
         return self.machine.target[joint] - self.gaussian.z[own] @ A
 
+    def columns(self, joint: int) -> np.ndarray:
+        """Return the columns of a joint before they are whitened, (P_j, M), in prior coordinates."""
+        return self._raw[joint][0]
+
     def beside(self, place: int | None, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return precision (K, K) and score (K,) of features (K, M) of a joint, or (K, n, M) of all, beside the fit."""
         joints = [j for j in (range(len(self.index)) if place is None else (place,)) if len(self.index[j])]

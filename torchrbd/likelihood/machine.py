@@ -121,6 +121,10 @@ class Machine:
         """Return where the coefficients of viscous and both Coulomb frictions of a joint stand, (3,)."""
         return self._first(joint) + np.arange(len(ORDINARY))
 
+    def bend(self, joint: int) -> int:
+        """Return where the coefficient of the width of a joint's sign change stands."""
+        return self._first(joint) + len(ORDINARY)
+
     @property
     def resisting(self) -> np.ndarray:
         """Where all coefficients of ordinary friction stand, (3 n_dof,)."""

@@ -201,8 +201,9 @@ class Signals:
         """Derivatives of the load of each joint by q, qd and qdd of each, (3, n, n, *batch)."""
         return self.robot.torque_slopes(*self._states, self._own_pi).movedim((-3, -2, -1), (0, 1, 2))
 
-    def deviating(self, joint: int, shift: Tensor) -> Tensor:
+    def deviating(self, joint: int | None, shift: Tensor) -> Tensor:
         """Return what the load changes by, (n, *batch), as a joint's link deviates by ``shift`` (*batch) over time."""
+        assert joint is not None
         speed = self.rate(shift)
         deviation = torch.stack((shift, speed, self.rate(speed)))
         return (self.load_slopes[:, :, joint] * deviation[:, None]).sum(0)

@@ -11,6 +11,7 @@ from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Finding, Where
 from torchrbd.diagnosis.search.options import COMMON
 from torchrbd.diagnosis.words import at, named, when
+from torchrbd.likelihood.misspecification import MISFIT, Misfit
 from torchrbd.physics import effects
 from torchrbd.robot import RobotModel
 
@@ -79,6 +80,7 @@ class Considered:
     chance: str
     chance_at: float
     ordinary: list[Ordinary]
+    misfit: str
     clocks: list[tuple[str, str]]
     steps: list[Step]
 
@@ -110,6 +112,7 @@ def considered(found: Ranking, findings: Sequence[Finding], robot: RobotModel) -
         chance=nats(_chance(found)),
         chance_at=min(1.0, _chance(found) / BAR_END),
         ordinary=_ordinary(found.ordinary, robot),
+        misfit=misfit_sentence(found.misfit),
         clocks=[(name, _clock(*delay)) for name, delay in found.delay_s.items()],
         steps=steps,
     )
@@ -151,6 +154,18 @@ def agreement(found: Ranking, findings: Sequence[Finding]) -> str:
     told += ["The ranking asks for nothing beyond a rigid body with ordinary friction."] if not asked else []
     told += [f"The search has named {joined(rest)}, for which the ranking does not ask."] if rest else []
     return " ".join(told)
+
+
+def misfit_sentence(found: Mapping[str, Misfit]) -> str:
+    """Say at which joints whitened rows and least squares disagree on friction; nothing where that was not tested."""
+    wrong = [f"{joint} (p = {number(m.p_value)})" for joint, m in found.items() if m.p_value < MISFIT]
+    if not wrong:
+        agree = "Whitened rows and plain least squares agree on the friction of every joint."
+        return agree if any(m.dof for m in found.values()) else ""
+    return (
+        f"Whitened rows and plain least squares disagree on the friction of {joined(wrong)}: its law is not quite "
+        "that, and the coefficients shown are those of least squares, which predict better."
+    )
 
 
 def title(one: Ranked) -> str:

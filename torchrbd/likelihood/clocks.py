@@ -1,0 +1,71 @@
+"""Clocks of torque and motion: brought together where they are far apart, told by the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.likelihood import Likelihood, learn
+from torchrbd.likelihood.machine import Machine
+from torchrbd.likelihood.reading import Reading
+from torchrbd.likelihood.rows import KeptBack, read_rows
+
+# Torque and motion are together if their clocks are so many samples apart; readings until they are.
+_NEAR_SAMPLES, _MOST_READINGS = 0.5, 2
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """What is learnt of torque and motion that have been brought together.
+
+    Attributes:
+        fit: the likelihood.
+        delay_s: by recording, how much later the torque is than the motion, and its standard deviation [s].
+        against: log evidence, at the first reading, against clocks that agree.
+    """
+
+    fit: Likelihood
+    delay_s: dict[str, tuple[float, float]]
+    against: float
+
+
+def in_time(reading: Reading, columns: Columns, kept_back: KeptBack, held: frozenset[str]) -> Clocks:
+    """Learn the likelihood of ordinary physics, torque and motion brought together where their clocks are far apart.
+
+    The offset of the clocks is a linear term of every model; where it is not small, torques are read anew by so much
+    earlier. The evidence against clocks that agree is that of the first reading.
+    """
+    fit = learn(Machine(read_rows(reading, columns, kept_back), held))
+    against = fit.gaussian.against_zero(fit.machine.timing)
+    shift = dict.fromkeys((r.name for r in reading.recordings), 0.0)
+    for _ in range(_MOST_READINGS):
+        found = dict(zip(fit.machine.rows.seen_recordings, fit.delay_s.tolist(), strict=True))
+        if max(map(abs, found.values())) < _NEAR_SAMPLES * fit.machine.rows.dt:
+            break
+        shift = {name: late + found.get(name, 0.0) for name, late in shift.items()}
+        fit = learn(Machine(read_rows(replace(reading, delay_s=shift), columns, kept_back), held))
+    spread = fit.machine.timing_std * np.sqrt(fit.gaussian.covariance(fit.machine.timing).diagonal())
+    every = zip(fit.machine.rows.seen_recordings, fit.delay_s, spread, strict=True)
+    return Clocks(fit, {name: (float(late) + shift[name], float(std)) for name, late, std in every}, against)
+
+
+def of_one_machine(
+    found: Mapping[str, tuple[float, float]], recordings: Sequence[str]
+) -> dict[str, tuple[float, float]]:
+    """Return the offsets of all recordings' clocks and their standard deviations [s].
+
+    A recording that is held out is of the same machine: it has the mean of those that are not, and may differ from it
+    as much as they scatter.
+
+    Args:
+        found: of those that are fitted, one or more.
+        recordings: names of all.
+    """
+    late, std = np.array(list(found.values())).T
+    weight = std**-2.0
+    mean = float(weight @ late / weight.sum())
+    scatter = float(weight @ (late - mean) ** 2 / weight.sum())
+    return dict.fromkeys(recordings, (mean, float(np.sqrt(1.0 / weight.sum() + scatter)))) | dict(found)

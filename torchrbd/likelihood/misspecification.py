@@ -1,0 +1,150 @@
+"""Whether a model is wrong: do the efficient estimate and plain least squares agree? (Hausman's test)
+
+Whitening weighs what is fast, least squares what is large. Both are right if the model is; where a law is wrong, each
+bends it its own way. With z ~ N(m, P^-1), whitened rows W y = X z + e, e white, and the same rows as least squares
+sees them, y_o = X_o z + G e, each joint's divided by the size of its noise and taken to be independent,
+
+    z_w - z = H_w^-1 (X'e - P (z - m)),       H_w = X'X + P         efficient
+    z_o - z = H_o^-1 (X_o'G e - P (z - m)),   H_o = X_o'X_o + P     consistent, whatever the noise's colour
+    d = z_o - z_w,   V = cov(d),   d'V^+ d ~ chi-squared, of as many degrees of freedom as V has rank
+
+The prior is the same in both and part of V: directions that it decides differ by nothing, and count nothing. G is the
+noise's memory, W's inverse.
+
+Source: Hausman, "Specification Tests in Econometrics", Econometrica 1978, theorem 2.1. There V = C_o - C_w; here it is
+that of d itself, as the rows with which a run begins only predict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.stats import chi2
+
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.noise import Noise
+
+# Below this p-value the model is taken to be wrong.
+MISFIT = 0.01
+# Where least squares loses less than this part of its variance by whitening, both estimates are one.
+_LEAST_LOSS = 0.01
+# The noise forgets what its response has below this part of its first value, or what is so many rows ago.
+_FORGOTTEN, _MOST_MEMORY = 1e-4, 4096
+# Directions of coefficients below this are told by rounding.
+_LEAST_DIRECTION = 1e-9
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """How far two estimates differ that are one where the model is right.
+
+    Attributes:
+        statistic: d'V^+ d.
+        dof: its degrees of freedom; 0 where least squares loses nothing.
+        p_value: how often a right model differs by as much.
+    """
+
+    statistic: float
+    dof: int
+    p_value: float
+
+
+class TwoEstimates:
+    """The efficient and the least-squares estimate of the coefficients of one likelihood.
+
+    The priors that keep friction from pushing are in neither: they are not Gaussian.
+
+    Args:
+        fit: the model, its noise learnt.
+
+    Attributes:
+        efficient, ordinary: z_w and z_o, (P,).
+    """
+
+    def __init__(self, fit: Likelihood) -> None:
+        g, rows, at = fit.gaussian, fit.machine.rows, fit.machine.resisting
+        sites = np.zeros((2, len(g.z)))
+        sites[:, at] = fit.hyper.resists.reshape(2, -1)
+        self._P, shift = g.H - g.data - np.diag(sites[0]), g.h - g.score - sites[1]
+        data, score = np.zeros_like(g.data), np.zeros_like(g.score)
+        self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+        for j, (block, noise, index) in enumerate(zip(g.blocks, fit.hyper.noise, fit.index, strict=True)):
+            if not len(index):
+                continue
+            scale = np.zeros(len(rows.t))
+            scale[index] = 1.0 / noise.spread[index]
+            scale /= np.sqrt(np.mean((scale * fit.residual(j))[index] ** 2))
+            X = fit.columns(j) * scale
+            data[np.ix_(block.own, block.own)] += X @ X.T
+            score[block.own] += X @ (scale * fit.machine.target[j])
+            memory, before = remembered(X, noise, rows.run)
+            self._parts.append((block.own, memory[:, index], block.X, before + _left(memory, index)))
+        self._Hw, self._Ho = _inverse(g.data + self._P), _inverse(data + self._P)
+        self.efficient, self.ordinary = self._Hw @ (g.score + shift), self._Ho @ (score + shift)
+
+    def test(self, index: Sequence[int] | np.ndarray) -> Misfit:
+        """Test whether the estimates of some coefficients (K,) are one but for noise.
+
+        Raises:
+            ValueError: of none.
+        """
+        if not len(index):
+            raise ValueError("no coefficients to compare: expected one index or more")
+        Kw, Ko = self._Hw[index], self._Ho[index]
+        V, C = (Ko - Kw) @ self._P @ (Ko - Kw).T, Ko @ self._P @ Ko.T
+        for own, memory, X, before in self._parts:
+            ordinary, early = Ko[:, own] @ memory, Ko[:, own] @ before @ Ko[:, own].T
+            apart = ordinary - Kw[:, own] @ X
+            C += ordinary @ ordinary.T + early
+            V += apart @ apart.T + early
+        # In coordinates in which C is one, V is what least squares loses.
+        size = np.sqrt(np.maximum(C.diagonal(), 1e-300))
+        values, vectors = np.linalg.eigh(C / size / size[:, None])
+        told = values > _LEAST_DIRECTION
+        whole = (vectors[:, told] / np.sqrt(values[told])).T / size
+        loss, axes = np.linalg.eigh(whole @ V @ whole.T)
+        kept = loss > _LEAST_LOSS
+        d = axes[:, kept].T @ whole @ (self.ordinary - self.efficient)[index]
+        statistic, dof = float((d**2 / loss[kept]).sum()), int(kept.sum())
+        return Misfit(statistic, dof, float(chi2.sf(statistic, dof)) if dof else 1.0)
+
+
+def remembered(U: np.ndarray, noise: Noise, run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what signals U v (K,), of a noise v (M,), have of its innovations: U G.
+
+    G is applied from the right, by the noise's recursion backwards in time.
+
+    Args:
+        U: (K, M).
+        noise: of the rows.
+        run: (M,) number of a row's uninterrupted run.
+
+    Returns:
+        (K, M) of the innovations of each row, and the covariance (K, K) by those before the beginning of each run.
+    """
+    recursion = np.concatenate(([1.0], -noise.predictor))
+    response = np.abs(np.asarray(lfilter([1.0], recursion, np.eye(1, _MOST_MEMORY)[0])))
+    reach = int(np.flatnonzero(response > _FORGOTTEN)[-1])
+    memory, before = np.zeros_like(U), np.zeros((len(U), len(U)))
+    for number in np.unique(run):
+        inside = np.flatnonzero(run == number)
+        later = np.concatenate((U[:, inside[::-1]], np.zeros((len(U), reach))), axis=1)
+        found = np.asarray(lfilter([1.0], recursion, later, axis=1))
+        memory[:, inside] = found[:, : len(inside)][:, ::-1] * (noise.sigma * noise.spread[inside])
+        early = found[:, len(inside) :] * (noise.sigma * noise.spread[inside[0]])
+        before += early @ early.T
+    return memory, before
+
+
+def _left(memory: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return the covariance (K, K) by the innovations of rows that are not among ``index``."""
+    rest = np.delete(memory, index, axis=1)
+    return rest @ rest.T
+
+
+def _inverse(H: np.ndarray) -> np.ndarray:
+    size = np.sqrt(H.diagonal())
+    return np.linalg.inv(H / size / size[:, None]) / size / size[:, None]
