@@ -184,12 +184,11 @@ class Likelihood:
             if not len(self.index[j]):
                 noise.append(self.hyper.noise[j])
                 continue
-            rms = self.machine.torque_rms[j]
-            found = self._noise(j, dispersion[j], self.hyper.noise[j].spread)
-            noise.append(replace(found, sigma=max(found.sigma, _LEAST_NOISE * rms)))
+            noise.append(self._noise(j, dispersion[j], self.hyper.noise[j].spread))
             at = self.machine.drifting(j)
             power = np.mean(self.gaussian.z[at] ** 2 + self.gaussian.covariance(at).diagonal())
-            drift[j] = max(drift[j] * np.sqrt(np.clip(power, 0.1, 10.0)), _LEAST_DRIFT * rms)
+            least = _LEAST_DRIFT * self.machine.torque_rms[j]
+            drift[j] = max(drift[j] * np.sqrt(np.clip(power, 0.1, 10.0)), least)
         return self._with(noise=tuple(noise), drift=drift, dispersion=dispersion)
 
     def dispersed(self, dispersion: np.ndarray) -> Likelihood:
@@ -235,7 +234,8 @@ class Likelihood:
         """Return the noise of what is left at a joint whose rows are as noisy as ``spread`` (M,) against each other."""
         fit, index, run = self.least_squares, self.index[joint], self.machine.rows.run
         used, white = fit.gaussian.used(joint), self.hyper.white
-        return learnt(fit.residual(joint), index, spread, run, used, dispersion, white=white)
+        found = learnt(fit.residual(joint), index, spread, run, used, dispersion, white=white)
+        return replace(found, sigma=max(found.sigma, _LEAST_NOISE * self.machine.torque_rms[joint]))
 
     def reweighed(self) -> Likelihood:
         """Return the same model with rows that count as they are most likely to.
