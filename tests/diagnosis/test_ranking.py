@@ -63,8 +63,9 @@ def test_evidence_of_the_truth_is_about_that_of_the_ranking(found: Ranking) -> N
     # The order is known and need not be paid for.
     assert best.log_evidence < told + 3
     assert told < best.log_evidence + 15
-    assert found.evidence_of("torque_ripple", [SECOND], shape={"order": 9.3}) < 8
-    assert found.evidence_of("quadratic_drag", [FIRST]) < 8
+    # What is missing at the second joint bends the first one's fit, which other laws make up for.
+    assert found.evidence_of("torque_ripple", [SECOND], shape={"order": 9.3}) < 0.1 * told
+    assert found.evidence_of("quadratic_drag", [FIRST]) < 0.1 * told
     assert found.evidence_of(effect="quadratic_drag", joints=[FIRST]) == pytest.approx(
         found.evidence_of("quadratic_drag", [FIRST])
     )
@@ -72,7 +73,7 @@ def test_evidence_of_the_truth_is_about_that_of_the_ranking(found: Ranking) -> N
 
 def test_evidence_is_told_of_every_kind_of_place(found: Ranking) -> None:
     link = found.evidence_of("payload", links=["link2"], window=("simulated", 5.0, 9.0))
-    assert link < 8
+    assert link < 0.1 * found.first[1].log_evidence
     assert np.isfinite(found.evidence_of("base_tilt"))
     assert np.isfinite(found.evidence_of("joint_coupling", [FIRST], shape={"other": SECOND}))
     assert found.evidence_of("payload", links=["link2"], window=("no such recording", 5.0, 9.0)) == -math.inf

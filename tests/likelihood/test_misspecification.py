@@ -24,7 +24,9 @@ def right() -> Likelihood:
     """Return a likelihood whose noise is autoregressive and whose prior is N(0, 1)."""
     fit = fitted()
     one = np.ones(len(fit.machine.rows.t))
-    noise = tuple(Noise(PREDICTOR, SIGMA * rms, one, one) for rms in fit.machine.torque_rms)
+    noise = tuple(
+        Noise(i, PREDICTOR, SIGMA * rms, one) for i, rms in zip(fit.index, fit.machine.torque_rms, strict=True)
+    )
     plain = {"bodies": np.zeros_like(fit.hyper.bodies), "resists": np.zeros_like(fit.hyper.resists)}
     hyper = fit.hyper.with_(noise=noise, dispersion=np.ones(2), **plain)
     return Likelihood(fit.machine, hyper, slopes=fit.machine.slopes(hyper))
@@ -90,7 +92,7 @@ def test_a_law_that_is_wrong_is_seen_in_noise_that_is_learnt() -> None:
 
 def test_memory_is_that_of_the_noise() -> None:
     rng, run = np.random.default_rng(3), np.repeat([0, 1], [30, 50])
-    noise = Noise(PREDICTOR, 0.7, rng.uniform(0.5, 1.5, 80), np.ones(80))
+    noise = Noise(np.arange(80), PREDICTOR, 0.7, rng.uniform(0.5, 1.5, 80))
     U = rng.standard_normal((4, 80))
     memory, before = remembered(U, noise, run)
     # Of each run alone, as a dense covariance of a long noise's end.

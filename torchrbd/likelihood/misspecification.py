@@ -80,7 +80,7 @@ class TwoEstimates:
             X = fit.columns(j) * scale
             data[np.ix_(block.own, block.own)] += X @ X.T
             score[block.own] += X @ (scale * fit.machine.target[j])
-            memory, before = remembered(X, noise, rows.run)
+            memory, before = remembered(X * scale, noise, rows.run)
             self._parts.append((block.own, memory[:, index], block.X, before + _left(memory, index)))
         self._Hw, self._Ho = _inverse(g.data + self._P), _inverse(data + self._P)
         self.efficient, self.ordinary = self._Hw @ (g.score + shift), self._Ho @ (score + shift)

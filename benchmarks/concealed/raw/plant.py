@@ -26,8 +26,8 @@ from .motion import Way
 STEP, CONTROL = 0.0005, 2
 """Length of a step [s], and of those the controller takes each so manyeth."""
 _FURTHEST = 0.3
-# A command faster than a recorder can see [Hz], beyond this part of its RMS: the servo is not stable.
-_SEEN_HZ, _CHATTERS = 60.0, 0.01
+# A command faster than a recorder sees [Hz], beyond this part of its RMS, after the start [s]: the servo is unstable.
+_SEEN_HZ, _CHATTERS, _START_S = 60.0, 0.02, 0.2
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,8 @@ def simulate(robot: Robot, friction: Friction, effect: Effect | None, way: Way, 
     if not np.abs(q - way.q).max() < _FURTHEST:
         raise Refused("left its path")
     fast = sosfiltfilt(butter(4, _SEEN_HZ, "highpass", fs=1 / STEP, output="sos"), command, axis=0)
-    if (np.std(fast, axis=0) > _CHATTERS * np.std(command, axis=0)).any():
+    rms = [np.sqrt(np.mean(x[round(_START_S / STEP) :] ** 2, axis=0)) for x in (fast, command)]
+    if (rms[0] > _CHATTERS * rms[1]).any():
         raise Refused("its servo chatters")
     return _track(robot, friction, effect, way, (q, v, command, acting, level))
 
