@@ -12,18 +12,13 @@ from likelihood.fits import OPTIONS, URDF, WIDTH, at_joint, candidate, carried, 
 from scipy.special import logsumexp
 from simulated import Motion, inverse_dynamics, joint_names
 
-from torchrbd.diagnosis.hypotheses import (
-    ORDINARY,
-    Hypothesis,
-    _in_stretches,
-    _Stretches,
-    refined,
-    screened,
-    told,
-)
+from torchrbd.diagnosis.hypotheses import Hypothesis, told
 from torchrbd.diagnosis.ranking import _ranked, sharpened, with_own_noise
+from torchrbd.diagnosis.screening import ORDINARY, refined, screened
+from torchrbd.diagnosis.stretches import Stretches, in_stretches
 from torchrbd.likelihood.gaussian import added
-from torchrbd.likelihood.likelihood import Likelihood, learn
+from torchrbd.likelihood.learning import learn
+from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.shapes import axes
@@ -184,7 +179,7 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
     """Each stretch is judged as its whitened columns are, zero outside of it, beside the fit."""
     fit, rows = two_recordings
     c = candidate(rows, "payload", Site(body=1, window=Window("second")))
-    stretches = _Stretches.of_blocks(rows, "second")
+    stretches = Stretches.of_blocks(rows, "second")
     F, always = rows.features(c), candidate(rows, "payload", Site(body=1))
     std, scales = coefficient_std(always, rows.features(always), fit.machine.torque_rms)
     expected, best = [], -np.inf
@@ -194,7 +189,7 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
         S, r = fit.gaussian.beside(columns)
         own = [added(S, r, k * std, c.effect.prior.positive).log_evidence for k in scales]
         expected, best = expected + own, max(best, logsumexp(own) - np.log(len(own)))
-    found = _in_stretches(fit, rows, c, stretches)
+    found = in_stretches(fit, rows, c, stretches)
     assert found is not None
     got, one = found
     assert one == pytest.approx(best, abs=1e-6)
@@ -214,14 +209,14 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
 
 def test_stretches_cover_most_of_a_single_recording_at_most(two_recordings: tuple[Likelihood, Rows]) -> None:
     rows = carried(fitted())
-    stretches = _Stretches.of_blocks(rows, rows.recordings[0])
+    stretches = Stretches.of_blocks(rows, rows.recordings[0])
     n = len(stretches.times) - 1
     longest = int(0.9 * n)
     expected = {(a, b) for a in range(n) for b in range(a + 1, min(a + longest, n) + 1)}
     assert set(map(tuple, stretches.pairs.tolist())) == expected
     assert longest < n
     assert (np.diff(stretches.times) > 0).all()
-    whole = _Stretches.of_blocks(two_recordings[1], "second")
+    whole = Stretches.of_blocks(two_recordings[1], "second")
     assert (0, len(whole.times) - 1) in set(map(tuple, whole.pairs.tolist()))
 
 
@@ -229,7 +224,7 @@ def test_window_is_located_between_rows() -> None:
     rows = carried(fitted())
     name = rows.recordings[0]
     for window in (Window(name, 6.0, 9.0), Window(name, 6.0), Window(name)):
-        near = _Stretches.near(rows, window)
+        near = Stretches.near(rows, window)
         begin, end = near.times[near.pairs].T
         assert (end > begin).all()
         reach = 2.0 * np.ptp(rows.t) / len(np.unique(rows.block))

@@ -9,7 +9,8 @@ from likelihood.arms import Torque, arm_urdf, friction, recorded, rows_of, wrong
 from simulated import Motion
 
 from torchrbd.likelihood.columns import Candidate
-from torchrbd.likelihood.likelihood import Likelihood, learn
+from torchrbd.likelihood.learning import learn
+from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.rows import Rows
 from torchrbd.physics import Site

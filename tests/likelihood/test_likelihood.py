@@ -25,7 +25,8 @@ from scipy.stats import norm
 
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.gaussian import added
-from torchrbd.likelihood.likelihood import Extra, Likelihood, learn
+from torchrbd.likelihood.learning import learn
+from torchrbd.likelihood.likelihood import Extra, Likelihood
 from torchrbd.likelihood.machine import STICKS, Machine
 from torchrbd.likelihood.noise import learnt
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
@@ -87,15 +88,15 @@ def test_urdf_errs_as_much_as_the_evidence_says(fit: Likelihood) -> None:
     """Masses and centres are a tenth off, which is kappa = 100."""
     assert 10.0 <= fit.hyper.kappa <= 300.0
     best = fit.log_evidence
-    assert best > fit._with(kappa=1e-1).log_evidence + 10
-    assert best > fit._with(kappa=1e4).log_evidence + 10
+    assert best > fit.with_(kappa=1e-1).log_evidence + 10
+    assert best > fit.with_(kappa=1e4).log_evidence + 10
 
 
 def test_evidence_favours_the_widths_and_the_noise_that_were_learnt(fit: Likelihood) -> None:
     for factor in (0.3, 3.0):
-        assert fit._with(rest_width=factor * fit.hyper.rest_width).log_evidence < fit.log_evidence - 5
+        assert fit.with_(rest_width=factor * fit.hyper.rest_width).log_evidence < fit.log_evidence - 5
         noise = tuple(replace(n, sigma=factor * n.sigma) for n in fit.hyper.noise)
-        assert fit._with(noise=noise).log_evidence < fit.log_evidence - 5
+        assert fit.with_(noise=noise).log_evidence < fit.log_evidence - 5
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +118,7 @@ def test_differences_of_evidence_do_not_depend_on_the_torques_unit(fit: Likeliho
 
     def differences(one: Likelihood) -> list[float]:
         shorter = tuple(replace(n, predictor=n.predictor[:1]) for n in one.hyper.noise)
-        others = one._with(kappa=1.0), one._with(noise=shorter)
+        others = one.with_(kappa=1.0), one.with_(noise=shorter)
         return [o.log_evidence - one.log_evidence for o in others]
 
     np.testing.assert_allclose(differences(scaled), differences(fit), rtol=0.01, atol=0.3)
@@ -125,7 +126,7 @@ def test_differences_of_evidence_do_not_depend_on_the_torques_unit(fit: Likeliho
 
 def test_rows_that_count_do_not_depend_on_the_order_of_the_noise(fit: Likelihood) -> None:
     none = tuple(replace(n, predictor=np.zeros(0)) for n in fit.hyper.noise)
-    for one, other in zip(fit._with(noise=none).index, fit.index, strict=True):
+    for one, other in zip(fit.with_(noise=none).index, fit.index, strict=True):
         np.testing.assert_array_equal(one, other)
 
 

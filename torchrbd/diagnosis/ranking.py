@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, refined, screened, told
+from torchrbd.diagnosis.hypotheses import Hypothesis, told
+from torchrbd.diagnosis.screening import refined, screened
 from torchrbd.inference.identify import Source, read_arguments
 from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings

@@ -21,7 +21,7 @@ from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
 from torchrbd.likelihood.clocks import in_time, of_one_machine
 from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.likelihood import learn
+from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS, Machine
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
 from torchrbd.likelihood.reading import Progress

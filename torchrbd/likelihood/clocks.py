@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.likelihood import Likelihood, learn
+from torchrbd.likelihood.learning import learn
+from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.reading import Reading
 from torchrbd.likelihood.rows import KeptBack, read_rows

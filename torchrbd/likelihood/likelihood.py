@@ -36,9 +36,8 @@ _WIDTHS = (
     0.3,
     0.45,
 )
-_FIRST_NOISE, _FIRST_DRIFT, _LEAST_DRIFT, _LEAST_NOISE = 0.05, 0.01, 1e-4, 1e-6
+_LEAST_DRIFT, _LEAST_NOISE = 1e-4, 1e-6
 _SHARES, _DOUBTS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0), (0.0, 0.1, 0.3, 1.0)
-_ROUNDS = 3
 # What columns do not depend on.
 _NOT_OF_COLUMNS = {"noise", "dispersion", "bodies", "resists", "encoder_share"}
 # Directions of a joint's columns below this are told by rounding.
@@ -189,7 +188,7 @@ class Likelihood:
             power = np.mean(self.gaussian.z[at] ** 2 + self.gaussian.covariance(at).diagonal())
             least = _LEAST_DRIFT * self.machine.torque_rms[j]
             drift[j] = max(drift[j] * np.sqrt(np.clip(power, 0.1, 10.0)), least)
-        return self._with(noise=tuple(noise), drift=drift, dispersion=dispersion)
+        return self.with_(noise=tuple(noise), drift=drift, dispersion=dispersion)
 
     def dispersed(self, dispersion: np.ndarray) -> Likelihood:
         """Return the same model whose rows count by another dispersion (n,)."""
@@ -197,7 +196,7 @@ class Likelihood:
             replace(n, sigma=n.sigma * float(np.sqrt(new / old)))
             for n, new, old in zip(self.hyper.noise, dispersion, self.hyper.dispersion, strict=True)
         )
-        return self._with(noise=noise, dispersion=dispersion)
+        return self.with_(noise=noise, dispersion=dispersion)
 
     def rewidened(self) -> Likelihood:
         """Return the same model with the widths of friction's sign change that have the greatest evidence."""
@@ -216,7 +215,7 @@ class Likelihood:
                 S, r = rest.beside({j: noise.white(F)})
                 found.append((float(added(S, r, self.machine.friction_std(j, F)).log_evidence), width))
             widths[j] = max(found)[1]
-        return self._with(rest_width=widths)
+        return self.with_(rest_width=widths)
 
     @cached_property
     def least_squares(self) -> Likelihood:
@@ -228,7 +227,7 @@ class Likelihood:
         """
         if not any(len(n.predictor) for n in self.hyper.noise):
             return self
-        return self._with(noise=tuple(replace(n, predictor=np.zeros(0), sigma=n.std) for n in self.hyper.noise))
+        return self.with_(noise=tuple(replace(n, predictor=np.zeros(0), sigma=n.std) for n in self.hyper.noise))
 
     def _noise(self, joint: int, dispersion: float, spread: np.ndarray) -> Noise:
         """Return the noise of what is left at a joint whose rows are as noisy as ``spread`` (M,) against each other."""
@@ -254,11 +253,11 @@ class Likelihood:
             way, _ = min(found, key=lambda one: one[1].surprise)
             parts = [(part, self._noise(j, d, self.machine.spread(j, part, *way))) for part in _SHARES]
             share[j], noise[j] = min(parts, key=lambda one: one[1].surprise)
-        return self._with(encoder_share=share, noise=tuple(noise))
+        return self.with_(encoder_share=share, noise=tuple(noise))
 
     def recalibrated(self) -> Likelihood:
         """Return the same model with the error of the URDF's inertial parameters that has the greatest evidence."""
-        return max((self._with(kappa=k)._physical() for k in KAPPAS), key=lambda one: one.log_evidence)
+        return max((self.with_(kappa=k)._physical() for k in KAPPAS), key=lambda one: one.log_evidence)
 
     def _physical(self) -> Likelihood:
         """Return the same model, the prior of its bodies expanded where the posterior of physical ones is largest."""
@@ -268,14 +267,14 @@ class Likelihood:
         across = np.linalg.solve(g.H[rest, rest], np.column_stack((g.H[rest, :n], g.h[rest])))
         A = g.data[:n, :n] - g.H[:n, rest] @ across[:, :n]
         z = most_probable(0.5 * (A + A.T), g.score[:n] - g.H[:n, rest] @ across[:, n], self.hyper.kappa)
-        return self._with(bodies=z / np.sqrt(self.hyper.kappa))
+        return self.with_(bodies=z / np.sqrt(self.hyper.kappa))
 
     def _resisting(self) -> Likelihood:
         """Return the same model, the prior of ordinary friction truncated where it would push."""
         at = self.machine.resisting
-        free = self._with(resists=np.zeros_like(self.hyper.resists)).gaussian
+        free = self.with_(resists=np.zeros_like(self.hyper.resists)).gaussian
         sites = nonnegative(free.z[at], free.covariance(at))
-        return self._with(resists=np.reshape(sites, self.hyper.resists.shape))
+        return self.with_(resists=np.reshape(sites, self.hyper.resists.shape))
 
     def relinearised(self) -> Likelihood:
         """Return the same model whose bodies are physical, and whose load, friction and slopes are those of its fit."""
@@ -289,39 +288,7 @@ class Likelihood:
         """Return the same model with other columns beside the machine's."""
         return Likelihood(self.machine, self.hyper, extra, self._slopes)
 
-    def _with(self, **changes: object) -> Likelihood:
+    def with_(self, **changes: object) -> Likelihood:
+        """Return the same model with some of what is learnt changed, see ``Hyper``."""
         raw = self._raw if changes.keys() <= _NOT_OF_COLUMNS else None
         return Likelihood(self.machine, self.hyper.with_(**changes), self.extra, self._slopes, raw)
-
-
-def learn(machine: Machine, *, white: bool = False) -> Likelihood:
-    """Learn noise, widths, drift, dispersion and the URDF's error from the data, the model being the machine's.
-
-    Least squares is learnt first: beside coefficients that are far off, slow errors pass for noise that is slow, which
-    then keeps them there.
-
-    Args:
-        machine: rigid body and ordinary physics.
-        white: take rows to be independent, as least squares does, and friction to change its sign at once.
-    """
-    rows, rms = machine.rows, np.maximum(machine.torque_rms, 1e-300)
-    one = np.ones(rows.tau.shape[1])
-    hyper = Hyper(
-        kappa=3.0,
-        encoder_share=np.zeros(rows.n_dof),
-        rest_width=np.array([s.rest_width for s in rows.columns.scales]),
-        drift=_FIRST_DRIFT * rms,
-        noise=tuple(Noise(i, np.zeros(0), _FIRST_NOISE * r, one) for i, r in zip(machine.index, rms, strict=True)),
-        dispersion=np.ones(rows.n_dof),
-        bodies=np.zeros(len(machine.inertial)),
-        resists=np.zeros((2, rows.n_dof, 3)),
-        pi=rows.columns.robot.pi,
-        friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
-        white=True,
-    )
-    fit = Likelihood(machine, hyper)
-    for whitens in (False,) * _ROUNDS if white else (False, *(True,) * _ROUNDS):
-        fit = fit._with(white=not whitens).renoised()
-        fit = fit if white else fit.rewidened().renoised()
-        fit = fit.relinearised().reweighed()
-    return fit.recalibrated().relinearised().reweighed().renoised(dispersed=True)

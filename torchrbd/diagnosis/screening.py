@@ -1,0 +1,83 @@
+"""Every effect at every place, beside a likelihood, and what lies between the shapes of the grid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from torchrbd.diagnosis.hypotheses import Hypothesis, averaged, mean_of, told
+from torchrbd.diagnosis.stretches import in_windows, located
+from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.machine import ORDINARY_EFFECTS
+from torchrbd.likelihood.rows import Rows
+from torchrbd.likelihood.shapes import varied
+from torchrbd.physics import Effect, Site
+
+# The machine has these already, and one offset of the clocks for all joints.
+ORDINARY = (*ORDINARY_EFFECTS, "coulomb_friction")
+# Points between a shape's neighbours on the grid.
+_FINE = 9
+
+
+def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
+    """Return every effect at every place beside a fit, greatest evidence first.
+
+    Args:
+        fit: the base.
+        rows: its rows, whose signals carry its load and friction.
+        effects: what may be there.
+    """
+    robot = rows.columns.robot
+    found: list[Hypothesis | None] = []
+    for e in (e for e in effects if e.id not in ORDINARY):
+        places = e.sites(robot)
+        if not places:
+            found += in_windows(fit, rows, e)
+        for site in places:
+            if _may_be(e, site, rows):
+                shapes = e.shapes(rows.columns.scale(site)) if e.first_order is None else (e.first_order,)
+                found.append(averaged(fit, rows, [rows.columns.candidate(e, site, shape) for shape in shapes]))
+    return sorted((h for h in found if h is not None), key=lambda h: -h.log_evidence)
+
+
+def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis whose shape, or window, lies between those of the grid, averaged over the finer cell."""
+    if h.candidate.site.window is not None:
+        return located(fit, rows, h)
+    columns, at = rows.columns, told(fit, rows, h.candidate)
+    if at is None:
+        return h
+    # What the average has of this shape is replaced by that of the cell around it, which axes share as factors.
+    cell = at.log_evidence
+    rest = _less(h.log_evidence, cell - math.log(h.tried))
+    for name, axis in varied(columns, h.candidate).items():
+        now = at.candidate
+        values = np.linspace(*axis.limits(now.shape[name]), _FINE)
+        near = [columns.candidate(now.effect, now.site, {**now.shape, name: float(v)}) for v in values]
+        found = _told(fit, rows, near)
+        if not found:
+            continue
+        cell += mean_of(np.array([one.log_evidence for one in found])) - at.log_evidence
+        at = max(found, key=lambda one: one.log_evidence)
+    return replace(at, log_evidence=float(np.logaddexp(rest, cell - math.log(h.tried))), tried=h.tried)
+
+
+def _less(total: float, part: float) -> float:
+    """Return log(exp(total) - exp(part)), the part being no more than the total but for rounding."""
+    return total + math.log(-math.expm1(part - total)) if part < total else -math.inf
+
+
+def _told(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> list[Hypothesis]:
+    """Return the evidence of candidates one by one, without those that cannot be evaluated."""
+    return [one for c in candidates if (one := told(fit, rows, c)) is not None]
+
+
+def _may_be(e: Effect, site: Site, rows: Rows) -> bool:
+    """Say whether an effect at a site is a hypothesis: torques are known there, and the machine has it not."""
+    if site.joint is None:
+        return e.first_order is None or rows.n_dof == 1
+    return e.whole_robot or rows.seen[site.joint]

@@ -1,0 +1,172 @@
+"""Stretches of time in which something may act: which begin and end as the whitened rows say.
+
+Moments of a stretch are differences of sums over the rows before its edges, so that all of them cost one pass.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, told
+from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.gaussian import added
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.rows import Rows
+from torchrbd.physics import Effect, Window
+
+# Edges of the stretches of time in which something may act, spread over a recording.
+_MOST_EDGES = 33
+# Moments at which something may begin or end for good.
+_MOST_TIMES = 600
+# What is there for more than this part of a recording is there always.
+_MOST_OF_TIME = 0.9
+
+
+def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
+    """Yield an effect at every place where it may act for a time, averaged over the stretches of each recording.
+
+    What comes and stays, or is there and goes, is as likely as what comes and goes; when, is told to some rows.
+    """
+    for name in rows.seen_recordings:
+        kinds = Stretches.of_blocks(rows, name), Stretches.with_one_end(rows, name)
+        for site in e.sites(rows.columns.robot, (Window(name),)):
+            candidate = rows.columns.candidate(e, site, {})
+            found = [one[0] for kind in kinds if (one := in_stretches(fit, rows, candidate, kind)) is not None]
+            if not found:
+                yield None
+                continue
+            best = max(found, key=lambda h: h.log_evidence)
+            mean = float(np.logaddexp.reduce([h.log_evidence for h in found])) - math.log(len(kinds))
+            yield replace(best, log_evidence=mean, tried=len(kinds) * best.tried)
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Stretches of one recording: its rows (M,), times (B + 1,) of edges [s] from -inf to inf, pairs of them (N, 2)."""
+
+    inside: np.ndarray
+    times: np.ndarray
+    pairs: np.ndarray
+
+    @staticmethod
+    def of_blocks(rows: Rows, recording: str) -> Stretches:
+        """Return all that begin and end with blocks; at most most of it, or all where there are other recordings."""
+        inside = rows.recording == rows.recordings.index(recording)
+        _, first = np.unique(rows.block[inside], return_index=True)
+        n = len(first[:: (step := math.ceil(len(first) / (_MOST_EDGES - 1)))])
+        times = np.append(rows.t[inside][first][::step], math.inf)
+        times[0] = -math.inf
+        longest = math.floor(_MOST_OF_TIME * n) if inside.all() else n
+        return Stretches(inside, times, _pairs(np.arange(n + 1), np.arange(n + 1), longest))
+
+    @staticmethod
+    def with_one_end(rows: Rows, recording: str) -> Stretches:
+        """Return all that begin between two rows and last, or lasted until then; each other row will do."""
+        inside = rows.recording == rows.recordings.index(recording)
+        step = max(2, math.ceil(inside.sum() / _MOST_TIMES))
+        times = np.concatenate(([-math.inf], rows.t[inside][step:-step:step], [math.inf]))
+        k = np.arange(1, len(times) - 1)
+        pairs = np.concatenate((np.stack((0 * k, k), 1), np.stack((k, 0 * k + len(times) - 1), 1)))
+        return Stretches(inside, times, pairs)
+
+    @staticmethod
+    def near(rows: Rows, window: Window) -> Stretches:
+        """Return those whose edges lie within a block of a window's."""
+        inside = rows.recording == rows.recordings.index(window.recording)
+        t, reach = rows.t[inside], 2.0 * float(np.ptp(rows.t[inside])) / len(np.unique(rows.block[inside]))
+        least, ends = t[0] + 0.5 * reach, []
+        for now in (window.start_s, window.end_s):
+            low, high = max(now - reach, least), min(now + reach, t[-1] - 0.5 * reach)
+            told = math.isinf(now) or not low < high
+            ends.append(np.array([now]) if told else np.arange(low, high, 2 * rows.dt_out))
+        times = np.unique(np.concatenate((*ends, (-math.inf, math.inf))))
+        begin, end = (np.searchsorted(times, e) for e in ends)
+        pairs = _pairs(begin, end, len(times))
+        return Stretches(inside, times, pairs[times[pairs[:, 1]] - times[pairs[:, 0]] > 0.25 * reach])
+
+
+def _pairs(begin: np.ndarray, end: np.ndarray, longest: int) -> np.ndarray:
+    """Return all (begin, end), (N, 2), that are no longer."""
+    pairs = np.stack(np.meshgrid(begin, end, indexing="ij"), -1).reshape(-1, 2)
+    length = pairs[:, 1] - pairs[:, 0]
+    return pairs[(length > 0) & (length <= longest)]
+
+
+def in_stretches(
+    fit: Likelihood, rows: Rows, candidate: Candidate, stretches: Stretches
+) -> tuple[Hypothesis, float] | None:
+    """Average over stretches of time that touch torques; return the evidence of the best one too.
+
+    Moments of a stretch are differences of those before its edges.
+    """
+    F, site = rows.features(candidate), candidate.site
+    std, multiples = believed(fit, rows, candidate)
+    V, gram, score = _sums(fit, rows, F, stretches)
+    begin, end = stretches.pairs.T
+    counts = np.trace(gram[end] - gram[begin], axis1=1, axis2=2) > 0
+    if not counts.any():
+        return None
+    U, scales = V[end] - V[begin], np.array(multiples)
+    S = gram[end] - gram[begin] - U.transpose(0, 2, 1) @ U
+    r = score[end] - score[begin]
+    found = added(S[:, None], r[:, None], std * scales[:, None], candidate.effect.prior.positive)
+    told_of = np.where(counts[:, None], found.log_evidence, -math.inf)
+    k, size = np.unravel_index(int(told_of.argmax()), told_of.shape)
+    assert site.window is not None
+    edges = float(stretches.times[begin[k]]), float(stretches.times[end[k]])
+    best = rows.columns.candidate(
+        candidate.effect, replace(site, window=Window(site.window.recording, *edges)), candidate.shape
+    )
+    mean, one = mean_of(found.log_evidence), mean_of(found.log_evidence[k])
+    return Hypothesis(best, mean, found.mean[k, size], found.std[k, size], float(scales[size]), len(begin)), one
+
+
+def _sums(
+    fit: Likelihood, rows: Rows, F: np.ndarray, stretches: Stretches
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return L^-1 X'C (B + 1, P, K), C'C (B + 1, K, K) and C'e (B + 1, K) of the rows before each edge."""
+    B, K, P = len(stretches.times) - 1, len(F), len(fit.gaussian.z)
+    cross, gram, score = np.zeros((B, P, K)), np.zeros((B, K, K)), np.zeros((B, K))
+    for j, index in enumerate(fit.index):
+        if not len(index):
+            continue
+        own = np.flatnonzero(stretches.inside[index])
+        C = fit.hyper.noise[j].white(F[:, j])[:, own]
+        b, e = fit.gaussian.blocks[j], fit.gaussian.left[j]
+        places = np.searchsorted(stretches.times, rows.t[index[own]], side="right") - 1
+        for k, part in enumerate(np.split(np.arange(len(own)), np.searchsorted(places, np.arange(1, B)))):
+            cross[k, b.own] += b.X[:, own[part]] @ C[:, part].T
+            gram[k] += C[:, part] @ C[:, part].T
+            score[k] += C[:, part] @ e[own[part]]
+    V = fit.gaussian.half(cross.transpose(1, 0, 2).reshape(P, -1))
+    before = V.reshape(P, B, K).transpose(1, 0, 2), gram, score
+    return tuple(np.concatenate((np.zeros_like(x[:1]), np.cumsum(x, 0))) for x in before)  # type: ignore[return-value]
+
+
+def located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis whose window begins and ends when it fits best, near the edges of blocks.
+
+    A load that comes or goes is a step, which whitened rows place to some hundredths of a second: the evidence of a
+    window is averaged over those near it.
+    """
+    window = h.candidate.site.window
+    assert window is not None
+    always = replace(h.candidate, site=replace(h.candidate.site, window=Window(window.recording)))
+    stretches = Stretches.near(rows, window)
+    near = in_stretches(fit, rows, always, stretches)
+    exact = None if near is None else told(fit, rows, near[0].candidate)
+    if near is None or exact is None:
+        return h
+    # All that are near stand for one that begins and ends with blocks, or for themselves among finer ones.
+    part = len(stretches.pairs) / h.tried if _open(window) else 1.0 / h.tried
+    paid = near[1] - near[0].log_evidence - math.log(part)
+    return replace(exact, log_evidence=exact.log_evidence - paid, tried=h.tried)
+
+
+def _open(window: Window) -> bool:
+    """Say whether a window has one end only."""
+    return math.isinf(window.start_s) != math.isinf(window.end_s)

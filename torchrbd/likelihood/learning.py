@@ -1,0 +1,47 @@
+"""Learn all that a likelihood leaves open: noise, widths, drift, dispersion and the URDF's error."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.machine import Hyper, Machine
+from torchrbd.likelihood.noise import Noise
+
+# Parts of a joint's torque.
+_FIRST_NOISE, _FIRST_DRIFT = 0.05, 0.01
+_ROUNDS = 3
+
+
+def learn(machine: Machine, *, white: bool = False) -> Likelihood:
+    """Learn noise, widths, drift, dispersion and the URDF's error from the data, the model being the machine's.
+
+    Least squares is learnt first: beside coefficients that are far off, slow errors pass for noise that is slow, which
+    then keeps them there.
+
+    Args:
+        machine: rigid body and ordinary physics.
+        white: take rows to be independent, as least squares does, and friction to change its sign at once.
+    """
+    rows, rms = machine.rows, np.maximum(machine.torque_rms, 1e-300)
+    one = np.ones(rows.tau.shape[1])
+    hyper = Hyper(
+        kappa=3.0,
+        encoder_share=np.zeros(rows.n_dof),
+        rest_width=np.array([s.rest_width for s in rows.columns.scales]),
+        drift=_FIRST_DRIFT * rms,
+        noise=tuple(Noise(i, np.zeros(0), _FIRST_NOISE * r, one) for i, r in zip(machine.index, rms, strict=True)),
+        dispersion=np.ones(rows.n_dof),
+        bodies=np.zeros(len(machine.inertial)),
+        resists=np.zeros((2, rows.n_dof, 3)),
+        pi=rows.columns.robot.pi,
+        friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
+        white=True,
+    )
+    fit = Likelihood(machine, hyper)
+    for whitens in (False,) * _ROUNDS if white else (False, *(True,) * _ROUNDS):
+        fit = fit.with_(white=not whitens).renoised()
+        fit = fit if white else fit.rewidened().renoised()
+        fit = fit.relinearised().reweighed()
+    return fit.recalibrated().relinearised().reweighed().renoised(dispersed=True)
