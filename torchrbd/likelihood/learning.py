@@ -18,7 +18,8 @@ def learn(machine: Machine, *, white: bool = False) -> Likelihood:
     """Learn noise, widths, drift, dispersion and the URDF's error from the data, the model being the machine's.
 
     Least squares is learnt first: beside coefficients that are far off, slow errors pass for noise that is slow, which
-    then keeps them there.
+    then keeps them there. It alone tells the widths of friction's sign change, while all rows count: those that show
+    them, at reversals, count less the worse they are explained.
 
     Args:
         machine: rigid body and ordinary physics.
@@ -39,9 +40,9 @@ def learn(machine: Machine, *, white: bool = False) -> Likelihood:
         friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
         white=True,
     )
-    fit = Likelihood(machine, hyper)
-    for whitens in (False,) * _ROUNDS if white else (False, *(True,) * _ROUNDS):
-        fit = fit.with_(white=not whitens).renoised()
-        fit = fit if white else fit.rewidened().renoised()
-        fit = fit.relinearised().reweighed()
+    fit = Likelihood(machine, hyper).renoised()
+    fit = fit if white else fit.rewidened().renoised()
+    fit = fit.relinearised().reweighed()
+    for _ in range(_ROUNDS):
+        fit = fit.with_(white=white).renoised().relinearised().reweighed()
     return fit.recalibrated().relinearised().reweighed().renoised(dispersed=True)
