@@ -6,6 +6,8 @@ cranked       z y x y x y x with offsets between the axes, carried by a shoulder
 spherical     z y y x y x   three axes of the wrist meet; hangs from a ceiling or leans (industrial arms)
 shouldered    x y z y z y   stands upright or lies on its side (arms of humanoids)
 stacked       z y y z y z   large offsets; stands or hangs (arms of six joints whose wrists are not spherical)
+forearm       z x y z y x   light, without an offset wrist (arms on mobile bases)
+lateral       y x z y z y z the first axis lies; upright or leaning (arms at the side of a torso)
 """
 
 from __future__ import annotations
@@ -48,12 +50,15 @@ OWN = {
         "cranked": Kind("zyxyxyx", (0.1, 0.1, 0.28, 0.1, 0.27, 0.08, 0.12), (5.0, 2.5, 3.5, 1.8, 2.4, 1.2, 0.6), 0.3),
         "spherical": Kind("zyyxyx", (0.25, 0.6, 0.15, 0.5, 0.1, 0.08), (30.0, 22.0, 14.0, 8.0, 3.5, 0.8), 0.08,
                           (0.5, np.pi, np.pi)),
-    },
-    "final": {
         "shouldered": Kind("xyzyzy", (0.08, 0.12, 0.3, 0.06, 0.26, 0.12), (2.2, 2.6, 2.4, 1.2, 1.5, 0.7), 0.15,
                            (0.0, 0.5 * np.pi)),
         "stacked": Kind("zyyzyz", (0.2, 0.5, 0.12, 0.42, 0.09, 0.07), (14.0, 12.0, 6.0, 4.0, 2.2, 0.6), 0.2,
                         (0.0, np.pi)),
+    },
+    "final": {
+        "forearm": Kind("zxyzyx", (0.12, 0.3, 0.08, 0.28, 0.08, 0.06), (3.0, 3.2, 1.4, 1.6, 0.8, 0.4), 0.12),
+        "lateral": Kind("yxzyzyz", (0.1, 0.12, 0.3, 0.08, 0.28, 0.08, 0.08), (4.5, 3.5, 4.0, 2.0, 2.2, 1.1, 0.5), 0.15,
+                        (0.0, 0.25 * np.pi)),
     },
 }  # fmt: skip
 """Own kinds of arms of each set."""
@@ -62,10 +67,12 @@ PUBLIC = {
         "talos": ("talos_data/robots/talos_left_arm.urdf", r"arm_left_\d_joint"),
         "tiago": ("tiago_description/robots/tiago.urdf", r"arm_\d_joint"),
         "romeo": ("romeo_description/urdf/romeo.urdf", r"R(Shoulder|Elbow|Wrist).*"),
-    },
-    "final": {
         "xarm": ("xarm_description/urdf/xarm7.urdf", r"joint\d"),
         "ur5": ("ur_description/urdf/ur5_robot.urdf", r".*_joint"),
+    },
+    "final": {
+        "kinova": ("kinova_description/robots/kinova.urdf", r"j2s6s200_joint_\d"),
+        "z1": ("z1_description/urdf/z1.urdf", r"joint\d"),
     },
 }
 """Arms of example-robot-data, by set: file and joints that move."""
