@@ -217,7 +217,7 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     The priors of both are expanded around their own fits: bodies and friction that stood in for the effect lie far off.
     """
     beside = fit.extended((*fit.extra, h.extra(fit, rows)))
-    extended = beside.renoised().relinearised().renoised(dispersed=True)
+    extended = beside.renoised().rewidened().relinearised().renoised(dispersed=True)
     base = fit.renoised().dispersed(extended.hyper.dispersion)
     # What averaging over shapes, sizes and windows costs, the first noise has told.
     average = h.log_evidence - (beside.log_evidence - fit.log_evidence)
@@ -238,7 +238,7 @@ def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     first = refined(fit, rows, h)
     if first.tried == 1 or first.candidate.site.window is not None:
         return first
-    own = fit.extended((*fit.extra, first.extra(fit, rows))).renoised().relinearised().extended(fit.extra)
+    own = fit.extended((*fit.extra, first.extra(fit, rows))).renoised().rewidened().relinearised().extended(fit.extra)
     then = told(fit, rows, refined(own, rows, first).candidate)
     before = told(fit, rows, first.candidate)
     if then is None or before is None:
@@ -262,7 +262,13 @@ def _last(
     while found and len(adopted) < _MOST_ADOPTED and found[0].log_evidence > math.log(len(found)) + _SURE:
         adopted.append(found[0])
         progress("ranking beside what was found", len(adopted) / (_MOST_ADOPTED + 1))
-        fit = fit.extended([*fit.extra, found[0].extra(fit, rows)]).renoised().relinearised().renoised(dispersed=True)
+        fit = (
+            fit.extended([*fit.extra, found[0].extra(fit, rows)])
+            .renoised()
+            .rewidened()
+            .relinearised()
+            .renoised(dispersed=True)
+        )
         known = {h.name for h in adopted}
         found = _leading(fit, rows, [h for h in screened(fit, rows, effects) if h.name not in known])
     for k, h in enumerate(adopted):

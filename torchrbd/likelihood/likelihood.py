@@ -199,9 +199,14 @@ class Likelihood:
         return self.with_(noise=noise, dispersion=dispersion)
 
     def rewidened(self) -> Likelihood:
-        """Return the same model with the widths of friction's sign change that have the greatest evidence."""
-        g, widths = self.gaussian, self.hyper.rest_width.copy()
-        for j, noise in enumerate(self.hyper.noise):
+        """Return the same model with the widths of friction's sign change that have the greatest evidence.
+
+        All rows count alike in that: those that show them, at reversals, count less the worse they are explained.
+        """
+        one, widths = np.ones(len(self.machine.rows.t)), self.hyper.rest_width.copy()
+        plain = self.with_(noise=tuple(Noise(n.index, np.zeros(0), n.std, one) for n in self.hyper.noise))
+        g = plain.gaussian
+        for j, noise in enumerate(plain.hyper.noise):
             if not len(self.index[j]) or not self.machine.speed_rms[j]:
                 continue
             dropped = self.machine.ordinary(j)[1:]
