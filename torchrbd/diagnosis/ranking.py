@@ -217,8 +217,8 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     The priors of both are expanded around their own fits: bodies and friction that stood in for the effect lie far off.
     """
     beside = fit.extended((*fit.extra, h.extra(fit, rows)))
-    extended = beside.renoised().rewidened().relinearised().renoised(dispersed=True)
-    base = fit.renoised().dispersed(extended.hyper.dispersion)
+    extended = beside.settled
+    base = fit.settled.dispersed(extended.hyper.dispersion)
     # What averaging over shapes, sizes and windows costs, the first noise has told.
     average = h.log_evidence - (beside.log_evidence - fit.log_evidence)
     k = len(fit.extra)
@@ -262,13 +262,7 @@ def _last(
     while found and len(adopted) < _MOST_ADOPTED and found[0].log_evidence > math.log(len(found)) + _SURE:
         adopted.append(found[0])
         progress("ranking beside what was found", len(adopted) / (_MOST_ADOPTED + 1))
-        fit = (
-            fit.extended([*fit.extra, found[0].extra(fit, rows)])
-            .renoised()
-            .rewidened()
-            .relinearised()
-            .renoised(dispersed=True)
-        )
+        fit = fit.extended([*fit.extra, found[0].extra(fit, rows)]).settled
         known = {h.name for h in adopted}
         found = _leading(fit, rows, [h for h in screened(fit, rows, effects) if h.name not in known])
     for k, h in enumerate(adopted):

@@ -289,6 +289,11 @@ class Likelihood:
         hyper = fit.hyper.with_(pi=fit.pi, friction=friction)
         return Likelihood(self.machine, hyper, self.extra, self.machine.slopes(hyper))
 
+    @cached_property
+    def settled(self) -> Likelihood:
+        """The same model with noise, widths, bodies and slopes learnt once more, all beside the columns it has."""
+        return self.renoised().rewidened().relinearised().renoised(dispersed=True)
+
     def extended(self, extra: Sequence[Extra]) -> Likelihood:
         """Return the same model with other columns beside the machine's."""
         return Likelihood(self.machine, self.hyper, extra, self._slopes)
