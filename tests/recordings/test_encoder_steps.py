@@ -23,7 +23,7 @@ def error(q: np.ndarray) -> tuple[float, float]:
     return float(np.std((read - q)[inside])), float(np.std((told - q)[inside]))
 
 
-@pytest.mark.parametrize("speed", [5e-4, 2e-3, 5e-3])
+@pytest.mark.parametrize("speed", [5e-4, 1e-3, 2.5e-3])
 def test_positions_of_a_joint_that_creeps_are_told_many_times_better(speed: float) -> None:
     read, told = error(0.3 + speed * T + 1e-5 * np.sin(2 * np.pi * 0.2 * T))
     assert told < 0.25 * read
@@ -41,6 +41,12 @@ def test_joint_at_rest_keeps_its_reading_and_one_that_turns_stays_within_a_step(
     told = interpolated(T, rounded(q))
     assert np.abs(told - rounded(q)).max() <= 0.5 * STEP + 1e-12
     assert error(q)[1] < error(q)[0]
+
+
+def test_reading_that_is_left_where_it_was_entered_is_kept() -> None:
+    q = 0.3 + STEP * np.concatenate((np.zeros(40), np.ones(60), np.zeros(40), -np.ones(40)))
+    np.testing.assert_array_equal(interpolated(T[:180], q)[40:100], q[40:100])
+    assert (interpolated(T[:180], q)[100:140] != q[100:140]).all()
 
 
 def test_frequencies_of_the_motion_are_freed_of_the_sawtooth() -> None:

@@ -7,8 +7,10 @@ between two rows, and q_a, q_b the positions there,
 
     q(t) = c + (q_a - c) [1 - (t - t_a) / h]_+ + (q_b - c) [1 - (t_b - t) / h]_+,   h = min(H, (t_b - t_a) / 2)
 
-is a straight line across a short reading, and returns to it within H of a long one. Readings that last for fewer than
-three rows are left as they are.
+is a straight line across a short reading, and returns to it within H of a long one. Shorter readings than 1 / 0.12 rows
+are left as they are: their sawtooth is faster than any band that is fitted (``likelihood.band``), while times of steps
+are told to a row alone. So are readings that are left where they were entered: how far the joint went before it turned,
+or for a while stuck, steps do not tell.
 
 Source: Merry, van de Molengraft, Steinbuch, "Velocity and acceleration estimation for optical incremental encoders",
 Mechatronics 2010 (events of an encoder instead of its samples).
@@ -24,7 +26,7 @@ import numpy as np
 from torchrbd.recordings.blocks import Block
 
 # H [s], and rows that a reading must last.
-_RETURN_S, _LEAST_ROWS = 0.5, 3
+_RETURN_S, _LEAST_ROWS = 0.5, 8
 # Rows that are worked on at a time, at least.
 _AT_ONCE = 256
 
@@ -73,8 +75,10 @@ def interpolated(t: np.ndarray, q: np.ndarray) -> np.ndarray:
     rows = np.diff(np.concatenate(([0], steps, [len(q)])))[number]
     at = np.concatenate(([-np.inf], 0.5 * (t[steps - 1] + t[steps]), [np.inf]))
     half = np.concatenate(([0.0], 0.5 * (q[steps - 1] + q[steps]), [0.0]))
+    enters, leaves = (np.where(np.isfinite(at[k]), half[k] - q, 0.0) for k in (number, number + 1))
     begin, end = at[number], at[number + 1]
     h = np.minimum(_RETURN_S, 0.5 * (end - begin))
-    before = np.clip(1.0 - (t - begin) / h, 0.0, 1.0) * np.where(np.isfinite(begin), half[number] - q, 0.0)
-    after = np.clip(1.0 - (end - t) / h, 0.0, 1.0) * np.where(np.isfinite(end), half[number + 1] - q, 0.0)
-    return np.where(rows >= _LEAST_ROWS, q + before + after, q)
+    before, after = np.clip(1.0 - (t - begin) / h, 0.0, 1.0), np.clip(1.0 - (end - t) / h, 0.0, 1.0)
+    turns = (enters * leaves > 0.0) & (end - begin < 2.0 * _RETURN_S)
+    slow = (rows >= _LEAST_ROWS) & ~turns
+    return np.where(slow, q + before * enters + after * leaves, q)
