@@ -204,7 +204,7 @@ class Likelihood:
         All rows count alike in that: those that show them, at reversals, count less the worse they are explained.
         """
         one, widths = np.ones(len(self.machine.rows.t)), self.hyper.rest_width.copy()
-        plain = self.with_(noise=tuple(Noise(n.index, np.zeros(0), n.std, one) for n in self.hyper.noise))
+        plain = self.with_(noise=tuple(replace(n, spread=one) for n in self.hyper.noise))
         g = plain.gaussian
         for j, noise in enumerate(plain.hyper.noise):
             if not len(self.index[j]) or not self.machine.speed_rms[j]:

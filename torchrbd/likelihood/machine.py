@@ -2,7 +2,7 @@
 
     tau_j = Y_j pi                                          rigid body, around the URDF
           + d qd + c_+ max(g, 0) + c_- min(g, 0)            viscous and two-sided Coulomb friction, g = tanh(qd / w)
-          + s dg/dlog w                                     how wide the sign change is
+          + s dg/dlog w + r d^2(c g)/dt^2                   how wide the sign change is, and how long it lasts
           + t0 d(tau_s)/dt                                  one offset between the clocks of torque and motion
           + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
                                                             what the fastest part of each joint's motion is worth
@@ -12,7 +12,8 @@
 The fastest part of the differentiated positions is encoder noise as well as motion. As far as there is noise within the
 band, the torques of all joints tell how much of it is motion, joint by joint: q + a d^2q/dt^2 is q with its highest
 frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4).
-Friction keeps its sharp edges. What
+Friction keeps its sharp edges, but for this: at a reversal a joint rests while its friction turns from one side to the
+other, which the differentiated positions, smoothed, pass over. What
 rounding adds is a function of the torque, a sawtooth that noise smooths to its first harmonic (Widrow and Kollar,
 "Quantization Noise", 2008).
 """
@@ -35,6 +36,8 @@ from torchrbd.physics import Signals
 # Clocks are off by some samples; a position may be an average over so many.
 _TIMING_SAMPLES, _AVERAGE_SAMPLES = 3.0, 2.0
 _ROUNDING = 2
+# A sign change may last longer, or shorter, by about as much as the band tells, in rows.
+_LASTING_ROWS = 0.5
 # Friction of a joint may take all of its torque; its sign change may be wider or narrower by this part.
 _WIDTH_STD, _WIDTH_STEP = 0.5, 1.1
 # What changes more slowly than this is drift, as far as so many cosines a recording tell.
@@ -100,7 +103,7 @@ class Machine:
         self.torque_rms = np.sqrt((rows.tau**2).sum(1) / np.maximum(rows.measured.sum(1), 1))
         self.speed_rms = np.sqrt(np.mean(rows.qd**2, axis=1))
         self._drift, self._drift_size = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
-        self._local = len(ORDINARY) + 1 + _ROUNDING + len(self._drift)
+        self._local = len(ORDINARY) + 2 + _ROUNDING + len(self._drift)
         self._inside = [rows.recording == k for k in np.unique(rows.recording)]
         self.n = len(self.inertial) + rows.n_dof * (self._local + 1) + len(self._inside)
         self._rigid = [rows.rigid[j][:, self.inertial] @ self.scale for j in range(rows.n_dof)]
@@ -187,15 +190,20 @@ class Machine:
         return self._first(self.rows.n_dof) + np.arange(self.rows.n_dof)
 
     def slopes(self, hyper: Hyper) -> np.ndarray:
-        """Return d(tau_s)/dt of all that is supplied, each joint's fastest motion, and rounding, (1 + n + 2, n, M)."""
+        """Return d(tau_s)/dt of all that is supplied, each joint's fastest motion, d^2/dt^2 of Coulomb friction, rounding.
+
+        Returns:
+            (1 + n + 1 + 2, n, M).
+        """
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
         def derivatives(signals: Signals) -> Tensor:
             turns = 2.0 * math.pi * signals.supplied / step
             amplitude = torch.where(step.isinf(), 0.0, step / math.pi)
             fastest = [signals.deviating(k, signals.qdd[k]) for k in range(self.rows.n_dof)]
+            turning = signals.rate(signals.rate(signals.coulomb_torque))
             rounding = amplitude * turns.sin(), amplitude * turns.cos()
-            return torch.stack((signals.rate(signals.supplied), *fastest, *rounding))
+            return torch.stack((signals.rate(signals.supplied), *fastest, turning, *rounding))
 
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
 
@@ -219,10 +227,11 @@ class Machine:
         ]
         places = [np.arange(len(self.inertial)), first + np.arange(len(ORDINARY) + 1), self.drifting(joint)]
         if slopes is not None:
-            parts.append(slopes[-_ROUNDING:, joint])
-            places.append(first + len(ORDINARY) + 1 + np.arange(_ROUNDING))
+            lasting = 0.5 * (_LASTING_ROWS * self.rows.dt_out) ** 2
+            parts += [lasting * slopes[-_ROUNDING - 1 : -_ROUNDING, joint], slopes[-_ROUNDING:, joint]]
+            places.append(first + len(ORDINARY) + 1 + np.arange(1 + _ROUNDING))
             average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
-            parts.append(slopes[1:-_ROUNDING, joint] * average[:, None])
+            parts.append(slopes[1 : -_ROUNDING - 1, joint] * average[:, None])
             places.append(self.averaging)
             parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))
             places.append(self.timing)

@@ -177,9 +177,18 @@ class Signals:
         """Torque that ``friction`` takes, (n, *batch) [N m] or [N]."""
         if self.friction is None:
             return torch.zeros_like(self.qd)
-        like = (-1, *[1] * (self.qd.ndim - 1))
-        viscous, coulomb, offset = (v.to(self.qd).reshape(like) for v in self.friction.unbind(1))
-        return viscous * self.qd + coulomb * torch.tanh(self.qd / self.rest_width.to(self.qd).reshape(like)) + offset
+        return self._each(self.friction[:, 0]) * self.qd + self.coulomb_torque + self._each(self.friction[:, 2])
+
+    @property
+    def coulomb_torque(self) -> Tensor:
+        """Torque that Coulomb friction takes of it, (n, *batch) [N m] or [N]."""
+        if self.friction is None:
+            return torch.zeros_like(self.qd)
+        return self._each(self.friction[:, 1]) * torch.tanh(self.qd / self._each(self.rest_width))
+
+    def _each(self, values: Tensor) -> Tensor:
+        """Return values (n,) of the joints as they go with the samples, (n, 1, ...)."""
+        return values.to(self.qd).reshape(-1, *[1] * (self.qd.ndim - 1))
 
     @property
     def supplied(self) -> Tensor:
