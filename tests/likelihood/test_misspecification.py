@@ -85,8 +85,10 @@ def test_learnt_noise_is_not_taken_for_a_wrong_law() -> None:
         assert min(two.test(fit.machine.ordinary(j)).p_value for j in range(2)) > MISFIT
 
 
-def test_a_law_that_is_wrong_is_seen_in_noise_that_is_learnt() -> None:
-    two = TwoEstimates(fit := fitted(at_joint(0, lambda m: 3.0 * np.sin(4.0 * m.qd[:, 0]))))
+@pytest.mark.parametrize("exponent", [0.5, 2.0, 3.0])
+def test_a_law_that_is_wrong_is_seen_in_noise_that_is_learnt(exponent: float) -> None:
+    law = at_joint(0, lambda m: np.sign(m.qd[:, 0]) * np.abs(m.qd[:, 0]) ** exponent)
+    two = TwoEstimates(fit := fitted(law))
     assert two.test(fit.machine.ordinary(0)).p_value < MISFIT
 
 
