@@ -90,6 +90,7 @@ def test_direction_dependent_friction_is_found_as_itself_or_its_equivalent(plus:
     assert {j for f in diagnosis.findings for j in f.joints} == {joint}
 
 
+@pytest.mark.slow
 def test_torque_without_a_name_is_left_unexplained_where_it_acts() -> None:
     urdf, joint = serial_arm(9, 4), "joint2"
     extra = added(urdf, joint, lambda q, qd, qdd: 4.0 * np.exp(-(((q - 0.2) / 0.3) ** 2)))
@@ -160,6 +161,7 @@ def test_friction_that_only_the_urdf_has_is_found_to_be_wrong() -> None:
     assert "has the wrong" in diagnosis.statement
 
 
+@pytest.mark.slow
 def test_what_is_left_is_seen_though_one_recording_lacks_the_torque() -> None:
     urdf, joint = serial_arm(9, 4), "joint2"
     extra = added(urdf, joint, lambda q, qd, qdd: 4.0 * np.exp(-(((q - 0.2) / 0.3) ** 2)))

@@ -125,6 +125,7 @@ def test_shocks_stay_where_what_was_found_explains_them() -> None:
     assert without_shocks(fit) is fit
 
 
+@pytest.mark.slow
 def test_shocks_without_a_name_are_told() -> None:
     result = torchrbd.diagnose(URDF, recorded(PLAY), exclude=["backlash"], cutoff_hz=10.0)
     (left,) = [x for x in result.unexplained if "shocks" in x.statement]
@@ -134,6 +135,7 @@ def test_shocks_without_a_name_are_told() -> None:
     assert max((f.probability for f in result.findings), default=0.0) < 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("play", [0.01, PLAY])
 def test_play_is_named_where_its_shocks_had_spoiled_the_fit(play: float) -> None:
     result = torchrbd.diagnose(URDF, recorded(play), cutoff_hz=10.0)
@@ -144,6 +146,7 @@ def test_play_is_named_where_its_shocks_had_spoiled_the_fit(play: float) -> None
     assert "counts nothing" in result.identification.notes[-1]
 
 
+@pytest.mark.slow
 def test_held_out_errors_count_shocks() -> None:
     identified = torchrbd.identify(URDF, recorded(PLAY), cutoff_hz=10.0)
     diagnosed = torchrbd.diagnose(URDF, recorded(PLAY), cutoff_hz=10.0).identification
