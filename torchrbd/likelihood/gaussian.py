@@ -164,6 +164,20 @@ class Gaussian(Posterior):
         power = sum(float(b.y @ b.y) for b in blocks)
         self.log_evidence = self._constant - 0.5 * (power - float(h @ self.z)) - float(np.log(np.diag(self.L)).sum())
 
+    def log_density(self, blocks: Sequence[Block]) -> float:
+        """Return the log density of other rows, given those that are explained, in units of their noise.
+
+        log p(y' | y) = log p(y', y) - log p(y),   H' = H + X'X
+        """
+        H, h = self.H.copy(), self.h.copy()
+        for b in blocks:
+            H[np.ix_(b.own, b.own)] += b.X @ b.X.T
+            h[b.own] += b.X @ b.y
+        both = Posterior(H, h)
+        power = sum(float(b.y @ b.y) for b in blocks)
+        volume = float(np.log(np.diag(both.L) / np.diag(self.L)).sum())
+        return 0.5 * (float(h @ both.z - self.h @ self.z) - power) - volume
+
     def among(self, kept: np.ndarray) -> Gaussian:
         """Return the posterior of a model that has some of the coefficients alone."""
         number = np.full(len(self.z), -1)

@@ -13,9 +13,8 @@ The fastest part of the differentiated positions is encoder noise as well as mot
 band, the torques of all joints tell how much of it is motion, joint by joint: q + a d^2q/dt^2 is q with its highest
 frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4).
 Friction keeps its sharp edges, but for this: at a reversal a joint rests while its friction turns from one side to the
-other, which the differentiated positions, smoothed, pass over. What
-rounding adds is a function of the torque, a sawtooth that noise smooths to its first harmonic (Widrow and Kollar,
-"Quantization Noise", 2008).
+other, which the differentiated positions, smoothed, pass over. What rounding adds is a function of the torque, a
+sawtooth that noise smooths to its first harmonic (Widrow and Kollar, "Quantization Noise", 2008).
 """
 
 from __future__ import annotations
@@ -190,10 +189,9 @@ class Machine:
         return self._first(self.rows.n_dof) + np.arange(self.rows.n_dof)
 
     def slopes(self, hyper: Hyper) -> np.ndarray:
-        """Return d(tau_s)/dt of all that is supplied, each joint's fastest motion, d^2/dt^2 of Coulomb friction, rounding.
+        """Return the columns (1 + n + 1 + 2, n, M) that follow the load.
 
-        Returns:
-            (1 + n + 1 + 2, n, M).
+        d(tau_s)/dt of all that is supplied, each joint's fastest motion, d^2/dt^2 of Coulomb friction, and rounding.
         """
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
