@@ -30,11 +30,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 import torchrbd
-from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.errors import InputError
 from torchrbd.export import write_diagnosis
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import Prepared, prepare
+from torchrbd.physics.registry import PLAIN
 from torchrbd.robot import RobotModel
 
 from .oracle import offered, oracle_errors
@@ -172,7 +172,7 @@ def _told_case(truths: Mapping[str, dict[str, Any]], case: Path, out: Path) -> N
     if truth.get("baseline"):
         shown, urdf = _read_json(out.parent / truth["baseline"] / DIAGNOSIS)["findings"], case / "robot.urdf"
         robot = RobotModel.from_urdf(urdf)
-        names = set(BACKGROUND).union(*(offered(robot, f) for f in (*shown, *truth["effects"])))
+        names = set(PLAIN).union(*(offered(robot, f) for f in (*shown, *truth["effects"])))
         fit, holdout = recordings(case)
         diagnosis = torchrbd.diagnose(urdf, fit, holdout=holdout, effects=sorted(names))
         write_diagnosis(diagnosis, out / "told.unfinished")

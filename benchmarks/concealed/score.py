@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, NamedTuple
 
-from torchrbd.diagnosis.search.options import COMMON
+from torchrbd.physics.registry import PLAIN_OR_UNEVEN
 
 from .matching import RIGID_BODY, Judgement, covers, judge, new_findings, relation
 from .overlap import end_errors, interval_iou, region_iou
@@ -136,7 +136,7 @@ def score_case(truth: Json, diagnosis: Json, seconds: float, oracle: Json | None
 
 
 def _is_plain(finding: Json) -> bool:
-    return finding["effect"] in COMMON and finding["where"]["recordings"] is None
+    return finding["effect"] in PLAIN_OR_UNEVEN and finding["where"]["recordings"] is None
 
 
 def score_injected(

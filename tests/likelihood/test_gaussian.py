@@ -202,7 +202,7 @@ def test_against_zero_is_the_evidence_of_having_the_coefficients(index: list[int
     X, y = stacked(blocks)
     kept = np.setdiff1d(np.arange(N_COEFFICIENTS), index)
     expected = log_density(X, y) - log_density(X[:, kept], y)
-    assert Gaussian(blocks, N_COEFFICIENTS).against_zero(index) == pytest.approx(expected, rel=1e-9)
+    assert Gaussian(blocks, N_COEFFICIENTS).against(index) == pytest.approx(expected, rel=1e-9)
 
 
 def test_joint_without_rows_says_nothing() -> None:

@@ -300,4 +300,4 @@ def test_rounding_is_a_sawtooth_of_the_torque() -> None:
     at = [k for k, row in zip(own, A, strict=True) for s in fit._slopes[-2:, 1] if np.array_equal(row, s)]
     assert fit.gaussian.z[at[0]] == pytest.approx(-1.0, abs=0.15)
     assert abs(fit.gaussian.z[at[1]]) < 0.15
-    assert fit.gaussian.against_zero(at) > 30
+    assert fit.gaussian.against(at) > 30

@@ -26,10 +26,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.alternatives import LARGEST_PROBABILITY, odds
+from torchrbd.diagnosis.explain import LARGEST_PROBABILITY
 from torchrbd.diagnosis.results import Deflection, Quantity
-from torchrbd.diagnosis.rows.gain import gain
-from torchrbd.diagnosis.search.options import accepted
+from torchrbd.diagnosis.rows.gain import accepted, gain, odds
 from torchrbd.diagnosis.springs import spring_sentence
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
@@ -170,7 +169,7 @@ def _deflection(rows: _Rows, model: FittedModel, joint: int) -> Deflection:
         delay=Quantity(float(w[_SPEED]), float(std[_SPEED]), "s"),
         inertial_share=_inertial_share(rows, B, model, joint),
         rms=float(np.sqrt(np.mean(rows.centred(rows.e, ~rows.held) ** 2))),
-        probability=min(1 / (1 + odds(worth, 0.0)), LARGEST_PROBABILITY) if seen else 0.0,
+        probability=min(1 / (1 + odds(worth)), LARGEST_PROBABILITY) if seen else 0.0,
         log_evidence_gain=worth.total,
         nmse_before=before,
         nmse_after=_unpredicted(rows, B @ w) if seen else before,

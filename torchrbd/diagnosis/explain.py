@@ -1,53 +1,94 @@
-"""Turn chosen terms into findings: how sure, what else it could be, what it is worth, and a sentence for a person."""
+"""Turn what was found into findings: how sure, what else it could be, what it is worth, and a sentence for a person."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
-from torchrbd.diagnosis.alternatives import Weighed
+import torch
+
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
-from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, Where
-from torchrbd.diagnosis.search.unnamed import is_smooth
-from torchrbd.diagnosis.words import finding_sentence, strongest_first
-from torchrbd.inference.physical.fitting import FittedModel, judge
+from torchrbd.diagnosis.extending import Extended
+from torchrbd.diagnosis.friction import UNEVEN
+from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.posterior import inclusion
+from torchrbd.diagnosis.residual import is_curve
+from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Region, Where
+from torchrbd.diagnosis.search import Explanation
+from torchrbd.diagnosis.words import LIKELY, finding_sentence, strongest_first
+from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.physical.terms import told_parameters
-from torchrbd.inference.preparation import Prepared
 from torchrbd.likelihood.columns import Candidate, Columns
-from torchrbd.physics import Site
+from torchrbd.physics import Site, effect
 from torchrbd.robot import RobotModel
 
-# An alternative is told of if it is so many times as probable as the finding.
-LEAST_ODDS = 0.05
+# A law is told of, and an alternative, if it is so probable among what explains the same.
+_LEAST_LAW = 0.05
+LARGEST_PROBABILITY = 0.999
+# Parts of a joint's torque, and of its held-out error, that are nobody's business.
+_LEAST_TORQUE, _LEAST_SHARE = 0.01, 0.1
 
 
-def explain(prepared: Prepared, weighed: Sequence[Weighed], model: FittedModel) -> tuple[Finding, ...]:
-    """Describe each chosen term.
+@dataclass(frozen=True)
+class _Sure:
+    """How sure a term is: evidence, probabilities of it and of its family, and the laws in its place."""
+
+    log_evidence: float
+    probability: float
+    family_probability: float
+    laws: tuple[tuple[Hypothesis, float], ...] = ()
+
+
+def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
+    """Describe what was found, if it, or its family, is likelier than not.
 
     Args:
-        prepared: the data.
-        weighed: the terms as the search left them.
-        model: the fit with the same terms, in the same order, their shapes final.
+        found: by the search.
+        extended: the fit with it.
 
     Returns:
-        Findings, those likelier than not first, then by gain; rivals the likeliest first.
+        Findings, the largest gain first, and others that are as certain but trifling.
     """
-    judging, reading = prepared.judging, prepared.reading
+    reading, model = extended.prepared.reading, extended.model
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
-    after, found = judge(judging, model.x).nmse, []
-    # The first of the model's terms are those of the search; plain friction too little to be found may follow.
-    terms = model.proper_terms[: len(weighed)]
-    everywhere = {(c.effect, c.site) for c in terms}
-    for one, term in zip(weighed, terms, strict=True):
-        if is_smooth(term):
+    after, findings = judge(extended.prepared.judging, model.x).nmse, []
+    terms = list(_sure(found, extended))
+    everywhere = {(c.effect, c.site) for c, _ in terms}
+    for term, sure in terms:
+        if max(sure.probability, sure.family_probability) <= LIKELY:
             continue
         rest = [c for c in model.terms if c is not term]
-        before = judge(judging, prepared.fit(rest, model.noise_variance).x).nmse
-        finding = _finding(one, term, model, before, after, ends_s)
+        before = judge(extended.prepared.judging, extended.prepared.fit(rest, model.noise_variance).x).nmse
+        finding = _finding(term, sure, extended, before, after, ends_s)
         more = term.site.recordings is not None and (term.effect, replace(term.site, recordings=None)) in everywhere
-        found.append(replace(finding, statement=finding_sentence(finding, more=more)))
-    return strongest_first(found)
+        findings.append(replace(finding, statement=finding_sentence(finding, more=more)))
+    trifling = [_trifling(f, extended) for f in findings]
+    return tuple(
+        strongest_first(f for f, small in zip(findings, trifling, strict=True) if small is kind)
+        for kind in (False, True)
+    )  # type: ignore[return-value]
+
+
+def _trifling(finding: Finding, extended: Extended) -> bool:
+    """Say whether a finding carries next to nothing of any joint's torque, and held-out time hardly shows it."""
+    torque = extended.prepared.training.torque.sum(0)
+    rms = dict(zip(extended.prepared.robot.joint_names, (torque[:, 2] / torque[:, 0]).sqrt().tolist(), strict=True))
+    small = all(carried < _LEAST_TORQUE * rms[joint] for joint, carried in finding.torque_rms.items())
+    return small and finding.share < _LEAST_SHARE
+
+
+def _sure(found: Explanation, extended: Extended) -> Iterator[tuple[Candidate, _Sure]]:
+    """Yield the terms of a model that are findings."""
+    terms = extended.model.proper_terms
+    for friction, candidate in zip(extended.friction, terms, strict=False):
+        if friction.probability > LIKELY:
+            yield candidate, _Sure(friction.log_evidence, friction.probability, friction.probability)
+    for term, candidate in zip(found.terms, extended.terms, strict=True):
+        if not is_curve(candidate):
+            one = inclusion(term.own, term.rivals, found.rows)
+            laws = tuple((law.hypothesis, law.probability) for law in one.laws)
+            yield candidate, _Sure(term.own.log_evidence, one.probability, one.family_probability, laws)
 
 
 def places(robot: RobotModel, site: Site) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -70,13 +111,14 @@ def where(term: Candidate, columns: Columns, quantities: Mapping[str, Quantity],
 
 
 def _finding(
-    one: Weighed,
     term: Candidate,
-    model: FittedModel,
+    sure: _Sure,
+    extended: Extended,
     before: Mapping[str, float],
     after: Mapping[str, float],
     ends_s: Mapping[str, float],
 ) -> Finding:
+    model = extended.model
     columns, robot = model.columns, model.columns.robot
     joints, links = places(robot, term.site)
     prismatic = term.site.joint is not None and bool(robot.prismatic[term.site.joint])
@@ -84,24 +126,43 @@ def _finding(
         name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic), columns.urdf_value(term))
         for name, (value, std) in told_parameters(model, term).items()
     }
-    alike = tuple(
-        Alternative(r.candidate.effect.id, *places(robot, r.candidate.site), driven_by(r.candidate, robot))
-        for r in sorted(one.rivals, key=lambda r: -r.odds)
-        if r.odds > LEAST_ODDS
-    )
+    own = (term.effect.id, replace(term.site, window=None))
+    alike = [h.candidate for h, p in sure.laws if p > _LEAST_LAW and h.name != own]
+    if term.effect.id == UNEVEN:
+        # A constant torque, but for what happens within a reversal.
+        alike.append(columns.candidate(effect("torque_offset"), term.site, {}))
     touched = joints if term.place is not None else tuple(robot.joint_names)
     return Finding(
         effect=term.effect.id,
         joints=joints,
         links=links,
-        probability=one.probability,
-        log_evidence_gain=one.worth.total,
+        probability=min(sure.probability, LARGEST_PROBABILITY),
+        log_evidence_gain=sure.log_evidence,
         parameters=quantities,
         where=where(term, columns, quantities, ends_s),
-        indistinguishable_from=tuple(dict.fromkeys(alike)),
+        indistinguishable_from=tuple(
+            dict.fromkeys(Alternative(c.effect.id, *places(robot, c.site), driven_by(c, robot)) for c in alike)
+        ),
         nmse_before={name: value for name, value in before.items() if name in touched},
         nmse_after={name: value for name, value in after.items() if name in touched},
         statement="",
         depends_on=driven_by(term, robot),
         curve=fitted_curve(model, term),
+        family=term.effect.family,
+        family_probability=min(sure.family_probability, LARGEST_PROBABILITY),
+        laws=tuple(Law(h.candidate.effect.id, p) for h, p in sure.laws if p > _LEAST_LAW),
+        torque_rms=torque_rms(term, extended),
     )
+
+
+def torque_rms(term: Candidate, extended: Extended) -> dict[str, float]:
+    """Return by joint the RMS of the torque that a term carries [N m or N], w' A w / n of its columns' moments A."""
+    model, statistics = extended.model, extended.prepared.training
+    found, own = {}, torch.zeros_like(model.x)
+    own[model.columns.of(term)] = model.x[model.columns.of(term)]
+    count = statistics.torque[..., 0].sum(0)
+    for j, (columns, moments) in enumerate(zip(model.columns.of_joint, statistics.total(), strict=True)):
+        power = float(own[columns] @ moments[:-1, :-1] @ own[columns])
+        if power > 0:
+            found[model.columns.robot.joint_names[j]] = math.sqrt(power / max(float(count[j]), 1e-300))
+    return found

@@ -32,6 +32,7 @@ class Hypothesis:
         coefficients, std: (K,) posterior of its coefficients.
         scale: multiple of their prior that has the greatest evidence.
         tried: shapes, or windows, that were averaged over.
+        paid: what averaging over them has cost: log evidence less that of the candidate alone.
     """
 
     candidate: Candidate
@@ -40,6 +41,7 @@ class Hypothesis:
     std: np.ndarray
     scale: float
     tried: int
+    paid: float = 0.0
 
     @property
     def name(self) -> tuple[str, Site]:
@@ -82,10 +84,15 @@ def averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hy
     std = np.stack([s for s, _ in sizes])[:, None] * scales[:, None]
     found = added(S[at[:, :, None], at[:, None, :]][:, None], r[at][:, None], std, parts[0][0].effect.prior.positive)
     shape, size = np.unravel_index(int(found.log_evidence.argmax()), found.log_evidence.shape)
-    best = shape, size
-    return Hypothesis(
-        parts[shape][0], mean_of(found.log_evidence), found.mean[best], found.std[best], float(scales[size]), len(parts)
-    )
+    best, mean = (shape, size), mean_of(found.log_evidence)
+    paid = mean - mean_of(found.log_evidence[shape])
+    return Hypothesis(parts[shape][0], mean, found.mean[best], found.std[best], float(scales[size]), len(parts), paid)
+
+
+def again(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis | None:
+    """Return a hypothesis beside another fit, its shape and window as they are; what they have cost stays paid."""
+    one = told(fit, rows, h.candidate)
+    return None if one is None else replace(one, log_evidence=one.log_evidence + h.paid, tried=h.tried, paid=h.paid)
 
 
 def mean_of(log_evidence: np.ndarray) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, told
-from torchrbd.diagnosis.screening import refined, screened
+from torchrbd.diagnosis.search import Explanation, explained, with_own_noise
 from torchrbd.inference.identify import Source, read_arguments
 from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings
@@ -23,19 +23,16 @@ from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.misspecification import MISFIT, Misfit, TwoEstimates
 from torchrbd.likelihood.reading import Progress, Reading
-from torchrbd.likelihood.rows import KeptBack, Rows, not_held_out
+from torchrbd.likelihood.rows import KeptBack, not_held_out
 from torchrbd.likelihood.scales import covered_scales
-from torchrbd.physics import Effect, Site, Window
+from torchrbd.physics import Site, Window
 from torchrbd.physics.registry import effect
 from torchrbd.recordings import Filtering
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded
 
-# Hypotheses whose shapes are refined and whose noise is learnt anew, at each step, and those that are shown.
-_LEADING, _SHOWN = 5, 30
-# A leader is adopted, and the others are ranked beside it, while its odds against chance are above nine to one, of all
-# hypotheses one being expected; at most so many.
-_SURE, _MOST_ADOPTED = math.log(9.0), 6
+# Hypotheses that are shown.
+_SHOWN = 30
 
 
 @dataclass(frozen=True)
@@ -86,8 +83,7 @@ class Ranking:
     last: tuple[Ranked, ...]
     considered: int
     misfit: dict[str, Misfit]
-    _fit: Likelihood = field(repr=False)
-    _rows: Rows = field(repr=False)
+    explanation: Explanation = field(repr=False)
 
     def evidence_of(
         self,
@@ -106,7 +102,8 @@ class Ranking:
             shape: nonlinear parameters; ``other`` in it names the joint on whose motion the effect depends.
             window: recording, from and to [s].
         """
-        rows, robot = self._rows, self._rows.columns.robot
+        rows, base = self.explanation.rows, self.explanation.base
+        robot = rows.columns.robot
         known = dict(shape or {})
         other = known.pop("other", None)
         everywhere = len(joints) == robot.n_dof > 1
@@ -121,8 +118,8 @@ class Ranking:
             # Every model has it: its evidence is that of the first step.
             return next((h.log_evidence for h in self.first if (h.effect, h.joints) == (e.id, ())), 0.0)
         candidate = rows.columns.candidate(e, site, known if e.first_order is None else e.first_order)
-        one = told(self._fit, rows, candidate)
-        return -math.inf if one is None else with_own_noise(self._fit, rows, one).log_evidence
+        one = told(base, rows, candidate)
+        return -math.inf if one is None else with_own_noise(base, rows, one).log_evidence
 
 
 @single_threaded()
@@ -171,10 +168,12 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
     progress("learning the noise", 0.0)
     clocks = in_time(reading, columns, kept_back, frozenset(settings.held_bodies(robot)))
     fit = clocks.fit
-    rows = _carried(fit)
     progress("ranking", 0.0)
-    found = _leading(fit, rows, screened(fit, rows, effects))
-    last, adopted, terms = _last(fit, rows, effects, found, progress)
+
+    def report(terms: int) -> None:
+        progress("ranking beside what was found", min(terms / 4, 0.9))
+
+    found = explained(fit, effects, report)
     late = [_delay(clocks)] if any(e.id == "time_delay" for e in effects) and robot.n_dof > 1 else []
 
     def shown(hypotheses: Sequence[Hypothesis], beside: Likelihood) -> tuple[Ranked, ...]:
@@ -184,17 +183,17 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
     two = TwoEstimates(fit)
     seen = [j for j in range(robot.n_dof) if fit.machine.rows.seen[j]]
     misfit = {robot.joint_names[j]: two.test(fit.machine.ordinary(j)) for j in seen}
+    own = [term.own for term in found.terms]
     return Ranking(
         band_hz=band,
         ordinary=_ordinary(fit, two, misfit),
         delay_s=clocks.delay_s,
-        first=shown(found, fit),
-        adopted=tuple(_ranked(h, fit, robot) for h in adopted),
-        last=shown(last, terms),
-        considered=len(found) + len(late),
+        first=shown(found.first, fit),
+        adopted=tuple(_ranked(h, found.fit, robot) for h in own),
+        last=shown([*own, *found.last], found.fit),
+        considered=found.considered + len(late),
         misfit=misfit,
-        _fit=fit,
-        _rows=rows,
+        explanation=found,
     )
 
 
@@ -203,77 +202,6 @@ def _delay(clocks: Clocks) -> Ranked:
     late, std = np.array(list(clocks.delay_s.values())).T
     mean = float(np.average(late, weights=std**-2.0))
     return Ranked("time_delay", (), (), clocks.against, {"delay": mean})
-
-
-def _carried(fit: Likelihood) -> Rows:
-    """Return the rows whose signals carry the load and friction of a fit."""
-    return fit.machine.rows.around(fit.pi, fit.hyper.friction, fit.hyper.rest_width)
-
-
-def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis with the noise learnt beside it: what is not explained colours the noise, and hides in it.
-
-    Both models have the noise that they leave, and rows count by the scatter of the blocks that the larger one leaves.
-    The priors of both are expanded around their own fits: bodies and friction that stood in for the effect lie far off.
-    """
-    beside = fit.extended((*fit.extra, h.extra(fit, rows)))
-    extended = beside.settled
-    base = fit.settled.dispersed(extended.hyper.dispersion)
-    # What averaging over shapes, sizes and windows costs, the first noise has told.
-    average = h.log_evidence - (beside.log_evidence - fit.log_evidence)
-    k = len(fit.extra)
-    return replace(
-        h,
-        log_evidence=extended.log_evidence - base.log_evidence + average,
-        coefficients=extended.coefficients(k),
-        std=extended.coefficients_std(k),
-    )
-
-
-def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis whose shape is refined beside the noise, bodies and friction that go with it.
-
-    Those of a fit without it stand in for it, best where its shape is not the true one; steps in time they cannot.
-    """
-    first = refined(fit, rows, h)
-    if first.tried == 1 or first.candidate.site.window is not None:
-        return first
-    own = fit.extended((*fit.extra, first.extra(fit, rows))).renoised().rewidened().relinearised().extended(fit.extra)
-    then = told(fit, rows, refined(own, rows, first).candidate)
-    before = told(fit, rows, first.candidate)
-    if then is None or before is None:
-        return first
-    # What averaging costs is that of the first refinement.
-    average = first.log_evidence - before.log_evidence
-    return replace(then, log_evidence=then.log_evidence + average, tried=first.tried)
-
-
-def _leading(fit: Likelihood, rows: Rows, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return hypotheses in order, the leading ones with refined shapes and their own noise."""
-    leading = [with_own_noise(fit, rows, sharpened(fit, rows, h)) for h in found[:_LEADING]]
-    return sorted((*leading, *found[_LEADING:]), key=lambda h: -h.log_evidence)
-
-
-def _last(
-    fit: Likelihood, rows: Rows, effects: Sequence[Effect], found: list[Hypothesis], progress: Progress
-) -> tuple[list[Hypothesis], list[Hypothesis], Likelihood]:
-    """Adopt leaders one after the other; return the hypotheses beside them, those adopted, and the model."""
-    adopted: list[Hypothesis] = []
-    while found and len(adopted) < _MOST_ADOPTED and found[0].log_evidence > math.log(len(found)) + _SURE:
-        adopted.append(found[0])
-        progress("ranking beside what was found", len(adopted) / (_MOST_ADOPTED + 1))
-        fit = fit.extended([*fit.extra, found[0].extra(fit, rows)]).settled
-        known = {h.name for h in adopted}
-        found = _leading(fit, rows, [h for h in screened(fit, rows, effects) if h.name not in known])
-    for k, h in enumerate(adopted):
-        own = replace(
-            h,
-            log_evidence=fit.against_leaving_out(k),
-            coefficients=fit.coefficients(k),
-            std=fit.coefficients_std(k),
-        )
-        found.append(own)
-    return sorted(found, key=lambda h: -h.log_evidence), adopted, fit
 
 
 def _ranked(h: Hypothesis, fit: Likelihood, robot: RobotModel) -> Ranked:
@@ -320,6 +248,6 @@ def _ordinary(fit: Likelihood, two: TwoEstimates, misfit: Mapping[str, Misfit]) 
             (ORDINARY_EFFECTS[1], at[1:], {"coulomb_plus": plus, "coulomb_minus": minus}),
         ):
             width = {"width": float(fit.hyper.rest_width[j])} if len(index) > 1 else {}
-            evidence = fit.gaussian.against_zero(index)
+            evidence = fit.gaussian.against(index)
             found.append(Ranked(identifier, (name,), (), evidence, values, shape=width))
     return tuple(found)

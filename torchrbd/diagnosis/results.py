@@ -57,12 +57,21 @@ class Curve:
 
 
 @dataclass(frozen=True)
+class Law:
+    """An effect in the place of a finding, and its probability given that one of them is there."""
+
+    effect: str
+    probability: float
+
+
+@dataclass(frozen=True)
 class Finding:
     """One named effect; at no joint and no link if it acts on the whole robot.
 
-    ``probability`` is against none, its rivals in its place, and causes outside the list, which names imitate a little;
-    ``depends_on`` are signals of other joints that it depends on, e.g. "q_joint2", ``curve`` is the function that shows
-    it best, ``statement`` a sentence for a person.
+    ``probability`` is against none and its rivals in its place, ``family_probability`` that of some effect of its
+    ``family`` there; ``laws`` are the effects that explain the same. ``depends_on`` are signals of other joints that it
+    depends on, e.g. "q_joint2", ``curve`` is the function that shows it best, ``torque_rms`` what it carries by joint
+    [N m or N], ``statement`` a sentence for a person.
     """
 
     effect: str
@@ -78,6 +87,16 @@ class Finding:
     statement: str
     depends_on: tuple[str, ...] = ()
     curve: Curve | None = None
+    family: str = ""
+    family_probability: float = 0.0
+    laws: tuple[Law, ...] = ()
+    torque_rms: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def share(self) -> float:
+        """The part of its joint's held-out squared error that it removes, the largest of several joints."""
+        shares = [1.0 - self.nmse_after[j] / b for j, b in self.nmse_before.items() if b > 0 and j in self.nmse_after]
+        return max(shares, default=0.0)
 
 
 @dataclass(frozen=True)
@@ -267,7 +286,8 @@ class Diagnosis:
     explains). ``locations`` say where models and robot differ, named or not; ``maps`` draw the same. ``limits`` say how
     large what was not found could be, ``deflections`` what encoders behind the gears show. ``simulated`` names the
     recordings of a simulator that stood for the URDF. ``proofs`` say what the extended model is worth on
-    torque that was held out. ``ranking`` has all that was considered, by its evidence; None if that could not be told,
+    torque that was held out. ``trifling`` are effects that are as certain as findings and carry next to no torque.
+    ``ranking`` has all that was considered, by its evidence; None if that could not be told,
     and a note says why.
     """
 
@@ -283,3 +303,4 @@ class Diagnosis:
     simulated: tuple[str, ...] = field(default=())
     proofs: tuple[Proof, ...] = field(default=())
     ranking: Ranking | None = None
+    trifling: tuple[Finding, ...] = field(default=())

@@ -17,8 +17,9 @@ from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.shapes import varied
 from torchrbd.physics import Effect, Site
 
-# The machine has these already, and one offset of the clocks for all joints.
-ORDINARY = (*ORDINARY_EFFECTS, "coulomb_friction")
+# The machine has these already, and one offset of the clocks for all joints; a constant torque is told from Coulomb
+# friction that is not the same in both directions by what happens within a reversal alone.
+ORDINARY = (*ORDINARY_EFFECTS, "coulomb_friction", "torque_offset")
 # Points between a shape's neighbours on the grid.
 _FINE = 9
 
@@ -63,7 +64,8 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
             continue
         cell += mean_of(np.array([one.log_evidence for one in found])) - at.log_evidence
         at = max(found, key=lambda one: one.log_evidence)
-    return replace(at, log_evidence=float(np.logaddexp(rest, cell - math.log(h.tried))), tried=h.tried)
+    mean = float(np.logaddexp(rest, cell - math.log(h.tried)))
+    return replace(at, log_evidence=mean, tried=h.tried, paid=mean - at.log_evidence)
 
 
 def _less(total: float, part: float) -> float:

@@ -41,7 +41,8 @@ def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | 
                 continue
             best = max(found, key=lambda h: h.log_evidence)
             mean = float(np.logaddexp.reduce([h.log_evidence for h in found])) - math.log(len(kinds))
-            yield replace(best, log_evidence=mean, tried=len(kinds) * best.tried)
+            paid = best.paid + mean - best.log_evidence
+            yield replace(best, log_evidence=mean, tried=len(kinds) * best.tried, paid=paid)
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,8 @@ def in_stretches(
         candidate.effect, replace(site, window=Window(site.window.recording, *edges)), candidate.shape
     )
     mean, one = mean_of(found.log_evidence), mean_of(found.log_evidence[k])
-    return Hypothesis(best, mean, found.mean[k, size], found.std[k, size], float(scales[size]), len(begin)), one
+    coefficients, std = found.mean[k, size], found.std[k, size]
+    return Hypothesis(best, mean, coefficients, std, float(scales[size]), len(begin), mean - one), one
 
 
 def _sums(
@@ -164,7 +166,7 @@ def located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     # All that are near stand for one that begins and ends with blocks, or for themselves among finer ones.
     part = len(stretches.pairs) / h.tried if _open(window) else 1.0 / h.tried
     paid = near[1] - near[0].log_evidence - math.log(part)
-    return replace(exact, log_evidence=exact.log_evidence - paid, tried=h.tried)
+    return replace(exact, log_evidence=exact.log_evidence - paid, tried=h.tried, paid=-paid)
 
 
 def _open(window: Window) -> bool:

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 
 from torchrbd.diagnosis.numbers import joined, percent
 from torchrbd.diagnosis.results import Finding, Unexplained, Where
-from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.diagnosis.words import LIKELY, alternatives, at, named, when, words_of
 from torchrbd.inference.torque_error import Fit
+from torchrbd.physics.registry import PLAIN
 
 _WRONG = "wrong "
 # Said together where they are found at the same joints.
@@ -45,8 +45,8 @@ def verdict_statement(
     if verdict == "unexplained":
         return f"No known effect explains what the rigid body leaves.{open_end}"
     likely = [f for f in findings if f.probability > LIKELY]
-    special = _told([f for f in likely if f.effect not in BACKGROUND], everywhere)
-    plain_ones = sorted((f for f in likely if f.effect in BACKGROUND), key=lambda f: BACKGROUND.index(f.effect))
+    special = _told([f for f in likely if f.effect not in PLAIN], everywhere)
+    plain_ones = sorted((f for f in likely if f.effect in PLAIN), key=lambda f: PLAIN.index(f.effect))
     usual = _told(plain_ones, everywhere)
     first, second = (special, f" It also {usual}." if usual else "") if special else (usual, "")
     first = first or f"leaves something out, {_guesses(findings, everywhere)}"

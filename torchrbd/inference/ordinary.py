@@ -19,7 +19,7 @@ from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
-from torchrbd.likelihood.clocks import in_time, of_one_machine
+from torchrbd.likelihood.clocks import Clocks, in_time, of_one_machine
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS, Machine
@@ -44,10 +44,19 @@ def with_friction(settings: Settings) -> tuple[Effect, ...]:
     return tuple(effect(identifier) for identifier in ORDINARY_EFFECTS if identifier not in settings.exclude)
 
 
-def with_machine(prepared: Prepared, settings: Settings, effects: Sequence[Effect], progress: Progress) -> Prepared:
+def with_machine(
+    prepared: Prepared, settings: Settings, effects: Sequence[Effect], progress: Progress, known: Clocks | None = None
+) -> Prepared:
     """Return the same data with clocks, sign changes of friction and sticks as the likelihood has them.
 
     States that have been smoothed stay as they are, as do data to which no friction is fitted.
+
+    Args:
+        prepared: the data.
+        settings: the user's choices.
+        effects: that are fitted.
+        progress: told how far the work is.
+        known: clocks and likelihood in the wide band, if they have been learnt.
     """
     if prepared.states is not None or not any(e.id in ORDINARY_EFFECTS for e in effects):
         return prepared
@@ -55,7 +64,7 @@ def with_machine(prepared: Prepared, settings: Settings, effects: Sequence[Effec
     held = frozenset(settings.held_bodies(prepared.robot))
     plain = learn(Machine(read_rows(prepared.reading, prepared.columns, prepared.kept_back), held), white=True)
     sticky = torch.tensor([bool((noise.spread > _STICKS).any()) for noise in plain.hyper.noise])
-    found, wide = _told_by_what_is_fast(prepared, held)
+    found, wide = _told_by_what_is_fast(prepared, _learnt(prepared, held) if known is None else known)
     late = {} if not found else of_one_machine(found, [r.name for r in prepared.recordings])
     reading = replace(prepared.reading, delay_s={name: d for name, (d, std) in late.items() if abs(d) > _TOLD * std})
     prepared = replace(prepared, reading=reading)
@@ -81,8 +90,19 @@ def _left(
     return training.squared_error(fit.x).sum(0)
 
 
+def _learnt(prepared: Prepared, held: frozenset[str]) -> Clocks | None:
+    """Return what whitened rows of a wide band tell of clocks and friction; None if they tell nothing."""
+    seen = [prepared.reading.surveys[k] for k in not_held_out(prepared.reading, prepared.kept_back)]
+    reading = replace(prepared.reading, filtering=Filtering(band_hz(seen), of_motion=True))
+    try:
+        columns = Columns(prepared.robot, (), covered_scales(seen, reading.filtering))
+        return in_time(reading, columns, prepared.kept_back, held)
+    except RecordingError:
+        return None
+
+
 def _told_by_what_is_fast(
-    prepared: Prepared, held: frozenset[str]
+    prepared: Prepared, clocks: Clocks | None
 ) -> tuple[dict[str, tuple[float, float]], list[JointScale]]:
     """Return clocks and how wide friction's sign changes are, as whitened rows of a wide band tell them.
 
@@ -92,13 +112,8 @@ def _told_by_what_is_fast(
     Returns:
         by recording, the offset of its clocks and its standard deviation [s]; what each joint covers.
     """
-    seen = [prepared.reading.surveys[k] for k in not_held_out(prepared.reading, prepared.kept_back)]
-    reading = replace(prepared.reading, filtering=Filtering(band_hz(seen), of_motion=True))
     scales = list(prepared.columns.scales)
-    try:
-        columns = Columns(prepared.robot, (), covered_scales(seen, reading.filtering))
-        clocks = in_time(reading, columns, prepared.kept_back, held)
-    except RecordingError:
+    if clocks is None:
         return {}, scales
     two, machine = TwoEstimates(clocks.fit), clocks.fit.machine
     agree = [two.test([k]).p_value > MISFIT for k in machine.timing]

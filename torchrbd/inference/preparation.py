@@ -8,8 +8,8 @@ bias a fit on filtered states, the states are smoothed together with the paramet
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,7 @@ from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.scales import covered_scales, with_loads
 from torchrbd.likelihood.simulated import Simulated, check_motion, cut, read_simulated, simulation_notes
 from torchrbd.likelihood.urdf_prior import Prior, data_prior
-from torchrbd.physics import Effect
+from torchrbd.physics import Effect, Site
 from torchrbd.recordings import Filtering, Recording, States, Survey, choose_cutoff, survey
 from torchrbd.robot import RobotModel
 
@@ -56,6 +56,8 @@ class Prepared:
         input_noise: what position noise does to a fit on filtered states.
         states: what uncertain states take from the information, None if the states are filtered ones.
         notes: what the user should know of the input.
+        believed: by effect and site, standard deviations (K,) of its coefficients, where more is known of them than
+            that their torque is no larger than the joint's.
     """
 
     robot: RobotModel
@@ -69,6 +71,7 @@ class Prepared:
     input_noise: InputNoise
     states: UncertainStates | None
     notes: tuple[str, ...]
+    believed: Mapping[tuple[str, Site], Sequence[float]] = field(default_factory=dict)
 
     @property
     def recordings(self) -> tuple[Recording, ...]:

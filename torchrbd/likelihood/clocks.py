@@ -40,7 +40,7 @@ def in_time(reading: Reading, columns: Columns, kept_back: KeptBack, held: froze
     earlier. The evidence against clocks that agree is that of the first reading.
     """
     fit = learn(Machine(read_rows(reading, columns, kept_back), held))
-    against = fit.gaussian.against_zero(fit.machine.timing)
+    against = fit.gaussian.against(fit.machine.timing)
     shift = dict.fromkeys((r.name for r in reading.recordings), 0.0)
     for _ in range(_MOST_READINGS):
         found = dict(zip(fit.machine.rows.seen_recordings, fit.delay_s.tolist(), strict=True))

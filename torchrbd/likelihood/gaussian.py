@@ -113,10 +113,11 @@ class Posterior:
         V = self.half(np.eye(len(self.z))[:, index])
         return V.T @ V
 
-    def against_zero(self, index: Sequence[int] | np.ndarray) -> float:
-        """Return the log evidence against leaving out some coefficients: Savage and Dickey's density ratio at zero."""
-        C, m = self.covariance(index), self.z[list(index)]
-        return 0.5 * float(np.linalg.slogdet(C)[1] + m @ np.linalg.solve(C, m))
+    def against(self, index: Sequence[int] | np.ndarray, value: np.ndarray | float = 0.0) -> float:
+        """Return the log evidence against coefficients (K,) of a value: Savage and Dickey's density ratio there."""
+        C, x = self.covariance(index), np.broadcast_to(value, len(index))
+        m = self.z[list(index)] - x
+        return 0.5 * float(np.linalg.slogdet(C)[1] + m @ np.linalg.solve(C, m) - x @ x)
 
 
 class Gaussian(Posterior):

@@ -135,7 +135,7 @@ class Likelihood:
 
     def against_leaving_out(self, k: int) -> float:
         """Return the log evidence against leaving out further columns."""
-        return self.gaussian.against_zero(range(self._first[k], self._first[k + 1]))
+        return self.gaussian.against(range(self._first[k], self._first[k + 1]))
 
     def residual(self, joint: int) -> np.ndarray:
         """Return what is left of a joint's torque, (M,) [N m or N]."""

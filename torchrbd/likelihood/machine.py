@@ -245,6 +245,9 @@ class Machine:
         """Return viscous and both Coulomb coefficients of each joint, (n, 3)."""
         found = np.zeros((self.rows.n_dof, len(ORDINARY)))
         for joint in range(self.rows.n_dof):
-            features = self.friction_columns(joint, float(hyper.rest_width[joint]))
-            found[joint] = z[self.ordinary(joint)] * self.friction_std(joint, features)
+            found[joint] = z[self.ordinary(joint)] * self.friction_size(joint, hyper)
         return found
+
+    def friction_size(self, joint: int, hyper: Hyper) -> np.ndarray:
+        """Return ordinary friction (3,) of a joint whose coefficients are one."""
+        return self.friction_std(joint, self.friction_columns(joint, float(hyper.rest_width[joint])))

@@ -25,6 +25,7 @@ class ActuatorLag(Effect):
     """
 
     id = "actuator_lag"
+    family = "actuator and sensor"
     words = "actuator lag"
     equation = "T dtau_s/dt"
     units: ClassVar[Mapping[str, str]] = {"time_constant": "s"}

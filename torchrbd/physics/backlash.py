@@ -46,6 +46,7 @@ class Backlash(Effect):
     """
 
     id = "backlash"
+    family = "transmission"
     words = "backlash"
     equation = "tau_load(q + x) - tau_load(q), abs(x) <= b/2"
     units: ClassVar[Mapping[str, str]] = {"backlash": "{q}", "flight": "{q}", "link_friction": "1"}

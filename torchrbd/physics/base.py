@@ -61,11 +61,25 @@ class Curve(NamedTuple):
     y: Tensor
 
 
+FAMILIES = (
+    "friction",
+    "inertia and load",
+    "spring",
+    "transmission",
+    "actuator and sensor",
+    "gravity and geometry",
+    "external force",
+    "unknown",
+)
+
+
 class Effect(ABC):
     """Describe one kind of missing physics.
 
     Class attributes:
         id: the name in diagnosis.json.
+        family: of effects that people would call the same kind, see ``FAMILIES``.
+        prevalence: "ubiquitous", "common" or "rare" among machines.
         words: the name in a sentence.
         equation: the torque added, in field symbols.
         units: of the physical parameters, with ``{tau}`` and ``{q}`` for the joint's own (N m and rad, or N and m).
@@ -84,6 +98,8 @@ class Effect(ABC):
     """
 
     id: ClassVar[str]
+    family: ClassVar[str]
+    prevalence: ClassVar[str] = "rare"
     words: ClassVar[str]
     equation: ClassVar[str]
     units: ClassVar[Mapping[str, str]]

@@ -25,6 +25,8 @@ class BaseTilt(Effect):
     """
 
     id = "base_tilt"
+    family = "gravity and geometry"
+    prevalence = "common"
     words = "tilted base"
     equation = "dtau/dg (-theta x g)"
     units: ClassVar[Mapping[str, str]] = {"tilt_x": "rad", "tilt_y": "rad"}

@@ -17,6 +17,7 @@ class CableDrag(JointEffect):
     """tau += c window(q) sign(qd) with c >= 0; the window is 1 from start to end, its edges a tenth of it wide."""
 
     id = "cable_drag"
+    family = "friction"
     words = "cable drag over a range of positions"
     equation = "c window(q; start, end) sign(qd)"
     units: ClassVar[Mapping[str, str]] = {"start": "{q}", "end": "{q}", "resistance": "{tau}"}

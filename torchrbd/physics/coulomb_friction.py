@@ -11,7 +11,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.physics.base import RESISTS, CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.physics.base import RESISTS, JointEffect, Mjcf, Shape
 from torchrbd.physics.mjcf import affine
 from torchrbd.physics.signals import JointScale, JointState
 
@@ -20,6 +20,8 @@ class CoulombFriction(JointEffect):
     """tau += c sign(qd) with c >= 0."""
 
     id = "coulomb_friction"
+    family = "friction"
+    prevalence = "ubiquitous"
     words = "Coulomb friction"
     equation = "c sign(qd)"
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}"}
@@ -48,27 +50,34 @@ class CoulombFriction(JointEffect):
 
 
 class AsymmetricCoulombFriction(JointEffect):
-    """tau += c_plus for qd > 0, -c_minus for qd < 0, both >= 0."""
+    """tau += c_plus for qd > 0, -c_minus for qd < 0, both >= 0.
+
+    Half of their sum resists, half of their difference pushes.
+    The part that resists shares its column with any other friction that contains Coulomb's.
+    """
 
     id = "asymmetric_coulomb_friction"
+    family = "friction"
+    prevalence = "ubiquitous"
     words = "direction-dependent Coulomb friction"
     equation = "c_plus if qd > 0, -c_minus if qd < 0"
     units: ClassVar[Mapping[str, str]] = {"coulomb_plus": "{tau}", "coulomb_minus": "{tau}"}
     complexity = 2
     comes_and_goes = True
     dissipative = True
-    prior = CoefficientPrior("It resists motion in both directions, with a torque no larger than the joint's.", (0, 1))
     export_note = "frictionloss is the mean of both directions; half their difference is a torque of the actuator"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         direction = state.direction()
-        return {"max(sign(qd), 0)": direction.clamp_min(0.0), "min(sign(qd), 0)": direction.clamp_max(0.0)}
+        return {"sign(qd)": direction, "|sign(qd)|": direction.abs()}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        return {"coulomb_plus": coefficients[0], "coulomb_minus": coefficients[1]}
+        mean, half = coefficients
+        return {"coulomb_plus": mean + half, "coulomb_minus": mean - half}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        return (parameters["coulomb_plus"], parameters["coulomb_minus"]), {}
+        plus, minus = parameters["coulomb_plus"], parameters["coulomb_minus"]
+        return (0.5 * (plus + minus), 0.5 * (plus - minus)), {}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["coulomb_plus"] >= 0 and parameters["coulomb_minus"] >= 0

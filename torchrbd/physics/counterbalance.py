@@ -31,6 +31,7 @@ class Counterbalance(JointEffect):
     """tau += k a b sin(theta) + (F_0 - k L_0) a sin(theta) / l(theta) with k >= 0, 0 < r < 1."""
 
     id = "counterbalance"
+    family = "spring"
     words = "counterbalance (spring, gas spring or cylinder on a crank)"
     equation = "(k a b + (F_0 - k L_0) a / l) sin(theta), theta = q - q_0, l = sqrt(1 + r^2 - 2 r cos(theta))"
     units: ClassVar[Mapping[str, str]] = {

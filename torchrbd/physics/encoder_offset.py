@@ -21,6 +21,8 @@ class EncoderOffset(Effect):
     """
 
     id = "encoder_offset"
+    family = "gravity and geometry"
+    prevalence = "common"
     words = "encoder offset"
     equation = "-o dtau/dq"
     units: ClassVar[Mapping[str, str]] = {"offset": "{q}"}

@@ -22,6 +22,7 @@ class ExternalWrench(Effect):
     """
 
     id = "external_wrench"
+    family = "external force"
     words = "external force or moment"
     equation = "-J(q)' [f, n]"
     units: ClassVar[Mapping[str, str]] = {

@@ -29,6 +29,7 @@ class GeometryError(Effect):
     """
 
     id = "geometry_error"
+    family = "gravity and geometry"
     words = "wrong geometry (joint origin or axis)"
     equation = "dtau/d(x, y, z, rx, ry, rz)"
     units: ClassVar[Mapping[str, str]] = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}

@@ -20,6 +20,7 @@ class JointCoupling(Effect):
     """tau += k q_other + tau_0, k of either sign. A spring between two joints acts so at both, with equal k."""
 
     id = "joint_coupling"
+    family = "transmission"
     words = "coupling to another joint's position"
     equation = "k q_other + tau_0"
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "offset": "{tau}"}

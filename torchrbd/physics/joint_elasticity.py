@@ -34,6 +34,8 @@ class JointElasticity(Effect):
     """tau = tau_load(q - tau_load / k), linear in 1/k, with k > 0."""
 
     id = "joint_elasticity"
+    family = "transmission"
+    prevalence = "common"
     words = "joint elasticity"
     equation = "tau_load(q - tau_load/k) - tau_load(q)"
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "bandwidth": "Hz"}

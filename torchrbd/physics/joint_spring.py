@@ -16,6 +16,8 @@ class JointSpring(JointEffect):
     """tau += k (q - q0) with k >= 0; linear in k and the torque at zero, -k q0."""
 
     id = "joint_spring"
+    family = "spring"
+    prevalence = "common"
     words = "joint spring"
     equation = "k (q - q0)"
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}

@@ -23,6 +23,8 @@ class LoadDependentFriction(JointEffect):
     """tau += k |load| sign(qd) with k >= 0."""
 
     id = "load_dependent_friction"
+    family = "friction"
+    prevalence = "common"
     words = "load-dependent friction"
     equation = "k |load| sign(qd)"
     units: ClassVar[Mapping[str, str]] = {"load_friction": "1"}

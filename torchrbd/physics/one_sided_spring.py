@@ -17,6 +17,7 @@ class OneSidedSpring(JointEffect):
     """tau += k max(0, q - q_0) for side > 0, -k max(0, q_0 - q) for side < 0, with k >= 0: it always pushes back."""
 
     id = "one_sided_spring"
+    family = "spring"
     words = "one-sided spring (soft stop, taut cable)"
     equation = "side k max(0, side (q - q_0)), side = +-1"
     units: ClassVar[Mapping[str, str]] = {"contact_position": "{q}", "side": "1", "stiffness": "{tau}/{q}"}

@@ -27,6 +27,8 @@ class Payload(Effect):
     """
 
     id = "payload"
+    family = "inertia and load"
+    prevalence = "common"
     words = "payload"
     equation = "Y_link [m, m c, I]"
     units: ClassVar[Mapping[str, str]] = {

@@ -19,7 +19,7 @@ PARTS: dict[str, tuple[tuple[float, float, float], ...]] = {
     "viscous_friction": ((1.0, 0.0, 0.0),),
     "coulomb_friction": ((0.0, 1.0, 0.0),),
     "torque_offset": ((0.0, 0.0, 1.0),),
-    "asymmetric_coulomb_friction": ((0.0, 0.5, 0.5), (0.0, 0.5, -0.5)),
+    "asymmetric_coulomb_friction": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
     # These contain Coulomb friction, and stand in its place.
     "stribeck_friction": _COULOMB_AND_MORE,
     "time_varying_friction": _COULOMB_AND_MORE,

@@ -20,6 +20,7 @@ class PositionDependentFriction(JointEffect):
     """tau += (c + (c_0 - c) exp(-((q - q_0) / w)^2)) sign(qd): c_0 at the centre q_0, c far from it, both >= 0."""
 
     id = "position_dependent_friction"
+    family = "friction"
     words = "friction that depends on position"
     equation = "(c + (c_0 - c) exp(-((q - q_0)/w)^2)) sign(qd)"
     units: ClassVar[Mapping[str, str]] = {

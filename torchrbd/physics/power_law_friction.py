@@ -22,6 +22,8 @@ class PowerLawFriction(JointEffect):
     """tau += k |qd|^a sign(qd) with k >= 0 and 0 < a < 2, a != 1; k is the torque at 1 rad/s or 1 m/s."""
 
     id = "power_law_friction"
+    family = "friction"
+    prevalence = "common"
     words = "power-law friction"
     equation = "k |qd|^a sign(qd)"
     units: ClassVar[Mapping[str, str]] = {"friction": "{tau} (s/{q})^a", "exponent": "1"}

@@ -34,6 +34,8 @@ class PreslidingHysteresis(JointEffect):
     """tau += c z with c >= 0 and z the state of Dahl's model. It gives back what its spring holds: not dissipative."""
 
     id = "presliding_hysteresis"
+    family = "friction"
+    prevalence = "common"
     words = "presliding friction (Dahl, LuGre)"
     equation = "c z, dz/dt = qd/d (1 - z sign(qd))"
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "distance": "{q}"}

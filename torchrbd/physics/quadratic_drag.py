@@ -18,6 +18,7 @@ class QuadraticDrag(JointEffect):
     """tau += k qd |qd| with k >= 0."""
 
     id = "quadratic_drag"
+    family = "friction"
     words = "quadratic drag"
     equation = "k qd |qd|"
     units: ClassVar[Mapping[str, str]] = {"drag": "{tau} s^2/{q}^2"}

@@ -37,6 +37,10 @@ from torchrbd.physics.torque_scale import TorqueScale
 from torchrbd.physics.velocity_coupling import VelocityCoupling
 from torchrbd.physics.viscous_friction import ViscousFriction
 
+PLAIN = ("viscous_friction", "coulomb_friction", "torque_offset")
+"""What is found on every robot."""
+PLAIN_OR_UNEVEN = (*PLAIN, "asymmetric_coulomb_friction")
+
 _EFFECTS: dict[str, Effect] = {}
 # Functions that follow no law: models may have them, nobody looks for them by name.
 _UNNAMED: dict[str, Effect] = {smooth.id: smooth for smooth in (*SMOOTH, HUM)}

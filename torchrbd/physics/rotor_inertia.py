@@ -15,6 +15,8 @@ class RotorInertia(JointEffect):
     """tau += I_r qdd with I_r >= 0. At the first joint it *is* an inertia of the link, and no motion separates them."""
 
     id = "rotor_inertia"
+    family = "inertia and load"
+    prevalence = "common"
     words = "rotor inertia (armature)"
     equation = "I_r qdd"
     units: ClassVar[Mapping[str, str]] = {"rotor_inertia": "{tau} s^2/{q}"}

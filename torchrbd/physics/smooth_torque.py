@@ -38,6 +38,8 @@ class SmoothTorque(Effect):
         times_own: whether the function is of the joint's own signal of this kind too.
     """
 
+    family = "unknown"
+
     def __init__(
         self, signal: str, knots: int, *, friction: bool = False, other: bool = False, times_own: bool = False
     ) -> None:

@@ -21,6 +21,7 @@ class SpeedDependentLoss(JointEffect):
     """tau += k |load| qd with k >= 0: viscous friction in proportion to the load."""
 
     id = "speed_dependent_loss"
+    family = "friction"
     words = "torque loss that grows with speed and load"
     equation = "k |load| qd"
     units: ClassVar[Mapping[str, str]] = {"loss": "s/{q}"}

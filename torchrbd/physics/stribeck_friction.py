@@ -22,6 +22,8 @@ class StribeckFriction(JointEffect):
     """tau += sign(qd) (c + (s - c) exp(-(qd / v_s)^2)) with s >= c >= 0."""
 
     id = "stribeck_friction"
+    family = "friction"
+    prevalence = "common"
     words = "Stribeck friction"
     equation = "sign(qd) (c + (s - c) exp(-(qd/v_s)^2))"
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "static": "{tau}", "stribeck_speed": "{q}/s"}

@@ -30,6 +30,7 @@ class ThermalViscosity(JointEffect):
     """tau += -s (T - T0) qd with s >= 0; s / d is the loss of viscosity per kelvin."""
 
     id = "thermal_viscosity"
+    family = "friction"
     words = "viscous friction that falls with temperature"
     equation = "-s (T - 40 deg C) qd"
     units: ClassVar[Mapping[str, str]] = {"viscous_per_kelvin": "{tau} s/({q} K)"}

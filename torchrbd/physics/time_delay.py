@@ -26,6 +26,7 @@ class TimeDelay(Effect):
     """
 
     id = "time_delay"
+    family = "actuator and sensor"
     words = "time delay of the torque"
     equation = "delay (tau_s(t - step) - tau_s(t)) / step"
     units: ClassVar[Mapping[str, str]] = {"delay": "s", "step": "s"}

@@ -21,6 +21,8 @@ class TimeVaryingFriction(JointEffect):
     """tau += (c_end + (c_start - c_end) exp(-t/T)) sign(qd) with c_end, c_start >= 0; t from the recording's start."""
 
     id = "time_varying_friction"
+    family = "friction"
+    prevalence = "common"
     words = "friction that changes with time"
     equation = "(c_end + (c_start - c_end) exp(-t/T)) sign(qd)"
     units: ClassVar[Mapping[str, str]] = {

@@ -17,6 +17,8 @@ class TorqueOffset(JointEffect):
     """tau += tau_0."""
 
     id = "torque_offset"
+    family = "actuator and sensor"
+    prevalence = "common"
     words = "constant torque offset"
     equation = "tau_0"
     units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}

@@ -25,6 +25,8 @@ class TorqueRipple(JointEffect):
     """tau += A sin(m q + phase) with A >= 0, m cycles a turn; linear in A cos(phase) and A sin(phase)."""
 
     id = "torque_ripple"
+    family = "transmission"
+    prevalence = "common"
     words = "torque ripple"
     equation = "A sin(m q + phase)"
     units: ClassVar[Mapping[str, str]] = {"amplitude": "{tau}", "phase": "rad", "order": "1/{q}"}

@@ -25,6 +25,7 @@ class TorqueSaturation(JointEffect):
     """tau += slope sign(load) max(0, |load| - limit) with slope >= -1."""
 
     id = "torque_saturation"
+    family = "actuator and sensor"
     words = "torque saturation"
     equation = "slope sign(load) max(0, |load| - limit)"
     units: ClassVar[Mapping[str, str]] = {"limit": "{tau}", "slope": "1"}

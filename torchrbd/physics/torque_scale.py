@@ -21,6 +21,8 @@ class TorqueScale(JointEffect):
     """tau += (g - 1) load with g > 0."""
 
     id = "torque_scale"
+    family = "actuator and sensor"
+    prevalence = "common"
     words = "gain error of the torque"
     equation = "(g - 1) load"
     units: ClassVar[Mapping[str, str]] = {"gain": "1"}

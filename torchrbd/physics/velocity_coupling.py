@@ -22,6 +22,7 @@ class VelocityCoupling(Effect):
     """tau += d qd_other, d of either sign. Friction of a shared drive acts so at both joints, with equal d."""
 
     id = "velocity_coupling"
+    family = "transmission"
     words = "coupling to another joint's velocity"
     equation = "d qd_other"
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}

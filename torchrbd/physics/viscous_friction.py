@@ -15,6 +15,8 @@ class ViscousFriction(JointEffect):
     """tau += d qd with d >= 0."""
 
     id = "viscous_friction"
+    family = "friction"
+    prevalence = "ubiquitous"
     words = "viscous friction"
     equation = "d qd"
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}

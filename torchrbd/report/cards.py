@@ -10,9 +10,9 @@ from markupsafe import Markup
 
 from torchrbd.diagnosis.numbers import measure, unit
 from torchrbd.diagnosis.results import Curve, Diagnosis, Finding, Unexplained
-from torchrbd.diagnosis.search.options import BACKGROUND, COMMON
 from torchrbd.diagnosis.words import LIKELY, alternatives, at, guessed, most_changed, when, words_of
 from torchrbd.physics import effects
+from torchrbd.physics.registry import PLAIN, PLAIN_OR_UNEVEN
 from torchrbd.report.excerpt import telling_signal
 from torchrbd.report.inline import COLOURS, UNKNOWN
 from torchrbd.report.pictures import Pictures, Sense
@@ -73,11 +73,11 @@ def finding_cards(findings: Sequence[Finding], pictures: Pictures) -> list[Card]
 
 def plain_rows(findings: Sequence[Finding], joints: Sequence[str]) -> list[PlainRow]:
     """Return plain friction that is likelier than not, a row per joint, if there is much of it."""
-    plain = [f for f in findings if f.effect in BACKGROUND and f.where.recordings is None and f.probability > LIKELY]
+    plain = [f for f in findings if f.effect in PLAIN and f.where.recordings is None and f.probability > LIKELY]
     here = [f for f in plain if len(f.joints) == 1 and f.joints[0] in joints]
     if len(here) < FOLDED:
         return []
-    rows, columns = [], [identifier for identifier in BACKGROUND if any(f.effect == identifier for f in here)]
+    rows, columns = [], [identifier for identifier in PLAIN if any(f.effect == identifier for f in here)]
     for joint in joints:
         mine = {f.effect: f for f in here if f.joints == (joint,)}
         other = [f"{words_of(f.effect)}: {', '.join(alternatives(f))}" for f in mine.values() if alternatives(f)]
@@ -129,7 +129,11 @@ def _doubt(finding: Finding) -> str:
     if finding.indistinguishable_from:
         line = "The probability is shared with what it could also be."
         return f"Something is missing here beyond doubt. {line}" if finding.log_evidence_gain > CERTAIN else line
-    return "" if finding.effect in COMMON else "It explains so little that a cause outside the list may look like it."
+    return (
+        ""
+        if finding.effect in PLAIN_OR_UNEVEN
+        else "It explains so little that a cause outside the list may look like it."
+    )
 
 
 def _told(finding: Finding) -> list[str]:

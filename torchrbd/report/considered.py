@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from torchrbd.diagnosis.numbers import MINUS, joined, measure, number, with_unit
 from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Finding, Where
-from torchrbd.diagnosis.search.options import COMMON
 from torchrbd.diagnosis.words import at, named, when
 from torchrbd.likelihood.misspecification import MISFIT, Misfit
 from torchrbd.physics import effects
+from torchrbd.physics.registry import PLAIN_OR_UNEVEN
 from torchrbd.robot import RobotModel
 
 # Evidence at which a bar ends [nats], rows of a table, and parameters that one row names.
@@ -141,7 +141,7 @@ def agreement(found: Ranking, findings: Sequence[Finding]) -> str:
     rest = [
         _title(f)
         for f in findings
-        if f.effect not in COMMON
+        if f.effect not in PLAIN_OR_UNEVEN
         and id(f) not in answered
         and (f.effect, f.joints, f.links, _joints(f.depends_on)) not in asked
     ]

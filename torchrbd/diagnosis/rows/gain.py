@@ -12,6 +12,7 @@ that, what is left of the gain without the best two blocks says that it was no a
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,3 +48,26 @@ def gain(before: np.ndarray, after: np.ndarray, counts: np.ndarray) -> Gain:
     difference = np.sort(0.5 * ((before - after)[:, seen] / mean).sum(1))
     std = float(difference.std(ddof=1) * len(difference) ** 0.5) if len(difference) > 1 else np.inf
     return Gain(float(difference.sum()), std, float(difference[:-_BEST].sum()))
+
+
+# Log-likelihood units beyond which odds are not told apart.
+_LONGEST = 50.0
+# What must be gained, and by how many standard errors or without the best two blocks.
+_LEAST_GAIN, _LEAST_T, _LEAST_REPEATED = 12.0, 2.5, 8.0
+
+
+def accepted(worth: Gain) -> bool:
+    """Say whether a gain is enough, and no accident of a few blocks."""
+    return worth.total > _LEAST_GAIN and (worth.t > _LEAST_T or worth.repeated > _LEAST_REPEATED)
+
+
+def odds(lead: Gain) -> float:
+    """Return how many times as probable a model is as another that has a lead over it on left-out blocks.
+
+        o = max(exp(-G), min(exp(-t^2 / 2), exp(-R))),   t = G / std(G)
+
+    The ratio is that of the likelihoods, but never longer than the blocks support: their scatter, or what is left of
+    the lead without the best two of them (R).
+    """
+    scatter = min(math.exp(-0.5 * max(lead.t, 0.0) ** 2), math.exp(-max(lead.repeated, 0.0)))
+    return max(math.exp(min(-lead.total, _LONGEST)), scatter)

@@ -1,0 +1,72 @@
+"""Ordinary friction of every joint: what of it the URDF leaves out, how sure that is, and whether directions differ.
+
+Coefficients are estimated in every model. The evidence for them is that of their density at what the URDF says, before
+the data and after (Savage and Dickey).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchrbd.diagnosis.posterior import probability_of
+from torchrbd.likelihood.columns import Candidate, Columns
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.physics import Site, effect
+
+VISCOUS, COULOMB, UNEVEN = "viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction"
+
+
+@dataclass(frozen=True)
+class Friction:
+    """A term of ordinary friction in a model.
+
+    Attributes:
+        candidate: the term.
+        log_evidence: against what the URDF says.
+        probability: that the URDF is wrong there.
+    """
+
+    candidate: Candidate
+    log_evidence: float
+    probability: float
+
+
+def ordinary_friction(fit: Likelihood, columns: Columns, may: Sequence[str]) -> tuple[Friction, ...]:
+    """Return the friction of every joint with a torque, as far as it is among the effects that may be there.
+
+    Args:
+        fit: the likelihood, with all that was found.
+        columns: of the model that the terms are for.
+        may: ids of effects.
+    """
+    found = []
+    for j in range(columns.robot.n_dof):
+        if not fit.machine.rows.seen[j]:
+            continue
+        at = fit.machine.ordinary(j)
+        if VISCOUS in may:
+            found.append(_friction(fit, columns, VISCOUS, j, at[:1]))
+        uneven = UNEVEN in may and (COULOMB not in may or _uneven(fit, j) > 0.0)
+        if uneven or COULOMB in may:
+            found.append(_friction(fit, columns, UNEVEN if uneven else COULOMB, j, at[1:]))
+    return tuple(found)
+
+
+def _friction(fit: Likelihood, columns: Columns, name: str, joint: int, at: np.ndarray) -> Friction:
+    candidate = columns.candidate(effect(name), Site(joint), {})
+    urdf = columns.robot.damping[joint] if name == VISCOUS else columns.robot.friction[joint]
+    size = fit.machine.friction_size(joint, fit.hyper)[slice(0, 1) if name == VISCOUS else slice(1, None)]
+    value = np.divide(float(urdf), size, out=np.zeros_like(size), where=size > 0)
+    evidence = fit.gaussian.against(at, value)
+    return Friction(candidate, evidence, probability_of(evidence))
+
+
+def _uneven(fit: Likelihood, joint: int) -> float:
+    """Return the log evidence against Coulomb friction that is the same in both directions."""
+    at, size = fit.machine.ordinary(joint)[1:], fit.machine.friction_size(joint, fit.hyper)[1:]
+    a = size * [1.0, -1.0] / max(float(np.linalg.norm(size)), 1e-300)
+    m, v = float(a @ fit.gaussian.z[at]), float(a @ fit.gaussian.covariance(at) @ a)
+    return 0.5 * (np.log(v) + m**2 / v) if v > 0 else 0.0

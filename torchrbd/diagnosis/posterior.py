@@ -1,0 +1,101 @@
+"""How likely hypotheses are: evidence times prior odds, and what is left to their rivals, laws and families.
+
+    o = odds(effect at a place) B,   p = o / (1 + sum over it and its rivals of o)
+
+with B = exp(log evidence) beside all other terms. Prior odds are those of the effect on a machine, by its card, shared
+out over its places; stretches of time and shapes share theirs within the evidence. Evidence is tempered by what it was
+worth on development arms, see ``calibration``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.special import expit
+
+from torchrbd.diagnosis.calibration import calibrated
+from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.rows import Rows
+from torchrbd.physics import Effect
+from torchrbd.robot import RobotModel
+
+# At such a precision of the prior, inertial parameters are the URDF's.
+_CERTAIN, LIKELY = 1e8, 0.5
+# How many of an effect are expected on a machine beside its ordinary friction.
+EXPECTED = {"common": 0.1, "rare": 0.03, "unknown": 0.001}
+
+
+@dataclass(frozen=True)
+class Law:
+    """One effect among those that explain the same, and its probability given that one of them is there."""
+
+    hypothesis: Hypothesis
+    probability: float
+
+
+@dataclass(frozen=True)
+class Inclusion:
+    """How sure a term of a model is.
+
+    Attributes:
+        probability: of the effect itself at its place.
+        family_probability: that some effect of its family is at its joint, or on the robot.
+        laws: effects in its place, the likeliest first, of whatever family; probabilities given that any is there.
+    """
+
+    probability: float
+    family_probability: float
+    laws: tuple[Law, ...]
+
+
+def log_odds(h: Hypothesis, rows: Rows) -> float:
+    """Return the log odds that an effect is at its place, against none."""
+    return calibrated(h.log_evidence) + prior_log_odds(h.candidate.effect, rows.columns.robot)
+
+
+def prior_log_odds(effect: Effect, robot: RobotModel) -> float:
+    """Return the log odds of an effect at one place before any data; what is ubiquitous is as likely there as not."""
+    prevalence = "unknown" if effect.family == "unknown" else effect.prevalence
+    return 0.0 if prevalence == "ubiquitous" else math.log(EXPECTED[prevalence] / _places(effect, robot))
+
+
+def probability_of(log_evidence: float) -> float:
+    """Return the probability of what is as likely as not before the data."""
+    return float(expit(calibrated(log_evidence)))
+
+
+@lru_cache(maxsize=1024)
+def _places(effect: Effect, robot: RobotModel) -> int:
+    return max(len(effect.sites(robot)), 1) or robot.n_bodies
+
+
+def refit_matters(base: Likelihood) -> bool:
+    """Say whether other inertial parameters than the URDF's are likelier than not."""
+    given = base.with_(kappa=_CERTAIN, bodies=np.zeros_like(base.hyper.bodies)).renoised(dispersed=True)
+    return probability_of(base.log_evidence - given.dispersed(base.hyper.dispersion).log_evidence) > LIKELY
+
+
+def inclusion(own: Hypothesis, rivals: Sequence[Hypothesis], rows: Rows) -> Inclusion:
+    """Return how sure a term is, given its rivals' evidence in its place."""
+    every = sorted((own, *rivals), key=lambda h: -log_odds(h, rows))
+    logs = [log_odds(h, rows) for h in every]
+    most = max(0.0, *logs)
+    odds = [math.exp(x - most) for x in logs]
+    some = sum(odds)
+    total = some + math.exp(-most)
+    alike = [o for h, o in zip(every, odds, strict=True) if _of_family(h, own)]
+    return Inclusion(
+        probability=odds[every.index(own)] / total,
+        family_probability=sum(alike) / total,
+        laws=tuple(Law(h, o / some) for h, o in zip(every, odds, strict=True)),
+    )
+
+
+def _of_family(h: Hypothesis, own: Hypothesis) -> bool:
+    same_place = h.candidate.site.joint == own.candidate.site.joint
+    return h.candidate.effect.family == own.candidate.effect.family and same_place

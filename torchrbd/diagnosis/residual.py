@@ -1,0 +1,72 @@
+"""Torque without a law: smooth functions of what a joint's residual may depend on, as hypotheses beside all others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from torchrbd.diagnosis.hypotheses import Hypothesis, averaged
+from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.rows import Rows
+from torchrbd.physics import Window
+from torchrbd.physics.smooth_torque import SMOOTH, SmoothTorque
+
+# Beyond these quantiles of a signal there are too few rows to tell a function.
+_ENDS = (0.01, 0.99)
+
+
+def curves(fit: Likelihood, rows: Rows) -> list[Hypothesis]:
+    """Return functions of each signal at every joint that has a torque, beside a fit."""
+    found = [averaged(fit, rows, [candidate]) for candidate in _candidates(rows)]
+    return [h for h in found if h is not None]
+
+
+def is_curve(candidate: Candidate) -> bool:
+    """Say whether a term is a function without a law."""
+    return isinstance(candidate.effect, SmoothTorque)
+
+
+def depends_on(candidate: Candidate, joint_names: Sequence[str]) -> tuple[str, ...]:
+    """Return the signals that a curve depends on, e.g. "q_joint2"."""
+    effect, site = candidate.effect, candidate.site
+    assert isinstance(effect, SmoothTorque)
+    assert site.joint is not None
+    if effect.signal == "t":
+        return ("t",)
+    name = "tau" if effect.signal == "load" else effect.signal
+    first = f"{name}_{joint_names[site.joint if site.other is None else site.other]}"
+    also = [f"qd_{joint_names[site.joint]}"] if effect.friction else []
+    own = [f"{name}_{joint_names[site.joint]}"] if effect.times_own else []
+    return (first, *also, *own)
+
+
+def _candidates(rows: Rows) -> Iterator[Candidate]:
+    """Yield functions of each signal, with knots over the range that the rows cover."""
+    columns = rows.columns
+    signals = {"q": rows.q, "qd": rows.qd}
+    signals |= {key: rows.evaluated(lambda s, key=key: getattr(s, key)) for key in ("qdd", "load")}
+    for effect in SMOOTH:
+        for site in effect.sites(columns.robot, [Window(name) for name in rows.seen_recordings]):
+            assert site.joint is not None
+            if not rows.seen[site.joint]:
+                continue
+            if effect.signal == "t":
+                assert site.window is not None
+                v = rows.t[rows.recording == rows.recordings.index(site.window.recording)]
+            else:
+                v = signals[effect.signal][site.other if site.other is not None else site.joint]
+            rate = effect.signal == "qd"
+            shape = _ends("low", "high", v, rate=rate)
+            if effect.times_own:
+                shape |= _ends("own_low", "own_high", signals[effect.signal][site.joint], rate=rate)
+            if shape["high"] > shape["low"] and shape.get("own_high", 1.0) > shape.get("own_low", 0.0):
+                yield columns.candidate(effect, site, shape)
+
+
+def _ends(lower: str, upper: str, v: np.ndarray, *, rate: bool) -> dict[str, float]:
+    """Return the ends of what a signal covers by name; those of a velocity are alike, so that zero is in the middle."""
+    low, high = map(float, np.quantile(v, _ENDS))
+    most = max(-low, high)
+    return {lower: -most, upper: most} if rate else {lower: low, upper: high}

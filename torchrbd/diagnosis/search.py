@@ -1,0 +1,204 @@
+"""What explains the recordings beside ordinary physics: hypotheses added, swapped and dropped on evidence alone.
+
+The likeliest hypothesis is added while it is likelier than not, given how rare it is and how many places it has; then,
+beside all others, each stands against its rivals, and is swapped where one of them is likelier, or dropped where none
+is needed. Curves without a law are hypotheses as well, so rare that no law within three nats of one is displaced by it;
+they are looked at where laws have ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from torchrbd.diagnosis.hypotheses import Hypothesis, again
+from torchrbd.diagnosis.posterior import log_odds
+from torchrbd.diagnosis.residual import curves
+from torchrbd.diagnosis.screening import refined, screened
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.rows import Rows
+from torchrbd.physics import Effect
+
+# Hypotheses whose shapes are refined and whose noise is learnt anew, at each step.
+_LEADING = 5
+MOST_TERMS = 12
+# Rivals of a term that are looked at beside all others, and those of them that are judged; passes over all terms.
+_RIVALS, _JUDGED, _PASSES = 12, 3, 3
+
+
+@dataclass(frozen=True)
+class Term:
+    """A hypothesis that stands in a model, and its rivals in its place, evidence all of it beside the other terms."""
+
+    own: Hypothesis
+    rivals: tuple[Hypothesis, ...]
+
+    def best(self, rows: Rows) -> Hypothesis:
+        """Return the likeliest of them."""
+        return max((self.own, *self.rivals), key=lambda h: log_odds(h, rows))
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What was found.
+
+    Attributes:
+        base: ordinary physics alone.
+        fit: with the terms, in their order.
+        rows: of the base, whose signals carry its load and friction.
+        terms: what stands in the model.
+        first, last: all other hypotheses beside the base, and beside the model, likeliest first.
+        considered: number of hypotheses.
+    """
+
+    base: Likelihood
+    fit: Likelihood
+    rows: Rows
+    terms: tuple[Term, ...]
+    first: list[Hypothesis]
+    last: list[Hypothesis]
+    considered: int
+
+
+def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int], None]) -> Explanation:
+    """Search among effects, and curves where they do not suffice.
+
+    Args:
+        base: ordinary physics.
+        effects: what may be there.
+        report: told after each step how many terms there are.
+    """
+    rows = carried(base)
+    search = _Search(rows, effects, report)
+    first = search.leading(base)
+    fit, chosen, seen, last = search.added(base, [], first)
+    fit, terms, last = search.settled(base, fit, chosen, seen, last)
+    return Explanation(base, fit, rows, terms, first, last, len(first))
+
+
+def carried(fit: Likelihood) -> Rows:
+    """Return the rows whose signals carry the load and friction of a fit."""
+    return fit.machine.rows.around(fit.pi, fit.hyper.friction, fit.hyper.rest_width)
+
+
+def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis with the noise learnt beside it: what is not explained colours the noise, and hides in it.
+
+    Both models have the noise that they leave, and rows count by the scatter of the blocks that the larger one leaves.
+    The priors of both are expanded around their own fits: bodies and friction that stood in for the effect lie far off.
+    """
+    beside = fit.extended((*fit.extra, h.extra(fit, rows)))
+    extended = beside.settled
+    base = fit.settled.dispersed(extended.hyper.dispersion)
+    # What averaging over shapes, sizes and windows costs, the first noise has told.
+    average = h.log_evidence - (beside.log_evidence - fit.log_evidence)
+    k = len(fit.extra)
+    return replace(
+        h,
+        log_evidence=extended.log_evidence - base.log_evidence + average,
+        coefficients=extended.coefficients(k),
+        std=extended.coefficients_std(k),
+    )
+
+
+def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis whose shape is refined beside the noise, bodies and friction that go with it.
+
+    Those of a fit without it stand in for it, best where its shape is not the true one; steps in time they cannot.
+    """
+    first = refined(fit, rows, h)
+    if first.tried == 1 or first.candidate.site.window is not None:
+        return first
+    own = fit.extended((*fit.extra, first.extra(fit, rows))).renoised().rewidened().relinearised().extended(fit.extra)
+    # What averaging costs is that of the first refinement.
+    then = again(fit, rows, replace(refined(own, rows, first), paid=first.paid))
+    return first if then is None else then
+
+
+class _Search:
+    """Rows, what may be there, and the steps of one search."""
+
+    def __init__(self, rows: Rows, effects: Sequence[Effect], report: Callable[[int], None]) -> None:
+        self.rows, self.effects, self.report = rows, effects, report
+
+    def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return hypotheses, the likeliest first."""
+        return sorted(found, key=lambda h: -log_odds(h, self.rows))
+
+    def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
+        """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
+        known = {h.name for h in chosen}
+        return self._judged(fit, [h for h in screened(fit, self.rows, self.effects) if h.name not in known])
+
+    def curves(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return curves beside a fit, one at most for each joint and signal."""
+        known = {h.name for h in chosen}
+        return self._judged(fit, [h for h in curves(fit, self.rows) if h.name not in known], 1)
+
+    def _judged(self, fit: Likelihood, found: Sequence[Hypothesis], most: int = _LEADING) -> list[Hypothesis]:
+        found = self.ordered(found)
+        leaders = [with_own_noise(fit, self.rows, sharpened(fit, self.rows, h)) for h in found[:most]]
+        return self.ordered((*leaders, *found[most:]))
+
+    def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
+        """Return the model with chosen hypotheses, all else learnt beside them."""
+        return base.extended([h.extra(base, self.rows) for h in chosen]).settled
+
+    def added(
+        self, fit: Likelihood, chosen: list[Hypothesis], found: list[Hypothesis]
+    ) -> tuple[Likelihood, list[Hypothesis], list[list[Hypothesis]], list[Hypothesis]]:
+        """Add what is likelier than not, one after the other.
+
+        Returns:
+            The model, what is in it, what was considered where each of these was added, and what is left.
+        """
+        seen: list[list[Hypothesis]] = []
+        while len(chosen) < MOST_TERMS:
+            if not found or log_odds(found[0], self.rows) <= 0.0:
+                found = self.ordered((*self.curves(fit, chosen)[:_RIVALS], *found))
+                if not found or log_odds(found[0], self.rows) <= 0.0:
+                    break
+            seen.append(found[1:])
+            chosen = [*chosen, found[0]]
+            self.report(len(chosen))
+            fit = fit.extended([*fit.extra, found[0].extra(fit, self.rows)]).settled
+            found = self.leading(fit, chosen)
+        return fit, chosen, seen, found
+
+    def settled(
+        self,
+        base: Likelihood,
+        fit: Likelihood,
+        chosen: list[Hypothesis],
+        seen: list[list[Hypothesis]],
+        last: list[Hypothesis],
+    ) -> tuple[Likelihood, tuple[Term, ...], list[Hypothesis]]:
+        """Judge each term and its rivals beside all others; swap and drop until nothing changes."""
+        terms: list[Term] = []
+        for _ in range(_PASSES):
+            terms = [self._judged_again(base, chosen, k, seen[k]) for k in range(len(chosen))]
+            weak = [
+                k
+                for k, t in enumerate(terms)
+                if log_odds(t.best(self.rows), self.rows) <= 0.0 or t.best(self.rows) is not t.own
+            ]
+            if not weak:
+                break
+            k = min(weak, key=lambda k: log_odds(terms[k].own, self.rows))
+            best, others = terms[k].best(self.rows), [terms[k].own, *terms[k].rivals]
+            stays = log_odds(best, self.rows) > 0.0
+            chosen = [*chosen[:k], *([best] if stays else []), *chosen[k + 1 :]]
+            seen = [*seen[:k], *([[h for h in others if h is not best]] if stays else []), *seen[k + 1 :]]
+            fit = self.with_terms(base, chosen)
+            last = self.leading(fit, chosen)
+        return fit, tuple(terms), last
+
+    def _judged_again(self, base: Likelihood, chosen: Sequence[Hypothesis], k: int, seen: Sequence[Hypothesis]) -> Term:
+        """Return a term and its rivals beside all other terms."""
+        rest = self.with_terms(base, [h for i, h in enumerate(chosen) if i != k])
+        beside = [again(rest, self.rows, h) for h in (chosen[k], *seen[:_RIVALS])]
+        own, *rivals = beside
+        assert own is not None
+        likeliest = self.ordered([h for h in rivals if h is not None])[:_JUDGED]
+        own, *rivals = (with_own_noise(rest, self.rows, h) for h in (own, *likeliest))
+        return Term(own, tuple(self.ordered(rivals)))

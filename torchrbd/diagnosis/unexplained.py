@@ -1,0 +1,79 @@
+"""What has no name: curves without a law that the search has taken, and joints whose unseen torque is told badly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from torchrbd.diagnosis.curves import fitted_curve
+from torchrbd.diagnosis.explain import torque_rms
+from torchrbd.diagnosis.extending import Extended
+from torchrbd.diagnosis.residual import depends_on, is_curve
+from torchrbd.diagnosis.results import Finding, Region, Unexplained, Where
+from torchrbd.diagnosis.words import joined, number, percent, torque_unit
+from torchrbd.inference.physical.fitting import judge
+from torchrbd.likelihood.columns import Candidate
+
+# A function acts where it is above this part of its largest departure from its middle.
+_ACTS = 0.5
+# Held-out errors that are so many times those of the fit are not explained.
+_LARGER = 1.5
+
+
+def unexplained(extended: Extended, findings: Sequence[Finding]) -> tuple[Unexplained, ...]:
+    """Return what no known effect explains.
+
+    Args:
+        extended: the fit.
+        findings: what has a name.
+    """
+    found = [_curve(extended, term) for term in extended.terms if is_curve(term)]
+    named = {j for f in findings for j in f.joints} | {j for u in found for j in u.joints}
+    return (*found, *(one for one in _silent(extended) if one.joints[0] not in named))
+
+
+def _curve(extended: Extended, term: Candidate) -> Unexplained:
+    model, judging = extended.model, extended.prepared.judging
+    robot, joint = model.columns.robot, term.joint
+    name, unit = robot.joint_names[joint], torque_unit(robot, joint)
+    rest = extended.prepared.fit([c for c in model.terms if c is not term], model.noise_variance)
+    with_, without = judge(judging, model.x).nmse, judge(judging, rest.x).nmse
+    share = max(0.0, 1.0 - with_[name] / without[name]) if without.get(name) else 0.0
+    signals, region, curve = depends_on(term, robot.joint_names), None, fitted_curve(model, term)
+    carried = torque_rms(term, extended).get(name, 0.0)
+    statement = (
+        f"{name}: a torque of {number(carried)} {unit} RMS that no known effect explains, {percent(share)} of what is "
+        f"left on held-out time. It depends on {joined(signals)}"
+    )
+    if curve is not None and signals[0] != "t":
+        region = Region(signals[0], *_loud(np.array(curve.at), np.array(curve.torque)))
+        statement += f", most of it where {signals[0]} is between {number(region.low)} and {number(region.high)}"
+    recordings = None if term.site.window is None else (term.site.window.recording,)
+    where = Where(recordings, None, None if region is None else (region,))
+    return Unexplained((name,), signals, where, share, statement + ".", curve)
+
+
+def _silent(extended: Extended) -> Iterator[Unexplained]:
+    """Yield joints whose held-out torque is predicted clearly worse than the fit's own."""
+    prepared, x = extended.prepared, extended.model.x
+    seen, unseen = judge(prepared.training, x).rmse, judge(prepared.judging, x).rmse
+    for name, rmse in unseen.items():
+        if name in seen and rmse > _LARGER * seen[name]:
+            share = 1.0 - (seen[name] / rmse) ** 2
+            words = (
+                f"{name}: the torque on held-out time is missed by {number(rmse / seen[name])} times what the fit "
+                "misses elsewhere; no known effect and no function of one signal explains it."
+            )
+            yield Unexplained((name,), (), Where(), share, words)
+
+
+def _loud(at: np.ndarray, torque: np.ndarray) -> tuple[float, float]:
+    """Return the interval around the largest departure from the median in which it stays above half of that."""
+    size = np.abs(torque - np.median(torque))
+    low = high = int(size.argmax())
+    while low > 0 and size[low - 1] > _ACTS * size.max():
+        low -= 1
+    while high < len(size) - 1 and size[high + 1] > _ACTS * size.max():
+        high += 1
+    return float(at[low]), float(at[high])
