@@ -180,7 +180,7 @@ def test_effects_on_torques_see_the_friction_of_other_terms(model: RigidBodyDyna
     """A late torque: that of the model without delay, shifted; so too from a file, and differentiable."""
     robot, whole, t = model.robot, 3, 0.01 * torch.arange(40, dtype=torch.float64)
     x = [v.cumsum(0) * 0.05 for v in states(robot, 40)]
-    friction = [term("viscous_friction", 0, 0.7), term("asymmetric_coulomb_friction", 1, 2.0, 1.0)]
+    friction = [term("viscous_friction", 0, 0.7), term("asymmetric_coulomb_friction", 1, 1.5, 0.5)]
     friction += [term("torque_offset", 1, -0.5), term("coulomb_friction", 2, 1.5)]
     w, shape = effect("time_delay").coefficients({"delay": whole * 0.01, "step": whole * 0.01})
     late = Term(effect("time_delay"), Site(), torch.tensor(w, dtype=torch.float64), shape)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from itertools import pairwise
 from typing import Any
 
@@ -14,7 +13,7 @@ from robot.random_robots import random_urdf
 from simulated import Motion, inverse_dynamics, joint_names, multisine
 
 import torchrbd
-from torchrbd.diagnosis.ranking import Ranking
+from torchrbd.diagnosis.ranking import Ranking, ranking
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.recordings import Recording
@@ -56,10 +55,9 @@ def prepared(urdf: str, recordings: Sequence[Recording], **options: Any) -> tupl
     return prepare(RobotModel.from_urdf(urdf), recordings, settings, ()), settings
 
 
-def ranked(urdf: str, recordings: Sequence[Recording], **options: Any) -> tuple[Ranking, tuple[str, ...]]:
-    found, why = import_module("torchrbd.diagnosis.diagnose")._ranked(*prepared(urdf, recordings, **options), print)
-    assert (found is None) == bool(why)
-    return found, why
+def ranked(urdf: str, recordings: Sequence[Recording], **options: Any) -> Ranking:
+    found, settings = prepared(urdf, recordings, **options)
+    return ranking(found.reading, settings, found.kept_back, lambda *_: None)
 
 
 def test_a_diagnosis_has_a_ranking_of_what_is_not_held_out() -> None:
@@ -102,7 +100,7 @@ def test_recordings_may_lack_this_and_that(
     urdf: str, recordings: list[Recording] | None, options: dict[str, Any]
 ) -> None:
     recordings = recordings or [recorded(urdf, 1)]
-    found, _ = ranked(urdf, recordings, **options)
+    found = ranked(urdf, recordings, **options)
     assert np.isfinite([one.log_evidence for one in (*found.first, *found.last, *found.ordinary)]).all()
     assert found.considered == len(found.first)
     assert list(found.delay_s) == [r.name for r in recordings]
@@ -111,7 +109,7 @@ def test_recordings_may_lack_this_and_that(
 
 
 def test_a_joint_without_torque_has_no_friction_to_speak_of() -> None:
-    found, _ = ranked(ARM, [recorded(ARM, 1, unmeasured=0)])
+    found = ranked(ARM, [recorded(ARM, 1, unmeasured=0)])
     assert {one.joints for one in found.ordinary} == {("joint2",)}
     assert not any("joint1" in one.joints for one in found.first)
 
@@ -134,12 +132,3 @@ def test_held_out_time_is_kept_from_other_filters_too() -> None:
     assert neighbours
     assert all(kept[(t >= a.start_s) & (t <= b.end_s)].all() for a, b in neighbours)
     assert float(kept.double().mean()) < 0.5
-
-
-def test_a_likelihood_without_solution_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: Any) -> None:
-        raise np.linalg.LinAlgError("Matrix is not positive definite")
-
-    monkeypatch.setattr(import_module("torchrbd.diagnosis.diagnose"), "ranking", fails)
-    _, why = ranked(ARM, [recorded(ARM, 1)])
-    assert why == ("what was considered is not ranked: Matrix is not positive definite",)

@@ -13,8 +13,9 @@ from scipy.special import logsumexp
 from simulated import Motion, inverse_dynamics, joint_names
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, told
-from torchrbd.diagnosis.ranking import _ranked, sharpened, with_own_noise
+from torchrbd.diagnosis.ranking import _ranked
 from torchrbd.diagnosis.screening import ORDINARY, refined, screened
+from torchrbd.diagnosis.search import sharpened, with_own_noise
 from torchrbd.diagnosis.stretches import Stretches, in_stretches
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.learning import learn

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Sequence
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +16,10 @@ from simulated import inverse_dynamics, multisine, record, with_wrong_inertials
 
 import torchrbd
 from torchrbd.diagnosis.results import Finding
-from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.diagnosis.rows.samples import read_samples
-from torchrbd.diagnosis.search.grid import fresh_columns
-from torchrbd.diagnosis.search.options import BACKGROUND
-from torchrbd.diagnosis.search.recordings import recordings, screened_by_recordings, where_larger
-from torchrbd.diagnosis.search.select import Search
 from torchrbd.export import load_model, save_model
-from torchrbd.inference.preparation import prepare
-from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Site, Term, effect
+from torchrbd.physics.registry import PLAIN
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
@@ -80,50 +71,7 @@ def recorded(seed: int, count: int, name: str = "", size: float = 0.0, where: Co
 
 def special(findings: Sequence[Finding]) -> list[Finding]:
     """Return what is not plain friction or an offset of all recordings."""
-    return [f for f in findings if f.effect not in BACKGROUND or f.where.recordings is not None]
-
-
-@pytest.fixture(scope="module")
-def begun() -> Search:
-    """Coulomb friction that is higher in two of four recordings."""
-    found = recorded(3, 4, "coulomb_friction", 0.04, (1, 3))
-    prepared = prepare(RobotModel.from_urdf(arm(3)), found, Settings.from_mapping({}, "test"), ())
-    names = (*BACKGROUND, "joint_spring", "stribeck_friction")
-    return Search(read_samples(prepared, prepared.fit().pi), [effect(name) for name in names], prepared.prior)
-
-
-def in_some(fit: Fit, name: str, where: tuple[str, ...]) -> Candidate:
-    return fit.rows.samples.columns.candidate(effect(name), Site(JOINT, recordings=where), {})
-
-
-def test_the_best_set_of_recordings_is_found_without_fitting_all(begun: Search) -> None:
-    fit = begun.start
-    first = screened_by_recordings(begun.grid, fit)[0]
-    assert (first.candidate.effect.id, first.candidate.joint) == ("coulomb_friction", JOINT)
-    assert set(first.candidate.site.recordings or ()) in ({"1.csv", "3.csv"}, {"0.csv", "2.csv"})
-    names = recordings(fit.rows.samples)
-    every = {s: in_some(fit, "coulomb_friction", s) for k in (1, 2, 3) for s in combinations(names, k)}
-    gains = {s: fit.addition(fresh_columns(fit, c))[0] for s, c in every.items()}
-    assert first.gain == pytest.approx(max(gains.values()), rel=1e-3)
-    assert first.gain == pytest.approx(gains[first.candidate.site.recordings or ()], rel=1e-3)
-
-
-def test_what_is_more_in_some_is_told_where_it_is_more(begun: Search) -> None:
-    """The same as less in the others, as long as the effect stands in the model for all."""
-    fit = begun.start
-    more, less = (in_some(fit, "coulomb_friction", where) for where in (("1.csv", "3.csv"), ("0.csv", "2.csv")))
-    gains = [fit.addition(fresh_columns(fit, c))[0] for c in (more, less)]
-    assert gains[0] == pytest.approx(gains[1], rel=1e-3)
-    assert where_larger(fit, more) == more
-    assert where_larger(fit, less) == more
-    assert where_larger(fit, in_some(fit, "joint_spring", ("0.csv",))).site.recordings == ("0.csv",)
-
-
-def test_one_recording_has_no_parts() -> None:
-    prepared = prepare(RobotModel.from_urdf(arm(3)), recorded(3, 1), Settings.from_mapping({}, "test"), ())
-    search = Search(read_samples(prepared, prepared.fit().pi), [effect("coulomb_friction")], prepared.prior)
-    assert screened_by_recordings(search.grid, search.start) == []
-    assert search.in_some_recordings(search.start) == []
+    return [f for f in findings if f.effect not in PLAIN or f.where.recordings is not None]
 
 
 def test_features_of_parts_make_up_those_of_all() -> None:
@@ -176,7 +124,7 @@ def check(seed: int, count: int, name: str, size: float, where: tuple[int, ...],
 
 
 def test_friction_higher_in_two_of_five_recordings() -> None:
-    check(51, 5, "coulomb_friction", 0.04, (1, 4), effects=[*BACKGROUND, "joint_spring"])
+    check(51, 5, "coulomb_friction", 0.04, (1, 4), effects=[*PLAIN, "joint_spring"])
 
 
 PROOFS = {

@@ -197,12 +197,27 @@ def test_among_is_the_model_that_was_built_without() -> None:
 
 
 @pytest.mark.parametrize("index", [[3], [1, 6], [0, 2, 5]])
-def test_against_zero_is_the_evidence_of_having_the_coefficients(index: list[int]) -> None:
+@pytest.mark.parametrize("value", [0.0, 0.7, -1.3])
+def test_against_a_value_is_the_evidence_of_not_knowing_the_coefficients(index: list[int], value: float) -> None:
+    """A model whose coefficients are known has the density of what their torque leaves."""
     blocks = problem(7)
     X, y = stacked(blocks)
-    kept = np.setdiff1d(np.arange(N_COEFFICIENTS), index)
-    expected = log_density(X, y) - log_density(X[:, kept], y)
-    assert Gaussian(blocks, N_COEFFICIENTS).against(index) == pytest.approx(expected, rel=1e-9)
+    kept, known = np.setdiff1d(np.arange(N_COEFFICIENTS), index), value + 0.1 * np.arange(len(index)) * (value != 0.0)
+    expected = log_density(X, y) - log_density(X[:, kept], y - X[:, index] @ known)
+    got = Gaussian(blocks, N_COEFFICIENTS)
+    assert got.against(index, known) == pytest.approx(expected, rel=1e-9)
+    if value == 0.0:
+        assert got.against(index) == got.against(index, known)
+
+
+@pytest.mark.parametrize("value", [np.zeros(2), np.array([0.4, -1.1]), 0.8])
+def test_against_a_value_is_the_ratio_of_prior_and_posterior_density_there(value: np.ndarray | float) -> None:
+    got, index = Gaussian(problem(7), N_COEFFICIENTS), [1, 6]
+    at = np.broadcast_to(value, 2)
+    before, after = multivariate_normal(np.zeros(2)), multivariate_normal(got.z[index], got.covariance(index))
+    # What the data leave likelier than before there is none against it.
+    assert got.against(index, value) == pytest.approx(before.logpdf(at) - after.logpdf(at), rel=1e-9)
+    assert Gaussian(problem(7), N_COEFFICIENTS).against(index, got.z[index]) < got.against(index, value)
 
 
 def test_joint_without_rows_says_nothing() -> None:

@@ -14,6 +14,8 @@ from torch.autograd import gradcheck
 from torchrbd.export import load_model, save_model
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Effect, Shape, Signals, Site, Term, effects
+from torchrbd.physics.base import FAMILIES
+from torchrbd.physics.registry import PLAIN_OR_UNEVEN
 
 URDF_TAGS = {"damping", "friction"}
 OF_TWO_SIGNALS = {"smooth_torque_over_qd_of_other_and_own"}
@@ -84,6 +86,9 @@ class TestEveryEffect:
         assert effect.id == effect.id.lower().replace(" ", "_")
         assert effect.words
         assert effect.equation
+        assert effect.family in set(FAMILIES) - {"unknown"}
+        assert effect.prevalence in ("ubiquitous", "common", "rare")
+        assert effect.prevalence != "ubiquitous" or effect.id in PLAIN_OR_UNEVEN
         assert effect.complexity == len(effect.units)
         w, shape = effect.coefficients(sizes(effect))
         assert effect.complexity == len(w) + len(shape)

@@ -12,6 +12,7 @@ from scipy.integrate import trapezoid
 from torchrbd.errors import InputError
 from torchrbd.physics import Signals, Site
 from torchrbd.physics.cable_drag import CableDrag
+from torchrbd.physics.coulomb_friction import AsymmetricCoulombFriction, CoulombFriction
 from torchrbd.physics.position_dependent_friction import PositionDependentFriction
 from torchrbd.physics.power_law_friction import PowerLawFriction
 from torchrbd.physics.quadratic_drag import QuadraticDrag
@@ -20,6 +21,17 @@ from torchrbd.physics.time_varying_friction import TimeVaryingFriction
 
 
 class TestFriction:
+    def test_friction_of_two_directions_is_what_resists_and_what_pushes(self) -> None:
+        found = torque(AsymmetricCoulombFriction(), coulomb_plus=2.0, coulomb_minus=0.5)
+        np.testing.assert_allclose(found, np.where(QD > 0, 2.0, -0.5), rtol=1e-12)
+        q = torch.from_numpy(np.stack([Q] * ROBOT.n_dof))
+        at = signals(q, torch.from_numpy(np.stack([QD] * ROBOT.n_dof)), torch.zeros_like(q))
+        both = AsymmetricCoulombFriction().features(at, Site(0), {})
+        assert tuple(both) == ("sign(qd)", "|sign(qd)|")
+        resists, pushes = both.values()
+        torch.testing.assert_close(resists, CoulombFriction().features(at, Site(0), {})["sign(qd)"])
+        torch.testing.assert_close(pushes, resists.abs())
+
     def test_quadratic_drag(self) -> None:
         np.testing.assert_allclose(torque(QuadraticDrag(), drag=0.3), 0.3 * QD**2 * np.sign(QD), rtol=1e-12)
 

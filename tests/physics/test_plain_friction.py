@@ -45,7 +45,7 @@ def test_terms_add_up_and_others_do_not_count() -> None:
     found = parts(
         term("viscous_friction", 0, 0.5),
         term("coulomb_friction", 0, 2.0),
-        term("asymmetric_coulomb_friction", 0, 1.5, 0.5),
+        term("asymmetric_coulomb_friction", 0, 1.0, 0.5),
         term("torque_offset", 0, -0.25),
         term("rotor_inertia", 1, 9.0),
         term("joint_spring", 1, 9.0, 9.0),

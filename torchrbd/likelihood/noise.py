@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import convolve1d
 
 _MOST_ORDER = 16
 # Noise below this part of the residual's RMS is rounding.
@@ -60,10 +61,9 @@ class Noise:
 
     def white(self, A: np.ndarray) -> np.ndarray:
         """Return signals (..., M) as the whitened rows (m,) see them, (..., m)."""
-        out = A[..., self.index]
-        for i, a_i in enumerate(self.predictor, start=1):
-            out -= a_i * A[..., self.index - i]
-        return out / (self.sigma * self.spread[self.index])
+        ahead = np.concatenate(([1.0], -self.predictor))
+        out = convolve1d(A, ahead, mode="constant", origin=-(len(ahead) // 2))
+        return out[..., self.index] / (self.sigma * self.spread[self.index])
 
 
 def predicted(run: np.ndarray, measured: np.ndarray) -> np.ndarray:

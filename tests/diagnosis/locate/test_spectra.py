@@ -13,10 +13,10 @@ from torchrbd.diagnosis.locate import hums, wanders
 from torchrbd.diagnosis.locate.hum import repeats
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import read_samples
-from torchrbd.diagnosis.search.options import BACKGROUND
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.physics import Site, effect
+from torchrbd.physics.registry import PLAIN
 from torchrbd.robot import RobotModel
 
 URDF = random_urdf(8, 3, kinds=("revolute",), branching=0.0, massless=0.0)
@@ -35,7 +35,7 @@ def fitted_with(added: Callable[[Motion], np.ndarray]) -> Fit:
     sources = [record(URDF, 8 + k, extra=extra, name=f"{k}.csv", **options) for k in range(2)]
     prepared = prepare(RobotModel.from_urdf(URDF), sources, Settings.from_mapping({"cutoff_hz": 6.0}, "test"), ())
     samples = read_samples(prepared, prepared.fit().pi)
-    terms = [samples.columns.candidate(effect(name), Site(j), {}) for j in range(3) for name in BACKGROUND]
+    terms = [samples.columns.candidate(effect(name), Site(j), {}) for j in range(3) for name in PLAIN]
     return fitted(samples, prepared.prior, terms)
 
 
