@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from torchrbd.diagnosis import Comparison, Diagnosis, Ranked, Ranking
+from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranked, Ranking
 from torchrbd.inference import EstimatorComparison, Identification
 
 SCHEMA = 1
@@ -64,7 +64,10 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
         links (none of either: the whole robot), probability, log_evidence_gain, parameters by name (value, std, unit,
         urdf), where (recordings, time_s, region: null for everywhere), indistinguishable_from (effect, joints, links,
         depends_on; the likeliest first), nmse_before and nmse_after by joint, statement, depends_on (signals of other
-        joints), curve: the function that shows it best, or null.
+        joints), curve: the function that shows it best, or null, family, family_probability, laws (effect and
+        probability, of those that explain the same, given that one of them is there), torque_rms by joint, and share
+        (of its joint's held-out squared error that it removes).
+    trifling: effects as certain as findings that carry next to no torque, in the same form.
     unexplained: list of joints, depends_on, where, share, statement, curve.
     curve: signal ("q_joint2", "t", ...), at, torque and std, lists of one length in the order of drawing.
     locations: where models and robot differ, named or not: list of model ("rigid_body", re-fitted, with friction and an
@@ -102,7 +105,8 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
             **_head(result.identification),
             "verdict": result.verdict,
             "statement": result.statement,
-            "findings": [asdict(f) for f in result.findings],
+            "findings": [_finding(f) for f in result.findings],
+            "trifling": [_finding(f) for f in result.trifling],
             "unexplained": [asdict(u) for u in result.unexplained],
             "locations": [asdict(x) for x in result.locations],
             "leftover_maps": [asdict(m) for m in result.maps],
@@ -113,6 +117,10 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
             "ranking": None if result.ranking is None else _ranking(result.ranking),
         },
     )
+
+
+def _finding(found: Finding) -> dict[str, Any]:
+    return {**asdict(found), "share": found.share}
 
 
 def _ranking(found: Ranking) -> dict[str, Any]:

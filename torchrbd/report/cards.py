@@ -12,7 +12,7 @@ from torchrbd.diagnosis.numbers import measure, unit
 from torchrbd.diagnosis.results import Curve, Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.words import LIKELY, alternatives, at, guessed, most_changed, when, words_of
 from torchrbd.physics import effects
-from torchrbd.physics.registry import PLAIN, PLAIN_OR_UNEVEN
+from torchrbd.physics.registry import PLAIN
 from torchrbd.report.excerpt import telling_signal
 from torchrbd.report.inline import COLOURS, UNKNOWN
 from torchrbd.report.pictures import Pictures, Sense
@@ -48,6 +48,12 @@ class Card:
     def alternatives(self) -> list[str]:
         """The effects that this data cannot tell from the finding."""
         return alternatives(self.item) if isinstance(self.item, Finding) else []
+
+    @property
+    def laws(self) -> list[tuple[str, float]]:
+        """The effects that explain the same in words, with their probabilities; nothing where there is only one."""
+        laws = self.item.laws if isinstance(self.item, Finding) else ()
+        return [(words_of(law.effect), law.probability) for law in laws] if len(laws) > 1 else []
 
 
 @dataclass(frozen=True)
@@ -129,11 +135,7 @@ def _doubt(finding: Finding) -> str:
     if finding.indistinguishable_from:
         line = "The probability is shared with what it could also be."
         return f"Something is missing here beyond doubt. {line}" if finding.log_evidence_gain > CERTAIN else line
-    return (
-        ""
-        if finding.effect in PLAIN_OR_UNEVEN
-        else "It explains so little that a cause outside the list may look like it."
-    )
+    return ""
 
 
 def _told(finding: Finding) -> list[str]:

@@ -12,7 +12,6 @@ from torchrbd.diagnosis.results import Alternative, Finding, Where
 from torchrbd.diagnosis.words import at, named, when
 from torchrbd.likelihood.misspecification import MISFIT, Misfit
 from torchrbd.physics import effects
-from torchrbd.physics.registry import PLAIN_OR_UNEVEN
 from torchrbd.robot import RobotModel
 
 # Evidence at which a bar ends [nats], rows of a table, and parameters that one row names.
@@ -74,7 +73,6 @@ class Ordinary:
 class Considered:
     """What the page says of a ranking."""
 
-    agreement: str
     number: int
     band_hz: float
     chance: str
@@ -85,12 +83,11 @@ class Considered:
     steps: list[Step]
 
 
-def considered(found: Ranking, findings: Sequence[Finding], robot: RobotModel) -> Considered:
+def considered(found: Ranking, robot: RobotModel) -> Considered:
     """Return a ranking in the words and numbers of the page.
 
     Args:
         found: the ranking.
-        findings: those that the search has named.
         robot: the robot.
     """
     prismatic = dict(zip(robot.joint_names, robot.prismatic.tolist(), strict=True))
@@ -106,7 +103,6 @@ def considered(found: Ranking, findings: Sequence[Finding], robot: RobotModel) -
         beside = f"beside the {len(found.adopted)} adopted effects" if others else f"beside {title(first)}"
         steps.append(step("Last step", beside, found.last, adopted))
     return Considered(
-        agreement=agreement(found, findings),
         number=found.considered,
         band_hz=found.band_hz,
         chance=nats(_chance(found)),
@@ -125,35 +121,6 @@ def leading(found: Ranking | None) -> str:
     best = found.first[0]
     words = f"Likeliest of {found.considered} effects considered beside ordinary friction: {title(best)}, log evidence "
     return words + nats(best.log_evidence) + (", no more than chance." if not _beats_chance(best, found) else ".")
-
-
-def agreement(found: Ranking, findings: Sequence[Finding]) -> str:
-    """Say whether what the ranking adopted is what the search has named."""
-    known = {(f.effect, f.joints, f.links, _joints(f.depends_on)) for f in findings}
-    alike = {
-        (a.effect, a.joints, a.links, _joints(a.depends_on)): f for f in findings for a in f.indistinguishable_from
-    }
-    asked = {_key(one): one for one in found.adopted}
-    same = [title(one) for key, one in asked.items() if key in known]
-    rivals = {key: (one, alike[key]) for key, one in asked.items() if key not in known and key in alike}
-    new = [title(one) for key, one in asked.items() if key not in known and key not in alike]
-    answered = {id(f) for _, f in rivals.values()}
-    rest = [
-        _title(f)
-        for f in findings
-        if f.effect not in PLAIN_OR_UNEVEN
-        and id(f) not in answered
-        and (f.effect, f.joints, f.links, _joints(f.depends_on)) not in asked
-    ]
-    told = [f"The ranking asks for {joined(same)}, which the search has named too."] if same else []
-    told += [
-        f"The ranking asks for {title(one)}, where the search has named {_title(f)} and lists it as what that could be."
-        for one, f in rivals.values()
-    ]
-    told += [f"The ranking asks for {joined(new)}, which the search has not named."] if new else []
-    told += ["The ranking asks for nothing beyond a rigid body with ordinary friction."] if not asked else []
-    told += [f"The search has named {joined(rest)}, for which the ranking does not ask."] if rest else []
-    return " ".join(told)
 
 
 def misfit_sentence(found: Mapping[str, Misfit]) -> str:

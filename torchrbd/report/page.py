@@ -11,7 +11,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from torchrbd.diagnosis.numbers import measure, number, plain, unit, with_unit
-from torchrbd.diagnosis.results import Diagnosis, Proof
+from torchrbd.diagnosis.results import Diagnosis, Finding, Proof
 from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.report.cards import Card, PlainRow, finding_cards, plain_rows, plain_titles, unexplained_cards
 from torchrbd.report.considered import BAR_END, Considered, considered
@@ -106,7 +106,7 @@ class Page:
         """What was considered, by its evidence, if that is known."""
         if self.diagnosis is None or self.diagnosis.ranking is None:
             return None
-        return considered(self.diagnosis.ranking, self.diagnosis.findings, self.result.robot)
+        return considered(self.diagnosis.ranking, self.result.robot)
 
     @property
     def bar_end(self) -> float:
@@ -127,6 +127,11 @@ class Page:
     def unexplained(self) -> list[Card]:
         """What depends on something and has no name."""
         return unexplained_cards(self.diagnosis, self.pictures) if self.diagnosis else []
+
+    @property
+    def trifling(self) -> tuple[Finding, ...]:
+        """Effects that are certain and carry next to no torque."""
+        return self.diagnosis.trifling if self.diagnosis else ()
 
     @property
     def found(self) -> set[str]:
