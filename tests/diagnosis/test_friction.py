@@ -1,0 +1,108 @@
+"""Ordinary friction as findings: sure where the URDF is wrong, none where it is right, uneven where directions are."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from likelihood.arms import Torque, recorded, rows_of, wrong_robot
+from likelihood.fits import COULOMB, OPTIONS, URDF, VISCOUS, WIDTH, at_joint, with_friction
+from simulated import joint_names
+
+from torchrbd.diagnosis.friction import Friction, ordinary_friction
+from torchrbd.likelihood.learning import learn
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.machine import Machine
+
+ALL = ("viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction")
+EVEN, UNEVEN = ALL[1:]
+PUSH = 0.1
+
+
+def uneven(m) -> np.ndarray:
+    """Return half of the difference of Coulomb friction between both directions of the first joint."""
+    return PUSH * np.tanh(m.qd[:, 0] / WIDTH) ** 2
+
+
+PUSHED = at_joint(0, uneven)
+
+
+@lru_cache(maxsize=4)
+def learnt(torque: Torque | None = None, missing: str = "") -> Likelihood:
+    recording = recorded(URDF, 2, with_friction(torque), missing=[missing], **OPTIONS)
+    return learn(Machine(rows_of(wrong_robot(URDF, 1), [recording])))
+
+
+def told(fit: Likelihood, may=ALL, damping=(0.0, 0.0), friction=(0.0, 0.0)) -> dict[tuple[str, int], Friction]:
+    """Return friction by effect and joint, the URDF having this much of it."""
+    robot = fit.machine.rows.columns.robot
+    for values, given in ((robot.damping, damping), (robot.friction, friction)):
+        for j, value in enumerate(given):
+            values[j] = value
+    found = ordinary_friction(fit, fit.machine.rows.columns, may)
+    return {(f.candidate.effect.id, f.candidate.joint): f for f in found}
+
+
+def test_friction_that_the_urdf_lacks_is_sure() -> None:
+    found = told(learnt())
+    assert set(found) == {(name, j) for name in ALL[:2] for j in (0, 1)}
+    for f in found.values():
+        assert f.log_evidence > 30
+        assert f.probability > 0.99
+
+
+def test_friction_that_the_urdf_has_is_no_finding() -> None:
+    found = told(learnt(), damping=VISCOUS, friction=COULOMB)
+    assert len(found) == 4
+    for f in found.values():
+        assert f.log_evidence < 0.0
+        assert f.probability < 0.5
+
+
+def test_friction_of_which_the_urdf_has_too_much_is_sure() -> None:
+    for f in told(learnt(), damping=np.multiply(2, VISCOUS), friction=np.multiply(2, COULOMB)).values():
+        assert f.log_evidence > 30
+
+
+def test_evidence_is_that_of_a_model_whose_friction_is_known() -> None:
+    """Leaving out the viscous column of one joint is knowing that it is zero."""
+    fit = learnt()
+    k = int(fit.machine.ordinary(0)[0])
+    g = fit.gaussian.among(np.setdiff1d(np.arange(len(fit.gaussian.z)), [k]))
+    expected = fit.gaussian.log_evidence - g.log_evidence
+    assert told(fit)["viscous_friction", 0].log_evidence == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(("torque", "name"), [(None, EVEN), (PUSHED, UNEVEN)], ids=["even", "uneven"])
+def test_directions_are_told_apart_where_they_differ(torque: Torque | None, name: str) -> None:
+    found = told(learnt(torque))
+    assert {key for key in found if key[1] == 0} == {("viscous_friction", 0), (name, 0)}
+    assert {key for key in found if key[1] == 1} == {("viscous_friction", 1), (EVEN, 1)}
+
+
+def test_uneven_friction_is_told_of_a_urdf_that_has_the_mean() -> None:
+    f = told(learnt(PUSHED), damping=VISCOUS, friction=COULOMB)[UNEVEN, 0]
+    assert f.log_evidence > 10
+    assert f.probability > 0.99
+
+
+@pytest.mark.parametrize(
+    ("may", "names"),
+    [
+        ((), set()),
+        (ALL[:1], {"viscous_friction"}),
+        ((EVEN,), {EVEN}),
+        ((UNEVEN,), {UNEVEN}),
+        (("joint_spring",), set()),
+    ],
+)
+def test_what_may_not_be_there_is_not(may: tuple[str, ...], names: set[str]) -> None:
+    found = told(learnt(PUSHED), may)
+    assert {name for name, _ in found} == names
+    assert len(found) == 2 * len(names)
+
+
+def test_a_joint_without_torque_has_no_friction() -> None:
+    found = told(learnt(None, joint_names(URDF)[0]))
+    assert {joint for _, joint in found} == {1}

@@ -1,0 +1,229 @@
+"""The search: what is concealed and nothing else, and terms that are swapped and dropped beside all others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from likelihood.fits import at_joint, candidate, carried, fitted
+
+from torchrbd.diagnosis import search
+from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.posterior import log_odds
+from torchrbd.diagnosis.residual import is_curve
+from torchrbd.diagnosis.search import MOST_TERMS, Explanation, Term, explained
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.rows import Rows
+from torchrbd.physics import Site, effect
+
+EFFECTS = (
+    "rotor_inertia",
+    "joint_spring",
+    "quadratic_drag",
+    "stribeck_friction",
+    "torque_ripple",
+    "torque_scale",
+    "joint_coupling",
+    "base_tilt",
+    "payload",
+)
+ROTOR = at_joint(1, lambda m: 0.05 * m.qdd[:, 1])
+BOTH = at_joint(1, lambda m: 0.05 * m.qdd[:, 1] + 0.08 * np.sin(17.4 * m.q[:, 1] + 0.7))
+BUMP = at_joint(0, lambda m: 1.5 * np.exp(-(((m.q[:, 0] - np.median(m.q[:, 0])) / 0.15) ** 2)))
+
+
+def searched(torque: Any, names: Sequence[str] = EFFECTS) -> tuple[Explanation, list[int]]:
+    told: list[int] = []
+    return explained(fitted(torque), [effect(name) for name in names], told.append), told
+
+
+@pytest.mark.parametrize(
+    ("torque", "names"),
+    [
+        (None, set()),
+        (ROTOR, {("rotor_inertia", Site(1))}),
+        (BOTH, {("rotor_inertia", Site(1)), ("torque_ripple", Site(1))}),
+    ],
+    ids=["nothing", "one", "two"],
+)
+def test_what_is_concealed_is_found_and_nothing_else(torque: Any, names: set[tuple[str, Site]]) -> None:
+    found, told = searched(torque)
+    assert {t.own.name for t in found.terms} == names
+    assert len(found.terms) == len(found.fit.extra) == len(names)
+    assert told == list(range(1, len(names) + 1))
+    for t in found.terms:
+        assert t.own.log_evidence > 30
+        assert t.best(found.rows) is t.own
+    assert found.considered == len(found.first) > 10
+    for hypotheses in (found.first, found.last):
+        odds = [log_odds(h, found.rows) for h in hypotheses]
+        assert odds == sorted(odds, reverse=True)
+    assert not names & {h.name for h in found.last}
+    assert all(log_odds(h, found.rows) <= 0.0 for h in found.last)
+
+
+def test_evidence_of_a_term_is_beside_all_others() -> None:
+    """Beside the rotor the ripple has as much evidence as where no rotor is missing."""
+    found, _ = searched(BOTH)
+    alone, _ = searched(at_joint(1, lambda m: 0.08 * np.sin(17.4 * m.q[:, 1] + 0.7)))
+    both, one = (next(t.own for t in e.terms if t.own.candidate.effect.id == "torque_ripple") for e in (found, alone))
+    assert both.log_evidence == pytest.approx(one.log_evidence, rel=0.15)
+    assert both.candidate.shape["order"] == pytest.approx(17.4, abs=0.1)
+
+
+def test_torque_without_a_law_is_a_curve_where_it_acts() -> None:
+    """No effect of the list is a bump, and of curves that of the joint's own position is it."""
+    found, _ = searched(BUMP, ["quadratic_drag", "base_tilt"])
+    curves = [t.own for t in found.terms if is_curve(t.own.candidate)]
+    assert ("smooth_torque_over_q", Site(0)) in {h.name for h in curves}
+    assert {h.candidate.site.joint for h in curves} == {0}
+    assert max(h.log_evidence for h in curves) > 30
+
+
+def test_nothing_may_be_there_and_nothing_is() -> None:
+    found, told = searched(None, ())
+    assert (found.terms, found.first, found.considered, told) == ((), [], 0, [])
+
+
+def test_laws_come_before_curves_that_are_no_likelier() -> None:
+    """A spring is a curve over the position as well."""
+    spring = at_joint(0, lambda m: 2.0 * m.q[:, 0])
+    found, _ = searched(spring, ["joint_spring", "quadratic_drag"])
+    (term,) = found.terms
+    assert term.own.name == ("joint_spring", Site(0))
+    assert term.own.coefficients[0] == pytest.approx(2.0, abs=4 * term.own.std[0])
+
+
+# What is below is of stubs: names and what they are worth beside each other.
+SITES = {
+    "A": ("joint_spring", Site(0)),
+    "B": ("rotor_inertia", Site(0)),
+    "C": ("joint_spring", Site(1)),
+    "D": ("rotor_inertia", Site(1)),
+    "E": ("quadratic_drag", Site(1)),
+    "F": ("quadratic_drag", Site(0)),
+}
+LETTERS = {place: letter for letter, place in SITES.items()}
+
+
+def letter(h: Hypothesis) -> str:
+    return LETTERS[h.name]
+
+
+class Table(search._Search):
+    """A search whose models are the names of what is in them."""
+
+    def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
+        return cast(Any, frozenset(map(letter, chosen)))
+
+    def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
+        return []
+
+
+@pytest.fixture(scope="module")
+def rows() -> Rows:
+    return carried(fitted())
+
+
+def settled(
+    rows: Rows, monkeypatch: pytest.MonkeyPatch, worth: Any, chosen: str, seen: Sequence[str]
+) -> tuple[frozenset[str], tuple[Term, ...]]:
+    """Return the model and terms of a search in which ``worth(name, beside)`` is the evidence."""
+
+    def again(fit: Any, rows: Rows, h: Hypothesis) -> Hypothesis | None:
+        evidence = worth(letter(h), fit)
+        return None if evidence is None else replace(h, log_evidence=evidence)
+
+    monkeypatch.setattr(search, "again", again)
+    monkeypatch.setattr(search, "with_own_noise", lambda fit, rows, h: h)
+
+    def made(name: str) -> Hypothesis:
+        c = candidate(rows, *SITES[name])
+        return Hypothesis(c, 99.0, np.zeros(len(c.labels)), np.ones(len(c.labels)), 1.0, 1)
+
+    at = Table(rows, (), lambda _: None)
+    none = cast(Any, frozenset())
+    fit, terms, _ = at.settled(
+        none,
+        cast(Any, frozenset(chosen)),
+        [made(c) for c in chosen],
+        [[made(s) for s in others] for others in seen],
+        [],
+    )
+    return cast(Any, fit), terms
+
+
+def names(terms: Sequence[Term]) -> str:
+    return "".join(letter(t.own) for t in terms)
+
+
+def test_a_term_that_is_worse_than_a_rival_beside_all_others_is_replaced(rows: Rows, monkeypatch) -> None:
+    def worth(name: str, beside: frozenset[str]) -> float:
+        if name == "A":
+            return 10.0 if "C" in beside else 50.0
+        return 40.0
+
+    fit, terms = settled(rows, monkeypatch, worth, "AC", ["B", "D"])
+    assert fit == {"B", "C"}
+    assert names(terms) == "BC"
+    assert [letter(h) for h in terms[0].rivals] == ["A"]
+    assert (terms[0].own.log_evidence, terms[0].rivals[0].log_evidence) == (40.0, 10.0)
+
+
+def test_a_term_that_nothing_asks_for_beside_all_others_is_dropped(rows: Rows, monkeypatch) -> None:
+    fit, terms = settled(
+        rows, monkeypatch, lambda name, beside: {"A": -5.0, "B": -9.0}.get(name, 40.0), "ACE", ["B", "", "F"]
+    )
+    assert fit == {"C", "E"}
+    assert names(terms) == "CE"
+
+
+def test_what_is_likeliest_beside_all_others_stays(rows: Rows, monkeypatch) -> None:
+    """As do rivals that cannot be told beside others, by not being there."""
+    fit, terms = settled(
+        rows, monkeypatch, lambda name, beside: {"B": 30.0, "D": None}.get(name, 40.0), "AC", ["B", "D"]
+    )
+    assert fit == {"A", "C"}
+    assert [[letter(h) for h in t.rivals] for t in terms] == [["B"], []]
+
+
+def test_of_two_that_stand_for_each_other_one_stays(rows: Rows, monkeypatch) -> None:
+    """Each is worth nothing beside the other, and much without it: both must not be dropped at once."""
+
+    def worth(name: str, beside: frozenset[str]) -> float:
+        return -3.0 if {"A": "B", "B": "A"}.get(name) in beside else 40.0
+
+    fit, terms = settled(rows, monkeypatch, worth, "ABC", ["", "", ""])
+    assert len(fit & {"A", "B"}) == 1
+    assert set(names(terms)) == fit
+
+
+@pytest.mark.parametrize("chosen", ["AC", "ACE", "ABCD", "ABCDEF"])
+def test_terms_are_those_of_the_model_however_many_are_dropped(rows: Rows, monkeypatch, chosen: str) -> None:
+    fit, terms = settled(
+        rows, monkeypatch, lambda name, beside: 40.0 if name == "C" else -5.0, chosen, [""] * len(chosen)
+    )
+    assert fit == {"C"}
+    assert names(terms) == "C"
+
+
+def test_terms_that_are_swapped_for_ever_are_those_of_the_model(rows: Rows, monkeypatch) -> None:
+    """A wins beside D, B beside C, C beside A, D beside B."""
+    wins = {"A": "D", "B": "C", "C": "A", "D": "B"}
+    fit, terms = settled(
+        rows, monkeypatch, lambda name, beside: 40.0 if wins[name] in beside else 20.0, "AC", ["B", "D"]
+    )
+    assert set(names(terms)) == fit
+    assert len(fit) == 2
+
+
+def test_no_more_terms_are_added_than_a_person_would_read(rows: Rows, monkeypatch) -> None:
+    c = candidate(rows, *SITES["A"])
+    sure = Hypothesis(c, 99.0, np.zeros(2), np.ones(2), 1.0, 1)
+    at = Table(rows, (), lambda _: None)
+    monkeypatch.setattr(Table, "leading", lambda self, fit, chosen=(): [sure])
+    _, chosen, seen, _ = at.added(fitted(), [], [sure])
+    assert len(chosen) == len(seen) == MOST_TERMS
