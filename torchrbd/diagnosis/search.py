@@ -127,7 +127,8 @@ class _Search:
 
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
-        known = {h.name for h in chosen}
+        # What acts for a time may come again.
+        known = {h.name for h in chosen if h.candidate.site.window is None}
         return self._judged(fit, [h for h in screened(fit, self.rows, self.effects) if h.name not in known])
 
     def curves(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -29,20 +29,21 @@ _MOST_OF_TIME = 0.9
 def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
     """Yield an effect at every place where it may act for a time, averaged over the stretches of each recording.
 
-    What comes and stays, or is there and goes, is as likely as what comes and goes; when, is told to some rows.
+    What comes and stays, or is there and goes, is as likely as what comes and goes, and another hypothesis; when, is
+    told to some rows.
     """
     for name in rows.seen_recordings:
         kinds = Stretches.of_blocks(rows, name), Stretches.with_one_end(rows, name)
         for site in e.sites(rows.columns.robot, (Window(name),)):
             candidate = rows.columns.candidate(e, site, {})
-            found = [one[0] for kind in kinds if (one := in_stretches(fit, rows, candidate, kind)) is not None]
-            if not found:
-                yield None
-                continue
-            best = max(found, key=lambda h: h.log_evidence)
-            mean = float(np.logaddexp.reduce([h.log_evidence for h in found])) - math.log(len(kinds))
-            paid = best.paid + mean - best.log_evidence
-            yield replace(best, log_evidence=mean, tried=len(kinds) * best.tried, paid=paid)
+            for kind in kinds:
+                one = in_stretches(fit, rows, candidate, kind)
+                shared = math.log(len(kinds))
+                yield (
+                    None
+                    if one is None
+                    else replace(one[0], log_evidence=one[0].log_evidence - shared, paid=one[0].paid - shared)
+                )
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
+from torchrbd.likelihood.misspecification import TwoEstimates
 from torchrbd.likelihood.reading import Reading
 from torchrbd.likelihood.rows import KeptBack, read_rows
 
@@ -37,10 +38,11 @@ def in_time(reading: Reading, columns: Columns, kept_back: KeptBack, held: froze
     """Learn the likelihood of ordinary physics, torque and motion brought together where their clocks are far apart.
 
     The offset of the clocks is a linear term of every model; where it is not small, torques are read anew by so much
-    earlier. The evidence against clocks that agree is that of the first reading.
+    earlier. The evidence against clocks that agree is that of the first reading, of least squares where whitened rows
+    say otherwise.
     """
     fit = learn(Machine(read_rows(reading, columns, kept_back), held))
-    against = fit.gaussian.against(fit.machine.timing)
+    against = TwoEstimates(fit).against(fit.machine.timing)
     shift = dict.fromkeys((r.name for r in reading.recordings), 0.0)
     for _ in range(_MOST_READINGS):
         found = dict(zip(fit.machine.rows.seen_recordings, fit.delay_s.tolist(), strict=True))

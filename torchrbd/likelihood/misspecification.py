@@ -66,6 +66,7 @@ class TwoEstimates:
 
     def __init__(self, fit: Likelihood) -> None:
         g, rows, at = fit.gaussian, fit.machine.rows, fit.machine.resisting
+        self._efficient_against = g.against
         sites = np.zeros((2, len(g.z)))
         sites[:, at] = fit.hyper.resists.reshape(2, -1)
         self._P, shift = g.H - g.data - np.diag(sites[0]), g.h - g.score - sites[1]
@@ -93,13 +94,7 @@ class TwoEstimates:
         """
         if not len(index):
             raise ValueError("no coefficients to compare: expected one index or more")
-        Kw, Ko = self._Hw[index], self._Ho[index]
-        V, C = (Ko - Kw) @ self._P @ (Ko - Kw).T, Ko @ self._P @ Ko.T
-        for own, memory, X, before in self._parts:
-            ordinary, early = Ko[:, own] @ memory, Ko[:, own] @ before @ Ko[:, own].T
-            apart = ordinary - Kw[:, own] @ X
-            C += ordinary @ ordinary.T + early
-            V += apart @ apart.T + early
+        V, C = self._covariances(index)
         # In coordinates in which C is one, V is what least squares loses.
         size = np.sqrt(np.maximum(C.diagonal(), 1e-300))
         values, vectors = np.linalg.eigh(C / size / size[:, None])
@@ -110,6 +105,27 @@ class TwoEstimates:
         d = axes[:, kept].T @ whole @ (self.ordinary - self.efficient)[index]
         statistic, dof = float((d**2 / loss[kept]).sum()), int(kept.sum())
         return Misfit(statistic, dof, float(chi2.sf(statistic, dof)) if dof else 1.0)
+
+    def against(self, index: Sequence[int] | np.ndarray) -> float:
+        """Return the log evidence against zero of coefficients (K,), as least squares has them where the two disagree.
+
+        Savage and Dickey's density ratio at zero, of an estimate that scatters by the noise that there is.
+        """
+        if self.test(index).p_value >= MISFIT:
+            return self._efficient_against(index)
+        C, m = self._covariances(index)[1], self.ordinary[index]
+        return 0.5 * float(np.linalg.slogdet(C)[1] + m @ np.linalg.solve(C, m))
+
+    def _covariances(self, index: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return V (K, K), and the covariance of z_o around the truth (K, K)."""
+        Kw, Ko = self._Hw[index], self._Ho[index]
+        V, C = (Ko - Kw) @ self._P @ (Ko - Kw).T, Ko @ self._P @ Ko.T
+        for own, memory, X, before in self._parts:
+            ordinary, early = Ko[:, own] @ memory, Ko[:, own] @ before @ Ko[:, own].T
+            apart = ordinary - Kw[:, own] @ X
+            C += ordinary @ ordinary.T + early
+            V += apart @ apart.T + early
+        return V, C
 
 
 def remembered(U: np.ndarray, noise: Noise, run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
