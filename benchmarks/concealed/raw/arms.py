@@ -10,6 +10,8 @@ forearm       z x y z y x   light, without an offset wrist (arms on mobile bases
 lateral       y x z y z y z the first axis lies; upright or leaning (arms at the side of a torso)
 boom          z y y y z x   three long links in a plane; stands or leans (arms that load and stack)
 slender       z y x z y x y long, thin links; stands or lies on its side (light arms that reach far)
+wallmounted   x z z y x z   axes lie; two parallel ones fold in a plane (arms on walls and columns)
+elbowed       z x x z x z y two elbows; hangs or stands (arms with a redundant elbow)
 """
 
 from __future__ import annotations
@@ -59,11 +61,15 @@ OWN = {
         "forearm": Kind("zxyzyx", (0.12, 0.3, 0.08, 0.28, 0.08, 0.06), (3.0, 3.2, 1.4, 1.6, 0.8, 0.4), 0.12),
         "lateral": Kind("yxzyzyz", (0.1, 0.12, 0.3, 0.08, 0.28, 0.08, 0.08), (4.5, 3.5, 4.0, 2.0, 2.2, 1.1, 0.5), 0.15,
                         (0.0, 0.25 * np.pi)),
-    },
-    "final": {
         "boom": Kind("zyyyzx", (0.25, 0.5, 0.45, 0.15, 0.1, 0.08), (9.0, 8.0, 5.0, 2.2, 1.4, 0.5), 0.1, (0.0, 0.35)),
         "slender": Kind("zyxzyxy", (0.1, 0.1, 0.4, 0.07, 0.38, 0.07, 0.07), (3.2, 2.4, 2.2, 1.6, 1.4, 0.9, 0.4), 0.1,
                         (0.0, 0.5 * np.pi)),
+    },
+    "final": {
+        "wallmounted": Kind("xzzyxz", (0.15, 0.35, 0.35, 0.12, 0.1, 0.07), (5.0, 5.0, 3.0, 1.8, 1.2, 0.5), 0.15,
+                            (0.0, 0.5 * np.pi)),
+        "elbowed": Kind("zxxzxzy", (0.15, 0.3, 0.25, 0.1, 0.2, 0.08, 0.07), (5.0, 4.5, 3.0, 1.8, 1.5, 0.9, 0.4), 0.12,
+                        (0.0, np.pi)),
     },
 }  # fmt: skip
 """Own kinds of arms of each set."""
@@ -76,10 +82,12 @@ PUBLIC = {
         "ur5": ("ur_description/urdf/ur5_robot.urdf", r".*_joint"),
         "kinova": ("kinova_description/robots/kinova.urdf", r"j2s6s200_joint_\d"),
         "z1": ("z1_description/urdf/z1.urdf", r"joint\d"),
-    },
-    "final": {
         "baxter": ("baxter_description/urdf/baxter.urdf", r"left_[sew]\d"),
         "tiago_pro": ("tiago_pro_description/robots/tiago_pro.urdf", r"arm_left_\d_joint"),
+    },
+    "final": {
+        "g1": ("g1_description/urdf/g1_29dof_rev_1_0.urdf", r"left_(shoulder|elbow|wrist).*"),
+        "centauro": ("centauro_description/urdf/centauro.urdf", r"j_arm1_\d"),
     },
 }
 """Arms of example-robot-data, by set: file and joints that move."""
