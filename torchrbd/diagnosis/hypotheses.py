@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from scipy.special import logsumexp
 
 from torchrbd.likelihood.columns import Candidate
@@ -20,6 +21,9 @@ from torchrbd.likelihood.likelihood import Extra, Likelihood
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import coefficient_std
 from torchrbd.physics import Site
+
+# Draws that tell how much of a distribution physics allows, and the part of variances that is rounding.
+_DRAWS, _ROUNDING = 256, 1e-12
 
 
 @dataclass(frozen=True)
@@ -93,6 +97,49 @@ def again(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis | None:
     """Return a hypothesis beside another fit, its shape and window as they are; what they have cost stays paid."""
     one = told(fit, rows, h.candidate)
     return None if one is None else replace(one, log_evidence=one.log_evidence + h.paid, tried=h.tried, paid=h.paid)
+
+
+def support(h: Hypothesis, fit: Likelihood, rows: Rows, mean: np.ndarray, covariance: np.ndarray) -> float:
+    """Return what the bounds of physics are worth: log of the posterior's share of what they allow, over the prior's.
+
+    The prior of an effect's coefficients is Gaussian, truncated to parameters that are plausible; signs that
+    coefficients must have count already.
+
+    Args:
+        h: the hypothesis.
+        fit: beside which it stands.
+        rows: its rows.
+        mean, covariance: (K,) and (K, K), posterior of its coefficients.
+    """
+    rng, std = np.random.default_rng(0), believed(fit, rows, h.candidate)[0] * h.scale
+    root = np.linalg.cholesky(covariance + _ROUNDING * np.diag(covariance.diagonal() + 1e-300))
+    unit = rng.standard_normal((_DRAWS, len(mean)))
+    after, before = _allowed(h, fit, rows, mean + unit @ root.T), _allowed(h, fit, rows, unit * std)
+    return math.log(after / before) if after > 0 < before else -math.inf if before else 0.0
+
+
+def _allowed(h: Hypothesis, fit: Likelihood, rows: Rows, draws: np.ndarray) -> float:
+    """Return the share of draws (D, K), of those whose signs are right, that physics allows."""
+    c, positive = h.candidate, list(h.candidate.effect.prior.positive)
+    draws = draws[(draws[:, positive] >= 0).all(1)]
+    if not len(draws):
+        return 1.0
+    scale = rows.columns.scale(c.site)
+    own = whole(c, draws, fit)
+    parameters = c.effect.parameters(torch.from_numpy(own.T), c.shape)
+    values = {name: np.broadcast_to(v.detach().numpy(), len(draws)) for name, v in parameters.items()}
+    return float(
+        np.mean([c.effect.plausible({n: float(v[k]) for n, v in values.items()}, scale) for k in range(len(own))])
+    )
+
+
+def whole(candidate: Candidate, coefficients: np.ndarray, fit: Likelihood) -> np.ndarray:
+    """Return coefficients (..., K) with what the machine's own friction has of the same columns."""
+    if candidate.site.joint is None:
+        return coefficients
+    viscous, plus, minus = fit.friction[candidate.site.joint]
+    own = {"qd": viscous, "sign(qd)": 0.5 * (plus + minus)}
+    return coefficients + [own.get(label, 0.0) for label in candidate.labels]
 
 
 def mean_of(log_evidence: np.ndarray) -> float:

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, told
+from torchrbd.diagnosis.hypotheses import Hypothesis, told, whole
 from torchrbd.diagnosis.search import Explanation, explained, with_own_noise
 from torchrbd.inference.identify import Source, read_arguments
 from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
 from torchrbd.likelihood.clocks import Clocks, in_time
-from torchrbd.likelihood.columns import Candidate, Columns
+from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.misspecification import MISFIT, Misfit, TwoEstimates
@@ -206,7 +206,7 @@ def _delay(clocks: Clocks) -> Ranked:
 
 def _ranked(h: Hypothesis, fit: Likelihood, robot: RobotModel) -> Ranked:
     c, site = h.candidate, h.candidate.site
-    w = torch.from_numpy(_whole(c, h.coefficients, fit))
+    w = torch.from_numpy(whole(c, h.coefficients, fit))
     window = None
     if site.window is not None:
         rows = fit.machine.rows
@@ -223,15 +223,6 @@ def _ranked(h: Hypothesis, fit: Likelihood, robot: RobotModel) -> Ranked:
         window=window,
         shape=dict(c.shape),
     )
-
-
-def _whole(candidate: Candidate, coefficients: np.ndarray, fit: Likelihood) -> np.ndarray:
-    """Return coefficients with what the machine's own friction has of the same columns."""
-    if candidate.site.joint is None:
-        return coefficients
-    viscous, plus, minus = fit.friction[candidate.site.joint]
-    own = {"qd": viscous, "sign(qd)": 0.5 * (plus + minus)}
-    return coefficients + [own.get(label, 0.0) for label in candidate.labels]
 
 
 def _ordinary(fit: Likelihood, two: TwoEstimates, misfit: Mapping[str, Misfit]) -> tuple[Ranked, ...]:

@@ -11,7 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, again
+import numpy as np
+
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, support
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves
 from torchrbd.diagnosis.screening import refined, screened
@@ -93,11 +95,13 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     # What averaging over shapes, sizes and windows costs, the first noise has told.
     average = h.log_evidence - (beside.log_evidence - fit.log_evidence)
     k = len(fit.extra)
+    mean, covariance = extended.coefficients(k), extended.coefficients_covariance(k)
+    bounds = support(h, extended, rows, mean, covariance)
     return replace(
         h,
-        log_evidence=extended.log_evidence - base.log_evidence + average,
-        coefficients=extended.coefficients(k),
-        std=extended.coefficients_std(k),
+        log_evidence=extended.log_evidence - base.log_evidence + average + bounds,
+        coefficients=mean,
+        std=np.sqrt(covariance.diagonal()),
     )
 
 

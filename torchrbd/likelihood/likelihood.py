@@ -128,10 +128,10 @@ class Likelihood:
         """Return the coefficients (K,) of further columns in their own units."""
         return self.gaussian.z[self._first[k] : self._first[k + 1]] * self.extra[k].std
 
-    def coefficients_std(self, k: int) -> np.ndarray:
-        """Return their posterior standard deviations (K,)."""
-        at = np.arange(self._first[k], self._first[k + 1])
-        return np.sqrt(self.gaussian.covariance(at).diagonal()) * self.extra[k].std
+    def coefficients_covariance(self, k: int) -> np.ndarray:
+        """Return their posterior covariance (K, K)."""
+        at, std = np.arange(self._first[k], self._first[k + 1]), self.extra[k].std
+        return self.gaussian.covariance(at) * np.outer(std, std)
 
     def against_leaving_out(self, k: int) -> float:
         """Return the log evidence against leaving out further columns."""
