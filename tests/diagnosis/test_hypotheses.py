@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from likelihood.fits import OPTIONS, URDF, WIDTH, at_joint, candidate, carried, 
 from scipy.special import logsumexp
 from simulated import Motion, inverse_dynamics, joint_names
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, told
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, told
 from torchrbd.diagnosis.ranking import _ranked
 from torchrbd.diagnosis.screening import ORDINARY, refined, screened
 from torchrbd.diagnosis.search import sharpened, with_own_noise
@@ -28,6 +29,7 @@ from torchrbd.physics import Site, Window
 from torchrbd.physics.registry import effect, effects
 
 ALL = list(effects().values())
+FOR_A_TIME = {"payload", "external_wrench"}
 BEGIN_S, MASS, CENTRE = 10.3, 0.5, np.array([0.05, 0.1, 0.1])
 
 
@@ -69,7 +71,10 @@ def test_nothing_has_evidence_where_nothing_is() -> None:
     assert [h.log_evidence for h in found] == sorted((h.log_evidence for h in found), reverse=True)
     names = {h.name for h in found}
     assert not {name for name, _ in names} & set(ORDINARY)
-    assert len(names) == len(found)
+    # What comes and goes, and what comes and stays, are two.
+    twice = Counter(h.name for h in found)
+    assert {name for name, count in twice.items() if count > 1} == {n for n in names if n[0] in FOR_A_TIME}
+    assert max(twice.values()) == 2
 
 
 @pytest.mark.parametrize(
@@ -155,6 +160,47 @@ def test_shapes_that_were_tried_are_paid_for() -> None:
     evidence = [one.log_evidence for one in each if one is not None]
     assert h.log_evidence == pytest.approx(logsumexp(evidence) - np.log(len(evidence)), abs=1e-6)
     assert h.log_evidence < max(evidence)
+
+
+@pytest.mark.parametrize("torque", [RIPPLE, payload], ids=["shapes", "windows"])
+def test_what_averaging_has_cost_stays_paid_beside_another_fit(torque) -> None:
+    fit, rows, found = leading(torque)
+    # Stretches are screened without the edges of what begins and ends in them.
+    always = [h for h in found if h.candidate.site.always]
+    for h in (*always[:5], refined(fit, rows, found[0])):
+        one, alone = again(fit, rows, h), told(fit, rows, h.candidate)
+        assert one is not None
+        assert alone is not None
+        assert one.candidate == h.candidate
+        assert (one.tried, one.paid) == (h.tried, h.paid)
+        # Beside the fit in which it was averaged, it is what it was.
+        assert one.log_evidence == pytest.approx(h.log_evidence, abs=1e-6)
+        assert h.paid == pytest.approx(h.log_evidence - alone.log_evidence, abs=1e-6)
+    best = found[0]
+    # No more than if one of all that were tried had all the evidence; of windows there are two kinds.
+    assert -np.log(2 * best.tried) - 1e-9 <= best.paid < 0.0
+    left = again(fit.extended([best.extra(fit, rows)]), rows, best)
+    assert left is not None
+    assert left.log_evidence < 0.0
+    assert left.paid == best.paid
+
+
+def test_what_averaging_has_cost_stays_paid_where_shape_and_noise_are_learnt_anew() -> None:
+    fit, rows, found = leading(RIPPLE)
+    sharp = sharpened(fit, rows, found[0])
+    one = again(fit, rows, sharp)
+    assert one is not None
+    assert one.log_evidence == pytest.approx(sharp.log_evidence, abs=1e-6)
+    # Nine values of the one shape lie in a cell.
+    assert -np.log(9 * sharp.tried) - 1e-9 <= sharp.paid < 0.0
+    assert with_own_noise(fit, rows, sharp).paid == sharp.paid
+
+
+def test_what_has_no_torque_beside_another_fit_is_no_hypothesis_there() -> None:
+    _, _, found = leading(RIPPLE)
+    silent = recorded(URDF, 2, with_friction(), missing=[joint_names(URDF)[1]], **OPTIONS)
+    other = learn(Machine(rows_of(wrong_robot(URDF, 1), [silent])))
+    assert again(other, carried(other), found[0]) is None
 
 
 def test_size_is_averaged_over() -> None:
