@@ -65,7 +65,9 @@ def told(fit: Likelihood, rows: Rows, candidate: Candidate) -> Hypothesis | None
 
 def believed(fit: Likelihood, rows: Rows, candidate: Candidate) -> tuple[np.ndarray, tuple[float, ...]]:
     """Return how large coefficients are believed to be, (K,) and multiples, whatever the time in which they act."""
-    always = replace(candidate, site=replace(candidate.site, window=None))
+    always = rows.columns.candidate(
+        candidate.effect, replace(candidate.site, window=None, recordings=None), candidate.shape
+    )
     return coefficient_std(always, rows.features(always), fit.machine.torque_rms)
 
 

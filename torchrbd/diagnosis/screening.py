@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, averaged, mean_of, told
-from torchrbd.diagnosis.stretches import in_windows, located
+from torchrbd.diagnosis.stretches import in_recordings, in_windows, located
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
@@ -42,6 +42,9 @@ def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hyp
             if _may_be(e, site, rows):
                 shapes = e.shapes(rows.columns.scale(site)) if e.first_order is None else (e.first_order,)
                 found.append(averaged(fit, rows, [rows.columns.candidate(e, site, shape) for shape in shapes]))
+    # Friction of some recordings only is not the machine's.
+    for e in effects:
+        found += in_recordings(fit, rows, e)
     return sorted((h for h in found if h is not None), key=lambda h: -h.log_evidence)
 
 

@@ -132,7 +132,7 @@ class _Search:
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
         # What acts for a time may come again.
-        known = {h.name for h in chosen if h.candidate.site.window is None}
+        known = {h.name for h in chosen if h.candidate.site.always}
         return self._judged(fit, [h for h in screened(fit, self.rows, self.effects) if h.name not in known])
 
     def curves(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:

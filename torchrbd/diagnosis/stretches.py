@@ -1,13 +1,15 @@
-"""Stretches of time in which something may act: which begin and end as the whitened rows say.
+"""Stretches of time, and recordings, in which something may act: which, the whitened rows say.
 
-Moments of a stretch are differences of sums over the rows before its edges, so that all of them cost one pass.
+Moments of a stretch are differences of sums over the rows before its edges, those of several recordings are sums of
+theirs, so that all of them cost one pass.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -24,6 +26,8 @@ _MOST_EDGES = 33
 _MOST_TIMES = 600
 # What is there for more than this part of a recording is there always.
 _MOST_OF_TIME = 0.9
+# Of so many recordings all subsets are tried.
+_MOST_RECORDINGS = 8
 
 
 def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
@@ -44,6 +48,51 @@ def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | 
                     if one is None
                     else replace(one[0], log_evidence=one[0].log_evidence - shared, paid=one[0].paid - shared)
                 )
+
+
+def in_recordings(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
+    """Yield an effect that comes and goes at every place in some of the recordings, averaged over which and shapes."""
+    names = rows.seen_recordings
+    if not e.comes_and_goes or not 1 < len(names) <= _MOST_RECORDINGS:
+        return
+    part = np.select([rows.recording == rows.recordings.index(name) for name in names], range(len(names)), -1)
+    inside = np.array(
+        [chosen for chosen in product((False, True), repeat=len(names)) if any(chosen) and not all(chosen)]
+    )
+    for site in e.sites(rows.columns.robot):
+        if site.joint is None or rows.seen[site.joint]:
+            shapes = e.shapes(rows.columns.scale(site))
+            every = [rows.columns.candidate(e, site, shape) for shape in shapes]
+            yield _in_some(fit, rows, every, part, inside)
+
+
+def _in_some(
+    fit: Likelihood, rows: Rows, candidates: Sequence[Candidate], part: np.ndarray, inside: np.ndarray
+) -> Hypothesis | None:
+    """Average an effect's shapes over the recordings in which it may act, ``inside`` (N, R) bool."""
+    evidence, best = [], None
+    names, place = np.array(rows.seen_recordings), candidates[0].place
+    for candidate in candidates:
+        F = rows.features(candidate)
+        std, multiples = believed(fit, rows, candidate)
+        if not np.isfinite(F).all() or not (std > 0).all():
+            continue
+        V, gram, score = (np.tensordot(inside.astype(float), x, 1) for x in moments(fit, place, F, part, len(names)))
+        scales = np.array(multiples)
+        S = gram - V.transpose(0, 2, 1) @ V
+        found = added(S[:, None], score[:, None], std * scales[:, None], candidate.effect.prior.positive)
+        evidence.append(found.log_evidence)
+        k, size = np.unravel_index(int(found.log_evidence.argmax()), found.log_evidence.shape)
+        if best is None or found.log_evidence[k, size] > best[0]:
+            at = replace(candidate.site, recordings=tuple(names[inside[k]].tolist()))
+            one = rows.columns.candidate(candidate.effect, at, candidate.shape)
+            told_alone = mean_of(found.log_evidence[k])
+            best = found.log_evidence[k, size], one, found.mean[k, size], found.std[k, size], scales[size], told_alone
+    if best is None:
+        return None
+    mean, (_, one, coefficients, std, scale, alone) = mean_of(np.array(evidence)), best
+    tried = len(inside) * len(evidence)
+    return Hypothesis(one, mean, coefficients, std, float(scale), tried, mean - alone)
 
 
 @dataclass(frozen=True)
@@ -132,22 +181,43 @@ def _sums(
     fit: Likelihood, rows: Rows, F: np.ndarray, stretches: Stretches
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return L^-1 X'C (B + 1, P, K), C'C (B + 1, K, K) and C'e (B + 1, K) of the rows before each edge."""
-    B, K, P = len(stretches.times) - 1, len(F), len(fit.gaussian.z)
-    cross, gram, score = np.zeros((B, P, K)), np.zeros((B, K, K)), np.zeros((B, K))
+    part = np.where(stretches.inside, np.searchsorted(stretches.times, rows.t, side="right") - 1, -1)
+    parts = moments(fit, None, F, part, len(stretches.times) - 1)
+    return tuple(np.concatenate((np.zeros_like(x[:1]), np.cumsum(x, 0))) for x in parts)  # type: ignore[return-value]
+
+
+def moments(
+    fit: Likelihood, place: int | None, F: np.ndarray, part: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what a fit's rows say of features, part by part.
+
+    Args:
+        fit: the fit.
+        place: the joint of the features; None if they are of all.
+        F: (K, M), or (K, n, M).
+        part: (M,) number of the part that a row belongs to, -1 for none.
+        count: number of parts B.
+
+    Returns:
+        L^-1 X'C (B, P, K), C'C (B, K, K) and C'e (B, K).
+    """
+    K, P = len(F), len(fit.gaussian.z)
+    cross, gram, score = np.zeros((count, P, K)), np.zeros((count, K, K)), np.zeros((count, K))
     for j, index in enumerate(fit.index):
-        if not len(index):
+        if not len(index) or place not in (None, j):
             continue
-        own = np.flatnonzero(stretches.inside[index])
-        C = fit.hyper.noise[j].white(F[:, j])[:, own]
+        C = fit.hyper.noise[j].white(F if place == j else F[:, j])
         b, e = fit.gaussian.blocks[j], fit.gaussian.left[j]
-        places = np.searchsorted(stretches.times, rows.t[index[own]], side="right") - 1
-        for k, part in enumerate(np.split(np.arange(len(own)), np.searchsorted(places, np.arange(1, B)))):
-            cross[k, b.own] += b.X[:, own[part]] @ C[:, part].T
-            gram[k] += C[:, part] @ C[:, part].T
-            score[k] += C[:, part] @ e[own[part]]
+        order = np.argsort(part[index], kind="stable")
+        edges = np.searchsorted(part[index][order], np.arange(count + 1))
+        for k in range(count):
+            own = order[edges[k] : edges[k + 1]]
+            if len(own):
+                cross[k, b.own] += b.X[:, own] @ C[:, own].T
+                gram[k] += C[:, own] @ C[:, own].T
+                score[k] += C[:, own] @ e[own]
     V = fit.gaussian.half(cross.transpose(1, 0, 2).reshape(P, -1))
-    before = V.reshape(P, B, K).transpose(1, 0, 2), gram, score
-    return tuple(np.concatenate((np.zeros_like(x[:1]), np.cumsum(x, 0))) for x in before)  # type: ignore[return-value]
+    return V.reshape(P, count, K).transpose(1, 0, 2), gram, score
 
 
 def located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
