@@ -10,7 +10,7 @@ from inference.problems import urdf_of
 from report.fabricated import ranking
 from simulated import record, with_wrong_inertials
 
-from torchrbd.diagnosis.results import Alternative, Curve, Diagnosis, Finding, Quantity, Region, Unexplained, Where
+from torchrbd.diagnosis.results import Alternative, Curve, Diagnosis, Finding, Law, Quantity, Region, Unexplained, Where
 from torchrbd.export import write_parameters
 from torchrbd.export.json_files import write_comparison, write_diagnosis
 from torchrbd.inference import EstimatorComparison, Fit, Identification, identify
@@ -118,3 +118,26 @@ def test_diagnosis_keeps_its_keys_and_adds_curves(found: Identification, tmp_pat
     assert rest["where"]["region"] == [{"signal": "q_a", "low": 0.0, "high": 1.0}]
     for drawn in (first["curve"], rest["curve"]):
         assert drawn == {"signal": "q_a", "at": [0.0, 1.0], "torque": [1.0, None], "std": [0.1, 0.2]}
+
+
+def test_a_finding_says_its_family_its_laws_and_what_it_carries(found: Identification, tmp_path: Path) -> None:
+    one = Finding(
+        "stribeck_friction", ("a",), (), 0.6, 40.0, {}, Where(), (), {"a": 0.4, "b": 0.2}, {"a": 0.1, "b": 0.2}, "x",
+        family="friction", family_probability=0.98, laws=(Law("stribeck_friction", 0.7), Law("quadratic_drag", 0.3)),
+        torque_rms={"a": 1.5},
+    )  # fmt: skip
+    small = replace(one, effect="torque_ripple", nmse_before={"a": 0.0}, laws=())
+    write_diagnosis(Diagnosis(found, "missing_physics", "z", (one,), trifling=(small,)), tmp_path / "d")
+    content = read(tmp_path / "d")
+    (told,), (trifling,) = content["findings"], content["trifling"]
+    assert (told["family"], told["family_probability"]) == ("friction", 0.98)
+    assert told["laws"] == [
+        {"effect": "stribeck_friction", "probability": 0.7},
+        {"effect": "quadratic_drag", "probability": 0.3},
+    ]
+    assert told["torque_rms"] == {"a": 1.5}
+    # The largest of its joints.
+    assert told["share"] == pytest.approx(0.75)
+    assert trifling["effect"] == "torque_ripple"
+    assert (trifling["share"], trifling["laws"]) == (0.0, [])
+    assert trifling.keys() == told.keys()

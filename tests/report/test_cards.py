@@ -6,7 +6,7 @@ from dataclasses import replace
 from report.fabricated import curve, diagnosis, with_friction
 from report.rendered import Text, render, tidy
 
-from torchrbd.diagnosis.results import Alternative, Location, Quantity, Region, Where
+from torchrbd.diagnosis.results import Alternative, Law, Location, Quantity, Region, Where
 
 
 def test_finding_says_what_where_and_how_sure(tmp_path):
@@ -35,7 +35,7 @@ def test_finding_with_a_shared_probability_says_so_and_shows_the_state_of_its_eq
     assert "Something is missing here beyond doubt. The probability is shared" in page
     assert "residual of joint2 against acceleration" in page
     alone = render(replace(result, findings=(replace(inertia, indistinguishable_from=()),), unexplained=()), tmp_path)
-    assert "a cause outside the list may look like it" in alone
+    assert "probability is shared" not in alone
     assert "shared" not in render(replace(result, unexplained=()), tmp_path)
 
 
@@ -144,3 +144,28 @@ def test_a_guess_leads_neither_card_nor_table(tmp_path):
     assert titles[0] == "Torque ripple at joint2"
     assert titles[1].endswith("at joint3 or perhaps constant torque offset at joint2")
     assert "constant torque offset [" not in page
+
+
+def test_laws_that_explain_the_same_are_told_with_their_family(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    laws = (Law("coulomb_friction", 0.62), Law("stribeck_friction", 0.31))
+    sure = replace(result.findings[0], probability=0.61, family="friction", family_probability=0.97, laws=laws)
+    text = " ".join(Text(render(replace(result, findings=(sure,)), tmp_path)).words)
+    assert "Friction of some kind 97 %" in text
+    assert "Which law, if any Coulomb friction 62 %, Stribeck friction 31 %" in text
+    alone = replace(sure, family_probability=0.61, laws=laws[:1])
+    text = " ".join(Text(render(replace(result, findings=(alone,)), tmp_path)).words)
+    assert "of some kind" not in text
+    assert "Which law" not in text
+
+
+def test_what_is_certain_and_trifling_stands_apart(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    small = replace(result.findings[0], effect="torque_ripple", statement="joint1 hums a little.")
+    page = render(replace(result, trifling=(small,)), tmp_path)
+    part = page.partition('id="trifling"')[2].partition("</section>")[0]
+    assert "joint1 hums a little." in " ".join(Text(f"<body>{part}</body>").words)
+    assert "Torque ripple at" not in page
+    alone = render(replace(result, findings=(), unexplained=(), trifling=(small,)), tmp_path)
+    assert "joint1 hums a little." in alone
+    assert 'id="trifling"' not in render(result, tmp_path)

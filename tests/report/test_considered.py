@@ -9,12 +9,11 @@ from report.rendered import Text, render, tidy
 
 from torchrbd.cli.tables import print_diagnosis
 from torchrbd.diagnosis.ranking import Ranked
-from torchrbd.diagnosis.results import Alternative, Diagnosis
+from torchrbd.diagnosis.results import Diagnosis
 from torchrbd.likelihood.misspecification import Misfit
-from torchrbd.report.considered import agreement, leading, misfit_sentence, nats
+from torchrbd.report.considered import leading, misfit_sentence, nats
 
 JOINTS = ("joint1", "joint2", "slide")
-COULOMB = Ranked("coulomb_friction", ("joint2",), (), 50.0, {"coulomb": 1.0})
 RIPPLE = Ranked("torque_ripple", ("joint1",), (), 33.0, {"amplitude": 1.0})
 
 
@@ -58,33 +57,6 @@ def test_what_is_adopted_is_marked_beside_the_last_step(tmp_path):
     assert part.count(">adopted<") == 2
     assert "beside payload on hand" in part
     assert "beside the 2 adopted effects" in section(render(ranked(load, RIPPLE), tmp_path))
-
-
-def test_ranking_and_findings_are_compared_plainly(tmp_path):
-    page = ranked()
-    (finding,) = page.findings
-    assert agreement(ranking(JOINTS), ()) == "The ranking asks for nothing beyond a rigid body with ordinary friction."
-    assert agreement(ranking(JOINTS, (COULOMB,)), page.findings) == (
-        "The ranking asks for Coulomb friction at joint2, which the search has named too."
-    )
-    both = agreement(ranking(JOINTS, (RIPPLE,)), (replace(finding, effect="backlash", joints=("joint1",)),))
-    assert both == (
-        "The ranking asks for torque ripple at joint1, which the search has not named. "
-        "The search has named backlash at joint1, for which the ranking does not ask."
-    )
-    rival = replace(
-        finding, effect="backlash", indistinguishable_from=(Alternative("torque_ripple", ("joint1",), (), ()),)
-    )
-    assert agreement(ranking(JOINTS, (RIPPLE,)), (rival,)) == (
-        "The ranking asks for torque ripple at joint1, where the search has named backlash at joint2 and lists it as "
-        "what that could be."
-    )
-    coupled = ranking(JOINTS).first[1]
-    named = replace(finding, effect="joint_coupling", joints=("slide",), depends_on=("q_joint1",))
-    same = agreement(ranking(JOINTS, (coupled,)), (named,))
-    assert same == "The ranking asks for coupling to joint1's position at slide, which the search has named too."
-    assert "has not named" in agreement(ranking(JOINTS, (coupled,)), (replace(named, depends_on=("q_joint2",)),))
-    assert "which the search has not named" in section(render(ranked(RIPPLE), tmp_path))
 
 
 def test_nothing_to_consider_and_no_ranking_are_shown_as_such(tmp_path):

@@ -1,0 +1,117 @@
+"""Torque without a law, from the search to a person: where, over what and how large; none where nothing is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from likelihood.arms import recorded
+from likelihood.fits import COULOMB, OPTIONS, URDF, VISCOUS, at_joint, with_friction
+from simulated import Motion, joint_names, with_wrong_inertials
+
+from torchrbd.diagnosis.extending import Extended, extended
+from torchrbd.diagnosis.friction import UNEVEN
+from torchrbd.diagnosis.ranking import ranking
+from torchrbd.diagnosis.residual import is_curve
+from torchrbd.diagnosis.results import Unexplained
+from torchrbd.diagnosis.search import Explanation
+from torchrbd.diagnosis.unexplained import _loud, unexplained
+from torchrbd.inference.ordinary import with_friction as friction_of
+from torchrbd.inference.ordinary import with_machine
+from torchrbd.inference.preparation import prepare
+from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.clocks import Clocks
+from torchrbd.robot import RobotModel
+
+FIRST = joint_names(URDF)[0]
+SIZE, WIDTH = 2.0, 0.15
+MAY = ("viscous_friction", "coulomb_friction", UNEVEN, "quadratic_drag")
+
+
+def centre(m: Motion) -> float:
+    return float(np.median(m.q[:, 0]))
+
+
+def bump(m: Motion) -> np.ndarray:
+    return SIZE * np.exp(-(((m.q[:, 0] - centre(m)) / WIDTH) ** 2))
+
+
+def quiet(*_: object) -> None:
+    """Tell nobody how far the work is."""
+
+
+def diagnosed(torque: Callable | None) -> tuple[Explanation, Extended]:
+    """Return what the search finds of few laws, and the model with it."""
+    recording = recorded(URDF, 2, with_friction(torque), **{**OPTIONS, "duration_s": 30.0})
+    settings = Settings.from_mapping({"effects": MAY}, "test")
+    prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [recording], settings, ())
+    ranked = ranking(prepared.reading, settings, prepared.kept_back, quiet)
+    clocks = Clocks(ranked.explanation.base, ranked.delay_s, 0.0)
+    prepared = with_machine(prepared, settings, friction_of(settings), quiet, clocks)
+    return ranked.explanation, extended(prepared, ranked.explanation, MAY, quiet)
+
+
+@pytest.fixture(scope="module")
+def bumped() -> tuple[Explanation, Extended]:
+    return diagnosed(at_joint(0, bump))
+
+
+@pytest.fixture(scope="module")
+def told(bumped: tuple[Explanation, Extended]) -> Unexplained:
+    return unexplained(bumped[1], ())[0]
+
+
+def test_a_curve_is_no_larger_than_it_is_believed_to_be(bumped: tuple[Explanation, Extended]) -> None:
+    found, model = bumped
+    curves = [(t.own, c) for t, c in zip(found.terms, model.terms, strict=True) if is_curve(c)]
+    assert curves
+    for own, c in curves:
+        at = model.model.columns.of(c)
+        scale = np.asarray(model.prepared.prior.scale.diagonal())[at]
+        assert (scale <= own.extra(found.fit, found.rows).std * (1 + 1e-9)).all()
+        assert (scale > 0).all()
+
+
+def test_curves_leave_ordinary_friction_its_place(bumped: tuple[Explanation, Extended]) -> None:
+    _, model = bumped
+    for f, c in zip(model.friction, model.model.terms, strict=False):
+        w, _ = model.model.coefficients(c)
+        joint = f.candidate.joint
+        true = VISCOUS[joint] if c.effect.id == "viscous_friction" else COULOMB[joint]
+        assert float(w[0]) == pytest.approx(true, rel=0.1)
+
+
+def test_torque_without_a_law_is_told_with_its_place_signal_and_shape(told: Unexplained) -> None:
+    assert (told.joints, told.depends_on) == ((FIRST,), (f"q_{FIRST}",))
+    assert told.share > 0.5
+    assert told.statement.startswith(f"{FIRST}: a torque of ")
+    assert told.where.recordings is None
+    assert told.where.region is not None
+    (region,) = told.where.region
+    recording = recorded(URDF, 2, **{**OPTIONS, "duration_s": 30.0})
+    q0 = float(np.median(next(iter(recording.chunks(10**6))).q[:, 0]))
+    assert region.signal == f"q_{FIRST}"
+    assert region.low < q0 < region.high
+    assert region.high - region.low < 6 * WIDTH
+    assert told.curve is not None
+    x, y = np.array(told.curve.at), np.array(told.curve.torque)
+    true = SIZE * np.exp(-(((x - q0) / WIDTH) ** 2))
+    # A constant, and what a body may weigh, are not told from it.
+    assert np.ptp(y) == pytest.approx(SIZE, rel=0.35)
+    assert np.corrcoef(y, true)[0, 1] > 0.9
+    assert (np.array(told.curve.std) > 0).all()
+
+
+def test_where_nothing_is_left_nothing_is_told() -> None:
+    _, model = diagnosed(None)
+    assert model.terms == ()
+    assert unexplained(model, ()) == ()
+
+
+@pytest.mark.parametrize(
+    ("torque", "expected"),
+    [([0, 0, 0, 5, 6, 4, 0, 0], (3.0, 5.0)), ([0, 0, 0, -5, -6, 0, 0, 0], (3.0, 4.0)), ([9, 1, 1, 1, 1], (0.0, 0.0))],
+)
+def test_a_curve_is_loud_around_its_largest_departure(torque: list[float], expected: tuple[float, float]) -> None:
+    assert _loud(np.arange(float(len(torque))), np.array(torque, dtype=float)) == expected
