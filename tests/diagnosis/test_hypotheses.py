@@ -17,7 +17,7 @@ from torchrbd.diagnosis.hypotheses import Hypothesis, again, told
 from torchrbd.diagnosis.ranking import _ranked
 from torchrbd.diagnosis.screening import ORDINARY, refined, screened
 from torchrbd.diagnosis.search import sharpened, with_own_noise
-from torchrbd.diagnosis.stretches import Stretches, in_stretches
+from torchrbd.diagnosis.stretches import Stretches, in_recordings, in_stretches
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
@@ -252,6 +252,42 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
         one = told(fit, rows, candidate(rows, "payload", Site(body=1, window=Window("second", begin, end))))
         assert one is not None
         np.testing.assert_allclose(one.extra(fit, rows).std, one.scale * std)
+
+
+@pytest.mark.parametrize("name", ["coulomb_friction", "stribeck_friction"])
+def test_recordings_in_which_an_effect_is_are_averaged_over(two_recordings: tuple[Likelihood, Rows], name: str) -> None:
+    """Each set of them is judged as whitened columns are, zero in the others, beside the fit."""
+    fit, rows = two_recordings
+    e, found = effect(name), [h for h in in_recordings(fit, rows, effect(name)) if h is not None]
+    assert [h.candidate.site.joint for h in found] == [0, 1]
+    for h in found:
+        j = h.candidate.joint
+        each: dict[str, list[float]] = {"first": [], "second": []}
+        shapes = e.shapes(rows.columns.scale(Site(j)))
+        for shape in shapes:
+            always = candidate(rows, name, Site(j), **shape)
+            F = rows.features(always)
+            std, scales = coefficient_std(always, F, fit.machine.torque_rms)
+            for one, evidence in each.items():
+                inside = (rows.recording == rows.recordings.index(one))[fit.index[j]]
+                S, r = fit.gaussian.beside({j: fit.hyper.noise[j].white(F) * inside})
+                evidence += [added(S, r, k * std, e.prior.positive).log_evidence for k in scales]
+        every = [x for evidence in each.values() for x in evidence]
+        assert h.log_evidence == pytest.approx(logsumexp(every) - np.log(len(every)), abs=1e-6)
+        assert h.tried == 2 * len(shapes)
+        assert h.candidate.site.recordings == (max(each, key=lambda one: max(each[one])),)
+        # Its columns are the effect's there, and zero elsewhere.
+        features, elsewhere = rows.features(h.candidate), rows.recordings.index(h.candidate.site.recordings[0])
+        assert features[:, rows.recording == elsewhere].any()
+        assert not features[:, rows.recording != elsewhere].any()
+
+
+def test_one_recording_has_no_parts_and_what_robots_are_built_of_is_in_all(
+    two_recordings: tuple[Likelihood, Rows],
+) -> None:
+    fit = fitted()
+    assert list(in_recordings(fit, carried(fit), effect("coulomb_friction"))) == []
+    assert list(in_recordings(*two_recordings, effect("rotor_inertia"))) == []
 
 
 def test_stretches_cover_most_of_a_single_recording_at_most(two_recordings: tuple[Likelihood, Rows]) -> None:
