@@ -21,7 +21,7 @@ from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
-from torchrbd.physics import Effect
+from torchrbd.physics import Effect, Window
 from torchrbd.robot import RobotModel
 
 # At such a precision of the prior, inertial parameters are the URDF's.
@@ -71,7 +71,7 @@ def probability_of(log_evidence: float) -> float:
 
 @lru_cache(maxsize=1024)
 def _places(effect: Effect, robot: RobotModel) -> int:
-    return max(len(effect.sites(robot)), 1) or robot.n_bodies
+    return max(len(effect.sites(robot)), len(effect.sites(robot, (Window(""),))), 1)
 
 
 def refit_matters(base: Likelihood) -> bool:

@@ -90,8 +90,13 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     The priors of both are expanded around their own fits: bodies and friction that stood in for the effect lie far off.
     """
     beside = fit.extended((*fit.extra, h.extra(fit, rows)))
-    extended = beside.settled
-    base = fit.settled.dispersed(extended.hyper.dispersion)
+    extended, base = beside.settled, fit.settled
+    dispersion = extended.hyper.dispersion
+    if not np.allclose(extended.hyper.rest_width, base.hyper.rest_width):
+        # Widths that suit the one may suit the other: each has the better of both.
+        other = fit.settled_with(extended.hyper.rest_width)
+        base = max(base, other, key=lambda one: one.dispersed(dispersion).log_evidence)
+    base = base.dispersed(dispersion)
     # What averaging over shapes, sizes and windows costs, the first noise has told.
     average = h.log_evidence - (beside.log_evidence - fit.log_evidence)
     k = len(fit.extra)

@@ -294,6 +294,10 @@ class Likelihood:
         """The same model with noise, widths, bodies and slopes learnt once more, all beside the columns it has."""
         return self.renoised().rewidened().relinearised().renoised(dispersed=True)
 
+    def settled_with(self, rest_width: np.ndarray) -> Likelihood:
+        """Return the same where friction changes its sign within given widths (n,)."""
+        return self.renoised().with_(rest_width=rest_width).relinearised().renoised(dispersed=True)
+
     def extended(self, extra: Sequence[Extra]) -> Likelihood:
         """Return the same model with other columns beside the machine's."""
         return Likelihood(self.machine, self.hyper, extra, self._slopes)
