@@ -138,17 +138,15 @@ class _Search:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
         # What acts for a time may come again.
         known = {h.name for h in chosen if h.candidate.site.always}
-        return self._judged(fit, [h for h in screened(fit, self.rows, self.effects) if h.name not in known])
+        found = self.ordered([h for h in screened(fit, self.rows, self.effects) if h.name not in known])
+        leaders = [with_own_noise(fit, self.rows, sharpened(fit, self.rows, h)) for h in found[:_LEADING]]
+        return self.ordered((*leaders, *found[_LEADING:]))
 
     def curves(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return curves beside a fit, one at most for each joint and signal."""
         known = {h.name for h in chosen}
-        return self._judged(fit, [h for h in curves(fit, self.rows) if h.name not in known], 1)
-
-    def _judged(self, fit: Likelihood, found: Sequence[Hypothesis], most: int = _LEADING) -> list[Hypothesis]:
-        found = self.ordered(found)
-        leaders = [with_own_noise(fit, self.rows, sharpened(fit, self.rows, h)) for h in found[:most]]
-        return self.ordered((*leaders, *found[most:]))
+        found = self.ordered([h for h in curves(fit, self.rows) if h.name not in known])
+        return [*(with_own_noise(fit, self.rows, h) for h in found[:1]), *found[1:]]
 
     def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
         """Return the model with chosen hypotheses, all else learnt beside them."""
@@ -165,7 +163,7 @@ class _Search:
         seen: list[list[Hypothesis]] = []
         while len(chosen) < MOST_TERMS:
             if not found or log_odds(found[0], self.rows) <= 0.0:
-                found = self.ordered((*self.curves(fit, chosen)[:_RIVALS], *found))
+                found = self.ordered((*self.curves(fit, chosen)[:1], *found))
                 if not found or log_odds(found[0], self.rows) <= 0.0:
                     break
             seen.append(found[1:])
