@@ -13,7 +13,7 @@ from likelihood.fits import OPTIONS, URDF, WIDTH, at_joint, candidate, carried, 
 from scipy.special import logsumexp
 from simulated import Motion, inverse_dynamics, joint_names
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, again, told
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, averaged, told
 from torchrbd.diagnosis.ranking import _ranked
 from torchrbd.diagnosis.screening import ORDINARY, refined, screened
 from torchrbd.diagnosis.search import sharpened, with_own_noise
@@ -25,8 +25,9 @@ from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.shapes import axes
 from torchrbd.likelihood.sizes import coefficient_std
-from torchrbd.physics import Site, Window
+from torchrbd.physics import JointScale, Shape, Site, Window
 from torchrbd.physics.registry import effect, effects
+from torchrbd.physics.stribeck_friction import StribeckFriction
 
 ALL = list(effects().values())
 FOR_A_TIME = {"payload", "external_wrench"}
@@ -288,6 +289,18 @@ def test_one_recording_has_no_parts_and_what_robots_are_built_of_is_in_all(
     fit = fitted()
     assert list(in_recordings(fit, carried(fit), effect("coulomb_friction"))) == []
     assert list(in_recordings(*two_recordings, effect("rotor_inertia"))) == []
+
+
+def test_effect_without_shapes_is_no_hypothesis_in_some_recordings(two_recordings: tuple[Likelihood, Rows]) -> None:
+    """Motion may be too slow for any bump at rest, or a temperature not recorded."""
+
+    class Slow(StribeckFriction):
+        def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+            return ()
+
+    fit, rows = two_recordings
+    assert [h for h in in_recordings(fit, rows, Slow()) if h is not None] == []
+    assert averaged(fit, rows, []) is None
 
 
 def test_stretches_cover_most_of_a_single_recording_at_most(two_recordings: tuple[Likelihood, Rows]) -> None:

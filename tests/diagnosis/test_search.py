@@ -88,6 +88,14 @@ def test_nothing_may_be_there_and_nothing_is() -> None:
     assert (found.terms, found.first, found.considered, told) == ((), [], 0, [])
 
 
+def test_signals_that_no_curve_can_be_drawn_over_have_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A joint may stand still in all recordings."""
+    monkeypatch.setattr(search, "curves", lambda fit, rows: [])
+    found, _ = searched(None, ["quadratic_drag"])
+    assert found.terms == ()
+    assert {h.candidate.effect.id for h in found.last} == {"quadratic_drag"}
+
+
 def test_laws_come_before_curves_that_are_no_likelier() -> None:
     """A spring is a curve over the position as well."""
     spring = at_joint(0, lambda m: 2.0 * m.q[:, 0])
