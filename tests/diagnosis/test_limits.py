@@ -64,7 +64,7 @@ def test_value_and_std_are_those_of_a_model_that_has_the_effect(
     whole = fit.extended((*fit.extra, h.extra(fit, rows)))
     k = len(fit.extra)
     assert limit.value == pytest.approx(whole.coefficients(k)[0], rel=1e-3)
-    variance = whole.gaussian.covariance([len(whole.gaussian.z) - 1])[0, 0]
+    variance = whole.gaussian.covariance([len(whole.gaussian.z) - len(h.std)])[0, 0]
     assert limit.std == pytest.approx(whole.extra[k].std[0] * variance**0.5, rel=1e-3)
 
 
