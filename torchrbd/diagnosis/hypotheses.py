@@ -65,10 +65,10 @@ def told(fit: Likelihood, rows: Rows, candidate: Candidate) -> Hypothesis | None
 
 def believed(fit: Likelihood, rows: Rows, candidate: Candidate) -> tuple[np.ndarray, tuple[float, ...]]:
     """Return how large coefficients are believed to be, (K,) and multiples, whatever the time in which they act."""
-    always = rows.columns.candidate(
-        candidate.effect, replace(candidate.site, window=None, recordings=None), candidate.shape
-    )
-    return coefficient_std(always, rows.features(always), fit.machine.torque_rms)
+    if not candidate.site.always:
+        at = replace(candidate.site, window=None, recordings=None)
+        candidate = rows.columns.candidate(candidate.effect, at, candidate.shape)
+    return coefficient_std(candidate, rows.features(candidate), fit.machine.torque_rms)
 
 
 def _counts(fit: Likelihood, place: int | None, F: np.ndarray) -> bool:
