@@ -70,10 +70,9 @@ def _in_some(
     fit: Likelihood, rows: Rows, candidates: Sequence[Candidate], part: np.ndarray, inside: np.ndarray
 ) -> Hypothesis | None:
     """Average an effect's shapes over the recordings in which it may act, ``inside`` (N, R) bool."""
-    evidence, best = [], None
-    names, place = np.array(rows.seen_recordings), candidates[0].place
+    evidence, best, names = [], None, np.array(rows.seen_recordings)
     for candidate in candidates:
-        F = rows.features(candidate)
+        F, place = rows.features(candidate), candidate.place
         std, multiples = believed(fit, rows, candidate)
         if not np.isfinite(F).all() or not (std > 0).all():
             continue
