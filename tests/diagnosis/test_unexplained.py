@@ -24,8 +24,9 @@ from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.clocks import Clocks
 from torchrbd.robot import RobotModel
 
-FIRST = joint_names(URDF)[0]
+FIRST, SECOND = joint_names(URDF)
 SIZE, WIDTH = 2.0, 0.15
+TONE, TONE_HZ = 0.1, 2.73
 MAY = ("viscous_friction", "coulomb_friction", UNEVEN, "quadratic_drag")
 
 
@@ -59,7 +60,7 @@ def bumped() -> tuple[Explanation, Extended]:
 
 @pytest.fixture(scope="module")
 def told(bumped: tuple[Explanation, Extended]) -> Unexplained:
-    return unexplained(bumped[1], ())[0]
+    return unexplained(*bumped, ())[0]
 
 
 def test_a_curve_is_no_larger_than_it_is_believed_to_be(bumped: tuple[Explanation, Extended]) -> None:
@@ -103,10 +104,21 @@ def test_torque_without_a_law_is_told_with_its_place_signal_and_shape(told: Unex
     assert (np.array(told.curve.std) > 0).all()
 
 
+def test_a_tone_is_told_by_its_joint_and_frequency() -> None:
+    found, model = diagnosed(at_joint(1, lambda m: TONE * np.sin(2 * np.pi * TONE_HZ * m.t)))
+    (one,) = (u for u in unexplained(found, model, ()) if u.depends_on == ("t",))
+    assert one.joints == (SECOND,)
+    assert one.where.region is not None
+    (band,) = one.where.region
+    assert 0.5 * (band.low + band.high) == pytest.approx(TONE_HZ, abs=0.02)
+    assert f"{TONE_HZ:.2f} Hz" in one.statement
+    assert one.share > 0.5
+
+
 def test_where_nothing_is_left_nothing_is_told() -> None:
-    _, model = diagnosed(None)
+    found, model = diagnosed(None)
     assert model.terms == ()
-    assert unexplained(model, ()) == ()
+    assert unexplained(found, model, ()) == ()
 
 
 @pytest.mark.parametrize(
