@@ -71,7 +71,7 @@ def diagnose(
     springs = deflections(model.prepared, model.model)
     findings, trifling = explain(found, model)
     findings = with_springs(findings, springs)
-    rest = unexplained(model, findings)
+    rest = unexplained(found, model, findings)
     progress("looking at what is left", 0.0)
     locations, maps = _located(prepared, model)
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))

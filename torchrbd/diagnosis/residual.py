@@ -1,26 +1,54 @@
-"""Torque without a law: smooth functions of what a joint's residual may depend on, as hypotheses beside all others."""
+"""Torque without a law, as hypotheses: smooth functions of what a joint's residual may depend on, and tones.
+
+A tone is where the periodogram of what is left stands out most from its neighbourhood; that it may be at any frequency
+is paid for.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import periodogram
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, averaged
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
-from torchrbd.physics import Window
-from torchrbd.physics.smooth_torque import SMOOTH, SmoothTorque
+from torchrbd.physics import Site, Window
+from torchrbd.physics.smooth_torque import HUM, SMOOTH, SmoothTorque
 
 # Beyond these quantiles of a signal there are too few rows to tell a function.
 _ENDS = (0.01, 0.99)
+# Slower than this it is drift, or the motion; width of the neighbourhood that a tone is compared with [Hz].
+_SLOWEST_HZ, _AROUND_HZ = 1.0, 1.5
 
 
 def curves(fit: Likelihood, rows: Rows) -> list[Hypothesis]:
-    """Return functions of each signal at every joint that has a torque, beside a fit."""
+    """Return functions of each signal, and a tone, at every joint that has a torque, beside a fit."""
     found = [averaged(fit, rows, [candidate]) for candidate in _candidates(rows)]
-    return [h for h in found if h is not None]
+    return [h for h in (*found, *_tones(fit, rows)) if h is not None]
+
+
+def _tones(fit: Likelihood, rows: Rows) -> Iterator[Hypothesis | None]:
+    for j in np.flatnonzero(rows.seen).tolist():
+        left = fit.residual(j)
+        for name in rows.seen_recordings:
+            inside = rows.recording == rows.recordings.index(name)
+            run = np.argmax(np.bincount(rows.run[inside]))
+            f, power = periodogram(left[inside & (rows.run == run)], 1.0 / rows.dt_out, "hann", detrend="linear")
+            around = median_filter(power, max(3, round(_AROUND_HZ / f[1]))) if len(f) > 1 else power
+            ratio = np.where(f > _SLOWEST_HZ, power / np.maximum(around, 1e-300), 0.0)
+            if not ratio.any():
+                continue
+            candidate = rows.columns.candidate(
+                HUM, Site(j, window=Window(name)), {"frequency": float(f[ratio.argmax()])}
+            )
+            h, tried = averaged(fit, rows, [candidate]), math.log(max(int((f > _SLOWEST_HZ).sum()), 1))
+            yield None if h is None else replace(h, log_evidence=h.log_evidence - tried, paid=h.paid - tried)
 
 
 def is_curve(candidate: Candidate) -> bool:

@@ -138,8 +138,7 @@ class Location:
         where: recordings, times and region; None where it is not confined.
         depends_on: signals that it follows, e.g. "q_joint2"; "t" if only the time matters.
         form: what acts there: "level" (a torque), "friction" (a torque against the motion), "load" (a torque like that
-            of a load), "payload", "force", "hum" (a torque of one frequency, which is the region), "wander" (one that
-            changes slowly, whatever the motion) or "shock" (what the model leaves at shocks, which count nothing).
+            of a load), "payload" or "force".
         course: "abrupt" (begins or ends at once), "slow" (comes and goes gradually), "bursts", or "" if time does not
             matter.
         gain: log-likelihood that it gains, beyond the costs of its freedom and of the search.

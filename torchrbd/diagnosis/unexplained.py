@@ -9,11 +9,14 @@ import numpy as np
 from torchrbd.diagnosis.curves import fitted_curve
 from torchrbd.diagnosis.explain import torque_rms
 from torchrbd.diagnosis.extending import Extended
+from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.residual import depends_on, is_curve
 from torchrbd.diagnosis.results import Finding, Region, Unexplained, Where
+from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.words import joined, number, percent, torque_unit
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.likelihood.columns import Candidate
+from torchrbd.physics.smooth_torque import HUM
 
 # A function acts where it is above this part of its largest departure from its middle.
 _ACTS = 0.5
@@ -21,16 +24,38 @@ _ACTS = 0.5
 _LARGER = 1.5
 
 
-def unexplained(extended: Extended, findings: Sequence[Finding]) -> tuple[Unexplained, ...]:
+def unexplained(found: Explanation, extended: Extended, findings: Sequence[Finding]) -> tuple[Unexplained, ...]:
     """Return what no known effect explains.
 
     Args:
-        extended: the fit.
+        found: by the search.
+        extended: the fit with it.
         findings: what has a name.
     """
-    found = [_curve(extended, term) for term in extended.terms if is_curve(term)]
-    named = {j for f in findings for j in f.joints} | {j for u in found for j in u.joints}
-    return (*found, *(one for one in _silent(extended) if one.joints[0] not in named))
+    pairs = zip(extended.terms, found.terms, strict=True)
+    nameless = [
+        _tone(found, one.own) if term.effect is HUM else _curve(extended, term) for term, one in pairs if is_curve(term)
+    ]
+    named = {j for f in findings for j in f.joints} | {j for u in nameless for j in u.joints}
+    return (*nameless, *(one for one in _silent(extended) if one.joints[0] not in named))
+
+
+def _tone(found: Explanation, h: Hypothesis) -> Unexplained:
+    """Describe torque of one frequency, whatever the motion, as the wide band shows it."""
+    robot, window, f = found.rows.columns.robot, h.candidate.site.window, h.candidate.shape["frequency"]
+    assert window is not None
+    joint = h.candidate.joint
+    inside = found.rows.recording == found.rows.recordings.index(window.recording)
+    width = 1.0 / max(float(np.ptp(found.rows.t[inside])), 1e-9)
+    amplitude = float(np.hypot(*h.coefficients))
+    share = min(1.0, 0.5 * amplitude**2 / max(float(np.mean(found.base.residual(joint)[inside] ** 2)), 1e-300))
+    where = f" in {window.recording}" if len(found.rows.seen_recordings) > 1 else ""
+    words = (
+        f"{robot.joint_names[joint]}: a tonal disturbance of {f:.2f} Hz, {number(amplitude)} "
+        f"{torque_unit(robot, joint)} high{where}, is not explained."
+    )
+    region = (Region("frequency", f - width, f + width),)
+    return Unexplained((robot.joint_names[joint],), ("t",), Where((window.recording,), None, region), share, words)
 
 
 def _curve(extended: Extended, term: Candidate) -> Unexplained:

@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError
-from torchrbd.likelihood.shocks import calm, shock
 from torchrbd.likelihood.sticking import stick_weight, undetermined
 from torchrbd.physics import Effect, JointScale, Shape, Signals, Site, Window, effect
 from torchrbd.physics.plain_friction import plain_friction
@@ -64,10 +63,9 @@ class Columns:
         sites: by an effect's id where it has columns; at all its sites if not told.
         candidates: all that has columns; if None, every effect at its sites with every shape of its grid.
         stick_levels: (n_dof,) Coulomb friction in standard deviations of each torque's noise; none if not told.
-        shock_levels: (n_dof,) shocks above which no joint's samples count [rad/s^2, m/s^2]; all count if not told.
 
     Attributes:
-        effects, scales, windows, pi, friction, sites, stick_levels, shock_levels: as given.
+        effects, scales, windows, pi, friction, sites, stick_levels: as given.
         n: length of x.
         labels: per joint, labels of its own features.
         shared: labels of the features that all joints have.
@@ -89,14 +87,12 @@ class Columns:
         sites: Mapping[str, Collection[Site]] | None = None,
         candidates: Iterable[Candidate] | None = None,
         stick_levels: Tensor | None = None,
-        shock_levels: Tensor | None = None,
     ) -> None:
         self.robot, self.effects, self.scales, self.windows = robot, tuple(effects), tuple(scales), tuple(windows)
         self.pi, self.friction = pi, friction
         self._rest_width = torch.tensor([s.rest_width for s in self.scales], dtype=torch.float64)
         self.sites = dict(sites or {})
         self.stick_levels = torch.zeros(robot.n_dof, dtype=torch.float64) if stick_levels is None else stick_levels
-        self.shock_levels = torch.full((robot.n_dof,), torch.inf) if shock_levels is None else shock_levels
         still = torch.zeros(3, robot.n_dof, 4, dtype=torch.float64)
         self._probe = replace(self.signals_at(*still), t=torch.arange(4, dtype=torch.float64))
         self.urdf_friction = tuple(
@@ -151,12 +147,8 @@ class Columns:
         """Return the same columns for joints whose dry friction has these ``stick_levels`` (n_dof,)."""
         return self._like(candidates=self.candidates, stick_levels=levels)
 
-    def without_shocks(self, levels: Tensor) -> Columns:
-        """Return the same columns for samples whose shocks stay below ``shock_levels`` (n_dof,)."""
-        return self._like(candidates=self.candidates, shock_levels=levels)
-
     def _like(self, **other: Any) -> Columns:
-        kept = ("robot", "effects", "scales", "windows", "pi", "friction", "sites", "stick_levels", "shock_levels")
+        kept = ("robot", "effects", "scales", "windows", "pi", "friction", "sites", "stick_levels")
         return Columns(**({name: getattr(self, name) for name in kept} | other))
 
     def taken_from(self, other: Columns, x: Tensor) -> Tensor:
@@ -206,16 +198,12 @@ class Columns:
     def weight(self, states: States) -> Tensor:
         """Return what the samples of a tile count, (n_dof, M).
 
-        Less where a joint with dry friction may stick, nothing at shocks above ``shock_levels``.
+        Less where a joint with dry friction may stick.
         """
         unknown = states.decimate(undetermined(states.qd, self._rest_width)).abs()
         # The filter's trace of a stick crosses zero beside it, that of the friction in it elsewhere.
         unknown = torch.nn.functional.max_pool1d(unknown, 3, stride=1, padding=1)
-        weight = stick_weight(unknown, self.stick_levels)
-        if self.shock_levels.isinf().all():
-            return weight
-        shocked = (shock(states.qdd, states.dt) > self.shock_levels.unsqueeze(-1)).any(0)
-        return weight * calm(states.decimate(shocked.to(weight)))
+        return stick_weight(unknown, self.stick_levels)
 
     def signals(self, states: States) -> Signals:
         """Return the signals of a tile, time last."""

@@ -86,10 +86,6 @@ class Backlash(Effect):
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["flight"] / self._MOST_APART <= parameters["backlash"] <= self._MOST_APART * self._LARGEST
 
-    def shape_without_shocks(self, coefficients: Tensor, shape: Shape) -> Shape:
-        # A flight ends in one.
-        return {**shape, "flight": min(max(float(coefficients[0]), self._SMALLEST), self._MOST_APART * self._LARGEST)}
-
 
 def deviation(
     load: Tensor,

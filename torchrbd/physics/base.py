@@ -155,10 +155,6 @@ class Effect(ABC):
         """Say whether parameters, value and standard deviation of each, are those of another cause, beyond chance."""
         return False
 
-    def shape_without_shocks(self, coefficients: Tensor, shape: Shape) -> Shape:
-        """Return the shape to try where shocks count nothing: what they would tell of it is what coefficients say."""
-        return shape
-
     def region(self, parameters: Mapping[str, float], scale: JointScale) -> tuple[float, float] | None:
         """Return the positions of its joint between which the effect acts [rad, m]; None if it acts everywhere."""
         return None

@@ -18,7 +18,6 @@ import torch
 from torchrbd.inference.preparation import Prepared
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.rows import Tile
-from torchrbd.likelihood.shocks import shock
 from torchrbd.recordings import States
 
 # States that are kept at most, over all tiles, and how many a second of each: nonlinear features of a motion below the
@@ -37,7 +36,7 @@ class Samples:
         rigid: (n, M, n_params) regressor.
         tau: (n, M) measured torque less what the URDF's friction takes; 0 where ``measured`` (n, M) is not.
         q, qd, qdd, direction: (n, M) band-limited states, and sign(qd).
-        weight: (n, M) root of what a sample counts, 0 to 1: less where a joint may stick, 0 at shocks.
+        weight: (n, M) root of what a sample counts, 0 to 1: less where a joint may stick.
         run: (M,) number of the uninterrupted run that a sample belongs to.
         block: (M,) number of the block of statistics that it belongs to.
         recording: (M,) index into ``recordings``.
@@ -104,23 +103,9 @@ class Samples:
         """Return the same samples weighed for joints whose dry friction has these levels (n,), see ``Columns``."""
         return self._counted(self.columns.sticking(levels))
 
-    def without_shocks(self, levels: torch.Tensor) -> Samples:
-        """Return the same samples, of which those with shocks above these levels (n,) count nothing."""
-        return self._counted(self.columns.without_shocks(levels))
-
     def _counted(self, columns: Columns) -> Samples:
         parts = [columns.weight(tile.states).sqrt()[:, tile.kept].numpy() for tile in self.tiles]
         return replace(self, columns=columns, weight=np.concatenate(parts, axis=1))
-
-    @property
-    def shocks(self) -> np.ndarray:
-        """How far accelerations leave their course, (n, M) [rad/s^2, m/s^2], see ``shocks.py``."""
-        parts = []
-        for tile in self.tiles:
-            states = tile.states
-            at = torch.searchsorted(states.t.contiguous(), states.t_out.contiguous()).clamp_max(len(states.t) - 1)
-            parts.append(shock(states.qdd, states.dt)[:, at[tile.kept]].numpy())
-        return np.concatenate(parts, axis=1)
 
     def around(self, pi: torch.Tensor, friction: torch.Tensor | None = None) -> Samples:
         """Return the same samples with the torque of pi (n_params,) as load, and friction (n, 3) beside it."""

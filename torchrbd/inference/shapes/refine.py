@@ -164,24 +164,12 @@ def _refinable(terms: Sequence[Candidate]) -> bool:
 
 def _finished(last: _Pass, progress: Progress) -> tuple[Prepared, Terms]:
     """Return the data read once more with columns of the terms and of their slopes at the fitted coefficients."""
-    if not last.prepared.columns.shock_levels.isinf().all():
-        last = _without_shocks(last, progress)
     columns = last.prepared.columns
     around = [s for c in last.terms for s in slopes(columns, c, last.x[columns.of(c)])]
     prepared = reread(
         last.prepared, columns.of_candidates((*last.terms, *around), columns.pi, columns.friction), progress
     )
     return with_input_noise(prepared, last.terms), last.terms
-
-
-def _without_shocks(last: _Pass, progress: Progress) -> _Pass:
-    """Return the pass with what shocks tell of shapes as the coefficients say, unless other samples tell otherwise."""
-    columns = last.prepared.columns
-    shapes = [c.effect.shape_without_shocks(last.x[columns.of(c)], c.shape) for c in last.terms]
-    if shapes == [c.shape for c in last.terms]:
-        return last
-    following = _read(last.prepared, last.moved(shapes), last.carried, progress)
-    return following if following.loss.sum() < last.loss.sum() + _CHANCE else last
 
 
 def fit_with_shapes(prepared: Prepared, terms: Sequence[Candidate]) -> FittedModel:

@@ -41,16 +41,6 @@ def reread(prepared: Prepared, columns: Columns, progress: Progress) -> Prepared
     return replace(prepared, columns=columns, statistics=statistics, prior=prior)
 
 
-def judged_at_shocks(prepared: Prepared, progress: Progress) -> Prepared:
-    """Return the same, whose held-out blocks count shocks again where fits leave them out."""
-    columns = prepared.columns
-    if columns.shock_levels.isinf().all():
-        return prepared
-    every = columns.without_shocks(torch.full_like(columns.shock_levels, torch.inf))
-    counted = prepared.reading.statistics(every, progress)
-    return replace(prepared, statistics=prepared.statistics.replaced(prepared.held_out, counted))
-
-
 def with_input_noise(prepared: Prepared, terms: Sequence[Candidate]) -> Prepared:
     """Return the same with what is known of noisy positions or uncertain states, for the columns as they are now."""
     if prepared.states is None:
