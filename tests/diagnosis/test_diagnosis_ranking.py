@@ -14,6 +14,7 @@ from simulated import Motion, inverse_dynamics, joint_names, multisine
 
 import torchrbd
 from torchrbd.diagnosis.ranking import Ranking, ranking
+from torchrbd.errors import RecordingError
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.recordings import Recording
@@ -74,13 +75,11 @@ def test_a_diagnosis_has_a_ranking_of_what_is_not_held_out() -> None:
     assert {one.joints for one in found.ordinary} == {("joint1",), ("joint2",)}
 
 
-def test_what_cannot_be_ranked_is_diagnosed_all_the_same_and_says_why() -> None:
-    """The ranking's filters are longer than those of a diagnosis where the clock is slow."""
+def test_recordings_that_are_too_short_are_refused_with_what_they_need() -> None:
+    """The filters of a wide band are longer where the clock is slow."""
     short = [recorded(ARM, k, str(k), seconds=3.2, rate_hz=20.0) for k in range(8)]
-    result = torchrbd.diagnose(ARM.encode(), short, effects=["viscous_friction", "coulomb_friction"])
-    assert result.ranking is None
-    (note,) = (n for n in result.identification.notes if n.startswith("what was considered is not ranked: "))
-    assert "the filters at 2.4 Hz need" in note
+    with pytest.raises(RecordingError, match=r"filters at 2\.4 Hz need"):
+        torchrbd.diagnose(ARM.encode(), short, effects=["viscous_friction", "coulomb_friction"])
 
 
 @pytest.mark.parametrize(

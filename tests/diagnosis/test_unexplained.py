@@ -60,7 +60,7 @@ def bumped() -> tuple[Explanation, Extended]:
 
 @pytest.fixture(scope="module")
 def told(bumped: tuple[Explanation, Extended]) -> Unexplained:
-    return unexplained(*bumped, ())[0]
+    return unexplained(*bumped, (), ())[0]
 
 
 def test_a_curve_is_no_larger_than_it_is_believed_to_be(bumped: tuple[Explanation, Extended]) -> None:
@@ -106,7 +106,7 @@ def test_torque_without_a_law_is_told_with_its_place_signal_and_shape(told: Unex
 
 def test_a_tone_is_told_by_its_joint_and_frequency() -> None:
     found, model = diagnosed(at_joint(1, lambda m: TONE * np.sin(2 * np.pi * TONE_HZ * m.t)))
-    (one,) = (u for u in unexplained(found, model, ()) if u.depends_on == ("t",))
+    (one,) = (u for u in unexplained(found, model, (), ()) if u.depends_on == ("t",))
     assert one.joints == (SECOND,)
     assert one.where.region is not None
     (band,) = one.where.region
@@ -118,7 +118,7 @@ def test_a_tone_is_told_by_its_joint_and_frequency() -> None:
 def test_where_nothing_is_left_nothing_is_told() -> None:
     found, model = diagnosed(None)
     assert model.terms == ()
-    assert unexplained(found, model, ()) == ()
+    assert unexplained(found, model, (), ()) == ()
 
 
 @pytest.mark.parametrize(

@@ -71,14 +71,14 @@ def diagnose(
     springs = deflections(model.prepared, model.model)
     findings, trifling = explain(found, model)
     findings = with_springs(findings, springs)
-    rest = unexplained(found, model, findings)
+    proof = proofs(identification.series, identification.cutoff_hz)
+    rest = unexplained(found, model, findings, proof)
     progress("looking at what is left", 0.0)
     locations, maps = _located(prepared, model)
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))
     simulated = tuple(one.name for one in prepared.reading.simulated)
     compared = "simulation" if simulated else "URDF"
     statement = verdict_statement(verdict, findings, rest, identification.fits, compared)
-    proof = proofs(identification.series, identification.cutoff_hz)
     statement = " ".join(filter(None, (statement, doubt(proof, findings))))
     absent = limits(found)
     return Diagnosis(

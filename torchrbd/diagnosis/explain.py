@@ -28,6 +28,8 @@ _LEAST_LAW = 0.05
 LARGEST_PROBABILITY = 0.999
 # Parts of a joint's torque, and of its held-out error, that are nobody's business.
 _LEAST_TORQUE, _LEAST_SHARE = 0.01, 0.1
+# A change of the held-out error that is none: other inertial parameters, or other friction, do as well.
+_NOT_SHOWN = 0.02
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,12 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
 
 
 def _trifling(finding: Finding, extended: Extended) -> bool:
-    """Say whether a finding carries next to nothing of any joint's torque, and held-out time hardly shows it."""
+    """Say whether held-out time does not show a finding, or hardly and it carries next to nothing of any torque.
+
+    Of what acts for a time only, or in some recordings, held-out time may have seen nothing.
+    """
+    if finding.where.recordings is None and finding.share < _NOT_SHOWN:
+        return True
     torque = extended.prepared.training.torque.sum(0)
     rms = dict(zip(extended.prepared.robot.joint_names, (torque[:, 2] / torque[:, 0]).sqrt().tolist(), strict=True))
     small = all(carried < _LEAST_TORQUE * rms[joint] for joint, carried in finding.torque_rms.items())

@@ -42,8 +42,9 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
         progress: told how far the work is.
     """
     columns = prepared.columns
-    friction = ordinary_friction(found.fit, columns, may)
     own = [t.own.candidate for t in found.terms]
+    shifted = {c.joint for c in own if c.effect.id == "torque_offset" and c.site.always}
+    friction = ordinary_friction(found.fit, columns, may, shifted)
     # A curve is no larger than the likelihood believes: ordinary friction is not displaced.
     believed = {
         (t.own.candidate.effect.id, t.own.candidate.site): t.own.extra(found.fit, found.rows).std for t in found.terms

@@ -6,7 +6,7 @@ the data and after (Savage and Dickey).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,13 +34,19 @@ class Friction:
     probability: float
 
 
-def ordinary_friction(fit: Likelihood, columns: Columns, may: Sequence[str]) -> tuple[Friction, ...]:
+def ordinary_friction(
+    fit: Likelihood, columns: Columns, may: Sequence[str], shifted: Collection[int] = ()
+) -> tuple[Friction, ...]:
     """Return the friction of every joint with a torque, as far as it is among the effects that may be there.
+
+    A constant torque and friction that differs by direction are one but for what happens within a reversal: a joint has
+    one of both.
 
     Args:
         fit: the likelihood, with all that was found.
         columns: of the model that the terms are for.
         may: ids of effects.
+        shifted: joints at which a constant torque was found.
     """
     found = []
     for j in range(columns.robot.n_dof):
@@ -49,7 +55,7 @@ def ordinary_friction(fit: Likelihood, columns: Columns, may: Sequence[str]) -> 
         at = fit.machine.ordinary(j)
         if VISCOUS in may:
             found.append(_friction(fit, columns, VISCOUS, j, at[:1]))
-        uneven = UNEVEN in may and (COULOMB not in may or _uneven(fit, j) > 0.0)
+        uneven = UNEVEN in may and j not in shifted and (COULOMB not in may or _uneven(fit, j) > 0.0)
         if uneven or COULOMB in may:
             found.append(_friction(fit, columns, UNEVEN if uneven else COULOMB, j, at[1:]))
     return tuple(found)

@@ -11,7 +11,7 @@ import torch
 
 from torchrbd.diagnosis.curves import driven_by
 from torchrbd.diagnosis.explain import places
-from torchrbd.diagnosis.hypotheses import Hypothesis, believed
+from torchrbd.diagnosis.hypotheses import Hypothesis, believed, whole
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Limit
 from torchrbd.diagnosis.search import Explanation
@@ -35,14 +35,19 @@ def _limit(found: Explanation, h: Hypothesis) -> Limit | None:
     """Return the first parameter that moves with the coefficients; its std by the delta method."""
     c, robot = h.candidate, found.rows.columns.robot
     prior = torch.from_numpy(believed(found.fit, found.rows, c)[0])
-    w, std = torch.from_numpy(h.coefficients).requires_grad_(True), torch.from_numpy(h.std)
-    absent = c.effect.parameters(torch.zeros_like(w), c.shape)
+    w, std = torch.from_numpy(whole(c, h.coefficients, found.fit)).requires_grad_(True), torch.from_numpy(h.std)
+    fresh = torch.tensor([c.site.joint is None or label not in ("qd", "sign(qd)") for label in c.labels])
+    absent = c.effect.parameters(torch.from_numpy(whole(c, 0.0 * h.coefficients, found.fit)), c.shape)
     for name, value in c.effect.parameters(w, c.shape).items():
         if not value.requires_grad:
             continue
         (slope,) = torch.autograd.grad(value, w, retain_graph=True)
+        # What ordinary friction has as well is no limit of this effect.
+        slope = slope * fresh
         variance, before = float((slope * std).square().sum()), float((slope * prior).square().sum())
         none = float(absent[name])
+        if not bool(slope.any()):
+            continue
         if not (math.isfinite(none) and 0.0 < variance < _MOST_OF_PRIOR * before):
             return None
         joints, links = places(robot, c.site)

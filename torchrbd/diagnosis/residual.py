@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.signal import periodogram
+from scipy.optimize import minimize_scalar
+from scipy.signal import detrend, periodogram
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, averaged
 from torchrbd.likelihood.columns import Candidate
@@ -34,21 +35,37 @@ def curves(fit: Likelihood, rows: Rows) -> list[Hypothesis]:
 
 
 def _tones(fit: Likelihood, rows: Rows) -> Iterator[Hypothesis | None]:
+    """Yield the tone that stands out most, of all joints and recordings."""
+    found = []
     for j in np.flatnonzero(rows.seen).tolist():
         left = fit.residual(j)
         for name in rows.seen_recordings:
             inside = rows.recording == rows.recordings.index(name)
             run = np.argmax(np.bincount(rows.run[inside]))
-            f, power = periodogram(left[inside & (rows.run == run)], 1.0 / rows.dt_out, "hann", detrend="linear")
+            f, power = periodogram(detrend(left[inside & (rows.run == run)]), 1.0 / rows.dt_out, "hann")
             around = median_filter(power, max(3, round(_AROUND_HZ / f[1]))) if len(f) > 1 else power
             ratio = np.where(f > _SLOWEST_HZ, power / np.maximum(around, 1e-300), 0.0)
-            if not ratio.any():
-                continue
-            candidate = rows.columns.candidate(
-                HUM, Site(j, window=Window(name)), {"frequency": float(f[ratio.argmax()])}
-            )
-            h, tried = averaged(fit, rows, [candidate]), math.log(max(int((f > _SLOWEST_HZ).sum()), 1))
-            yield None if h is None else replace(h, log_evidence=h.log_evidence - tried, paid=h.paid - tried)
+            if ratio.any():
+                tried = math.log(max(int((f > _SLOWEST_HZ).sum()), 1))
+                found.append((float(ratio.max()), j, name, float(f[ratio.argmax()]), float(f[1]), tried))
+    if not found:
+        return
+    _, j, name, near, reach, tried = max(found)
+    inside = rows.recording == rows.recordings.index(name)
+    shape = {"frequency": _peak(fit.residual(j)[inside], rows.t[inside], near, reach)}
+    h = averaged(fit, rows, [rows.columns.candidate(HUM, Site(j, window=Window(name)), shape)])
+    yield None if h is None else replace(h, log_evidence=h.log_evidence - tried, paid=h.paid - tried)
+
+
+def _peak(x: np.ndarray, t: np.ndarray, near: float, reach: float) -> float:
+    """Return the frequency [Hz] within reach of one at which a signal (M,) at times (M,) has most power."""
+
+    def amplitude(f: float) -> float:
+        return float(abs(x @ np.exp(-2j * np.pi * f * t)))
+
+    step = 0.25 / max(float(np.ptp(t)), 1e-9)
+    best = max(np.arange(near - reach, near + reach, step).tolist(), key=amplitude)
+    return float(minimize_scalar(lambda f: -amplitude(f), bounds=(best - step, best + step), method="bounded")["x"])
 
 
 def is_curve(candidate: Candidate) -> bool:

@@ -17,9 +17,8 @@ from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.shapes import varied
 from torchrbd.physics import Effect, Site
 
-# The machine has these already, and one offset of the clocks for all joints; a constant torque is told from Coulomb
-# friction that is not the same in both directions by what happens within a reversal alone.
-ORDINARY = (*ORDINARY_EFFECTS, "coulomb_friction", "torque_offset")
+# The machine has these already, and one offset of the clocks for all joints.
+ORDINARY = (*ORDINARY_EFFECTS, "coulomb_friction")
 # Points between a shape's neighbours on the grid.
 _FINE = 9
 

@@ -20,12 +20,13 @@ from torchrbd.diagnosis.screening import refined, screened
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
 from torchrbd.physics import Effect
+from torchrbd.physics.smooth_torque import HUM
 
 # Hypotheses whose shapes are refined and whose noise is learnt anew, at each step.
 _LEADING = 5
 MOST_TERMS = 12
-# Rivals of a term that are looked at beside all others, and those of them that are judged; passes over all terms.
-_RIVALS, _JUDGED, _PASSES = 12, 3, 3
+# Rivals of a term that are looked at beside all others, and those of them that are judged; sweeps over all terms.
+_RIVALS, _JUDGED, _SWEEPS = 12, 3, 2
 
 
 @dataclass(frozen=True)
@@ -143,10 +144,11 @@ class _Search:
         return self.ordered((*leaders, *found[_LEADING:]))
 
     def curves(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return curves beside a fit, one at most for each joint and signal."""
+        """Return the likeliest curve and the likeliest tone beside a fit; one at most for each joint and signal."""
         known = {h.name for h in chosen}
-        found = self.ordered([h for h in curves(fit, self.rows) if h.name not in known])
-        return [*(with_own_noise(fit, self.rows, h) for h in found[:1]), *found[1:]]
+        found = [h for h in curves(fit, self.rows) if h.name not in known]
+        kinds = [[h for h in found if (h.candidate.effect is HUM) is tone] for tone in (False, True)]
+        return [with_own_noise(fit, self.rows, self.ordered(kind)[0]) for kind in kinds if kind]
 
     def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
         """Return the model with chosen hypotheses, all else learnt beside them."""
@@ -163,7 +165,7 @@ class _Search:
         seen: list[list[Hypothesis]] = []
         while len(chosen) < MOST_TERMS:
             if not found or log_odds(found[0], self.rows) <= 0.0:
-                found = self.ordered((*self.curves(fit, chosen)[:1], *found))
+                found = self.ordered((*self.curves(fit, chosen), *found))
                 if not found or log_odds(found[0], self.rows) <= 0.0:
                     break
             seen.append(found[1:])
@@ -183,20 +185,22 @@ class _Search:
     ) -> tuple[Likelihood, tuple[Term, ...], list[Hypothesis]]:
         """Judge each term and its rivals beside all others; swap and drop until nothing changes."""
         terms: list[Term] = []
-        for _ in range(_PASSES):
-            terms = [self._judged_again(base, chosen, k, seen[k]) for k in range(len(chosen))]
-            weak = [
-                k
-                for k, t in enumerate(terms)
-                if log_odds(t.best(self.rows), self.rows) <= 0.0 or t.best(self.rows) is not t.own
-            ]
-            if not weak:
-                break
-            k = min(weak, key=lambda k: log_odds(terms[k].own, self.rows))
-            best, others = terms[k].best(self.rows), [terms[k].own, *terms[k].rivals]
-            stays = log_odds(best, self.rows) > 0.0
-            chosen = [*chosen[:k], *([best] if stays else []), *chosen[k + 1 :]]
-            seen = [*seen[:k], *([[h for h in others if h is not best]] if stays else []), *seen[k + 1 :]]
+        for _ in range(_SWEEPS):
+            before, terms = chosen, []
+            for own in before:
+                k = len(terms)
+                term = self._judged_again(base, chosen, k, seen[k])
+                best = term.best(self.rows)
+                if log_odds(best, self.rows) <= 0.0:
+                    chosen, seen = [*chosen[:k], *chosen[k + 1 :]], [*seen[:k], *seen[k + 1 :]]
+                    continue
+                if best is not term.own:
+                    others = [h for h in (own, *seen[k]) if h.name != best.name]
+                    chosen, seen = [*chosen[:k], best, *chosen[k + 1 :]], [*seen[:k], others, *seen[k + 1 :]]
+                    term = Term(best, tuple(self.ordered([h for h in (term.own, *term.rivals) if h is not best])))
+                terms.append(term)
+            if [h.name for h in chosen] == [h.name for h in before]:
+                return fit, tuple(terms), last
             fit = self.with_terms(base, chosen)
             last = self.leading(fit, chosen)
         return fit, tuple(terms), last

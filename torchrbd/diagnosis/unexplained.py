@@ -11,7 +11,7 @@ from torchrbd.diagnosis.explain import torque_rms
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.residual import depends_on, is_curve
-from torchrbd.diagnosis.results import Finding, Region, Unexplained, Where
+from torchrbd.diagnosis.results import Finding, Proof, Region, Unexplained, Where
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.words import joined, number, percent, torque_unit
 from torchrbd.inference.physical.fitting import judge
@@ -22,22 +22,27 @@ from torchrbd.physics.smooth_torque import HUM
 _ACTS = 0.5
 # Held-out errors that are so many times those of the fit are not explained.
 _LARGER = 1.5
+# Errors that stay alike for so many times as long as white noise does are no noise.
+_LASTS = 2.0
 
 
-def unexplained(found: Explanation, extended: Extended, findings: Sequence[Finding]) -> tuple[Unexplained, ...]:
+def unexplained(
+    found: Explanation, extended: Extended, findings: Sequence[Finding], proofs: Sequence[Proof]
+) -> tuple[Unexplained, ...]:
     """Return what no known effect explains.
 
     Args:
         found: by the search.
         extended: the fit with it.
         findings: what has a name.
+        proofs: what the extended model is worth on held-out time.
     """
     pairs = zip(extended.terms, found.terms, strict=True)
     nameless = [
         _tone(found, one.own) if term.effect is HUM else _curve(extended, term) for term, one in pairs if is_curve(term)
     ]
     named = {j for f in findings for j in f.joints} | {j for u in nameless for j in u.joints}
-    return (*nameless, *(one for one in _silent(extended) if one.joints[0] not in named))
+    return (*nameless, *(one for one in _silent(extended, proofs) if one.joints[0] not in named))
 
 
 def _tone(found: Explanation, h: Hypothesis) -> Unexplained:
@@ -79,12 +84,16 @@ def _curve(extended: Extended, term: Candidate) -> Unexplained:
     return Unexplained((name,), signals, where, share, statement + ".", curve)
 
 
-def _silent(extended: Extended) -> Iterator[Unexplained]:
-    """Yield joints whose held-out torque is predicted clearly worse than the fit's own."""
+def _silent(extended: Extended, proofs: Sequence[Proof]) -> Iterator[Unexplained]:
+    """Yield joints whose held-out torque is predicted clearly worse than the fit's own, by errors that have a memory.
+
+    White errors are noise, of which some motions make more than others.
+    """
     prepared, x = extended.prepared, extended.model.x
+    lasting = {p.joint for p in proofs if p.memory_s["extended"] > _LASTS * p.white_s}
     seen, unseen = judge(prepared.training, x).rmse, judge(prepared.judging, x).rmse
     for name, rmse in unseen.items():
-        if name in seen and rmse > _LARGER * seen[name]:
+        if name in seen and name in lasting and rmse > _LARGER * seen[name]:
             share = 1.0 - (seen[name] / rmse) ** 2
             words = (
                 f"{name}: the torque on held-out time is missed by {number(rmse / seen[name])} times what the fit "

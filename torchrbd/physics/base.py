@@ -69,6 +69,7 @@ FAMILIES = (
     "actuator and sensor",
     "gravity and geometry",
     "external force",
+    "other",
     "unknown",
 )
 
@@ -98,7 +99,7 @@ class Effect(ABC):
     """
 
     id: ClassVar[str]
-    family: ClassVar[str]
+    family: ClassVar[str] = "other"
     prevalence: ClassVar[str] = "rare"
     words: ClassVar[str]
     equation: ClassVar[str]
