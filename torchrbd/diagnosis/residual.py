@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.optimize import minimize_scalar
+from scipy.optimize import OptimizeResult, minimize_scalar
 from scipy.signal import detrend, periodogram
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, averaged
@@ -65,7 +65,9 @@ def _peak(x: np.ndarray, t: np.ndarray, near: float, reach: float) -> float:
 
     step = 0.25 / max(float(np.ptp(t)), 1e-9)
     best = max(np.arange(near - reach, near + reach, step).tolist(), key=amplitude)
-    return float(minimize_scalar(lambda f: -amplitude(f), bounds=(best - step, best + step), method="bounded")["x"])
+    found = minimize_scalar(lambda f: -amplitude(f), bounds=(best - step, best + step), method="bounded")
+    assert isinstance(found, OptimizeResult)
+    return float(found["x"])
 
 
 def is_curve(candidate: Candidate) -> bool:
