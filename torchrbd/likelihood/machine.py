@@ -3,6 +3,7 @@
     tau_j = Y_j pi                                          rigid body, around the URDF
           + d qd + c_+ max(g, 0) + c_- min(g, 0)            viscous and two-sided Coulomb friction, g = tanh(qd / w)
           + s dg/dlog w + r d^2(c g)/dt^2                   how wide the sign change is, and how long it lasts
+          + sum_e (f_e c u_e(t) + t_e d(c g)/dt)            each rest or reversal: what friction holds, when it turns
           + t0 d(tau_s)/dt                                  one offset between the clocks of torque and motion
           + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
                                                             what the fastest part of each joint's motion is worth
@@ -13,7 +14,9 @@ The fastest part of the differentiated positions is encoder noise as well as mot
 band, the torques of all joints tell how much of it is motion, joint by joint: q + a d^2q/dt^2 is q with its highest
 frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4).
 Friction keeps its sharp edges, but for this: at a reversal a joint rests while its friction turns from one side to the
-other, which the differentiated positions, smoothed, pass over. What rounding adds is a function of the torque, a
+other, which the differentiated positions, smoothed, pass over. While it rests, for however long, friction is whatever
+holds, within what it could be, and when it turns is told to a part of a sample: two unknowns each time. What rounding
+adds is a function of the torque, a
 sawtooth that noise smooths to its first harmonic (Widrow and Kollar, "Quantization Noise", 2008).
 """
 
@@ -25,6 +28,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 import torch
+from scipy.ndimage import maximum_filter1d
 from torch import Tensor
 
 from torchrbd.likelihood.noise import Noise, drift_basis, predicted
@@ -37,6 +41,11 @@ _TIMING_SAMPLES, _AVERAGE_SAMPLES = 3.0, 2.0
 _ROUNDING = 2
 # A sign change may last longer, or shorter, by about as much as the band tells, in rows.
 _LASTING_ROWS = 0.5
+# A joint rests where the direction of its motion is as unsure as this, if its velocity errs so many times as much as it
+# should; so many rests a joint are told apart, the longest ones.
+_RESTS, _REST_STICK, _MOST_RESTS = 0.3, 3.0, 30
+# Standard deviation of the moment at which friction turns, in samples, and how far around it that is felt [rows].
+_TURNS_SAMPLES, _FELT_ROWS = 0.5, 6
 # Friction of a joint may take all of its torque; its sign change may be wider or narrower by this part.
 _WIDTH_STD, _WIDTH_STEP = 0.5, 1.1
 # What changes more slowly than this is drift, as far as so many cosines a recording tell.
@@ -104,12 +113,16 @@ class Machine:
         self._drift, self._drift_size = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
         self._local = len(ORDINARY) + 2 + _ROUNDING + len(self._drift)
         self._inside = [rows.recording == k for k in np.unique(rows.recording)]
-        self.n = len(self.inertial) + rows.n_dof * (self._local + 1) + len(self._inside)
         self._rigid = [rows.rigid[j][:, self.inertial] @ self.scale for j in range(rows.n_dof)]
         self.target = np.stack([rows.tau[j] - rows.rigid[j] @ self.mean for j in range(rows.n_dof)])
         mass = rows.columns.robot.mass_matrix(torch.from_numpy(rows.q.T)).numpy()
         self._carried = np.einsum("mjk,k->jm", mass**2, rows.encoder_std**2)
         self._undirected = {k: rows.evaluated(partial(self._direction_std, k)) for k in STICKS}
+        self._resting = [self._rests(j) for j in range(rows.n_dof)]
+        ends = len(self.inertial) + rows.n_dof * (self._local + 1) + len(self._inside)
+        self._around = [_near(rest) for rest in self._resting]
+        self._rest_at = ends + np.cumsum([0, *(2 * len(rest) for rest in self._resting)])
+        self.n = int(self._rest_at[-1])
         self.index = [predicted(rows.run, measured) for measured in rows.measured]
         self.sign = lru_cache(maxsize=256)(self._sign)
 
@@ -118,6 +131,16 @@ class Machine:
         speed_std = torch.from_numpy(np.maximum(stick * self.rows.speed_std, 1e-300))
         p = torch.special.ndtr(-signals.qd.abs() / speed_std.unsqueeze(1))
         return 2.0 * (p * (1.0 - p)).sqrt()
+
+    def _rests(self, joint: int) -> np.ndarray:
+        """Return how unsure the direction of a joint's motion is (E, M), rest by rest."""
+        u = self._undirected[_REST_STICK][joint]
+        still = u > _RESTS
+        begins = still & ~np.concatenate(([False], still[:-1] & (np.diff(self.rows.run) == 0)))
+        number = np.where(still, np.cumsum(begins), 0)
+        lengths = np.bincount(number, weights=u**2)[1:]
+        kept = np.sort(np.argsort(-lengths)[:_MOST_RESTS]) + 1
+        return np.array([np.where(number == k, u, 0.0) for k in kept]).reshape(len(kept), len(u))
 
     def ordinary(self, joint: int) -> np.ndarray:
         """Return where the coefficients of viscous and both Coulomb frictions of a joint stand, (3,)."""
@@ -155,7 +178,7 @@ class Machine:
     @property
     def timing(self) -> np.ndarray:
         """Where the coefficients of the clocks' offsets stand, one a recording."""
-        return np.arange(self.n - len(self._inside), self.n)
+        return np.arange(self._rest_at[0] - len(self._inside), self._rest_at[0])
 
     @property
     def timing_std(self) -> float:
@@ -189,9 +212,10 @@ class Machine:
         return self._first(self.rows.n_dof) + np.arange(self.rows.n_dof)
 
     def slopes(self, hyper: Hyper) -> np.ndarray:
-        """Return the columns (1 + n + 1 + 2, n, M) that follow the load.
+        """Return the columns (1 + n + 2 + 2, n, M) that follow the load.
 
-        d(tau_s)/dt of all that is supplied, each joint's fastest motion, d^2/dt^2 of Coulomb friction, and rounding.
+        d(tau_s)/dt of all that is supplied, each joint's fastest motion, d/dt and d^2/dt^2 of Coulomb friction, and
+        rounding.
         """
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
@@ -199,9 +223,9 @@ class Machine:
             turns = 2.0 * math.pi * signals.supplied / step
             amplitude = torch.where(step.isinf(), 0.0, step / math.pi)
             fastest = [signals.deviating(k, signals.qdd[k]) for k in range(self.rows.n_dof)]
-            turning = signals.rate(signals.rate(signals.coulomb_torque))
+            turns_at = signals.rate(signals.coulomb_torque)
             rounding = amplitude * turns.sin(), amplitude * turns.cos()
-            return torch.stack((signals.rate(signals.supplied), *fastest, turning, *rounding))
+            return torch.stack((signals.rate(signals.supplied), *fastest, turns_at, signals.rate(turns_at), *rounding))
 
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
 
@@ -229,10 +253,13 @@ class Machine:
             parts += [lasting * slopes[-_ROUNDING - 1 : -_ROUNDING, joint], slopes[-_ROUNDING:, joint]]
             places.append(first + len(ORDINARY) + 1 + np.arange(1 + _ROUNDING))
             average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
-            parts.append(slopes[1 : -_ROUNDING - 1, joint] * average[:, None])
+            parts.append(slopes[1 : -_ROUNDING - 2, joint] * average[:, None])
             places.append(self.averaging)
             parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))
             places.append(self.timing)
+            parts.append(float(hyper.friction[joint, 1]) * self._resting[joint])
+            parts.append(_TURNS_SAMPLES * self.rows.dt * slopes[-_ROUNDING - 2, joint] * self._around[joint])
+            places.append(np.arange(self._rest_at[joint], self._rest_at[joint + 1]))
         return np.concatenate(parts), np.concatenate(places)
 
     def pi(self, z: np.ndarray, kappa: float) -> Tensor:
@@ -251,3 +278,9 @@ class Machine:
     def friction_size(self, joint: int, hyper: Hyper) -> np.ndarray:
         """Return ordinary friction (3,) of a joint whose coefficients are one."""
         return self.friction_std(joint, self.friction_columns(joint, float(hyper.rest_width[joint])))
+
+
+def _near(rests: np.ndarray) -> np.ndarray:
+    """Return which rows belong to each of E rests (E, M), those beside it included, each row to one at most."""
+    weight = np.array([maximum_filter1d(rest, 2 * _FELT_ROWS + 1) + rest for rest in rests]).reshape(rests.shape)
+    return (weight > 0) & (np.arange(len(rests))[:, None] == weight.argmax(0)) if len(rests) else weight
