@@ -2,7 +2,7 @@
 
     tau_j = Y_j pi                                          rigid body, around the URDF
           + d qd + c_+ max(g, 0) + c_- min(g, 0)            viscous and two-sided Coulomb friction, g = tanh(qd / w)
-          + s dg/dlog w + r d^2(c g)/dt^2                   how wide the sign change is, and how long it lasts
+          + s dg/dlog w + l d(c g)/dt + r d^2(c g)/dt^2     how wide the sign change is, how late, and how long it lasts
           + sum_e (f_e c u_e(t) + t_e d(c g)/dt)            each rest or reversal: what friction holds, when it turns
           + t0 d(tau_s)/dt                                  one offset between the clocks of torque and motion
           + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
@@ -111,7 +111,7 @@ class Machine:
         self.torque_rms = np.sqrt((rows.tau**2).sum(1) / np.maximum(rows.measured.sum(1), 1))
         self.speed_rms = np.sqrt(np.mean(rows.qd**2, axis=1))
         self._drift, self._drift_size = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
-        self._local = len(ORDINARY) + 2 + _ROUNDING + len(self._drift)
+        self._local = len(ORDINARY) + 3 + _ROUNDING + len(self._drift)
         self._inside = [rows.recording == k for k in np.unique(rows.recording)]
         self._rigid = [rows.rigid[j][:, self.inertial] @ self.scale for j in range(rows.n_dof)]
         self.target = np.stack([rows.tau[j] - rows.rigid[j] @ self.mean for j in range(rows.n_dof)])
@@ -250,15 +250,16 @@ class Machine:
         places = [np.arange(len(self.inertial)), first + np.arange(len(ORDINARY) + 1), self.drifting(joint)]
         if slopes is not None:
             lasting = 0.5 * (_LASTING_ROWS * self.rows.dt_out) ** 2
-            parts += [lasting * slopes[-_ROUNDING - 1 : -_ROUNDING, joint], slopes[-_ROUNDING:, joint]]
-            places.append(first + len(ORDINARY) + 1 + np.arange(1 + _ROUNDING))
+            late, long = slopes[-_ROUNDING - 2 : -_ROUNDING, joint]
+            parts.append(np.stack((self.rows.dt * late, lasting * long, *slopes[-_ROUNDING:, joint])))
+            places.append(first + len(ORDINARY) + 1 + np.arange(2 + _ROUNDING))
             average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
             parts.append(slopes[1 : -_ROUNDING - 2, joint] * average[:, None])
             places.append(self.averaging)
             parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))
             places.append(self.timing)
             parts.append(float(hyper.friction[joint, 1]) * self._resting[joint])
-            parts.append(_TURNS_SAMPLES * self.rows.dt * slopes[-_ROUNDING - 2, joint] * self._around[joint])
+            parts.append(_TURNS_SAMPLES * self.rows.dt * late * self._around[joint])
             places.append(np.arange(self._rest_at[joint], self._rest_at[joint + 1]))
         return np.concatenate(parts), np.concatenate(places)
 
