@@ -200,7 +200,8 @@ def test_machine_of_trusted_bodies_has_friction_alone() -> None:
     A, own = machine.design(0, fitted(delay_s=DELAY_S).hyper, None)
     assert len(A) == len(own)
     assert own.min() == 0
-    assert machine.n == 2 * (5 + 2 + len(machine.drifting(0)) + 1) + 1
+    rests = sum(2 * len(machine._resting[j]) for j in range(2))
+    assert machine.n == 2 * (6 + 2 + len(machine.drifting(0)) + 1) + 1 + rests
     assert isinstance(rows.columns, Columns)
 
 

@@ -187,8 +187,6 @@ class LeftoverMap:
 class Limit:
     """An effect that was looked for and not found: how large it would be beside what was, in its best shape.
 
-    It would have been found some six ``std`` or more away from ``none``, see ``search/options.py``.
-
     Attributes:
         effect, joints, links, depends_on: as of a ``Finding``.
         parameter: the first of its parameters that the data tell.

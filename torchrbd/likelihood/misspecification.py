@@ -116,6 +116,10 @@ class TwoEstimates:
         C, m = self._covariances(index)[1], self.ordinary[index]
         return 0.5 * float(np.linalg.slogdet(C)[1] + m @ np.linalg.solve(C, m))
 
+    def ordinary_std(self, k: int) -> float:
+        """Return the standard deviation of a coefficient of least squares."""
+        return float(np.sqrt(self._covariances([k])[1][0, 0]))
+
     def _covariances(self, index: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return V (K, K), and the covariance of z_o around the truth (K, K)."""
         Kw, Ko = self._Hw[index], self._Ho[index]

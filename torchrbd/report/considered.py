@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from torchrbd.diagnosis.numbers import MINUS, joined, measure, number, with_unit
@@ -150,11 +150,6 @@ def nats(evidence: float) -> str:
 
 def _title(item: Finding | Alternative) -> str:
     return named(item) + (at(item.joints, item.links) or " on the whole robot")
-
-
-def _joints(signals: Iterable[str]) -> tuple[str, ...]:
-    """Return the joints of signals, "q_joint2" and "qd_joint2", each once."""
-    return tuple(dict.fromkeys(s.partition("_")[2] for s in signals))
 
 
 def _key(one: Ranked) -> _Key:

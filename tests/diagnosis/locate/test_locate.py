@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from simulated import Motion, inverse_dynamics, joint_names, multisine
 
 from torchrbd.diagnosis import Location
-from torchrbd.diagnosis.locate import locate, stretches
+from torchrbd.diagnosis.locate import locate
 from torchrbd.recordings import Recording
 
 
@@ -99,40 +99,12 @@ def test_the_map_is_loud_where_it_is(tmp_path: Path) -> None:
     assert 0.7 < np.nanmean(others) < 1.5
 
 
-@pytest.mark.parametrize("effect", ["rubbing", "payload"])
-def test_the_stretch_in_which_something_acts_is_offered_to_a_search(effect: str) -> None:
-    one = case(56, CONCEALED[effect])
-    assert one.truth is not None
-    assert one.truth.time_s is not None
-    offered = stretches(background(one, one.recording, one.holdout))
-    assert 1 <= len(offered) <= 4
-    assert {w.recording for w in offered} <= {"field", "other"}
-    mine = [(w.start_s, w.end_s) for w in offered if w.recording == "field"]
-    assert max(overlap(span, one.truth.time_s) for span in mine if np.isfinite(span).all()) > 0.8
-
-
-@pytest.mark.parametrize("seed", [76, 77])
-def test_the_stretch_of_a_push_is_offered_to_its_ends(seed: int) -> None:
-    one = case(seed, CONCEALED["push"])
-    assert one.truth is not None
-    assert one.truth.time_s is not None
-    offered = stretches(background(one, one.recording, one.holdout))
-    mine = [(w.start_s, w.end_s) for w in offered if w.recording == "field"]
-    assert max(overlap(span, one.truth.time_s) for span in mine) > 0.95
-
-
 def test_nothing_is_located_in_some_seconds_of_nothing() -> None:
     fit = background(case(57, duration_s=12.0))
     assert locate(fit)[0] == ()
-    assert stretches(fit) == []
 
 
-def test_no_stretch_is_offered_where_nothing_is() -> None:
-    assert stretches(background(case(50))) == []
-
-
-def test_what_acts_while_the_robot_rests_is_no_stretch() -> None:
-    """Friction that no motion shows, a cable's, may hold a joint that rests."""
+def test_what_acts_while_the_robot_rests_is_located_at_its_joint() -> None:
     urdf, pause = random_urdf(60, 4, kinds=("revolute",), branching=0.0, massless=0.0), (12.0, 15.0)
     moved = multisine(4, 60, rate_hz=125.0)
     rate = 1.0 - 0.5 * (np.tanh((moved.t - pause[0]) / 0.15) - np.tanh((moved.t - pause[1]) / 0.15))
@@ -144,7 +116,6 @@ def test_what_acts_while_the_robot_rests_is_no_stretch() -> None:
     tau += 0.02 * np.sqrt(np.mean(tau**2, 0)) * np.random.default_rng(60).standard_normal(tau.shape)
     recording = Recording.from_arrays("rests", joint_names(urdf), motion.t, q, tau)
     fit = background(Case(urdf, urdf, recording, recording, None))
-    assert [w for w in stretches(fit) if overlap((w.start_s, w.end_s), pause) > 0.5] == []
     assert any(x.joints == ("joint2",) for x in locate(fit)[0])
 
 
