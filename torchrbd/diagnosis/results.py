@@ -283,7 +283,7 @@ class Diagnosis:
     explains). ``locations`` say where models and robot differ, named or not; ``maps`` draw the same. ``limits`` say how
     large what was not found could be, ``deflections`` what encoders behind the gears show. ``simulated`` names the
     recordings of a simulator that stood for the URDF. ``proofs`` say what the extended model is worth on
-    torque that was held out. ``trifling`` are effects that are as certain as findings and that held-out time does not
+    torque that was held out. ``trifling`` are effects that are as likely as findings and that held-out time does not
     show: they carry next to no torque, or other inertial parameters than the URDF's do as well. ``ranking`` has all
     that was considered, by its evidence.
     """

@@ -67,7 +67,7 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
         joints), curve: the function that shows it best, or null, family, family_probability, laws (effect and
         probability, of those that explain the same, given that one of them is there), torque_rms by joint, and share
         (of its joint's held-out squared error that it removes).
-    trifling: effects as certain as findings that held-out time does not show, in the same form.
+    trifling: effects as likely as findings that held-out time does not show, in the same form.
     unexplained: list of joints, depends_on, where, share, statement, curve.
     curve: signal ("q_joint2", "t", ...), at, torque and std, lists of one length in the order of drawing.
     locations: where models and robot differ, named or not: list of model ("rigid_body", re-fitted, with friction and an
