@@ -6,7 +6,7 @@ of all hypotheses of a recording that lacks nothing takes by chance.
 
 from __future__ import annotations
 
-SLOPE, OFFSET = 1.0, 4.0
+SLOPE, OFFSET = 1.0, 3.0
 
 
 def calibrated(log_evidence: float) -> float:
