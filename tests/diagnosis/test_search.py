@@ -228,6 +228,32 @@ def test_terms_that_are_swapped_for_ever_are_those_of_the_model(rows: Rows, monk
     assert len(fit) == 2
 
 
+def test_a_term_that_is_swapped_for_another_time_is_that_of_the_model(rows: Rows, monkeypatch) -> None:
+    """A load from 2 s on in the place of one from 1 s on: effect and link are the same, the model is not."""
+    early, late = (
+        Hypothesis(
+            candidate(rows, "payload", Site(body=1, window=Window("simulated", start))),
+            99.0,
+            np.zeros(10),
+            np.ones(10),
+            1.0,
+            1,
+        )
+        for start in (1.0, 2.0)
+    )
+
+    def again(fit: Any, rows: Rows, h: Hypothesis) -> Hypothesis:
+        return replace(h, log_evidence=30.0 if h.candidate == early.candidate else 60.0)
+
+    monkeypatch.setattr(search, "again", again)
+    monkeypatch.setattr(search, "with_own_noise", lambda fit, rows, h: h)
+    monkeypatch.setattr(Table, "with_terms", lambda self, base, chosen: [h.candidate for h in chosen])
+    at = Table(rows, (), lambda _: None)
+    fit, (term,), _ = at.settled(cast(Any, []), cast(Any, [early.candidate]), [early], [[late]], [])
+    assert term.own.candidate == late.candidate
+    assert cast(Any, fit) == [late.candidate]
+
+
 def test_no_more_terms_are_added_than_a_person_would_read(rows: Rows, monkeypatch) -> None:
     c = candidate(rows, *SITES["A"])
     sure = Hypothesis(c, 99.0, np.zeros(2), np.ones(2), 1.0, 1)

@@ -21,7 +21,6 @@ from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.clocks import Clocks
 from torchrbd.robot import RobotModel
 
 FIRST, SECOND = joint_names(URDF)
@@ -48,8 +47,7 @@ def diagnosed(torque: Callable | None) -> tuple[Explanation, Extended]:
     settings = Settings.from_mapping({"effects": MAY}, "test")
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [recording], settings, ())
     ranked = ranking(prepared.reading, settings, prepared.kept_back, quiet)
-    clocks = Clocks(ranked.explanation.base, ranked.delay_s, 0.0)
-    prepared = with_machine(prepared, settings, friction_of(settings), quiet, clocks)
+    prepared = with_machine(prepared, settings, friction_of(settings), quiet, ranked.clocks)
     return ranked.explanation, extended(prepared, ranked.explanation, MAY, quiet)
 
 

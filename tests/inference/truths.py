@@ -176,7 +176,6 @@ class Ripple(JointEffect):
 
     id, words, equation = "test_ripple", "ripple", "a sin(m q) + b cos(m q)"
     units: ClassVar[Mapping[str, str]] = {"a": "{tau}", "b": "{tau}", "order": "1/{q}"}
-    complexity = 3
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
         return tuple({"order": float(m)} for m in range(5, 25))
@@ -201,7 +200,7 @@ class Delay(Effect):
 
     id, words, equation = "test_delay", "delay", "share (tau_load(t - delay) - tau_load(t))"
     units: ClassVar[Mapping[str, str]] = {"share": "1", "delay": "s"}
-    complexity, whole_robot, uses_load = 2, True, True
+    whole_robot, uses_load = True, True
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         return (Site(),)

@@ -199,20 +199,6 @@ class TestTimeDelay:
             (w_kept, _) = TimeDelay().coefficients({"delay": w, **shape})
             assert w_kept == (w,)
 
-    @pytest.mark.parametrize(
-        ("delay", "step", "contradicted"),
-        [
-            ((-0.011, 0.002), (-0.030, 0.002), True),
-            ((0.030, 0.001), (0.012, 0.001), True),
-            ((0.026, 0.0003), (0.030, 0.0004), False),
-            ((-0.008, 0.001), (-0.036, 0.009), False),
-        ],
-    )
-    def test_a_secant_far_from_the_delay_is_none_of_it(
-        self, delay: tuple[float, float], step: tuple[float, float], contradicted: bool
-    ) -> None:
-        assert TimeDelay().contradicted({"delay": delay, "step": step}) is contradicted
-
     def test_of_one_joint_and_of_all(self) -> None:
         at = signals(*states(60))
         *joints, everywhere = TimeDelay().sites(ROBOT)

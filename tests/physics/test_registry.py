@@ -92,7 +92,6 @@ class CubicDrag(JointEffect):
     words = "cubic drag"
     equation = "k qd^3"
     units = {"drag": "{tau} s^3/{q}^3"}  # noqa: RUF012
-    complexity = 1
     dissipative = True
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:

@@ -134,7 +134,7 @@ def ranking(joints: tuple[str, ...], adopted: tuple[Ranked, ...] = ()) -> Rankin
     misfit = {
         joint: Misfit(2.0 + 40.0 * (joint == joints[-1]), 3, 4e-9 if joint == joints[-1] else 0.57) for joint in joints
     }
-    return Ranking(15.0, ordinary, delay, first, adopted, first, 42, misfit, cast(Any, None))
+    return Ranking(15.0, ordinary, delay, first, adopted, first, 42, misfit, cast(Any, None), cast(Any, None))
 
 
 def curve(signal: str) -> Curve:

@@ -26,7 +26,6 @@ from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.identify import Source, read_arguments, summarise
 from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.likelihood.clocks import Clocks
 from torchrbd.likelihood.reading import Progress
 from torchrbd.physics import Site, effect
 from torchrbd.physics.registry import PLAIN
@@ -62,8 +61,7 @@ def diagnose(
     prepared = prepare(robot, sources, settings, (), progress)
     ranked = ranking(prepared.reading, settings, prepared.kept_back, progress)
     found, may = ranked.explanation, [e.id for e in settings.chosen_effects()]
-    clocks = Clocks(found.base, ranked.delay_s, 0.0)
-    prepared = with_machine(prepared, settings, with_friction(settings), progress, clocks)
+    prepared = with_machine(prepared, settings, with_friction(settings), progress, ranked.clocks)
     progress("fitting what was found", 0.0)
     model = extended(prepared, found, may, progress)
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.friction import UNEVEN
-from torchrbd.diagnosis.hypotheses import Hypothesis
-from torchrbd.diagnosis.posterior import inclusion
+from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Region, Where
 from torchrbd.diagnosis.search import Explanation
-from torchrbd.diagnosis.words import LIKELY, finding_sentence, strongest_first
+from torchrbd.diagnosis.words import NO_CHANGE, finding_sentence, strongest_first
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.physical.terms import told_parameters
 from torchrbd.likelihood.columns import Candidate, Columns
@@ -28,18 +27,6 @@ _LEAST_LAW = 0.05
 LARGEST_PROBABILITY = 0.999
 # Parts of a joint's torque, and of its held-out error, that are nobody's business.
 _LEAST_TORQUE, _LEAST_SHARE = 0.01, 0.1
-# A change of the held-out error that is none: other inertial parameters, or other friction, do as well.
-_NOT_SHOWN = 0.02
-
-
-@dataclass(frozen=True)
-class _Sure:
-    """How sure a term is: evidence, probabilities of it and of its family, and the laws in its place."""
-
-    log_evidence: float
-    probability: float
-    family_probability: float
-    laws: tuple[tuple[Hypothesis, float], ...] = ()
 
 
 def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
@@ -56,13 +43,13 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
     after, findings = judge(extended.prepared.judging, model.x).nmse, []
     terms = list(_sure(found, extended))
-    everywhere = {(c.effect, c.site) for c, _ in terms}
-    for term, sure in terms:
+    everywhere = {(c.effect, c.site) for c, _, _ in terms}
+    for term, evidence, sure in terms:
         if max(sure.probability, sure.family_probability) <= LIKELY:
             continue
         rest = [c for c in model.terms if c is not term]
         before = judge(extended.prepared.judging, extended.prepared.fit(rest, model.noise_variance).x).nmse
-        finding = _finding(term, sure, extended, before, after, ends_s)
+        finding = _finding(term, evidence, sure, extended, before, after, ends_s)
         more = term.site.recordings is not None and (term.effect, replace(term.site, recordings=None)) in everywhere
         findings.append(replace(finding, statement=finding_sentence(finding, more=more)))
     trifling = [_trifling(f, extended) for f in findings]
@@ -75,9 +62,10 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
 def _trifling(finding: Finding, extended: Extended) -> bool:
     """Say whether held-out time does not show a finding, or hardly and it carries next to nothing of any torque.
 
-    Of what acts for a time only, or in some recordings, held-out time may have seen nothing.
+    Other inertial parameters, or other friction, do as well then. Of what acts for a time only, or in some recordings,
+    held-out time may have seen nothing.
     """
-    if finding.where.recordings is None and finding.share < _NOT_SHOWN:
+    if finding.where.recordings is None and finding.share < NO_CHANGE:
         return True
     torque = extended.prepared.training.torque.sum(0)
     rms = dict(zip(extended.prepared.robot.joint_names, (torque[:, 2] / torque[:, 0]).sqrt().tolist(), strict=True))
@@ -85,17 +73,15 @@ def _trifling(finding: Finding, extended: Extended) -> bool:
     return small and finding.share < _LEAST_SHARE
 
 
-def _sure(found: Explanation, extended: Extended) -> Iterator[tuple[Candidate, _Sure]]:
-    """Yield the terms of a model that are findings."""
+def _sure(found: Explanation, extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:
+    """Yield the terms of a model that may be findings, their log evidence, and how sure they are."""
     terms = extended.model.proper_terms
     for friction, candidate in zip(extended.friction, terms, strict=False):
         if friction.probability > LIKELY:
-            yield candidate, _Sure(friction.log_evidence, friction.probability, friction.probability)
+            yield candidate, friction.log_evidence, Inclusion(friction.probability, friction.probability)
     for term, candidate in zip(found.terms, extended.terms, strict=True):
         if not is_curve(candidate):
-            one = inclusion(term.own, term.rivals, found.rows)
-            laws = tuple((law.hypothesis, law.probability) for law in one.laws)
-            yield candidate, _Sure(term.own.log_evidence, one.probability, one.family_probability, laws)
+            yield candidate, term.own.log_evidence, inclusion(term.own, term.rivals, found.rows)
 
 
 def places(robot: RobotModel, site: Site) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -119,7 +105,8 @@ def where(term: Candidate, columns: Columns, quantities: Mapping[str, Quantity],
 
 def _finding(
     term: Candidate,
-    sure: _Sure,
+    evidence: float,
+    sure: Inclusion,
     extended: Extended,
     before: Mapping[str, float],
     after: Mapping[str, float],
@@ -144,7 +131,7 @@ def _finding(
         joints=joints,
         links=links,
         probability=min(sure.probability, LARGEST_PROBABILITY),
-        log_evidence_gain=sure.log_evidence,
+        log_evidence_gain=evidence,
         parameters=quantities,
         where=where(term, columns, quantities, ends_s),
         indistinguishable_from=tuple(

@@ -22,6 +22,8 @@ from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import coefficient_std
 from torchrbd.physics import Site
 
+# Columns that ordinary friction has too.
+SHARED = ("qd", "sign(qd)")
 # Draws that tell how much of a distribution physics allows, and the part of variances that is rounding.
 _DRAWS, _ROUNDING = 256, 1e-12
 
@@ -141,7 +143,7 @@ def whole(candidate: Candidate, coefficients: np.ndarray, fit: Likelihood) -> np
         return coefficients
     viscous, plus, minus = fit.friction[candidate.site.joint]
     own = {"qd": viscous, "sign(qd)": 0.5 * (plus + minus)}
-    return coefficients + [own.get(label, 0.0) for label in candidate.labels]
+    return coefficients + [own[label] if label in SHARED else 0.0 for label in candidate.labels]
 
 
 def mean_of(log_evidence: np.ndarray) -> float:

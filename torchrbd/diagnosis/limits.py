@@ -11,7 +11,7 @@ import torch
 
 from torchrbd.diagnosis.curves import driven_by
 from torchrbd.diagnosis.explain import places
-from torchrbd.diagnosis.hypotheses import Hypothesis, believed, whole
+from torchrbd.diagnosis.hypotheses import SHARED, Hypothesis, believed, whole
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Limit
 from torchrbd.diagnosis.search import Explanation
@@ -36,7 +36,7 @@ def _limit(found: Explanation, h: Hypothesis) -> Limit | None:
     c, robot = h.candidate, found.rows.columns.robot
     prior = torch.from_numpy(believed(found.fit, found.rows, c)[0])
     w, std = torch.from_numpy(whole(c, h.coefficients, found.fit)).requires_grad_(True), torch.from_numpy(h.std)
-    fresh = torch.tensor([c.site.joint is None or label not in ("qd", "sign(qd)") for label in c.labels])
+    fresh = torch.tensor([c.site.joint is None or label not in SHARED for label in c.labels])
     absent = c.effect.parameters(torch.from_numpy(whole(c, 0.0 * h.coefficients, found.fit)), c.shape)
     for name, value in c.effect.parameters(w, c.shape).items():
         if not value.requires_grad:

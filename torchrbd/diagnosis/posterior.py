@@ -25,17 +25,11 @@ from torchrbd.physics import Effect, Window
 from torchrbd.robot import RobotModel
 
 # At such a precision of the prior, inertial parameters are the URDF's.
-_CERTAIN, LIKELY = 1e8, 0.5
+_CERTAIN = 1e8
+# What is less probable is one of several guesses.
+LIKELY = 0.5
 # How many of an effect are expected on a machine beside its ordinary friction.
 EXPECTED = {"common": 0.1, "rare": 0.03, "unknown": 0.001}
-
-
-@dataclass(frozen=True)
-class Law:
-    """One effect among those that explain the same, and its probability given that one of them is there."""
-
-    hypothesis: Hypothesis
-    probability: float
 
 
 @dataclass(frozen=True)
@@ -45,12 +39,13 @@ class Inclusion:
     Attributes:
         probability: of the effect itself at its place.
         family_probability: that some effect of its family is at its joint, or on the robot.
-        laws: effects in its place, the likeliest first, of whatever family; probabilities given that any is there.
+        laws: effects in its place, the likeliest first, of whatever family, each with its probability given that any is
+            there.
     """
 
     probability: float
     family_probability: float
-    laws: tuple[Law, ...]
+    laws: tuple[tuple[Hypothesis, float], ...] = ()
 
 
 def log_odds(h: Hypothesis, rows: Rows) -> float:
@@ -92,7 +87,7 @@ def inclusion(own: Hypothesis, rivals: Sequence[Hypothesis], rows: Rows) -> Incl
     return Inclusion(
         probability=odds[every.index(own)] / total,
         family_probability=sum(alike) / total,
-        laws=tuple(Law(h, o / some) for h, o in zip(every, odds, strict=True)),
+        laws=tuple((h, o / some) for h, o in zip(every, odds, strict=True)),
     )
 
 

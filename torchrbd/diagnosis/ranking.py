@@ -17,17 +17,14 @@ from torchrbd.inference.identify import Source, read_arguments
 from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
-from torchrbd.likelihood.clocks import Clocks, in_time
-from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.clocks import Clocks, in_band
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.misspecification import MISFIT, Misfit, TwoEstimates
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.rows import KeptBack, not_held_out
-from torchrbd.likelihood.scales import covered_scales
 from torchrbd.physics import Site, Window
 from torchrbd.physics.registry import effect
-from torchrbd.recordings import Filtering
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded
 
@@ -67,12 +64,15 @@ class Ranking:
         band_hz: up to which torques were compared.
         ordinary: friction of each joint, which every machine has: evidence against leaving it out. Where ``misfit``
             says that its law is wrong, coefficients are those of plain least squares, which predict.
-        delay_s: by recording, how much later the torque is than the motion, and its standard deviation.
+        delay_s: by recording, how much later the torque is than the motion beside what was adopted, and its standard
+            deviation.
         first: beside a rigid body with ordinary friction.
         adopted: those that were taken into the model, one after the other.
         last: beside these; the adopted ones among them, each against leaving it out.
         considered: number of effects at their places.
         misfit: by joint, whether whitened rows and plain least squares agree on its friction (Hausman's test).
+        clocks: what tells the delays.
+        explanation: what was found, with all that was considered.
     """
 
     band_hz: float
@@ -83,6 +83,7 @@ class Ranking:
     last: tuple[Ranked, ...]
     considered: int
     misfit: dict[str, Misfit]
+    clocks: Clocks = field(repr=False)
     explanation: Explanation = field(repr=False)
 
     def evidence_of(
@@ -163,10 +164,7 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
     robot, effects = reading.robot, settings.chosen_effects()
     surveys = [reading.surveys[k] for k in not_held_out(reading, kept_back)]
     band = settings.cutoff_hz or band_hz(surveys)
-    reading = replace(reading, filtering=Filtering(band, of_motion=True), smoothed=())
-    columns = Columns(robot, (), covered_scales(surveys, reading.filtering))
-    progress("learning the noise", 0.0)
-    clocks = in_time(reading, columns, kept_back, frozenset(settings.held_bodies(robot)))
+    clocks = in_band(reading, band, kept_back, frozenset(settings.held_bodies(robot)), progress)
     fit = clocks.fit
     progress("ranking", 0.0)
 
@@ -174,6 +172,7 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
         progress("ranking beside what was found", min(terms / 4, 0.9))
 
     found = explained(fit, effects, report)
+    clocks = replace(clocks, fit=found.fit)
     late = [_delay(clocks)] if any(e.id == "time_delay" for e in effects) and robot.n_dof > 1 else []
 
     def shown(hypotheses: Sequence[Hypothesis], beside: Likelihood) -> tuple[Ranked, ...]:
@@ -188,6 +187,7 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
         band_hz=band,
         ordinary=_ordinary(fit, two, misfit),
         delay_s=clocks.delay_s,
+        clocks=clocks,
         first=shown(found.first, fit),
         adopted=tuple(_ranked(h, found.fit, robot) for h in own),
         last=shown([*own, *found.last], found.fit),

@@ -2,8 +2,8 @@
 
 The likeliest hypothesis is added while it is likelier than not, given how rare it is and how many places it has; then,
 beside all others, each stands against its rivals, and is swapped where one of them is likelier, or dropped where none
-is needed. Curves without a law are hypotheses as well, so rare that no law within three nats of one is displaced by it;
-they are looked at where laws have ended.
+is needed. Curves without a law are hypotheses as well, so rare that no law of as many places is displaced by one within
+three nats of it; they are looked at where laws have ended.
 """
 
 from __future__ import annotations
@@ -186,20 +186,21 @@ class _Search:
         """Judge each term and its rivals beside all others; swap and drop until nothing changes."""
         terms: list[Term] = []
         for _ in range(_SWEEPS):
-            before, terms = chosen, []
+            before, terms, changed = chosen, [], False
             for own in before:
                 k = len(terms)
                 term = self._judged_again(base, chosen, k, seen[k])
                 best = term.best(self.rows)
+                changed |= best is not term.own or log_odds(best, self.rows) <= 0.0
                 if log_odds(best, self.rows) <= 0.0:
                     chosen, seen = [*chosen[:k], *chosen[k + 1 :]], [*seen[:k], *seen[k + 1 :]]
                     continue
                 if best is not term.own:
-                    others = [h for h in (own, *seen[k]) if h.name != best.name]
+                    others = [h for h in (own, *seen[k]) if h.candidate != best.candidate]
                     chosen, seen = [*chosen[:k], best, *chosen[k + 1 :]], [*seen[:k], others, *seen[k + 1 :]]
                     term = Term(best, tuple(self.ordered([h for h in (term.own, *term.rivals) if h is not best])))
                 terms.append(term)
-            if [h.name for h in chosen] == [h.name for h in before]:
+            if not changed:
                 return fit, tuple(terms), last
             fit = self.with_terms(base, chosen)
             last = self.leading(fit, chosen)

@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 
 from torchrbd.diagnosis.numbers import joined, percent
+from torchrbd.diagnosis.posterior import LIKELY
 from torchrbd.diagnosis.results import Finding, Unexplained, Where
-from torchrbd.diagnosis.words import LIKELY, alternatives, at, named, when, words_of
+from torchrbd.diagnosis.words import alternatives, at, named, when, words_of
 from torchrbd.inference.torque_error import Fit
 from torchrbd.physics.registry import PLAIN
 

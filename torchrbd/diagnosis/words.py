@@ -6,19 +6,18 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from torchrbd.diagnosis.numbers import joined, measure, number, percent, plain, with_unit
+from torchrbd.diagnosis.posterior import LIKELY
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
 from torchrbd.physics import effect, effects
 from torchrbd.robot import RobotModel
 
-# A finding that is less probable is one of several guesses.
-LIKELY = 0.5
 # What one sentence can hold; a card or table has the rest.
 _MOST_VALUES, _MOST_ALIKE = 6, 4
 _FEW_VALUES = 4
 # With these many joints "all but one", "all but two" is shorter than a list.
 _FOR_ALL, _FOR_ALL_BUT_ONE, _FOR_ALL_BUT_TWO = 2, 4, 6
 # A relative change of nmse that held-out time does not tell from none.
-_NO_CHANGE = 0.02
+NO_CHANGE = 0.02
 
 
 def torque_unit(robot: RobotModel, joint: int) -> str:
@@ -159,7 +158,7 @@ def _worth(finding: Finding) -> str:
         return ""
     before, after = finding.nmse_before[joint], finding.nmse_after[joint]
     variance = "the torque variance" + ("" if joint in finding.joints else f" of {joint}")
-    if abs(before - after) <= _NO_CHANGE * max(before, after):
+    if abs(before - after) <= NO_CHANGE * max(before, after):
         return f"Held-out time does not show it: {percent(after)} of {variance} stays unpredicted with and without it."
     return f"Without it {percent(before)} of {variance} on held-out time stays unpredicted, with it {percent(after)}."
 

@@ -19,18 +19,15 @@ from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
-from torchrbd.likelihood.clocks import Clocks, in_time, of_one_machine
-from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.clocks import Clocks, in_band, of_one_machine
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS, Machine
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.rows import not_held_out, read_rows
-from torchrbd.likelihood.scales import covered_scales
 from torchrbd.likelihood.urdf_prior import data_prior
 from torchrbd.physics import Effect, JointScale, effect
-from torchrbd.recordings import Filtering
 
 # Clocks that are apart by less than so many standard deviations are not.
 _TOLD = 3.0
@@ -94,10 +91,8 @@ def _left(
 def _learnt(prepared: Prepared, held: frozenset[str]) -> Clocks | None:
     """Return what whitened rows of a wide band tell of clocks and friction; None if they tell nothing."""
     seen = [prepared.reading.surveys[k] for k in not_held_out(prepared.reading, prepared.kept_back)]
-    reading = replace(prepared.reading, filtering=Filtering(band_hz(seen), of_motion=True))
     try:
-        columns = Columns(prepared.robot, (), covered_scales(seen, reading.filtering))
-        return in_time(reading, columns, prepared.kept_back, held)
+        return in_band(prepared.reading, band_hz(seen), prepared.kept_back, held)
     except RecordingError:
         return None
 

@@ -68,12 +68,6 @@ class BlockStatistics:
             torque=self.torque[keep],
         )
 
-    def replaced(self, where: Tensor, other: BlockStatistics) -> BlockStatistics:
-        """Return the same with blocks of another pass over the same columns where ``where`` (bool, (B,)) marks them."""
-        here = where[:, None, None]
-        moments = tuple(torch.where(here, new, old) for old, new in zip(self.moments, other.moments, strict=True))
-        return replace(self, moments=moments, torque=torch.where(here, other.torque, self.torque))
-
     def total(self) -> list[Tensor]:
         """Return per joint the moments of all blocks together, (p_j + 1, p_j + 1)."""
         return [m.sum(0) for m in self.moments]

@@ -12,8 +12,10 @@ from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.misspecification import TwoEstimates
-from torchrbd.likelihood.reading import Reading
-from torchrbd.likelihood.rows import KeptBack, read_rows
+from torchrbd.likelihood.reading import Progress, Reading
+from torchrbd.likelihood.rows import KeptBack, not_held_out, read_rows
+from torchrbd.likelihood.scales import covered_scales
+from torchrbd.recordings import Filtering
 
 # Torque and motion are together if their clocks are so many samples apart; readings until they are.
 _NEAR_SAMPLES, _MOST_READINGS = 0.5, 2
@@ -25,13 +27,21 @@ class Clocks:
 
     Attributes:
         fit: the likelihood.
-        delay_s: by recording, how much later the torque is than the motion, and its standard deviation [s].
+        shift_s: by recording, by how much earlier its torque has been read [s].
         against: log evidence, at the first reading, against clocks that agree.
     """
 
     fit: Likelihood
-    delay_s: dict[str, tuple[float, float]]
+    shift_s: Mapping[str, float]
     against: float
+
+    @property
+    def delay_s(self) -> dict[str, tuple[float, float]]:
+        """By recording, how much later the torque is than the motion, and its standard deviation [s]."""
+        fit = self.fit
+        spread = fit.machine.timing_std * np.sqrt(fit.gaussian.covariance(fit.machine.timing).diagonal())
+        every = zip(fit.machine.rows.seen_recordings, fit.delay_s, spread, strict=True)
+        return {name: (float(late) + self.shift_s[name], float(std)) for name, late, std in every}
 
 
 def in_time(reading: Reading, columns: Columns, kept_back: KeptBack, held: frozenset[str]) -> Clocks:
@@ -50,9 +60,18 @@ def in_time(reading: Reading, columns: Columns, kept_back: KeptBack, held: froze
             break
         shift = {name: late + found.get(name, 0.0) for name, late in shift.items()}
         fit = learn(Machine(read_rows(replace(reading, delay_s=shift), columns, kept_back), held))
-    spread = fit.machine.timing_std * np.sqrt(fit.gaussian.covariance(fit.machine.timing).diagonal())
-    every = zip(fit.machine.rows.seen_recordings, fit.delay_s, spread, strict=True)
-    return Clocks(fit, {name: (float(late) + shift[name], float(std)) for name, late, std in every}, against)
+    return Clocks(fit, shift, against)
+
+
+def in_band(
+    reading: Reading, band_hz: float, kept_back: KeptBack, held: frozenset[str], progress: Progress = lambda *_: None
+) -> Clocks:
+    """Return the same of recordings that are read anew in a band [Hz], their states what is expected of the motion."""
+    progress("learning the noise", 0.0)
+    surveys = [reading.surveys[k] for k in not_held_out(reading, kept_back)]
+    reading = replace(reading, filtering=Filtering(band_hz, of_motion=True), smoothed=())
+    columns = Columns(reading.robot, (), covered_scales(surveys, reading.filtering))
+    return in_time(reading, columns, kept_back, held)
 
 
 def of_one_machine(

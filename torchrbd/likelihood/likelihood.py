@@ -133,10 +133,6 @@ class Likelihood:
         at, std = np.arange(self._first[k], self._first[k + 1]), self.extra[k].std
         return self.gaussian.covariance(at) * np.outer(std, std)
 
-    def against_leaving_out(self, k: int) -> float:
-        """Return the log evidence against leaving out further columns."""
-        return self.gaussian.against(range(self._first[k], self._first[k + 1]))
-
     def residual(self, joint: int) -> np.ndarray:
         """Return what is left of a joint's torque, (M,) [N m or N]."""
         A, own = self._raw[joint]

@@ -29,7 +29,6 @@ class ActuatorLag(Effect):
     words = "actuator lag"
     equation = "T dtau_s/dt"
     units: ClassVar[Mapping[str, str]] = {"time_constant": "s"}
-    complexity = 1
     whole_robot = True
     uses_load = True
     sees_friction = True

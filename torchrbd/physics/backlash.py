@@ -50,7 +50,6 @@ class Backlash(Effect):
     words = "backlash"
     equation = "tau_load(q + x) - tau_load(q), abs(x) <= b/2"
     units: ClassVar[Mapping[str, str]] = {"backlash": "{q}", "flight": "{q}", "link_friction": "1"}
-    complexity = 3
     whole_robot = True
     uses_load = True
     sees_friction = True

@@ -84,13 +84,11 @@ class Effect(ABC):
         words: the name in a sentence.
         equation: the torque added, in field symbols.
         units: of the physical parameters, with ``{tau}`` and ``{q}`` for the joint's own (N m and rad, or N and m).
-        complexity: number of coefficients and shape parameters, for parsimony.
         dissipative: True if tau qd >= 0 for plausible parameters.
         whole_robot: True if one coefficient adds to the torque of several joints.
         uses_load: True if the features depend on the rigid body's torque, and so on the inertial parameters.
         comes_and_goes: True if it may be there in some recordings of a robot and not in others: after service, in the
             cold, with a cable, with a sensor set anew. What a robot is built of does not.
-        of_several_shapes: True if one place may have several of them that differ in shape.
         sees_friction: True if the features depend on the plain friction beside that torque (``Signals.supplied``).
         prior: what is believed of the coefficients.
         first_order: the shape at which it is linear in its size, where that is small; None where shapes are free.
@@ -104,12 +102,10 @@ class Effect(ABC):
     words: ClassVar[str]
     equation: ClassVar[str]
     units: ClassVar[Mapping[str, str]]
-    complexity: ClassVar[int]
     dissipative: ClassVar[bool] = False
     whole_robot: ClassVar[bool] = False
     uses_load: ClassVar[bool] = False
     comes_and_goes: ClassVar[bool] = False
-    of_several_shapes: ClassVar[bool] = False
     sees_friction: ClassVar[bool] = False
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
     first_order: ClassVar[Shape | None] = None
@@ -151,10 +147,6 @@ class Effect(ABC):
     @abstractmethod
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         """Say whether the physics allows these values (signs, order, ranges that the recording covers)."""
-
-    def contradicted(self, found: Mapping[str, tuple[float, float]]) -> bool:
-        """Say whether parameters, value and standard deviation of each, are those of another cause, beyond chance."""
-        return False
 
     def region(self, parameters: Mapping[str, float], scale: JointScale) -> tuple[float, float] | None:
         """Return the positions of its joint between which the effect acts [rad, m]; None if it acts everywhere."""

@@ -30,7 +30,6 @@ class BaseTilt(Effect):
     words = "tilted base"
     equation = "dtau/dg (-theta x g)"
     units: ClassVar[Mapping[str, str]] = {"tilt_x": "rad", "tilt_y": "rad"}
-    complexity = 2
     comes_and_goes = True
     whole_robot = True
     uses_load = True

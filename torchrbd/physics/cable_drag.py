@@ -21,11 +21,9 @@ class CableDrag(JointEffect):
     words = "cable drag over a range of positions"
     equation = "c window(q; start, end) sign(qd)"
     units: ClassVar[Mapping[str, str]] = {"start": "{q}", "end": "{q}", "resistance": "{tau}"}
-    complexity = 3
     comes_and_goes = True
     dissipative = True
     drawn_over = "q"
-    of_several_shapes = True
     prior = RESISTS
     export_note = "MJCF has no friction that depends on position"
     _EDGE = 0.1

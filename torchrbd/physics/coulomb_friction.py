@@ -25,7 +25,6 @@ class CoulombFriction(JointEffect):
     words = "Coulomb friction"
     equation = "c sign(qd)"
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}"}
-    complexity = 1
     comes_and_goes = True
     dissipative = True
     prior = RESISTS
@@ -62,7 +61,6 @@ class AsymmetricCoulombFriction(JointEffect):
     words = "direction-dependent Coulomb friction"
     equation = "c_plus if qd > 0, -c_minus if qd < 0"
     units: ClassVar[Mapping[str, str]] = {"coulomb_plus": "{tau}", "coulomb_minus": "{tau}"}
-    complexity = 2
     comes_and_goes = True
     dissipative = True
     export_note = "frictionloss is the mean of both directions; half their difference is a torque of the actuator"

@@ -40,7 +40,6 @@ class Counterbalance(JointEffect):
         "dead_centre": "{q}",
         "crank_ratio": "1",
     }
-    complexity = 4
     drawn_over = "q"
     prior = CoefficientPrior("The spring's stiffness is not negative; its preload may push or pull.", positive=(0,))
     export_note = (

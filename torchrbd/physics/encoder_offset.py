@@ -26,7 +26,6 @@ class EncoderOffset(Effect):
     words = "encoder offset"
     equation = "-o dtau/dq"
     units: ClassVar[Mapping[str, str]] = {"offset": "{q}"}
-    complexity = 1
     comes_and_goes = True
     whole_robot = True
     uses_load = True

@@ -33,7 +33,6 @@ class GeometryError(Effect):
     words = "wrong geometry (joint origin or axis)"
     equation = "dtau/d(x, y, z, rx, ry, rz)"
     units: ClassVar[Mapping[str, str]] = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
-    complexity = 6
     whole_robot = True
     uses_load = True
     prior = CoefficientPrior(

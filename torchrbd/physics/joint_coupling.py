@@ -24,7 +24,6 @@ class JointCoupling(Effect):
     words = "coupling to another joint's position"
     equation = "k q_other + tau_0"
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "offset": "{tau}"}
-    complexity = 2
     export_note = "a fixed tendon over both joints with these coefficients; it acts on both, and adds abs(k) at each"
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:

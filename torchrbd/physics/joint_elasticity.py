@@ -39,7 +39,6 @@ class JointElasticity(Effect):
     words = "joint elasticity"
     equation = "tau_load(q - tau_load/k) - tau_load(q)"
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "bandwidth": "Hz"}
-    complexity = 2
     whole_robot = True
     uses_load = True
     prior = CoefficientPrior("A spring yields in the direction that it is loaded in.", positive=(0,))

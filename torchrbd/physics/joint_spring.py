@@ -21,7 +21,6 @@ class JointSpring(JointEffect):
     words = "joint spring"
     equation = "k (q - q0)"
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
-    complexity = 2
     comes_and_goes = True
     drawn_over = "q"
     prior = CoefficientPrior("A spring pushes back.", positive=(0,))

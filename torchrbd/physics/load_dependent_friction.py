@@ -28,7 +28,6 @@ class LoadDependentFriction(JointEffect):
     words = "load-dependent friction"
     equation = "k |load| sign(qd)"
     units: ClassVar[Mapping[str, str]] = {"load_friction": "1"}
-    complexity = 1
     dissipative = True
     uses_load = True
     drawn_over = "load"

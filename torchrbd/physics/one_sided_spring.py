@@ -21,10 +21,8 @@ class OneSidedSpring(JointEffect):
     words = "one-sided spring (soft stop, taut cable)"
     equation = "side k max(0, side (q - q_0)), side = +-1"
     units: ClassVar[Mapping[str, str]] = {"contact_position": "{q}", "side": "1", "stiffness": "{tau}/{q}"}
-    complexity = 3
     comes_and_goes = True
     drawn_over = "q"
-    of_several_shapes = True
     prior = CoefficientPrior("A spring pushes back.", positive=(0,))
     export_note = "a fixed tendon over this joint alone, with coefficient one"
     # Parts of the range in which the spring acts: more, it is a joint spring. Ramps look alike at equal ratios of

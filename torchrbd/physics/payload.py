@@ -36,7 +36,6 @@ class Payload(Effect):
         **dict.fromkeys("xyz", "m"),
         **dict.fromkeys(PARAMETERS[4:], "kg m^2"),
     }
-    complexity = 10
     whole_robot = True
     prior = CoefficientPrior(
         "Mass and moments of inertia are not negative, centre and radius of gyration are some decimetres.",

@@ -29,11 +29,9 @@ class PositionDependentFriction(JointEffect):
         "coulomb": "{tau}",
         "coulomb_at_centre": "{tau}",
     }
-    complexity = 4
     comes_and_goes = True
     dissipative = True
     drawn_over = "q"
-    of_several_shapes = True
     prior = CoefficientPrior("It resists motion; the region may be sticky or worn smooth.", positive=(0,))
     export_note = "frictionloss is that outside of the region; MJCF has no friction that depends on position"
     # Widths in parts of the range (wider, it is curvature over all of it) and distances of centres in widths.

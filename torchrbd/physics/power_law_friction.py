@@ -27,7 +27,6 @@ class PowerLawFriction(JointEffect):
     words = "power-law friction"
     equation = "k |qd|^a sign(qd)"
     units: ClassVar[Mapping[str, str]] = {"friction": "{tau} (s/{q})^a", "exponent": "1"}
-    complexity = 2
     dissipative = True
     prior = RESISTS
     export_note = "MJCF has polynomials of speed, no powers"

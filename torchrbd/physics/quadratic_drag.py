@@ -22,7 +22,6 @@ class QuadraticDrag(JointEffect):
     words = "quadratic drag"
     equation = "k qd |qd|"
     units: ClassVar[Mapping[str, str]] = {"drag": "{tau} s^2/{q}^2"}
-    complexity = 1
     dissipative = True
     prior = RESISTS
     export_note = "damping as a polynomial of speed needs a MuJoCo that reads three numbers there"

@@ -20,7 +20,6 @@ class RotorInertia(JointEffect):
     words = "rotor inertia (armature)"
     equation = "I_r qdd"
     units: ClassVar[Mapping[str, str]] = {"rotor_inertia": "{tau} s^2/{q}"}
-    complexity = 1
     drawn_over = "qdd"
     prior = CoefficientPrior("An inertia is not negative.", positive=(0,))
 

@@ -48,7 +48,6 @@ class SmoothTorque(Effect):
         self.id = f"smooth_{'friction' if friction else 'torque'}_over_{name}"
         self.words = f"{'friction' if friction else 'a torque'} that depends on {name.replace('_', ' ')}"
         self.equation = "f(v) sign(qd)" if friction else "f(v)"
-        self.complexity = knots
         unit = {"q": "{q}", "qd": "{q}/s", "qdd": "{q}/s^2", "load": "{tau}", "t": "s"}[signal]
         ends = ("low", "high", "own_low", "own_high") if times_own else ("low", "high")
         self._values = tuple(f"value_{k + 1}" for k in range(knots))

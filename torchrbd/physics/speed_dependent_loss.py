@@ -25,7 +25,6 @@ class SpeedDependentLoss(JointEffect):
     words = "torque loss that grows with speed and load"
     equation = "k |load| qd"
     units: ClassVar[Mapping[str, str]] = {"loss": "s/{q}"}
-    complexity = 1
     dissipative = True
     uses_load = True
     prior = RESISTS

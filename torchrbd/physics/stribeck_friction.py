@@ -27,7 +27,6 @@ class StribeckFriction(JointEffect):
     words = "Stribeck friction"
     equation = "sign(qd) (c + (s - c) exp(-(qd/v_s)^2))"
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "static": "{tau}", "stribeck_speed": "{q}/s"}
-    complexity = 3
     comes_and_goes = True
     dissipative = True
     prior = CoefficientPrior("It resists motion, and more at rest than in motion.", positive=(0, 1))

@@ -34,7 +34,6 @@ class ThermalViscosity(JointEffect):
     words = "viscous friction that falls with temperature"
     equation = "-s (T - 40 deg C) qd"
     units: ClassVar[Mapping[str, str]] = {"viscous_per_kelvin": "{tau} s/({q} K)"}
-    complexity = 1
     drawn_over = "temperature"
     needs = "a channel temperature_<joint> that changes"
     prior = CoefficientPrior("Lubricants thin as they warm.", positive=(0,))

@@ -30,7 +30,6 @@ class TimeDelay(Effect):
     words = "time delay of the torque"
     equation = "delay (tau_s(t - step) - tau_s(t)) / step"
     units: ClassVar[Mapping[str, str]] = {"delay": "s", "step": "s"}
-    complexity = 2
     whole_robot = True
     uses_load = True
     sees_friction = True
@@ -38,8 +37,6 @@ class TimeDelay(Effect):
     prior = CoefficientPrior("Some samples of a field bus, early or late.", std=(0.02,))
     export_note = "delays need a history: nsample = delay / timestep; of one joint or, for the whole robot, of all"
     _STEPS_S, _LARGEST_S, _MOST_APART = (-0.08, -0.04, -0.015, 0.015, 0.04, 0.08), 0.1, 5.0
-    # Ratio of delay and step, and standard deviations between them, beyond which they are not those of one delay.
-    _UNLIKE, _BEYOND_CHANCE = 2.0, 5.0
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         return joints_and_all(robot)
@@ -62,15 +59,6 @@ class TimeDelay(Effect):
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         delay, step = parameters["delay"], parameters["step"]
         return abs(delay) <= self._LARGEST_S and abs(step) / self._MOST_APART <= delay * math.copysign(1.0, step)
-
-    def contradicted(self, found: Mapping[str, tuple[float, float]]) -> bool:
-        """Say whether the secant is surely not taken where the delay is: what bends the torque so is none.
-
-        Play in a gear looks like a delay with a secant of some three times its length.
-        """
-        (delay, delay_std), (step, step_std) = found["delay"], found["step"]
-        alike = delay * step > 0 and max(step / delay, delay / step) < self._UNLIKE
-        return not alike and abs(step - delay) > self._BEYOND_CHANCE * math.hypot(delay_std, step_std)
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         delay = parameters["delay"]

@@ -30,7 +30,6 @@ class TimeVaryingFriction(JointEffect):
         "coulomb_start": "{tau}",
         "time_constant": "s",
     }
-    complexity = 3
     dissipative = True
     drawn_over = "t"
     prior = CoefficientPrior("It resists motion; with time it may rise or fall.", positive=(0,))

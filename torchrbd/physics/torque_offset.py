@@ -22,7 +22,6 @@ class TorqueOffset(JointEffect):
     words = "constant torque offset"
     equation = "tau_0"
     units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}
-    complexity = 1
     comes_and_goes = True
     drawn_over = "q"
 

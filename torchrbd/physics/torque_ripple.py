@@ -30,9 +30,7 @@ class TorqueRipple(JointEffect):
     words = "torque ripple"
     equation = "A sin(m q + phase)"
     units: ClassVar[Mapping[str, str]] = {"amplitude": "{tau}", "phase": "rad", "order": "1/{q}"}
-    complexity = 3
     drawn_over = "q"
-    of_several_shapes = True
     export_note = "<dcmotor> needs its other constants too"
     # Whole orders, or half a cycle more over the range where that is coarser: closer ones look alike. Beyond them, the
     # orders of harmonic drives: faster ripple is mostly outside of the band that torques are compared in.

@@ -29,7 +29,6 @@ class TorqueSaturation(JointEffect):
     words = "torque saturation"
     equation = "slope sign(load) max(0, |load| - limit)"
     units: ClassVar[Mapping[str, str]] = {"limit": "{tau}", "slope": "1"}
-    complexity = 2
     uses_load = True
     sees_friction = True
     drawn_over = "load"

@@ -26,7 +26,6 @@ class TorqueScale(JointEffect):
     words = "gain error of the torque"
     equation = "(g - 1) load"
     units: ClassVar[Mapping[str, str]] = {"gain": "1"}
-    complexity = 1
     comes_and_goes = True
     uses_load = True
     drawn_over = "load"

@@ -26,7 +26,6 @@ class VelocityCoupling(Effect):
     words = "coupling to another joint's velocity"
     equation = "d qd_other"
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}
-    complexity = 1
     export_note = "a fixed tendon over both joints with these coefficients; it acts on both, and adds abs(d) at each"
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:

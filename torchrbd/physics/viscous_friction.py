@@ -20,7 +20,6 @@ class ViscousFriction(JointEffect):
     words = "viscous friction"
     equation = "d qd"
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}
-    complexity = 1
     comes_and_goes = True
     dissipative = True
     prior = RESISTS

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from torchrbd.diagnosis.numbers import measure, unit
+from torchrbd.diagnosis.posterior import LIKELY
 from torchrbd.diagnosis.results import Curve, Diagnosis, Finding, Unexplained
-from torchrbd.diagnosis.words import LIKELY, alternatives, at, guessed, most_changed, when, words_of
+from torchrbd.diagnosis.words import alternatives, at, guessed, most_changed, when, words_of
 from torchrbd.physics import effects
 from torchrbd.physics.registry import PLAIN
 from torchrbd.report.excerpt import telling_signal

@@ -130,7 +130,7 @@ class Page:
 
     @property
     def trifling(self) -> tuple[Finding, ...]:
-        """Effects that are certain and carry next to no torque."""
+        """Effects that are likely and that held-out time does not show."""
         return self.diagnosis.trifling if self.diagnosis else ()
 
     @property

@@ -13,7 +13,6 @@ from simulated import record
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples, read_samples
-from torchrbd.diagnosis.rows.white_rows import FOLDS
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.block_statistics import filtered_rows
@@ -46,19 +45,15 @@ def added(samples: Samples, name: str, joint: int, **shape: float):
 
 
 def test_with_every_link_trusted_nothing_is_imitated() -> None:
-    """Without columns a fit leaves the torque as it is, and an addition is plain ridge."""
+    """Without columns a fit leaves the torque as it is."""
     urdf = random_urdf(5, 3, kinds=("revolute",), branching=0.0, massless=0.0)
     robot = RobotModel.from_urdf(urdf)
     settings = Settings.from_mapping({"trust": robot.body_names}, "test")
     held = prepare(robot, [record(urdf, 5, duration_s=15.0)], settings, ())
     samples = read_samples(held, held.fit().pi)
     fit = fitted(samples, held.prior, ())
-    C = fit.rows.columns(samples.columns.candidate(effect("coulomb_friction"), Site(1), {}))[1]
     assert fit.X.shape[1] == 0
-    assert fit.share_left(C) == 1.0
     np.testing.assert_array_equal(fit.e, fit.rows.y)
-    w = np.linalg.solve(C.T @ C + np.eye(C.shape[1]), C.T @ fit.e)
-    np.testing.assert_allclose(fit.addition(C)[1], w, rtol=1e-9)
 
 
 def test_samples_are_the_rows_of_the_statistics_without_held_out_ones(prepared: Prepared, samples: Samples) -> None:
@@ -97,30 +92,6 @@ def test_a_fit_is_ridge_regression_in_prior_coordinates(fit: Fit) -> None:
     np.testing.assert_allclose(fit.e, fit.rows.y - fit.X @ fit.x, atol=1e-9)
 
 
-def test_left_out_errors_are_those_of_fits_on_the_other_folds(fit: Fit) -> None:
-    P, e = fit.X.shape[1], np.empty_like(fit.rows.y)
-    for f in range(FOLDS):
-        own = fit.rows.fold == f
-        X, y = np.concatenate((fit.X[~own], np.eye(P))), np.concatenate((fit.rows.y[~own], np.zeros(P)))
-        e[own] = fit.rows.y[own] - fit.X[own] @ np.linalg.lstsq(X, y, rcond=None)[0]
-    np.testing.assert_allclose(fit.errors, fit.by_block(e), rtol=1e-7)
-    assert (fit.errors / fit.rows.noise[1] ** 2).sum() == pytest.approx(float(e @ e))
-
-
-@pytest.mark.parametrize(("name", "shape"), [("joint_spring", {}), ("stribeck_friction", {"stribeck_speed": 0.1})])
-def test_an_addition_is_what_a_new_fit_finds(fit: Fit, name: str, shape: dict[str, float]) -> None:
-    candidate = added(fit.rows.samples, name, 2, **shape)
-    grown = Fit(fit.rows, [*fit.terms, candidate])
-    places, C = fit.rows.columns(candidate)
-    C = C[:, [place not in fit.places for place in places]]
-    gained, w = fit.addition(C)
-    loss = [0.5 * float(f.e @ f.e + f.x @ f.x) for f in (fit, grown)]
-    assert gained == pytest.approx(loss[0] - loss[1], rel=1e-6)
-    np.testing.assert_allclose(w, grown.x[-C.shape[1] :], atol=1e-8)
-    np.testing.assert_allclose(fit.coefficients_with(C, w), grown.x[: len(fit.x)], atol=1e-8)
-    np.testing.assert_allclose(fit.errors_with(C), grown.errors, rtol=1e-7)
-
-
 def test_the_leftover_is_that_of_the_torques(fit: Fit, samples: Samples) -> None:
     left = fit.leftover()
     for j, index in enumerate(fit.rows.index):
@@ -130,24 +101,17 @@ def test_the_leftover_is_that_of_the_torques(fit: Fit, samples: Samples) -> None
     assert 0.75 < np.std(fit.e) < 1.05
 
 
-def test_a_torque_that_the_model_can_imitate_has_nothing_left(fit: Fit) -> None:
-    _, C = fit.rows.columns(added(fit.rows.samples, "rotor_inertia", 0))
-    assert fit.share_left(C) < 1e-6
-    _, C = fit.rows.columns(added(fit.rows.samples, "rotor_inertia", 2))
-    assert fit.share_left(C) > 1e-3
-
-
 def test_features_of_the_load_are_built_anew_and_others_kept(samples: Samples) -> None:
     loaded, plain = added(samples, "load_dependent_friction", 1), added(samples, "viscous_friction", 1)
     before = samples.features(loaded), samples.features(plain)
-    heavier = samples.around(2.0 * samples.load_parameters)
+    heavier = samples.around(2.0 * samples.columns.pi)
     np.testing.assert_allclose(heavier.features(loaded), 2.0 * before[0], rtol=1e-9)
     assert heavier.features(plain) is before[1]
 
 
 def test_friction_is_seen_by_effects_on_the_torque(samples: Samples) -> None:
     """Beside the load, band-limited alike, and in the range that limits are sought in."""
-    pi, friction = samples.load_parameters, torch.zeros(4, 3, dtype=torch.float64)
+    pi, friction = samples.columns.pi, torch.zeros(4, 3, dtype=torch.float64)
     friction[1] = torch.tensor([0.4, 2.0, -0.3])
     rubbed = samples.around(pi, friction)
     added = rubbed.supplied(pi, friction) - samples.supplied(pi, None)

@@ -18,6 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 _BEST = 2
+# Log-likelihood units beyond which odds are not told apart.
+_LONGEST = 50.0
+# What must be gained, and by how many standard errors or without the best two blocks.
+_LEAST_GAIN, _LEAST_T, _LEAST_REPEATED = 12.0, 2.5, 8.0
 
 
 @dataclass(frozen=True)
@@ -48,12 +52,6 @@ def gain(before: np.ndarray, after: np.ndarray, counts: np.ndarray) -> Gain:
     difference = np.sort(0.5 * ((before - after)[:, seen] / mean).sum(1))
     std = float(difference.std(ddof=1) * len(difference) ** 0.5) if len(difference) > 1 else np.inf
     return Gain(float(difference.sum()), std, float(difference[:-_BEST].sum()))
-
-
-# Log-likelihood units beyond which odds are not told apart.
-_LONGEST = 50.0
-# What must be gained, and by how many standard errors or without the best two blocks.
-_LEAST_GAIN, _LEAST_T, _LEAST_REPEATED = 12.0, 2.5, 8.0
 
 
 def accepted(worth: Gain) -> bool:

@@ -1,19 +1,9 @@
-"""Fits on whitened rows, and what adding columns to them gains, on the rows seen and on rows left out.
-
-With X the whitened columns of a model in prior coordinates (so that the prior is N(0, 1)), y the whitened torque and
-C the K columns of an addition,
-
-    S = C'C + 1 - C'X (X'X + 1)^-1 X'C,   w = S^-1 C'(y - X x),   gain = 1/2 w'S w
-
-so that an addition costs O(N P K) and never a new factorisation. Leaving a fold out replaces each product by that of
-the other folds.
-"""
+"""Fits on whitened rows, with what they leave."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import torch
@@ -25,8 +15,6 @@ from torchrbd.likelihood.gaussian import Posterior
 from torchrbd.likelihood.urdf_prior import Prior
 
 _ROUNDS = 3
-# Directions of the scaled columns below this are told by rounding alone.
-LEAST_DIRECTION = 1e-12
 
 
 @dataclass(frozen=True)
@@ -70,77 +58,6 @@ class Fit:
     def pi(self) -> torch.Tensor:
         """Inertial parameters (n_params,)."""
         return torch.from_numpy(self.rows.pi(self.x[: self.rows.X.shape[1]]))
-
-    @cached_property
-    def _folds(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, Posterior]]:
-        """Per fold: its rows, X there, what the fit on the other folds leaves there, and its posterior."""
-        found = []
-        for f in np.unique(self.rows.fold):
-            own = np.flatnonzero(self.rows.fold == f)
-            X, y = self.X[own], self.rows.y[own]
-            rest = self.posterior.without(X.T @ X, X.T @ y)
-            found.append((own, X, y - X @ rest.z, rest))
-        return found
-
-    @cached_property
-    def errors(self) -> np.ndarray:
-        """Left-out squared errors of prediction by block and joint, (B, n) [(N m)^2] or [N^2].
-
-        Each sample is predicted with the noise of its predecessors: fits with different noise compare.
-        """
-        e = np.empty_like(self.rows.y)
-        for own, _, left, *_ in self._folds:
-            e[own] = left
-        return self.by_block(e)
-
-    @property
-    def numbers(self) -> dict[Place, int]:
-        """The index in x of each place."""
-        return {place: len(self.x) - len(self.places) + k for k, place in enumerate(self.places)}
-
-    def precision(self, C: np.ndarray) -> np.ndarray:
-        """Return the precision S (K, K) of the coefficients of columns C (N, K) beside the fit."""
-        return self.posterior.schur(self.X.T @ C, C.T @ C + np.eye(C.shape[1]))
-
-    def addition(self, C: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return what columns C (N, K) gain on the rows seen, as log-likelihood, and their coefficients w (K,)."""
-        r = C.T @ self.e
-        w = np.linalg.solve(self.precision(C), r)
-        return 0.5 * float(w @ r), w
-
-    def coefficients_with(self, C: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Return x (P + T,) of the fit beside columns C (N, K) with coefficients w."""
-        return self.x - self.posterior.solve(self.X.T @ (C @ w))
-
-    @cached_property
-    def _free(self) -> Posterior:
-        """The posterior without a prior."""
-        return Posterior(self.X.T @ self.X, self.X.T @ self.rows.y, LEAST_DIRECTION)
-
-    def std(self, k: int) -> float:
-        """Return the standard deviation of coefficient k, in prior coordinates."""
-        return float(np.sqrt(self.posterior.covariance([k])[0, 0]))
-
-    def share_left(self, C: np.ndarray) -> float:
-        """Return the largest part (0 to 1) of a column of C (N, K) that the model cannot imitate, however free it is.
-
-        The prior is left out: what an inertial parameter of any size can imitate, the data cannot tell from it.
-        """
-        total = C.T @ C
-        left = self._free.schur(self.X.T @ C, total)
-        return float((left.diagonal() / np.maximum(total.diagonal(), 1e-300)).max())
-
-    def errors_with(self, C: np.ndarray) -> np.ndarray:
-        """Return the left-out squared errors (B, n) of the fit with columns C (N, K) added."""
-        XC, CC, Cy = self.X.T @ C, C.T @ C + np.eye(C.shape[1]), C.T @ self.rows.y
-        e = np.empty_like(self.rows.y)
-        for own, X, left, rest in self._folds:
-            C_f = C[own]
-            cross = XC - X.T @ C_f
-            S = rest.schur(cross, CC - C_f.T @ C_f)
-            w = np.linalg.solve(S, Cy - C_f.T @ self.rows.y[own] - cross.T @ rest.z)
-            e[own] = left - C_f @ w + X @ rest.solve(cross @ w)
-        return self.by_block(e)
 
     def by_block(self, e: np.ndarray) -> np.ndarray:
         """Return the sums of squares of whitened e (N,) by block and joint, in squares of torques, (B, n)."""

@@ -85,12 +85,6 @@ class Samples:
         """Which joints have a torque, (n,)."""
         return [bool(m.any()) for m in self.measured]
 
-    @property
-    def load_parameters(self) -> torch.Tensor:
-        """Inertial parameters (n_params,) that make the load."""
-        pi = self.columns.pi
-        return self.columns.robot.pi if pi is None else pi
-
     def supplied(self, pi: torch.Tensor, friction: torch.Tensor | None) -> np.ndarray:
         """Return the torque (n, M) of a rigid body with pi (n_params,) and of friction (n, 3)."""
         load = self.rigid @ pi.numpy()

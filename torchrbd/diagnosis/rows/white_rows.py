@@ -20,7 +20,7 @@ ORDER = 4
 LEAST_NOISE = 2e-3
 # White floor of the spectrum: what whitening amplifies at most.
 _FLOOR = 0.02
-FOLDS, MOST_BLOCKS, LEAST_RECORDINGS = 8, 64, 4
+MOST_BLOCKS = 64
 # No peak of a term's torque is believed beyond so many times the root mean square of its joint's.
 PEAK_WIDTH = 3.0
 
@@ -45,8 +45,6 @@ class Rows:
         y: (N,) torque less that of the prior's mean.
         parts: per joint, its slice of the N rows.
         block: (N,) number of the block, of at most MOST_BLOCKS.
-        fold: (N,) number of the fold: recordings stay together where there are enough of them and the samples say so,
-            else parts of each, or runs of blocks.
         joint: (N,).
         counts: (n,) rows of each joint, by what they count.
     """
@@ -67,7 +65,6 @@ class Rows:
         self.y = np.concatenate([self.white(samples.tau[j] - samples.rigid[j] @ mean, j) for j in range(n)])
         blocks = _coarse(samples.block)
         self.block = np.concatenate([blocks[i] for i in self.index])
-        self.fold = _folds(samples, blocks)[np.concatenate(self.index)]
         self._rms = np.sqrt(np.mean(samples.tau**2, axis=1))
         self.counts = np.array([float((samples.weight[j, i] ** 2).sum()) for j, i in enumerate(self.index)])
         self._known: dict[Place, np.ndarray] = {}
@@ -147,21 +144,6 @@ def _with_predecessors(samples: Samples, joint: int) -> np.ndarray:
     k = np.arange(ORDER, len(samples.run))
     seen = samples.measured[joint]
     return k[(samples.run[k] == samples.run[k - ORDER]) & seen[k] & seen[k - ORDER]]
-
-
-def _folds(samples: Samples, block: np.ndarray) -> np.ndarray:
-    """Number the folds, (M,). What shows in one recording only shall not be taken for the robot's."""
-    recording = np.unique(samples.recording, return_inverse=True)[1]
-    if recording.max() + 1 >= LEAST_RECORDINGS:
-        return recording % FOLDS if samples.whole_folds else _parts(recording)
-    run = max(1, (int(block.max()) + 1) // (2 * FOLDS))
-    return (block // run) % FOLDS
-
-
-def _parts(recording: np.ndarray) -> np.ndarray:
-    """Number the parts of each recording (M,), FOLDS of it, (M,)."""
-    begins, length = np.searchsorted(recording, recording), np.bincount(recording)[recording]
-    return FOLDS * (np.arange(len(recording)) - begins) // length
 
 
 def _coarse(block: np.ndarray) -> np.ndarray:

@@ -76,14 +76,6 @@ def told_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple
     }
 
 
-def significance(model: FittedModel, candidate: Candidate) -> float:
-    """Return how many standard deviations a term's coefficients are from zero, the one that is furthest."""
-    w, _ = model.coefficients(candidate)
-    unit = torch.eye(len(model.free), dtype=torch.float64)[model.position(candidate)]
-    std = torch.tensor([_variance(model, g) ** 0.5 for g in unit], dtype=torch.float64)
-    return float((w.abs() / std).nan_to_num(0.0, 0.0).max())
-
-
 def _variance(model: FittedModel, g: Tensor) -> float:
     """Return the variance of g'x, g (F,): the fit's, or that of the scatter over blocks where it is more."""
     variance = float(g @ model.covariance @ g)

@@ -36,8 +36,6 @@ _MOST_PASSES = 12
 _SETTLED_STD, _SETTLED_GRID = 0.05, 5e-4
 # Log-likelihood units that a term may lose in a step: less is chance.
 _WORSE = 0.1
-# Log-likelihood units that are chance, where one shape is another than the best.
-_CHANCE = 2.0
 # Change of load and friction between passes, as part of the torque.
 _SETTLED_LOAD = 1e-4
 
