@@ -17,7 +17,7 @@ from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.search import MOST_TERMS, Explanation, Term, explained
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
-from torchrbd.physics import Site, effect
+from torchrbd.physics import Site, Window, effect
 
 EFFECTS = (
     "rotor_inertia",
