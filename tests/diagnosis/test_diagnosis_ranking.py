@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from itertools import pairwise
 from typing import Any
 
@@ -80,6 +81,15 @@ def test_recordings_that_are_too_short_are_refused_with_what_they_need() -> None
     short = [recorded(ARM, k, str(k), seconds=3.2, rate_hz=20.0) for k in range(8)]
     with pytest.raises(RecordingError, match=r"filters at 2\.4 Hz need"):
         torchrbd.diagnose(ARM.encode(), short, effects=["viscous_friction", "coulomb_friction"])
+
+
+def test_a_likelihood_without_solution_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: Any) -> None:
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+
+    monkeypatch.setattr(import_module("torchrbd.diagnosis.ranking"), "explained", fails)
+    with pytest.raises(RecordingError, match=r"have no regression .Matrix is not positive definite.; look for"):
+        torchrbd.diagnose(ARM.encode(), recorded(ARM, 1))
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import torch
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, told, whole
 from torchrbd.diagnosis.search import Explanation, explained, with_own_noise
+from torchrbd.errors import RecordingError
 from torchrbd.inference.identify import Source, read_arguments
 from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings
@@ -164,14 +165,21 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
     robot, effects = reading.robot, settings.chosen_effects()
     surveys = [reading.surveys[k] for k in not_held_out(reading, kept_back)]
     band = settings.cutoff_hz or band_hz(surveys)
-    clocks = in_band(reading, band, kept_back, frozenset(settings.held_bodies(robot)), progress)
-    fit = clocks.fit
-    progress("ranking", 0.0)
 
     def report(terms: int) -> None:
         progress("ranking beside what was found", min(terms / 4, 0.9))
 
-    found = explained(fit, effects, report)
+    try:
+        clocks = in_band(reading, band, kept_back, frozenset(settings.held_bodies(robot)), progress)
+        fit = clocks.fit
+        progress("ranking", 0.0)
+        found = explained(fit, effects, report)
+    except np.linalg.LinAlgError as error:
+        names = ", ".join(r.name for r in reading.recordings)
+        raise RecordingError(
+            f"{names}: below {band:.3g} Hz the torques and motions have no regression ({error}); look for constant or "
+            "repeated channels, or choose another cut-off"
+        ) from error
     clocks = replace(clocks, fit=found.fit)
     late = [_delay(clocks)] if any(e.id == "time_delay" for e in effects) and robot.n_dof > 1 else []
 
