@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, told, whole
+from torchrbd.diagnosis.screening import is_clocks
 from torchrbd.diagnosis.search import Explanation, explained, with_own_noise
 from torchrbd.errors import RecordingError
 from torchrbd.inference.identify import Source, read_arguments
@@ -24,7 +25,7 @@ from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.misspecification import MISFIT, Misfit, TwoEstimates
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.rows import KeptBack, not_held_out
-from torchrbd.physics import Site, Window
+from torchrbd.physics import Effect, Site, Window
 from torchrbd.physics.registry import effect
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded
@@ -116,8 +117,7 @@ class Ranking:
             window=None if window is None else Window(*window),
         )
         e = effect(effect_id or more["effect"])
-        if e.first_order is not None and site.joint is None:
-            # Every model has it: its evidence is that of the first step.
+        if is_clocks(e, site, rows):
             return next((h.log_evidence for h in self.first if (h.effect, h.joints) == (e.id, ())), 0.0)
         candidate = rows.columns.candidate(e, site, known if e.first_order is None else e.first_order)
         one = told(base, rows, candidate)
@@ -181,7 +181,7 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
             "repeated channels, or choose another cut-off"
         ) from error
     clocks = replace(clocks, fit=found.fit)
-    late = [_delay(clocks)] if any(e.id == "time_delay" for e in effects) and robot.n_dof > 1 else []
+    late = _of_all(clocks, effects)
 
     def shown(hypotheses: Sequence[Hypothesis], beside: Likelihood) -> tuple[Ranked, ...]:
         every = [*(_ranked(h, beside, robot) for h in hypotheses[:_SHOWN]), *late]
@@ -205,11 +205,15 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
     )
 
 
-def _delay(clocks: Clocks) -> Ranked:
-    """Return clocks that are apart, of all recordings alike, as a hypothesis."""
+def _of_all(clocks: Clocks, effects: Sequence[Effect]) -> list[Ranked]:
+    """Return what an offset of the clocks, of all recordings alike, may be: a delay, or actuators that lag.
+
+    A command runs ahead of what it makes, so that it is recorded early; then, to first order, nothing tells both apart.
+    """
     late, std = np.array(list(clocks.delay_s.values())).T
     mean = float(np.average(late, weights=std**-2.0))
-    return Ranked("time_delay", (), (), clocks.against, {"delay": mean})
+    may = {"time_delay": {"delay": mean}} | ({"actuator_lag": {"time_constant": -mean}} if mean < 0 else {})
+    return [Ranked(e.id, (), (), clocks.against, may[e.id]) for e in effects if e.id in may]
 
 
 def _ranked(h: Hypothesis, fit: Likelihood, robot: RobotModel) -> Ranked:

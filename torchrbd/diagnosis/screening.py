@@ -17,7 +17,7 @@ from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.shapes import varied
 from torchrbd.physics import Effect, Site
 
-# The machine has these already, and one offset of the clocks for all joints.
+# The machine has these already, and an offset of the clocks: what moves the torques of all joints in time alike.
 ORDINARY = (*ORDINARY_EFFECTS, "coulomb_friction")
 # Points between a shape's neighbours on the grid.
 _FINE = 9
@@ -82,6 +82,11 @@ def _told(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> list[
 
 def _may_be(e: Effect, site: Site, rows: Rows) -> bool:
     """Say whether an effect at a site is a hypothesis: torques are known there, and the machine has it not."""
-    if site.joint is None:
-        return e.first_order is None or rows.n_dof == 1
-    return e.whole_robot or rows.seen[site.joint]
+    if is_clocks(e, site, rows):
+        return False
+    return site.joint is None or e.whole_robot or bool(rows.seen[site.joint])
+
+
+def is_clocks(e: Effect, site: Site, rows: Rows) -> bool:
+    """Say whether an effect at a site is what the offset of the clocks is, which every model has."""
+    return e.shifts_clocks and (site.joint is None or rows.n_dof == 1)

@@ -91,6 +91,7 @@ class Effect(ABC):
             cold, with a cable, with a sensor set anew. What a robot is built of does not.
         sees_friction: True if the features depend on the plain friction beside that torque (``Signals.supplied``).
         prior: what is believed of the coefficients.
+        shifts_clocks: True if, at all joints alike, it is to first order what an offset of clocks is.
         first_order: the shape at which it is linear in its size, where that is small; None where shapes are free.
         needs: what a recording must hold beside positions and torques, in words.
         export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
@@ -107,6 +108,7 @@ class Effect(ABC):
     uses_load: ClassVar[bool] = False
     comes_and_goes: ClassVar[bool] = False
     sees_friction: ClassVar[bool] = False
+    shifts_clocks: ClassVar[bool] = False
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
     first_order: ClassVar[Shape | None] = None
     needs: ClassVar[str] = ""

@@ -33,6 +33,7 @@ class TimeDelay(Effect):
     whole_robot = True
     uses_load = True
     sees_friction = True
+    shifts_clocks = True
     first_order: ClassVar[Shape] = {"step": 1e-3}
     prior = CoefficientPrior("Some samples of a field bus, early or late.", std=(0.02,))
     export_note = "delays need a history: nsample = delay / timestep; of one joint or, for the whole robot, of all"
