@@ -18,6 +18,7 @@ from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves
 from torchrbd.diagnosis.screening import refined, screened
 from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.noise import Noise
 from torchrbd.likelihood.rows import Rows
 from torchrbd.physics import Effect
 from torchrbd.physics.smooth_torque import HUM
@@ -87,17 +88,18 @@ def carried(fit: Likelihood) -> Rows:
 def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis with the noise learnt beside it: what is not explained colours the noise, and hides in it.
 
-    Both models have the noise that they leave, and rows count by the scatter of the blocks that the larger one leaves.
-    The priors of both are expanded around their own fits: bodies and friction that stood in for the effect lie far off.
+    Rows count by the scatter of the blocks that the larger model leaves. The priors of both are expanded around their
+    own fits: bodies and friction that stood in for the effect lie far off. Widths and noise that suit the one may suit
+    the other: each has the better of both.
     """
     beside = fit.extended((*fit.extra, h.extra(fit, rows)))
     extended, base = beside.settled, fit.settled
     dispersion = extended.hyper.dispersion
+    with_it, without = [extended], [base.dispersed(dispersion)]
     if not np.allclose(extended.hyper.rest_width, base.hyper.rest_width):
-        # Widths that suit the one may suit the other: each has the better of both.
-        other = fit.settled_with(extended.hyper.rest_width)
-        base = max(base, other, key=lambda one: one.dispersed(dispersion).log_evidence)
-    base = base.dispersed(dispersion)
+        with_it.append(beside.settled_with(base.hyper.rest_width).dispersed(dispersion))
+        without.append(fit.settled_with(extended.hyper.rest_width).dispersed(dispersion))
+    noises = [models[0].hyper.noise for models in (with_it, without)]
     # What averaging over shapes, sizes and windows costs, the first noise has told.
     average = h.log_evidence - (beside.log_evidence - fit.log_evidence)
     k = len(fit.extra)
@@ -105,10 +107,16 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     bounds = support(h, extended, rows, mean, covariance)
     return replace(
         h,
-        log_evidence=extended.log_evidence - base.log_evidence + average + bounds,
+        log_evidence=_greatest(with_it, noises) - _greatest(without, noises) + average + bounds,
         coefficients=mean,
         std=np.sqrt(covariance.diagonal()),
     )
+
+
+def _greatest(models: Sequence[Likelihood], noises: Sequence[tuple[Noise, ...]]) -> float:
+    """Return the greatest log evidence of models whose noise is their own or one of several."""
+    others = [m.with_(noise=n) for m in models for n in noises if n is not m.hyper.noise]
+    return max(one.log_evidence for one in (*models, *others))
 
 
 def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:

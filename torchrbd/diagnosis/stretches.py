@@ -206,15 +206,17 @@ def moments(
         if not len(index) or place not in (None, j):
             continue
         C = fit.hyper.noise[j].white(F if place == j else F[:, j])
-        b, e = fit.gaussian.blocks[j], fit.gaussian.left[j]
         order = np.argsort(part[index], kind="stable")
-        edges = np.searchsorted(part[index][order], np.arange(count + 1))
-        for k in range(count):
-            own = order[edges[k] : edges[k + 1]]
-            if len(own):
-                cross[k, b.own] += b.X[:, own] @ C[:, own].T
-                gram[k] += C[:, own] @ C[:, own].T
-                score[k] += C[:, own] @ e[own]
+        order = order[np.searchsorted(part[index][order], 0) :]
+        seen, first = np.unique(part[index][order], return_index=True)
+        if not len(seen):
+            continue
+        b, C = fit.gaussian.blocks[j], C[:, order]
+        gram[seen] += np.add.reduceat(C[:, None] * C, first, axis=-1).transpose(2, 0, 1)
+        score[seen] += np.add.reduceat(C * fit.gaussian.left[j][order], first, axis=-1).T
+        X = b.X[:, order]
+        for k, begin, end in zip(seen, first, (*first[1:], len(order)), strict=True):
+            cross[k, b.own] += X[:, begin:end] @ C[:, begin:end].T
     V = fit.gaussian.half(cross.transpose(1, 0, 2).reshape(P, -1))
     return V.reshape(P, count, K).transpose(1, 0, 2), gram, score
 

@@ -22,7 +22,7 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
@@ -49,6 +49,11 @@ class Block:
     X: np.ndarray
     y: np.ndarray
     own: np.ndarray
+
+    @cached_property
+    def gram(self) -> np.ndarray:
+        """X X', (P_j, P_j)."""
+        return self.X @ self.X.T
 
 
 @dataclass(frozen=True)
@@ -144,7 +149,7 @@ class Gaussian(Posterior):
     ) -> None:
         self.data, self.score = np.zeros((n, n)), np.zeros(n)
         for b in blocks:
-            self.data[np.ix_(b.own, b.own)] += b.X @ b.X.T
+            self.data[np.ix_(b.own, b.own)] += b.gram
             self.score[b.own] += b.X @ b.y
         H, h = self.data + np.eye(n), self.score.copy()
         self._constant = 0.0
@@ -172,7 +177,7 @@ class Gaussian(Posterior):
         """
         H, h = self.H.copy(), self.h.copy()
         for b in blocks:
-            H[np.ix_(b.own, b.own)] += b.X @ b.X.T
+            H[np.ix_(b.own, b.own)] += b.gram
             h[b.own] += b.X @ b.y
         both = Posterior(H, h)
         power = sum(float(b.y @ b.y) for b in blocks)
@@ -193,7 +198,7 @@ class Gaussian(Posterior):
     def used(self, joint: int) -> float:
         """Return the degrees of freedom that the fit takes from a joint's rows."""
         b = self.blocks[joint]
-        return float(((self.half(np.eye(len(self.z))[:, b.own]) @ b.X) ** 2).sum())
+        return float((self.covariance(b.own) * b.gram).sum())
 
     def beside(self, columns: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return precision S (K, K) and score r (K,) of whitened columns, (K, m) by joint."""

@@ -38,8 +38,9 @@ _WIDTHS = (
 )
 _LEAST_DRIFT, _LEAST_NOISE = 1e-4, 1e-6
 _SHARES, _DOUBTS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0), (0.0, 0.1, 0.3, 1.0)
-# What columns do not depend on.
+# What columns do not depend on, and whitened rows neither.
 _NOT_OF_COLUMNS = {"noise", "dispersion", "bodies", "resists", "encoder_share"}
+_OF_PRIORS = {"bodies", "resists"}
 # Directions of a joint's columns below this are told by rounding.
 _LEAST_DIRECTION = 1e-3
 
@@ -68,6 +69,7 @@ class Likelihood:
         extra: columns beside them.
         slopes: see ``Machine.slopes``.
         raw: per joint, columns (P_j, M) and which coefficients they have, of a model that has the same.
+        blocks: per joint, the whitened rows of a model that has the same.
 
     Attributes:
         index: per joint, the rows (m,) that are whitened.
@@ -81,13 +83,15 @@ class Likelihood:
         extra: Sequence[Extra] = (),
         slopes: np.ndarray | None = None,
         raw: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
+        blocks: Sequence[Block] | None = None,
     ) -> None:
         self.machine, self.hyper, self.extra, self._slopes = machine, hyper, tuple(extra), slopes
         n = machine.n
         self._first = n + np.cumsum([0, *(len(e.std) for e in self.extra)])
         self._raw = [self._columns(j) for j in range(machine.rows.n_dof)] if raw is None else raw
         self.index, each = machine.index, zip(self._raw, hyper.noise, machine.target, strict=True)
-        blocks = [Block(noise.white(A), noise.white(target), own) for (A, own), noise, target in each]
+        if blocks is None:
+            blocks = [Block(noise.white(A), noise.white(target), own) for (A, own), noise, target in each]
         root = np.sqrt(hyper.kappa)
         sites = np.zeros((2, int(self._first[-1])))
         sites[:, machine.resisting] = hyper.resists.reshape(2, -1)
@@ -159,9 +163,8 @@ class Likelihood:
         b, e = self.gaussian.blocks[joint], self.gaussian.left[joint]
         if not len(e):
             return 1.0
-        G = b.X @ b.X.T
-        size = np.sqrt(np.maximum(G.diagonal(), 1e-300))
-        values, vectors = np.linalg.eigh(G / size / size[:, None])
+        size = np.sqrt(np.maximum(b.gram.diagonal(), 1e-300))
+        values, vectors = np.linalg.eigh(b.gram / size / size[:, None])
         kept = values > _LEAST_DIRECTION
         Z = (vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]).T @ b.X
         number = np.unique(self.machine.rows.block[self.index[joint]], return_inverse=True)[1]
@@ -301,4 +304,5 @@ class Likelihood:
     def with_(self, **changes: object) -> Likelihood:
         """Return the same model with some of what is learnt changed, see ``Hyper``."""
         raw = self._raw if changes.keys() <= _NOT_OF_COLUMNS else None
-        return Likelihood(self.machine, self.hyper.with_(**changes), self.extra, self._slopes, raw)
+        blocks = self.gaussian.blocks if changes.keys() <= _OF_PRIORS else None
+        return Likelihood(self.machine, self.hyper.with_(**changes), self.extra, self._slopes, raw, blocks)

@@ -41,9 +41,9 @@ _TIMING_SAMPLES, _AVERAGE_SAMPLES = 3.0, 2.0
 _ROUNDING = 2
 # A sign change may last longer, or shorter, by about as much as the band tells, in rows.
 _LASTING_ROWS = 0.5
-# A joint rests where the direction of its motion is as unsure as this, if its velocity errs so many times as much as it
-# should; so many rests a joint are told apart, the longest ones.
-_RESTS, _REST_STICK, _MOST_RESTS = 0.3, 3.0, 30
+# A joint rests, or turns, where the direction of its motion is as unsure as this, if its velocity errs so many times as
+# much as it should; so many rests a joint are told apart, the longest ones.
+_RESTS, _REST_STICK, _MOST_RESTS = 0.05, 3.0, 30
 # Standard deviation of the moment at which friction turns, in samples, and how far around it that is felt [rows].
 _TURNS_SAMPLES, _FELT_ROWS = 0.5, 6
 # Friction of a joint may take all of its torque; its sign change may be wider or narrower by this part.
