@@ -41,13 +41,13 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
     """
     reading, model = extended.prepared.reading, extended.model
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
-    after, findings = judge(extended.prepared.judging, model.x).nmse, []
+    after, findings = judge(extended.prepared.judging, extended.laws.x).nmse, []
     terms = list(_sure(found, extended))
     everywhere = {(c.effect, c.site) for c, _, _ in terms}
     for term, evidence, sure in terms:
         if max(sure.probability, sure.family_probability) <= LIKELY:
             continue
-        rest = [c for c in model.terms if c is not term]
+        rest = _without(term, extended)
         before = judge(extended.prepared.judging, extended.prepared.fit(rest, model.noise_variance).x).nmse
         finding = _finding(term, evidence, sure, extended, before, after, ends_s)
         more = term.site.recordings is not None and (term.effect, replace(term.site, recordings=None)) in everywhere
@@ -57,6 +57,13 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
         strongest_first(f for f, small in zip(findings, trifling, strict=True) if small is kind)
         for kind in (False, True)
     )  # type: ignore[return-value]
+
+
+def _without(term: Candidate, extended: Extended) -> list[Candidate]:
+    """Return the laws without one; without ordinary friction, a law that refines it has nothing to refine."""
+    terms, columns = extended.laws.terms, extended.laws.columns
+    gone = set(columns.of(term)) if term in terms[: len(extended.friction)] else set()
+    return [c for c in terms if c is not term and not gone & set(columns.of(c))]
 
 
 def _trifling(finding: Finding, extended: Extended) -> bool:

@@ -1,16 +1,25 @@
-"""The model with what was found: physically valid, in the band of the fit, as identification fits it."""
+"""The model with what was found: physically valid, in the band of the fit, as identification fits it.
+
+Laws are fitted first, curves to what these leave, so that none stands in for a law or for a part of one:
+
+    (C'C / s^2 + D^-2) w = C'(tau - X x) / s^2,   w ~ N(0, D^2)
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import torch
+
 from torchrbd.diagnosis.friction import Friction, ordinary_friction
+from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined_from
 from torchrbd.inference.shapes.reread import reread
+from torchrbd.likelihood.block_statistics import assemble
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.reading import Progress
 
@@ -21,12 +30,14 @@ class Extended:
 
     Attributes:
         prepared: the data, with columns of all terms.
-        model: the fit.
+        laws: the fit of all that is no curve.
+        model: the same with curves of what it leaves.
         friction: ordinary friction, in the order of the model's first terms.
         terms: what was found, in the order of the explanation, their shapes final.
     """
 
     prepared: Prepared
+    laws: FittedModel
     model: FittedModel
     friction: tuple[Friction, ...]
     terms: tuple[Candidate, ...]
@@ -45,12 +56,45 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     own = [t.own.candidate for t in found.terms]
     shifted = {c.joint for c in own if c.effect.id == "torque_offset" and c.site.always}
     friction = ordinary_friction(found.fit, columns, may, shifted)
-    # A curve is no larger than the likelihood believes: ordinary friction is not displaced.
+    # Nothing is larger than the likelihood believes.
     believed = {
         (t.own.candidate.effect.id, t.own.candidate.site): t.own.extra(found.fit, found.rows).std for t in found.terms
     }
     prepared = replace(prepared, believed=believed)
-    terms = (*(f.candidate for f in friction), *(columns.candidate(c.effect, c.site, c.shape) for c in own))
-    wider = columns.of_candidates(terms, found.fit.pi, found.fit.hyper.friction)
-    prepared, terms = refined_from(reread(prepared, wider, progress), terms, progress)
-    return Extended(prepared, fit_with_shapes(prepared, terms), friction, terms[len(friction) :])
+    named = (
+        *(f.candidate for f in friction),
+        *(columns.candidate(c.effect, c.site, c.shape) for c in own if not is_curve(c)),
+    )
+    wider = columns.of_candidates(named, found.fit.pi, found.fit.hyper.friction)
+    prepared, named = refined_from(reread(prepared, wider, progress), named, progress)
+    curves = tuple(columns.candidate(c.effect, c.site, c.shape) for c in own if is_curve(c))
+    if curves:
+        columns = prepared.columns
+        every = columns.of_candidates((*columns.candidates, *curves), columns.pi, columns.friction)
+        prepared = reread(prepared, every, progress)
+    laws = fit_with_shapes(prepared, named)
+    rest = {True: iter(curves), False: iter(named[len(friction) :])}
+    return Extended(
+        prepared, laws, with_curves(prepared, laws, curves), friction, tuple(next(rest[is_curve(c)]) for c in own)
+    )
+
+
+def with_curves(prepared: Prepared, laws: FittedModel, curves: Sequence[Candidate]) -> FittedModel:
+    """Return a model with curves fitted to what it leaves."""
+    if not curves:
+        return laws
+    columns = prepared.columns
+    at = torch.tensor([k for c in curves for k in columns.of(c)])
+    H, h = assemble(columns, prepared.training.total(), 1.0 / laws.noise_variance)
+    precision = H[at.unsqueeze(1), at] + torch.diag(prepared.prior.scale[at, at] ** -2.0)
+    covariance, x = torch.linalg.inv(precision), laws.x.clone()
+    x[at] = covariance @ (h - H @ laws.x)[at]
+    return replace(
+        laws,
+        terms=(*laws.terms, *curves),
+        x=x,
+        free=torch.cat((laws.free, at)),
+        laplace=torch.block_diag(laws.laplace, covariance),
+        covariance=torch.block_diag(laws.covariance, covariance),
+        scatter=None,
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import torch
 
 from torchrbd.diagnosis.curves import fitted_curve
 from torchrbd.diagnosis.explain import torque_rms
@@ -67,8 +68,8 @@ def _curve(extended: Extended, term: Candidate) -> Unexplained:
     model, judging = extended.model, extended.prepared.judging
     robot, joint = model.columns.robot, term.joint
     name, unit = robot.joint_names[joint], torque_unit(robot, joint)
-    rest = extended.prepared.fit([c for c in model.terms if c is not term], model.noise_variance)
-    with_, without = judge(judging, model.x).nmse, judge(judging, rest.x).nmse
+    rest = model.x.index_fill(0, torch.tensor(model.columns.of(term)), 0.0)
+    with_, without = judge(judging, model.x).nmse, judge(judging, rest).nmse
     share = max(0.0, 1.0 - with_[name] / without[name]) if without.get(name) else 0.0
     signals, region, curve = depends_on(term, robot.joint_names), None, fitted_curve(model, term)
     carried = torque_rms(term, extended).get(name, 0.0)
