@@ -83,8 +83,7 @@ def test_torque_without_a_law_is_a_curve_where_it_acts() -> None:
     assert max(h.log_evidence for h in curves) > 30
 
 
-def test_a_law_that_is_taken_for_want_of_another_yields_to_a_curve() -> None:
-    """A bump is somewhat like a ripple, and more like itself."""
+def test_torque_without_a_law_is_not_given_one_that_is_somewhat_like_it() -> None:
     found, _ = searched(BUMP, ["torque_ripple", "joint_spring", "quadratic_drag"])
     assert {t.own.name for t in found.terms} == {("smooth_torque_over_q", Site(0))}
 
@@ -134,9 +133,6 @@ class Table(search._Search):
         return cast(Any, frozenset(map(letter, chosen)))
 
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
-        return []
-
-    def unnamed(self, fit: Likelihood, law: Hypothesis, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
         return []
 
 

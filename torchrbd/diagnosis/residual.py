@@ -30,14 +30,8 @@ _SLOWEST_HZ, _AROUND_HZ = 1.0, 1.5
 
 def curves(fit: Likelihood, rows: Rows) -> list[Hypothesis]:
     """Return functions of each signal, and a tone, at every joint that has a torque, beside a fit."""
-    joints = np.flatnonzero(rows.seen).tolist()
-    return [*(h for j in joints for h in curves_at(fit, rows, j)), *(h for h in _tones(fit, rows) if h is not None)]
-
-
-def curves_at(fit: Likelihood, rows: Rows, joint: int) -> list[Hypothesis]:
-    """Return functions of each signal at a joint that has a torque, beside a fit."""
-    found = (averaged(fit, rows, [candidate]) for candidate in _candidates(rows, joint))
-    return [h for h in found if h is not None]
+    found = [averaged(fit, rows, [candidate]) for candidate in _candidates(rows)]
+    return [h for h in (*found, *_tones(fit, rows)) if h is not None]
 
 
 def _tones(fit: Likelihood, rows: Rows) -> Iterator[Hypothesis | None]:
@@ -95,24 +89,25 @@ def depends_on(candidate: Candidate, joint_names: Sequence[str]) -> tuple[str, .
     return (first, *also, *own)
 
 
-def _candidates(rows: Rows, joint: int) -> Iterator[Candidate]:
-    """Yield functions of each signal at a joint, with knots over the range that the rows cover."""
+def _candidates(rows: Rows) -> Iterator[Candidate]:
+    """Yield functions of each signal, with knots over the range that the rows cover."""
     columns = rows.columns
     signals = {"q": rows.q, "qd": rows.qd}
     signals |= {key: rows.evaluated(lambda s, key=key: getattr(s, key)) for key in ("qdd", "load")}
     for effect in SMOOTH:
         for site in effect.sites(columns.robot, [Window(name) for name in rows.seen_recordings]):
-            if site.joint != joint:
+            assert site.joint is not None
+            if not rows.seen[site.joint]:
                 continue
             if effect.signal == "t":
                 assert site.window is not None
                 v = rows.t[rows.recording == rows.recordings.index(site.window.recording)]
             else:
-                v = signals[effect.signal][site.other if site.other is not None else joint]
+                v = signals[effect.signal][site.other if site.other is not None else site.joint]
             rate = effect.signal == "qd"
             shape = _ends("low", "high", v, rate=rate)
             if effect.times_own:
-                shape |= _ends("own_low", "own_high", signals[effect.signal][joint], rate=rate)
+                shape |= _ends("own_low", "own_high", signals[effect.signal][site.joint], rate=rate)
             if shape["high"] > shape["low"] and shape.get("own_high", 1.0) > shape.get("own_low", 0.0):
                 yield columns.candidate(effect, site, shape)
 

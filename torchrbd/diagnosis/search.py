@@ -3,7 +3,7 @@
 The likeliest hypothesis is added while it is likelier than not, given how rare it is and how many places it has; then,
 beside all others, each stands against its rivals, and is swapped where one of them is likelier, or dropped where none
 is needed. Curves without a law are hypotheses as well, so rare that no law of as many places is displaced by one within
-three nats of it; they are looked at where laws have ended, and are rivals of each law at its joint.
+three nats of it; they are looked at where laws have ended.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, support
 from torchrbd.diagnosis.posterior import log_odds
-from torchrbd.diagnosis.residual import curves, curves_at, is_curve
+from torchrbd.diagnosis.residual import curves
 from torchrbd.diagnosis.screening import refined, screened
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.noise import Noise
@@ -158,14 +158,6 @@ class _Search:
         kinds = [[h for h in found if (h.candidate.effect is HUM) is tone] for tone in (False, True)]
         return [with_own_noise(fit, self.rows, self.ordered(kind)[0]) for kind in kinds if kind]
 
-    def unnamed(self, fit: Likelihood, law: Hypothesis, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return the likeliest curve at the joint of a law, beside a fit: what has no law may be taken for it."""
-        joint = law.candidate.site.joint
-        if joint is None or is_curve(law.candidate) or not self.rows.seen[joint]:
-            return []
-        known = {h.name for h in chosen}
-        return self.ordered([h for h in curves_at(fit, self.rows, joint) if h.name not in known])[:1]
-
     def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
         """Return the model with chosen hypotheses, all else learnt beside them."""
         return base.extended([h.extra(base, self.rows) for h in chosen]).settled
@@ -229,6 +221,5 @@ class _Search:
         own, *rivals = beside
         assert own is not None
         likeliest = self.ordered([h for h in rivals if h is not None])[:_JUDGED]
-        likeliest += self.unnamed(rest, own, chosen)
         own, *rivals = (with_own_noise(rest, self.rows, h) for h in (own, *likeliest))
         return Term(own, tuple(self.ordered(rivals)))
