@@ -1,6 +1,7 @@
 """The model with what was found: physically valid, in the band of the fit, as identification fits it.
 
-Laws are fitted first, curves to what these leave, so that none stands in for a law or for a part of one:
+Curves over a joint's own velocity, acceleration or load, which friction and inertia are linear in, are fitted to what
+all else leaves, so that none stands in for a part of these:
 
     (C'C / s^2 + D^-2) w = C'(tau - X x) / s^2,   w ~ N(0, D^2)
 """
@@ -13,7 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchrbd.diagnosis.friction import Friction, ordinary_friction
-from torchrbd.diagnosis.residual import is_curve
+from torchrbd.diagnosis.residual import stands_in
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
@@ -30,8 +31,8 @@ class Extended:
 
     Attributes:
         prepared: the data, with columns of all terms.
-        laws: the fit of all that is no curve.
-        model: the same with curves of what it leaves.
+        laws: the fit of all but the curves that could stand in for a part of it.
+        model: the same with these, fitted to what it leaves.
         friction: ordinary friction, in the order of the model's first terms.
         terms: what was found, in the order of the explanation, their shapes final.
     """
@@ -63,11 +64,11 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     prepared = replace(prepared, believed=believed)
     named = (
         *(f.candidate for f in friction),
-        *(columns.candidate(c.effect, c.site, c.shape) for c in own if not is_curve(c)),
+        *(columns.candidate(c.effect, c.site, c.shape) for c in own if not stands_in(c)),
     )
     wider = columns.of_candidates(named, found.fit.pi, found.fit.hyper.friction)
     prepared, named = refined_from(reread(prepared, wider, progress), named, progress)
-    curves = tuple(columns.candidate(c.effect, c.site, c.shape) for c in own if is_curve(c))
+    curves = tuple(columns.candidate(c.effect, c.site, c.shape) for c in own if stands_in(c))
     if curves:
         columns = prepared.columns
         every = columns.of_candidates((*columns.candidates, *curves), columns.pi, columns.friction)
@@ -75,7 +76,7 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     laws = fit_with_shapes(prepared, named)
     rest = {True: iter(curves), False: iter(named[len(friction) :])}
     return Extended(
-        prepared, laws, with_curves(prepared, laws, curves), friction, tuple(next(rest[is_curve(c)]) for c in own)
+        prepared, laws, with_curves(prepared, laws, curves), friction, tuple(next(rest[stands_in(c)]) for c in own)
     )
 
 

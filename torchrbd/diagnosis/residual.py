@@ -75,6 +75,12 @@ def is_curve(candidate: Candidate) -> bool:
     return isinstance(candidate.effect, SmoothTorque)
 
 
+def stands_in(candidate: Candidate) -> bool:
+    """Say whether a term is a curve over what friction and inertia are linear in: it could pass for a part of them."""
+    effect = candidate.effect
+    return isinstance(effect, SmoothTorque) and candidate.site.other is None and effect.signal in ("qd", "qdd", "load")
+
+
 def depends_on(candidate: Candidate, joint_names: Sequence[str]) -> tuple[str, ...]:
     """Return the signals that a curve depends on, e.g. "q_joint2"."""
     effect, site = candidate.effect, candidate.site
