@@ -41,7 +41,7 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
     """
     reading, model = extended.prepared.reading, extended.model
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
-    after, findings = judge(extended.prepared.judging, extended.laws.x).nmse, []
+    after, findings = judge(extended.prepared.judging, extended.first.x).nmse, []
     terms = list(_sure(found, extended))
     everywhere = {(c.effect, c.site) for c, _, _ in terms}
     for term, evidence, sure in terms:
@@ -60,8 +60,8 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
 
 
 def _without(term: Candidate, extended: Extended) -> list[Candidate]:
-    """Return the laws without one; without ordinary friction, a law that refines it has nothing to refine."""
-    terms, columns = extended.laws.terms, extended.laws.columns
+    """Return the terms but one; without ordinary friction, a law that refines it has nothing to refine."""
+    terms, columns = extended.first.terms, extended.first.columns
     gone = set(columns.of(term)) if term in terms[: len(extended.friction)] else set()
     return [c for c in terms if c is not term and not gone & set(columns.of(c))]
 

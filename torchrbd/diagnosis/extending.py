@@ -3,7 +3,7 @@
 Curves over a joint's own velocity, acceleration or load, which friction and inertia are linear in, are fitted to what
 all else leaves, so that none stands in for a part of these:
 
-    (C'C / s^2 + D^-2) w = C'(tau - X x) / s^2,   w ~ N(0, D^2)
+    w ~ N(0, D^2),   (C'C / s^2 + D^-2) w = C'(tau - X x) / s^2
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from torchrbd.diagnosis.search import Explanation
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined_from
-from torchrbd.inference.shapes.reread import reread
-from torchrbd.likelihood.block_statistics import assemble
+from torchrbd.inference.shapes.reread import reread, with_input_noise
 from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.equations import scaled_equations
 from torchrbd.likelihood.reading import Progress
 
 
@@ -31,14 +31,14 @@ class Extended:
 
     Attributes:
         prepared: the data, with columns of all terms.
-        laws: the fit of all but the curves that could stand in for a part of it.
+        first: the fit of all but the curves that could stand in for a part of it.
         model: the same with these, fitted to what it leaves.
         friction: ordinary friction, in the order of the model's first terms.
         terms: what was found, in the order of the explanation, their shapes final.
     """
 
     prepared: Prepared
-    laws: FittedModel
+    first: FittedModel
     model: FittedModel
     friction: tuple[Friction, ...]
     terms: tuple[Candidate, ...]
@@ -62,40 +62,33 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
         (t.own.candidate.effect.id, t.own.candidate.site): t.own.extra(found.fit, found.rows).std for t in found.terms
     }
     prepared = replace(prepared, believed=believed)
-    named = (
-        *(f.candidate for f in friction),
-        *(columns.candidate(c.effect, c.site, c.shape) for c in own if not stands_in(c)),
-    )
-    wider = columns.of_candidates(named, found.fit.pi, found.fit.hyper.friction)
-    prepared, named = refined_from(reread(prepared, wider, progress), named, progress)
-    curves = tuple(columns.candidate(c.effect, c.site, c.shape) for c in own if stands_in(c))
-    if curves:
+    own = [columns.candidate(c.effect, c.site, c.shape) for c in own]
+    early = (*(f.candidate for f in friction), *(c for c in own if not stands_in(c)))
+    late = tuple(c for c in own if stands_in(c))
+    wider = columns.of_candidates(early, found.fit.pi, found.fit.hyper.friction)
+    prepared, early = refined_from(reread(prepared, wider, progress), early, progress)
+    if late:
         columns = prepared.columns
-        every = columns.of_candidates((*columns.candidates, *curves), columns.pi, columns.friction)
-        prepared = reread(prepared, every, progress)
-    laws = fit_with_shapes(prepared, named)
-    rest = {True: iter(curves), False: iter(named[len(friction) :])}
-    return Extended(
-        prepared, laws, with_curves(prepared, laws, curves), friction, tuple(next(rest[stands_in(c)]) for c in own)
-    )
+        every = columns.of_candidates((*columns.candidates, *late), columns.pi, columns.friction)
+        prepared = with_input_noise(reread(prepared, every, progress), early)
+    first, refined = fit_with_shapes(prepared, early), iter(early[len(friction) :])
+    terms = tuple(c if stands_in(c) else next(refined) for c in own)
+    return Extended(prepared, first, with_late(prepared, first, late) if late else first, friction, terms)
 
 
-def with_curves(prepared: Prepared, laws: FittedModel, curves: Sequence[Candidate]) -> FittedModel:
-    """Return a model with curves fitted to what it leaves."""
-    if not curves:
-        return laws
-    columns = prepared.columns
-    at = torch.tensor([k for c in curves for k in columns.of(c)])
-    H, h = assemble(columns, prepared.training.total(), 1.0 / laws.noise_variance)
-    precision = H[at.unsqueeze(1), at] + torch.diag(prepared.prior.scale[at, at] ** -2.0)
-    covariance, x = torch.linalg.inv(precision), laws.x.clone()
-    x[at] = covariance @ (h - H @ laws.x)[at]
+def with_late(prepared: Prepared, first: FittedModel, late: Sequence[Candidate]) -> FittedModel:
+    """Return a model with curves fitted to what it leaves, its own coefficients as they are."""
+    columns, prior = prepared.columns, replace(prepared.prior, mean=first.x)
+    at = torch.tensor([k for c in late for k in columns.of(c)])
+    found = scaled_equations(prior, prepared.training.total(), columns, 1.0 / first.noise_variance).posterior(at)
+    size = prior.scale.diagonal()[at]
+    covariance = size.unsqueeze(1) * torch.from_numpy(found.covariance(range(len(at)))) * size
     return replace(
-        laws,
-        terms=(*laws.terms, *curves),
-        x=x,
-        free=torch.cat((laws.free, at)),
-        laplace=torch.block_diag(laws.laplace, covariance),
-        covariance=torch.block_diag(laws.covariance, covariance),
-        scatter=None,
+        first,
+        terms=(*first.terms, *late),
+        x=first.x.index_add(0, at, size * torch.from_numpy(found.z)),
+        free=torch.cat((first.free, at)),
+        laplace=torch.block_diag(first.laplace, covariance),
+        covariance=torch.block_diag(first.covariance, covariance),
+        scatter=None if first.scatter is None else first.scatter.beside(at, covariance),
     )

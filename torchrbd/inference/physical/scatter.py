@@ -20,7 +20,7 @@ Bayes methods for assessing differential expression", 2004, sect. 3 (the moderat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from scipy.stats import norm, t
@@ -66,6 +66,22 @@ class Scatter:
         freedom = _ASSUMED_BLOCKS + blocks - 1.0
         pooled = (_ASSUMED_BLOCKS * assumed + (blocks - 1.0) * (scattered + believed)) / freedom
         return pooled * float(t.ppf(_INTERVAL, freedom) / norm.ppf(_INTERVAL)) ** 2
+
+    def beside(self, index: Tensor, covariance: Tensor) -> Scatter:
+        """Return the same with coefficients fitted to what these leave, whose own scatter is not known.
+
+        Args:
+            index: (K,) where they stand in x.
+            covariance: (K, K) of them.
+        """
+        nothing = torch.zeros_like(covariance)
+        return replace(
+            self,
+            free=torch.cat((self.free, index)),
+            laplace=torch.block_diag(self.laplace, covariance),
+            information=torch.block_diag(self.information, nothing),
+            steps=torch.cat((self.steps, self.steps.new_zeros(len(self.steps), len(index))), 1),
+        )
 
     def effective_blocks(self, g: Tensor) -> float:
         """Return nu: how many blocks of equal weight would tell g'x as evenly."""

@@ -1,0 +1,86 @@
+"""The model with what was found: curves that could pass for friction or inertia take nothing from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from likelihood.arms import recorded
+from likelihood.fits import OPTIONS, URDF, at_joint, with_friction
+from simulated import Motion, with_wrong_inertials
+
+from torchrbd.diagnosis.extending import Extended, extended
+from torchrbd.diagnosis.ranking import ranking
+from torchrbd.diagnosis.residual import curves, is_curve, stands_in
+from torchrbd.diagnosis.search import Term
+from torchrbd.inference.ordinary import with_friction as friction_of
+from torchrbd.inference.ordinary import with_machine
+from torchrbd.inference.physical.terms import told_parameters
+from torchrbd.inference.preparation import prepare
+from torchrbd.inference.settings import Settings
+from torchrbd.physics import Site
+from torchrbd.robot import RobotModel
+
+MAY = ("viscous_friction", "coulomb_friction")
+
+
+def waves(m: Motion) -> np.ndarray:
+    return 0.5 * np.cos(4.0 * m.qd[:, 0]) + 0.5 * np.sin(6.0 * m.q[:, 0])
+
+
+def with_two_curves(**options: Any) -> Extended:
+    """Return a model with a curve over the velocity and one over the position, whatever the evidence."""
+    recording = recorded(URDF, 2, with_friction(at_joint(0, waves)), **{**OPTIONS, "duration_s": 30.0})
+    settings = Settings.from_mapping({"effects": MAY, **options}, "test")
+    prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [recording], settings, ())
+    ranked = ranking(prepared.reading, settings, prepared.kept_back, lambda *_: None)
+    prepared = with_machine(prepared, settings, friction_of(settings), lambda *_: None, ranked.clocks)
+    found = ranked.explanation
+    wanted = ("smooth_torque_over_qd", "smooth_torque_over_q")
+    own = {h.candidate.effect.id: h for h in curves(found.fit, found.rows) if h.candidate.site == Site(0)}
+    terms = tuple(Term(own[name], ()) for name in wanted)
+    return extended(prepared, replace(found, terms=terms), MAY, lambda *_: None)
+
+
+@pytest.fixture(scope="module")
+def model() -> Extended:
+    return with_two_curves()
+
+
+def late_columns(model: Extended) -> list[int]:
+    return [k for c in model.terms if stands_in(c) for k in model.model.columns.of(c)]
+
+
+def test_a_curve_over_the_velocity_changes_nothing_else(model: Extended) -> None:
+    assert [(is_curve(c), stands_in(c)) for c in model.terms] == [(True, True), (True, False)]
+    late = late_columns(model)
+    rest = np.setdiff1d(np.arange(len(model.model.x)), late)
+    torch.testing.assert_close(model.model.x[rest], model.first.x[rest], rtol=0, atol=0)
+    assert (model.first.x[late] == 0).all()
+    assert model.model.x[late].abs().max() > 0.1
+
+
+def test_intervals_are_those_of_the_model_without_it(model: Extended) -> None:
+    for f in model.first.proper_terms[: len(model.friction)]:
+        for name, (value, std) in told_parameters(model.model, f).items():
+            assert (value, std) == pytest.approx(told_parameters(model.first, f)[name], rel=1e-9)
+
+
+def test_it_is_where_the_posterior_of_what_is_left_is_largest(model: Extended) -> None:
+    """w = D^2 C'(tau - X x) / s^2, also where the motion never comes to a knot and D is zero."""
+    late, training = late_columns(model), model.prepared.training
+    pull = training.scores(model.model.x, 1.0 / model.model.noise_variance).sum(0)[late]
+    pulled = model.prepared.prior.scale.diagonal()[late] ** 2 * pull
+    torch.testing.assert_close(pulled, model.model.x[late], rtol=1e-6, atol=1e-8)
+
+
+def test_states_may_be_uncertain() -> None:
+    """What uncertain states take from the information is that of the columns as they are."""
+    smoothed = with_two_curves(estimator="smoother", cutoff_hz=8.0)
+    assert smoothed.prepared.states is not None
+    assert smoothed.prepared.states.lost.shape == (smoothed.model.columns.n, smoothed.model.columns.n)
+    fit = smoothed.prepared.fit(smoothed.first.terms)
+    assert torch.isfinite(fit.x).all()
