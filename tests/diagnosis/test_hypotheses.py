@@ -8,8 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from likelihood.arms import recorded, rows_of, wrong_robot
-from likelihood.fits import OPTIONS, URDF, WIDTH, at_joint, candidate, carried, fitted, with_friction
+from likelihood.arms import arm_urdf, friction, recorded, rows_of, wrong_robot
+from likelihood.fits import (
+    COULOMB,
+    OPTIONS,
+    URDF,
+    VISCOUS,
+    WIDTH,
+    at_joint,
+    candidate,
+    carried,
+    fitted,
+    with_friction,
+)
 from scipy.special import logsumexp
 from simulated import Motion, inverse_dynamics, joint_names
 
@@ -30,7 +41,7 @@ from torchrbd.physics.registry import effect, effects
 from torchrbd.physics.stribeck_friction import StribeckFriction
 
 ALL = list(effects().values())
-FOR_A_TIME = {"payload", "external_wrench"}
+FOR_A_TIME, SHIFTS = {"payload", "external_wrench"}, {"time_delay", "actuator_lag"}
 BEGIN_S, MASS, CENTRE = 10.3, 0.5, np.array([0.05, 0.1, 0.1])
 
 
@@ -72,10 +83,33 @@ def test_nothing_has_evidence_where_nothing_is() -> None:
     assert [h.log_evidence for h in found] == sorted((h.log_evidence for h in found), reverse=True)
     names = {h.name for h in found}
     assert not {name for name, _ in names} & set(ORDINARY)
+    # Every model has an offset of the clocks.
+    assert {site for name, site in names if name in SHIFTS} == {Site(0), Site(1)}
     # What comes and goes, and what comes and stays, are two.
     twice = Counter(h.name for h in found)
     assert {name for name, count in twice.items() if count > 1} == {n for n in names if n[0] in FOR_A_TIME}
     assert max(twice.values()) == 2
+
+
+def test_what_shifts_the_only_joint_is_the_clock() -> None:
+    urdf = arm_urdf(0, 1)
+    recording = recorded(urdf, 2, friction(VISCOUS[:1], COULOMB[:1], WIDTH), **OPTIONS)
+    fit = learn(Machine(rows_of(wrong_robot(urdf, 1), [recording])))
+    names = {h.candidate.effect.id for h in screened(fit, carried(fit), ALL)}
+    assert "torque_offset" in names
+    assert not names & SHIFTS
+
+
+def test_a_noise_that_suits_both_models_is_evidence_for_neither() -> None:
+    """A base that has settled with a worse noise has the larger model's as well."""
+    fit = fitted()
+    rows, worse = carried(fit), fit.extended(fit.extra)
+    h = screened(fit, rows, ALL)[0]
+    louder = fit.settled.with_(noise=tuple(replace(n, sigma=1.3 * n.sigma) for n in fit.settled.hyper.noise))
+    worse.__dict__["settled"] = louder
+    assert fit.settled.log_evidence - louder.log_evidence > 20.0
+    expected = with_own_noise(fit, rows, h).log_evidence
+    assert with_own_noise(worse, rows, h).log_evidence == pytest.approx(expected, abs=1.0)
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,13 @@ import math
 import numpy as np
 import pytest
 from likelihood.arms import recorded
-from likelihood.fits import DELAY_S, OPTIONS, URDF, at_joint, with_friction
+from likelihood.fits import DELAY_S, OPTIONS, URDF, at_joint, fitted, with_friction
 from simulated import joint_names, with_wrong_inertials
 
-from torchrbd.diagnosis.ranking import Ranking, rank
+from torchrbd.diagnosis.ranking import Ranking, _of_all, rank
 from torchrbd.errors import InputError, OptionError
+from torchrbd.likelihood.clocks import Clocks
+from torchrbd.physics.registry import effects
 
 GIVEN = with_wrong_inertials(URDF, 1, 0.1).encode()
 FIRST, SECOND = joint_names(URDF)
@@ -27,6 +29,19 @@ def found() -> Ranking:
     recording = recorded(URDF, 2, with_friction(CONCEALED), delay_s=DELAY_S, **OPTIONS)
     other = recorded(URDF, 5, lambda m: 50.0 + 0.0 * m.q, name="other", **OPTIONS)
     return rank(GIVEN, recording, holdout=[other])
+
+
+@pytest.mark.parametrize(("late_s", "may"), [(0.004, {"time_delay"}), (-0.004, {"time_delay", "actuator_lag"})])
+def test_torque_that_all_joints_have_early_may_be_a_delay_or_a_lag(late_s: float, may: set[str]) -> None:
+    clocks = Clocks(fitted(), {"simulated": late_s}, 50.0)
+    found = _of_all(clocks, list(effects().values()))
+    assert {h.effect for h in found} == may
+    for h in found:
+        assert (h.joints, h.log_evidence) == ((), 50.0)
+        assert abs(h.parameters["delay" if h.effect == "time_delay" else "time_constant"]) == pytest.approx(
+            0.004, abs=1e-3
+        )
+        assert h.effect == "time_delay" or h.parameters["time_constant"] > 0
 
 
 @pytest.fixture(scope="module")
