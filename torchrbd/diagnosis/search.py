@@ -92,8 +92,9 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     own fits: bodies and friction that stood in for the effect lie far off. Widths and noise that suit the one may suit
     the other: each has the better of both.
     """
-    beside = fit.extended((*fit.extra, h.extra(fit, rows)))
-    extended, base = beside.settled, fit.settled
+    extra = h.extra(fit, rows)
+    beside = fit.extended((*fit.extra, extra))
+    extended, base = beside.settled_beside(fit.settled, extra.joints), fit.settled
     dispersion = extended.hyper.dispersion
     with_it, without = [extended], [base.dispersed(dispersion)]
     if not np.allclose(extended.hyper.rest_width, base.hyper.rest_width):
@@ -127,7 +128,9 @@ def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     first = refined(fit, rows, h)
     if first.tried == 1 or first.candidate.site.window is not None:
         return first
-    own = fit.extended((*fit.extra, first.extra(fit, rows))).renoised().rewidened().relinearised().extended(fit.extra)
+    extra = first.extra(fit, rows)
+    beside = fit.extended((*fit.extra, extra)).renoised().rewidened(extra.joints)
+    own = beside.relinearised().extended(fit.extra)
     # What averaging costs is that of the first refinement.
     then = again(fit, rows, replace(refined(own, rows, first), paid=first.paid))
     return first if then is None else then

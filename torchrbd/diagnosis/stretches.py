@@ -23,7 +23,7 @@ from torchrbd.physics import Effect, Window
 # Edges of the stretches of time in which something may act, spread over a recording.
 _MOST_EDGES = 33
 # Moments at which something may begin or end for good.
-_MOST_TIMES = 600
+_MOST_TIMES = 300
 # What is there for more than this part of a recording is there always.
 _MOST_OF_TIME = 0.9
 # Of so many recordings all subsets are tried.
@@ -160,9 +160,8 @@ def in_stretches(
     counts = np.trace(gram[end] - gram[begin], axis1=1, axis2=2) > 0
     if not counts.any():
         return None
-    U, scales = V[end] - V[begin], np.array(multiples)
-    S = gram[end] - gram[begin] - U.transpose(0, 2, 1) @ U
-    r = score[end] - score[begin]
+    scales, own = np.array(multiples), gram - V.transpose(0, 2, 1) @ V
+    S, r = own[end] - own[begin] + _shared(V, begin, end), score[end] - score[begin]
     found = added(S[:, None], r[:, None], std * scales[:, None], candidate.effect.prior.positive)
     told_of = np.where(counts[:, None], found.log_evidence, -math.inf)
     k, size = np.unravel_index(int(told_of.argmax()), told_of.shape)
@@ -174,6 +173,20 @@ def in_stretches(
     mean, one = mean_of(found.log_evidence), mean_of(found.log_evidence[k])
     coefficients, std = found.mean[k, size], found.std[k, size]
     return Hypothesis(best, mean, coefficients, std, float(scales[size]), len(begin), mean - one), one
+
+
+def _shared(V: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Return what two edges say together, (N, K, K), of V (B + 1, P, K).
+
+    -(V_e - V_b)'(V_e - V_b) = V_b'V_b - V_e'V_e + V_b'(V_e - V_b) + (V_e - V_b)'V_b,   the last two
+    """
+    shared = np.zeros((len(begin), V.shape[2], V.shape[2]))
+    for k in np.unique(begin):
+        at = np.flatnonzero(begin == k)
+        near = slice(end[at].min(), end[at].max() + 1)
+        product = V[k].T @ np.moveaxis(V[near] - V[k], 0, 1).reshape(V.shape[1], -1)
+        shared[at] = np.moveaxis(product.reshape(V.shape[2], -1, V.shape[2]), 1, 0)[end[at] - near.start]
+    return shared + shared.transpose(0, 2, 1)
 
 
 def _sums(

@@ -59,6 +59,13 @@ class Extra:
             return self.features[:, joint]
         return self.features if self.place == joint else None
 
+    @property
+    def joints(self) -> list[int]:
+        """The joints where they are."""
+        if self.place is not None:
+            return [self.place]
+        return np.flatnonzero(self.features.any((0, 2))).tolist()
+
 
 class Likelihood:
     """A machine with learnt noise, and further columns.
@@ -197,15 +204,20 @@ class Likelihood:
         )
         return self.with_(noise=noise, dispersion=dispersion)
 
-    def rewidened(self) -> Likelihood:
+    def rewidened(self, joints: Sequence[int] | None = None, known: np.ndarray | None = None) -> Likelihood:
         """Return the same model with the widths of friction's sign change that have the greatest evidence.
 
         All rows count alike in that: those that show them, at reversals, count less the worse they are explained.
+
+        Args:
+            joints: where they are told anew; everywhere if not given.
+            known: (n,) widths at the other joints, [rad/s] or [m/s]; those of the model if not given.
         """
-        one, widths = np.ones(len(self.machine.rows.t)), self.hyper.rest_width.copy()
+        joints = range(self.machine.rows.n_dof) if joints is None else joints
+        one, widths = np.ones(len(self.machine.rows.t)), np.array(self.hyper.rest_width if known is None else known)
         plain = self.with_(noise=tuple(replace(n, spread=one) for n in self.hyper.noise))
         g = plain.gaussian
-        for j, noise in enumerate(plain.hyper.noise):
+        for j in joints:
             if not len(self.index[j]) or not self.machine.speed_rms[j]:
                 continue
             dropped = self.machine.ordinary(j)[1:]
@@ -216,7 +228,7 @@ class Likelihood:
             for part in _WIDTHS:
                 width = float(np.hypot(part * self.machine.speed_rms[j], self.machine.rows.speed_std[j]))
                 F = self.machine.sign(j, width)
-                S, r = rest.beside({j: noise.white(F)})
+                S, r = rest.beside({j: plain.hyper.noise[j].white(F)})
                 found.append((float(added(S, r, self.machine.friction_std(j, F)).log_evidence), width))
             widths[j] = max(found)[1]
         return self.with_(rest_width=widths)
@@ -292,6 +304,11 @@ class Likelihood:
     def settled(self) -> Likelihood:
         """The same model with noise, widths, bodies and slopes learnt once more, all beside the columns it has."""
         return self.renoised().rewidened().relinearised().renoised(dispersed=True)
+
+    def settled_beside(self, other: Likelihood, joints: Sequence[int]) -> Likelihood:
+        """Return the same, widths told anew at some joints, and elsewhere as in another model."""
+        own = self.renoised().rewidened(joints, other.hyper.rest_width)
+        return own.relinearised().renoised(dispersed=True)
 
     def settled_with(self, rest_width: np.ndarray) -> Likelihood:
         """Return the same where friction changes its sign within given widths (n,)."""

@@ -62,8 +62,9 @@ class Noise:
     def white(self, A: np.ndarray) -> np.ndarray:
         """Return signals (..., M) as the whitened rows (m,) see them, (..., m)."""
         ahead = np.concatenate(([1.0], -self.predictor))
-        out = convolve1d(A, ahead, mode="constant", origin=-(len(ahead) // 2))
-        return out[..., self.index] / (self.sigma * self.spread[self.index])
+        out = convolve1d(A, ahead, mode="constant", origin=-(len(ahead) // 2))[..., self.index]
+        out /= self.sigma * self.spread[self.index]
+        return out
 
 
 def predicted(run: np.ndarray, measured: np.ndarray) -> np.ndarray:
