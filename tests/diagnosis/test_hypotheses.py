@@ -91,6 +91,19 @@ def test_nothing_has_evidence_where_nothing_is() -> None:
     assert max(twice.values()) == 2
 
 
+def test_widths_are_told_anew_where_columns_are_and_elsewhere_those_of_the_other_model() -> None:
+    fit = fitted()
+    rows = carried(fit)
+    h = next(h for h in screened(fit, rows, ALL) if h.candidate.place is not None)
+    extra = h.extra(fit, rows)
+    assert extra.joints == [h.candidate.place]
+    other = fit.with_(rest_width=3.0 * fit.hyper.rest_width)
+    found = fit.extended((extra,)).settled_beside(other, extra.joints).hyper.rest_width
+    elsewhere = np.arange(len(found)) != h.candidate.place
+    np.testing.assert_array_equal(found[elsewhere], other.hyper.rest_width[elsewhere])
+    assert found[h.candidate.place] < 0.7 * other.hyper.rest_width[h.candidate.place]
+
+
 def test_what_shifts_the_only_joint_is_the_clock() -> None:
     urdf = arm_urdf(0, 1)
     recording = recorded(urdf, 2, friction(VISCOUS[:1], COULOMB[:1], WIDTH), **OPTIONS)
