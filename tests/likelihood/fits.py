@@ -5,8 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+import pinocchio as pin
 from likelihood.arms import Torque, arm_urdf, friction, recorded, rows_of, wrong_robot
-from simulated import Motion
+from simulated import Motion, inverse_dynamics
 
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.learning import learn
@@ -18,6 +19,7 @@ from torchrbd.physics.registry import effect
 
 URDF = arm_urdf(0, 2)
 VISCOUS, COULOMB, WIDTH, DELAY_S = (0.4, 0.2), (1.0, 0.3), 0.05, 0.004
+BEGIN_S, MASS, CENTRE = 10.3, 0.5, np.array([0.05, 0.1, 0.1])
 OPTIONS = {"duration_s": 20.0, "rate_hz": 100.0, "encoder_noise": 1e-5}
 
 
@@ -33,6 +35,15 @@ def at_joint(joint: int, torque: Torque) -> Torque:
         return np.eye(2)[joint] * np.asarray(torque(m))[:, None]
 
     return whole
+
+
+def payload(m: Motion) -> np.ndarray:
+    """Return what a point mass on the last link adds from ``BEGIN_S`` on, by Pinocchio."""
+    model = pin.buildModelFromXML(URDF)
+    model.inertias[2] = model.inertias[2] + pin.Inertia(MASS, CENTRE, np.zeros((3, 3)))
+    data = model.createData()
+    loaded = np.stack([pin.rnea(model, data, *row).copy() for row in zip(m.q, m.qd, m.qdd, strict=True)])
+    return (loaded - inverse_dynamics(URDF, m)) * (m.t >= BEGIN_S)[:, None]
 
 
 @lru_cache(maxsize=8)

@@ -99,6 +99,18 @@ def test_evidence_favours_the_widths_and_the_noise_that_were_learnt(fit: Likelih
         assert fit.with_(noise=noise).log_evidence < fit.log_evidence - 5
 
 
+def test_widths_are_told_anew_where_columns_are_and_are_elsewhere_as_given(fit: Likelihood) -> None:
+    extra = Extra(1, fit.machine.rows.qd[:1] ** 2, np.ones(1))
+    assert extra.joints == [1]
+    given = 3.0 * fit.hyper.rest_width
+    found = fit.extended((extra,)).settled_at(extra.joints, given).hyper.rest_width
+    assert found[0] == given[0]
+    assert found[1] == pytest.approx(fit.settled.hyper.rest_width[1], rel=0.3)
+    whole = np.zeros((1, *fit.machine.rows.qd.shape))
+    whole[0, 0] = 1.0
+    assert Extra(None, whole, np.ones(1)).joints == [0]
+
+
 @pytest.fixture(scope="module")
 def scaled() -> Likelihood:
     return fitted(gain=10.0, delay_s=DELAY_S)

@@ -94,12 +94,14 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """
     extra = h.extra(fit, rows)
     beside = fit.extended((*fit.extra, extra))
-    extended, base = beside.settled_beside(fit.settled, extra.joints), fit.settled
+    base = fit.settled
+    width = base.hyper.rest_width
+    extended = beside.settled_at(extra.joints, width)
     dispersion = extended.hyper.dispersion
     with_it, without = [extended], [base.dispersed(dispersion)]
-    if not np.allclose(extended.hyper.rest_width, base.hyper.rest_width):
-        with_it.append(beside.settled_with(base.hyper.rest_width).dispersed(dispersion))
-        without.append(fit.settled_with(extended.hyper.rest_width).dispersed(dispersion))
+    if not np.allclose(extended.hyper.rest_width, width):
+        with_it.append(beside.settled_at((), width).dispersed(dispersion))
+        without.append(fit.settled_at((), extended.hyper.rest_width).dispersed(dispersion))
     noises = [models[0].hyper.noise for models in (with_it, without)]
     # What averaging over shapes, sizes and windows costs, the first noise has told.
     average = h.log_evidence - (beside.log_evidence - fit.log_evidence)

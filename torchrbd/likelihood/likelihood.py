@@ -302,17 +302,12 @@ class Likelihood:
 
     @cached_property
     def settled(self) -> Likelihood:
-        """The same model with noise, widths, bodies and slopes learnt once more, all beside the columns it has."""
-        return self.renoised().rewidened().relinearised().renoised(dispersed=True)
+        """The same model with all that is learnt beside the columns it has learnt once more, see ``settled_at``."""
+        return self.settled_at()
 
-    def settled_beside(self, other: Likelihood, joints: Sequence[int]) -> Likelihood:
-        """Return the same, widths told anew at some joints, and elsewhere as in another model."""
-        own = self.renoised().rewidened(joints, other.hyper.rest_width)
-        return own.relinearised().renoised(dispersed=True)
-
-    def settled_with(self, rest_width: np.ndarray) -> Likelihood:
-        """Return the same where friction changes its sign within given widths (n,)."""
-        return self.renoised().with_(rest_width=rest_width).relinearised().renoised(dispersed=True)
+    def settled_at(self, joints: Sequence[int] | None = None, known: np.ndarray | None = None) -> Likelihood:
+        """Return the same with noise, bodies and slopes learnt once more, and widths as ``rewidened`` tells them."""
+        return self.renoised().rewidened(joints, known).relinearised().renoised(dispersed=True)
 
     def extended(self, extra: Sequence[Extra]) -> Likelihood:
         """Return the same model with other columns beside the machine's."""
