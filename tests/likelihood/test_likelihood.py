@@ -111,6 +111,20 @@ def test_widths_are_told_anew_where_columns_are_and_are_elsewhere_as_given(fit: 
     assert Extra(None, whole, np.ones(1)).joints == [0]
 
 
+def test_law_that_takes_a_part_of_friction_leaves_what_rests_may_hold_as_large() -> None:
+    """Smaller priors of so many columns would be evidence for the law."""
+    more = with_friction(at_joint(0, lambda m: np.sign(m.qd[:, 0]) * np.abs(m.qd[:, 0]) ** 0.3))
+    noisy = recorded(URDF, 2, more, **OPTIONS | {"encoder_noise": 5e-4})
+    fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [noisy])))
+    machine, qd = fit.machine, fit.machine.rows.qd[:1]
+    law = Extra(0, np.sign(qd) * np.abs(qd) ** 0.3, np.ones(1))
+    beside = fit.extended((law,)).settled_at((), fit.settled.hyper.rest_width)
+    assert beside.friction[0, 1] < 0.95 * fit.friction[0, 1]
+    rests = len(machine.resting(0))
+    assert rests > 5
+    np.testing.assert_allclose(beside.columns(0)[-rests - 1 : -1], fit.settled.columns(0)[-rests:], rtol=1e-6)
+
+
 @pytest.fixture(scope="module")
 def scaled() -> Likelihood:
     return fitted(gain=10.0, delay_s=DELAY_S)
@@ -212,7 +226,7 @@ def test_machine_of_trusted_bodies_has_friction_alone() -> None:
     A, own = machine.design(0, fitted(delay_s=DELAY_S).hyper, None)
     assert len(A) == len(own)
     assert own.min() == 0
-    rests = sum(2 * len(machine._resting[j]) for j in range(2))
+    rests = sum(len(machine.resting(j)) for j in range(2))
     assert machine.n == 2 * (6 + 2 + len(machine.drifting(0)) + 1) + 1 + rests
     assert isinstance(rows.columns, Columns)
 

@@ -42,7 +42,7 @@ def learn(machine: Machine, *, white: bool = False) -> Likelihood:
     )
     fit = Likelihood(machine, hyper).renoised()
     fit = fit if white else fit.rewidened().renoised()
-    fit = fit.relinearised().reweighed()
+    fit = fit.relinearised(alone=True).reweighed()
     for _ in range(_ROUNDS):
-        fit = fit.with_(white=white).renoised().relinearised().reweighed()
-    return fit.recalibrated().relinearised().reweighed().renoised(dispersed=True)
+        fit = fit.with_(white=white).renoised().relinearised(alone=True).reweighed()
+    return fit.recalibrated().relinearised(alone=True).reweighed().renoised(dispersed=True)

@@ -292,12 +292,18 @@ class Likelihood:
         sites = nonnegative(free.z[at], free.covariance(at))
         return self.with_(resists=np.reshape(sites, self.hyper.resists.shape))
 
-    def relinearised(self) -> Likelihood:
-        """Return the same model whose bodies are physical, and whose load, friction and slopes are those of its fit."""
+    def relinearised(self, *, alone: bool = False) -> Likelihood:
+        """Return the same model whose bodies are physical, and whose load and slopes are those of its fit.
+
+        Args:
+            alone: whether friction is that of its fit too. What rests and reversals may hold is believed to be as large
+                as that: laws beside the machine, which take a part of its friction, must not make them smaller.
+        """
         fit = self._physical()._resisting()
-        viscous, plus, minus = torch.from_numpy(fit.friction).unbind(1)
-        friction = torch.stack((viscous, 0.5 * (plus + minus), 0.5 * (plus - minus)), 1)
-        hyper = fit.hyper.with_(pi=fit.pi, friction=friction)
+        hyper = fit.hyper.with_(pi=fit.pi)
+        if alone:
+            viscous, plus, minus = torch.from_numpy(fit.friction).unbind(1)
+            hyper = hyper.with_(friction=torch.stack((viscous, 0.5 * (plus + minus), 0.5 * (plus - minus)), 1))
         return Likelihood(self.machine, hyper, self.extra, self.machine.slopes(hyper))
 
     @cached_property

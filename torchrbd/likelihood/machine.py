@@ -159,6 +159,10 @@ class Machine:
         """Return where the coefficients of a joint's drift stand."""
         return self._first(joint) + np.arange(self._local - len(self._drift), self._local)
 
+    def resting(self, joint: int) -> np.ndarray:
+        """Return where the coefficients of a joint's rests stand, what each holds and then when each turns."""
+        return np.arange(self._rest_at[joint], self._rest_at[joint + 1])
+
     def spread(self, joint: int, encoder_share: float, loose: float = 0.0, stick: float = 1.0) -> np.ndarray:
         """Return how noisy a joint's rows are against each other, (M,): s^2 = 1 - k + k m^2 / mean m^2 + l^2 u^2
 
@@ -260,7 +264,7 @@ class Machine:
             places.append(self.timing)
             parts.append(float(hyper.friction[joint, 1]) * self._resting[joint])
             parts.append(_TURNS_SAMPLES * self.rows.dt * late * self._around[joint])
-            places.append(np.arange(self._rest_at[joint], self._rest_at[joint + 1]))
+            places.append(self.resting(joint))
         return np.concatenate(parts), np.concatenate(places)
 
     def pi(self, z: np.ndarray, kappa: float) -> Tensor:
