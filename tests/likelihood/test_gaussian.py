@@ -265,9 +265,9 @@ def test_first_coefficients_may_have_any_log_density() -> None:
 def test_sites_multiply_the_prior() -> None:
     """A site is a further row of the data: precision p and shift s are what y = s / root p says of root p z."""
     blocks = problem(11)
-    precision, shift = np.zeros((2, N_COEFFICIENTS))
-    precision[4], shift[4] = 2.5, -1.2
-    got = Gaussian(blocks, N_COEFFICIENTS, sites=(precision, shift))
+    sites = np.zeros((3, N_COEFFICIENTS))
+    sites[:2, 4] = 2.5, -1.2
+    got = Gaussian(blocks, N_COEFFICIENTS, sites=sites)
     row = Block(np.array([[math.sqrt(2.5)]]), np.array([-1.2 / math.sqrt(2.5)]), np.array([4]))
     other = Gaussian([*blocks, row], N_COEFFICIENTS)
     np.testing.assert_allclose(got.z, other.z, rtol=1e-10)
@@ -282,7 +282,7 @@ def test_sites_have_the_moments_of_the_truncated_density(centre: tuple[float, ..
     draws = rng.multivariate_normal(m, C, 1_500_000)
     kept = draws[(draws >= 0).all(1)]
     assert len(kept) > 50_000
-    precision, shift = nonnegative(m, C)
+    precision, shift, _ = nonnegative(m, C)
     assert (precision >= 0).all()
     covariance = np.linalg.inv(np.linalg.inv(C) + np.diag(precision))
     mean = covariance @ (np.linalg.solve(C, m) + shift)
@@ -290,8 +290,20 @@ def test_sites_have_the_moments_of_the_truncated_density(centre: tuple[float, ..
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), kept.std(0), rtol=0.02)
 
 
+@pytest.mark.parametrize("seed", [3, 11, 14])
+def test_evidence_of_a_truncated_prior_counts_what_the_posterior_has_of_it(seed: int) -> None:
+    """p(y | z >= 0) = p(y) p(z >= 0 | y) / p(z >= 0)."""
+    blocks, at = problem(seed), [1, 4, 5]
+    free = Gaussian(blocks, N_COEFFICIENTS)
+    sites = np.zeros((3, N_COEFFICIENTS))
+    sites[:, at] = nonnegative(free.z[at], free.covariance(at))
+    after = multivariate_normal.cdf(np.zeros(3), -free.z[at], free.covariance(at), rng=np.random.default_rng(0))
+    expected = free.log_evidence + math.log(after) + 3 * math.log(2)
+    assert Gaussian(blocks, N_COEFFICIENTS, sites=sites).log_evidence == pytest.approx(expected, abs=0.05)
+
+
 def test_coefficient_that_is_surely_positive_needs_no_site() -> None:
-    precision, shift = nonnegative(np.array([9.0, 0.0]), np.diag([1.0, 1.0]))
+    precision, shift, constant = nonnegative(np.array([9.0, 0.0]), np.diag([1.0, 1.0]))
     assert (abs(precision[0]), abs(shift[0])) == pytest.approx((0.0, 0.0), abs=1e-9)
     # A half-normal density has mean root(2 / pi) and variance 1 - 2 / pi.
     variance = 1.0 / (1.0 + precision[1])

@@ -132,7 +132,7 @@ class Gaussian(Posterior):
         blocks: one a joint.
         n: number of coefficients P.
         first: log prior density of the first of them; the others have N(0, 1).
-        sites: precision (P,) and shift (P,) that multiply the prior, see ``nonnegative``.
+        sites: factors (3, P) that multiply the prior, see ``nonnegative``.
 
     Attributes:
         data, score: X'X (P, P) and X'y (P,), without any prior.
@@ -145,7 +145,7 @@ class Gaussian(Posterior):
         blocks: Sequence[Block],
         n: int,
         first: Quadratic | None = None,
-        sites: tuple[np.ndarray, np.ndarray] | None = None,
+        sites: np.ndarray | None = None,
     ) -> None:
         self.data, self.score = np.zeros((n, n)), np.zeros(n)
         for b in blocks:
@@ -161,6 +161,7 @@ class Gaussian(Posterior):
         if sites is not None:
             H[np.diag_indices(n)] += sites[0]
             h += sites[1]
+            self._constant += float(sites[2].sum())
         self._explain(blocks, H, h)
 
     def _explain(self, blocks: Sequence[Block], H: np.ndarray, h: np.ndarray) -> None:
@@ -238,31 +239,38 @@ def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int]
     return Addition(log_evidence, mean, spread)
 
 
-def nonnegative(mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the Gaussian sites that stand for coefficients (K,) which cannot be negative: precision and shift (K,).
+def nonnegative(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the Gaussian sites that stand for coefficients (K,) which cannot be negative: (3, K).
 
-    Each site makes mean and variance of its coefficient those of the truncated density beside the other sites.
+        2 [z >= 0] ~ exp(c + s z - 1/2 p z^2),   with p, s, c in this order
+
+    Each makes integral, mean and variance of its coefficient those of the truncated density beside the other sites. Two
+    is what a half-normal prior has beside the normal one.
 
     Source: Minka, "Expectation Propagation for Approximate Bayesian Inference", UAI 2001, sec. 3.
     """
     m, C = mean.copy(), covariance.copy()
-    precision, shift = np.zeros((2, len(m)))
+    precision, shift, constant = sites = np.zeros((3, len(m)))
     for _ in range(_SWEEPS):
         for k in range(len(m)):
             rest = 1.0 / C[k, k] - precision[k]
             if rest <= 0:
                 continue
             std, centre = rest**-0.5, (m[k] / C[k, k] - shift[k]) / rest
-            ratio = math.exp(_log_normal(centre / std) - float(log_ndtr(centre / std)))
+            kept = float(log_ndtr(centre / std))
+            ratio = math.exp(_log_normal(centre / std) - kept)
             variance = std**2 * max(1.0 - ratio * (ratio + centre / std), _LEAST_VARIANCE)
             more = max(1.0 / variance - rest, 0.0) - precision[k]
             turn = (centre + std * ratio) / variance - centre * rest - shift[k]
             precision[k] += more
             shift[k] += turn
+            with_it = rest + precision[k]
+            exponent = (centre * rest + shift[k]) ** 2 / with_it - centre**2 * rest
+            constant[k] = math.log(2.0) + kept + 0.5 * math.log(with_it / rest) - 0.5 * exponent
             column = C[:, k].copy()
             C -= np.outer(column, column) * (more / (1.0 + more * column[k]))
             m += column * ((turn - more * m[k]) / (1.0 + more * column[k]))
-    return precision, shift
+    return sites
 
 
 def _log_normal(x: float) -> float:

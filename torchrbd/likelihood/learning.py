@@ -35,7 +35,7 @@ def learn(machine: Machine, *, white: bool = False) -> Likelihood:
         noise=tuple(Noise(i, np.zeros(0), _FIRST_NOISE * r, one) for i, r in zip(machine.index, rms, strict=True)),
         dispersion=np.ones(rows.n_dof),
         bodies=np.zeros(len(machine.inertial)),
-        resists=np.zeros((2, rows.n_dof, 3)),
+        resists=np.zeros((3, rows.n_dof, 3)),
         pi=rows.columns.robot.pi,
         friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
         white=True,

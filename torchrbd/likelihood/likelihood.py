@@ -100,10 +100,10 @@ class Likelihood:
         if blocks is None:
             blocks = [Block(noise.white(A), noise.white(target), own) for (A, own), noise, target in each]
         root = np.sqrt(hyper.kappa)
-        sites = np.zeros((2, int(self._first[-1])))
-        sites[:, machine.resisting] = hyper.resists.reshape(2, -1)
+        sites = np.zeros((3, int(self._first[-1])))
+        sites[:, machine.resisting] = hyper.resists.reshape(3, -1)
         bodies = expanded(root * hyper.bodies, hyper.kappa)
-        self.gaussian = Gaussian(blocks, sites.shape[1], bodies, (sites[0], sites[1]))
+        self.gaussian = Gaussian(blocks, sites.shape[1], bodies, sites)
 
     def _columns(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the columns (P_j, M) of a joint, and which coefficients they have (P_j,)."""

@@ -69,7 +69,7 @@ class Hyper:
         noise: of each joint.
         dispersion: (n,) scatter of blocks over that of white rows.
         bodies: (P,) coordinates of the inertial parameters around which their prior is expanded, for a kappa of one.
-        resists: (2, n, 3) precision and shift that keep ordinary friction from pushing, see ``nonnegative``.
+        resists: (3, n, 3) sites that keep ordinary friction from pushing, see ``nonnegative``.
         pi: (n_params,) inertial parameters that make the load.
         friction: (n, 3) beside it, see ``Signals``.
         white: whether rows are taken to be independent, as least squares does.

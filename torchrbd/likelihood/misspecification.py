@@ -68,7 +68,7 @@ class TwoEstimates:
         g, rows, at = fit.gaussian, fit.machine.rows, fit.machine.resisting
         self._efficient_against = g.against
         sites = np.zeros((2, len(g.z)))
-        sites[:, at] = fit.hyper.resists.reshape(2, -1)
+        sites[:, at] = fit.hyper.resists[:2].reshape(2, -1)
         self._P, shift = g.H - g.data - np.diag(sites[0]), g.h - g.score - sites[1]
         data, score = np.zeros_like(g.data), np.zeros_like(g.score)
         self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
