@@ -22,7 +22,9 @@ from likelihood.fits import (
     with_friction,
 )
 from scipy.stats import norm
+from simulated import Motion, inverse_dynamics, multisine
 
+from torchrbd.diagnosis.hypotheses import averaged
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.learning import learn
@@ -31,6 +33,7 @@ from torchrbd.likelihood.machine import STICKS, Machine
 from torchrbd.likelihood.noise import learnt
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 from torchrbd.physics import Site
+from torchrbd.physics.registry import effect
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
@@ -123,6 +126,57 @@ def test_law_that_takes_a_part_of_friction_leaves_what_rests_may_hold_as_large()
     rests = len(machine.resting(0))
     assert rests > 5
     np.testing.assert_allclose(beside.columns(0)[-rests - 1 : -1], fit.settled.columns(0)[-rests:], rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def sticking() -> Likelihood:
+    """Learn of an arm whose first joint stops at each reversal, its drive pushing it from one side to the other."""
+    moved, hold, every = multisine(2, 5, duration_s=20.0, rate_hz=1000.0), 70, 10
+    turns = np.flatnonzero(np.diff(np.sign(moved.qd[:, 0])))
+    at = np.repeat(np.arange(len(moved.t)), 1 + hold * np.isin(np.arange(len(moved.t)), turns))[: len(moved.t)]
+    rests = np.diff(at, append=at[-1] + 1) == 0
+    q, qd, qdd = moved.q.copy(), moved.qd.copy(), moved.qdd.copy()
+    q[:, 0], qd[:, 0], qdd[:, 0] = moved.q[at, 0], ~rests * moved.qd[at, 0], ~rests * moved.qdd[at, 0]
+    number = np.arange(len(at))
+    side = np.interp(number, number[~rests], np.sign(moved.qd[at, 0])[~rests])
+    dry = COULOMB * np.stack((side, np.tanh(qd[:, 1] / WIDTH)), axis=1)
+    motion = Motion(moved.t, q, qd, qdd)
+    tau = inverse_dynamics(URDF, motion) + VISCOUS * qd + dry
+    rng = np.random.default_rng(6)
+    tau += 0.02 * np.sqrt(np.mean(tau**2, axis=0)) * rng.standard_normal(tau.shape)
+    seen = q + 3e-4 * rng.standard_normal(q.shape)
+    names = RobotModel.from_urdf(URDF).joint_names
+    recording = Recording.from_arrays("sticks", names, moved.t[::every], seen[::every], tau[::every])
+    return learn(Machine(rows_of(wrong_robot(URDF, 1), [recording])))
+
+
+def test_friction_of_a_joint_that_sticks_passes_in_a_straight_line(sticking: Likelihood) -> None:
+    machine = sticking.machine
+    rests = machine._resting[0].max(0) > 0.5
+    assert np.std(sticking.residual(0)[rests]) < 0.3 * COULOMB[0]
+    assert sticking.gaussian.against(machine.sticks(0)) > 10
+    assert sticking.gaussian.against(machine.sticks(1)) < 3
+    np.testing.assert_allclose(sticking.friction[0, 1:], COULOMB[0], rtol=0.1)
+
+
+def test_joint_that_sticks_is_not_late(sticking: Likelihood) -> None:
+    rows = carried(sticking)
+    for name in ("actuator_lag", "stribeck_friction"):
+        e, site = effect(name), Site(joint=0)
+        shapes = e.shapes(rows.columns.scale(site)) if e.first_order is None else (e.first_order,)
+        found = averaged(sticking, rows, [rows.columns.candidate(e, site, shape) for shape in shapes])
+        assert found is not None
+        assert found.log_evidence < 5
+
+
+def test_long_rest_holds_in_more_ways_than_a_short_one(sticking: Likelihood) -> None:
+    machine = sticking.machine
+    lengths = (machine._resting[0] > 0).sum(1)
+    ways = np.array([(machine._holding[0][:, rest > 0] != 0).any(1).sum() for rest in machine._resting[0]])
+    assert ways[lengths.argmax()] > ways[lengths.argmin()] >= 1
+    sizes = np.abs(machine._holding[0]).max(1)
+    assert (np.diff(sizes) < 0.2).all()
+    assert sizes[0] == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -227,7 +281,7 @@ def test_machine_of_trusted_bodies_has_friction_alone() -> None:
     assert len(A) == len(own)
     assert own.min() == 0
     rests = sum(len(machine.resting(j)) for j in range(2))
-    assert machine.n == 2 * (6 + 2 + len(machine.drifting(0)) + 1) + 1 + rests
+    assert machine.n == 2 * (9 + 2 + len(machine.drifting(0)) + 1) + 1 + rests
     assert isinstance(rows.columns, Columns)
 
 

@@ -17,6 +17,7 @@ from torchrbd.diagnosis.hypotheses import Hypothesis, again, support
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves
 from torchrbd.diagnosis.screening import refined, screened
+from torchrbd.likelihood.gaussian import truncated
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.noise import Noise
 from torchrbd.likelihood.rows import Rows
@@ -102,24 +103,22 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     if not np.allclose(extended.hyper.rest_width, width):
         with_it.append(beside.settled_at((), width).dispersed(dispersion))
         without.append(fit.settled_at((), extended.hyper.rest_width).dispersed(dispersion))
-    noises = [models[0].hyper.noise for models in (with_it, without)]
+    noises = [one.hyper.noise for one in (*with_it, *without)]
     # What averaging over shapes, sizes and windows costs, the first noise has told.
-    average = h.log_evidence - (beside.log_evidence - fit.log_evidence)
-    k = len(fit.extra)
-    mean, covariance = extended.coefficients(k), extended.coefficients_covariance(k)
-    bounds = support(h, extended, rows, mean, covariance)
-    return replace(
-        h,
-        log_evidence=_greatest(with_it, noises) - _greatest(without, noises) + average + bounds,
-        coefficients=mean,
-        std=np.sqrt(covariance.diagonal()),
-    )
+    positive = h.candidate.effect.prior.positive
+    average = h.log_evidence - truncated(h.coefficients, h.std, positive) - (beside.log_evidence - fit.log_evidence)
+    best, k = _likeliest(with_it, noises), len(fit.extra)
+    mean, covariance = best.coefficients(k), best.coefficients_covariance(k)
+    std = np.sqrt(covariance.diagonal())
+    bounds = truncated(mean, std, positive) + support(h, best, rows, mean, covariance)
+    gain = best.log_evidence - _likeliest(without, noises).log_evidence
+    return replace(h, log_evidence=float(gain + average + bounds), coefficients=mean, std=std)
 
 
-def _greatest(models: Sequence[Likelihood], noises: Sequence[tuple[Noise, ...]]) -> float:
-    """Return the greatest log evidence of models whose noise is their own or one of several."""
+def _likeliest(models: Sequence[Likelihood], noises: Sequence[tuple[Noise, ...]]) -> Likelihood:
+    """Return the model of the greatest log evidence, its noise its own or one of several."""
     others = [m.with_(noise=n) for m in models for n in noises if n is not m.hyper.noise]
-    return max(one.log_evidence for one in (*models, *others))
+    return max((*models, *others), key=lambda m: m.log_evidence)
 
 
 def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:

@@ -232,11 +232,17 @@ def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int]
     if not (sign > 0).all():
         raise np.linalg.LinAlgError("columns beside a posterior have no positive definite precision")
     log_evidence = 0.5 * (mean * r).sum(-1) - 0.5 * log_det
-    for k in positive:
-        told = spread[..., k] > 0
-        ratio = np.divide(mean[..., k], spread[..., k], out=np.zeros_like(spread[..., k]), where=told)
-        log_evidence = log_evidence + np.where(told, np.log(2.0) + log_ndtr(ratio), 0.0)
-    return Addition(log_evidence, mean, spread)
+    return Addition(log_evidence + truncated(mean, spread, positive), mean, spread)
+
+
+def truncated(mean: np.ndarray, std: np.ndarray, positive: Sequence[int]) -> np.ndarray:
+    """Return what it is worth that coefficients (*batch, K) have the signs that they must have, (*batch,) in nats.
+
+    Of each, the log of the posterior's share of positive values over the prior's.
+    """
+    mean, std = mean[..., list(positive)], std[..., list(positive)]
+    ratio = np.divide(mean, std, out=np.zeros_like(std), where=std > 0)
+    return np.where(std > 0, math.log(2.0) + log_ndtr(ratio), 0.0).sum(-1)
 
 
 def nonnegative(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -43,6 +43,8 @@ _NOT_OF_COLUMNS = {"noise", "dispersion", "bodies", "resists", "encoder_share"}
 _OF_PRIORS = {"bodies", "resists"}
 # Directions of a joint's columns below this are told by rounding.
 _LEAST_DIRECTION = 1e-3
+# Part of its rows that a fit leaves free at least.
+_LEAST_FREEDOM = 0.1
 
 
 @dataclass(frozen=True)
@@ -194,15 +196,31 @@ class Likelihood:
             power = np.mean(self.gaussian.z[at] ** 2 + self.gaussian.covariance(at).diagonal())
             least = _LEAST_DRIFT * self.machine.torque_rms[j]
             drift[j] = max(drift[j] * np.sqrt(np.clip(power, 0.1, 10.0)), least)
-        return self.with_(noise=tuple(noise), drift=drift, dispersion=dispersion)
+        return self.with_(noise=tuple(noise), drift=drift, dispersion=dispersion).levelled()
+
+    def levelled(self) -> Likelihood:
+        """Return the same model with noises as large as the evidence says, their colours as they are.
+
+            sigma^2 <- sigma^2 sum e^2 / (m - gamma)
+
+        Source: MacKay, "Bayesian Interpolation", Neural Computation 1992, eq. 4.9; gamma are degrees of freedom used.
+        """
+        parts = np.ones(self.machine.rows.n_dof)
+        for j, index in enumerate(self.index):
+            if len(index):
+                free = max(1.0 - self.gaussian.used(j) / len(index), _LEAST_FREEDOM)
+                parts[j] = float(np.mean(self.gaussian.left[j] ** 2)) / free
+        return self._scaled(parts * self.hyper.dispersion)
 
     def dispersed(self, dispersion: np.ndarray) -> Likelihood:
         """Return the same model whose rows count by another dispersion (n,)."""
-        noise = tuple(
-            replace(n, sigma=n.sigma * float(np.sqrt(new / old)))
-            for n, new, old in zip(self.hyper.noise, dispersion, self.hyper.dispersion, strict=True)
-        )
-        return self.with_(noise=noise, dispersion=dispersion)
+        return self._scaled(dispersion / self.hyper.dispersion).with_(dispersion=dispersion)
+
+    def _scaled(self, variance: np.ndarray) -> Likelihood:
+        """Return the same model whose noises have so many times (n,) their variance."""
+        least = _LEAST_NOISE * self.machine.torque_rms
+        each = zip(self.hyper.noise, np.sqrt(variance), least, strict=True)
+        return self.with_(noise=tuple(replace(n, sigma=max(n.sigma * float(part), most)) for n, part, most in each))
 
     def rewidened(self, joints: Sequence[int] | None = None, known: np.ndarray | None = None) -> Likelihood:
         """Return the same model with the widths of friction's sign change that have the greatest evidence.
@@ -220,16 +238,17 @@ class Likelihood:
         for j in joints:
             if not len(self.index[j]) or not self.machine.speed_rms[j]:
                 continue
-            dropped = self.machine.ordinary(j)[1:]
-            bend = dropped[-1] + 1
-            kept = np.setdiff1d(np.arange(len(g.z)), [*dropped, bend])
+            dropped = [*self.machine.ordinary(j)[1:], self.machine.bend(j), *self.machine.sticks(j)]
+            kept = np.setdiff1d(np.arange(len(g.z)), dropped)
             rest = g.among(kept)
             found = []
             for part in _WIDTHS:
                 width = float(np.hypot(part * self.machine.speed_rms[j], self.machine.rows.speed_std[j]))
                 F = self.machine.sign(j, width)
+                std = np.append(self.machine.friction_std(j, F), np.full(len(STICKS), float(self.hyper.friction[j, 1])))
+                F = np.concatenate((F, self.machine.held(j, width)))
                 S, r = rest.beside({j: plain.hyper.noise[j].white(F)})
-                found.append((float(added(S, r, self.machine.friction_std(j, F)).log_evidence), width))
+                found.append((float(added(S, r, std).log_evidence), width))
             widths[j] = max(found)[1]
         return self.with_(rest_width=widths)
 

@@ -3,7 +3,10 @@
     tau_j = Y_j pi                                          rigid body, around the URDF
           + d qd + c_+ max(g, 0) + c_- min(g, 0)            viscous and two-sided Coulomb friction, g = tanh(qd / w)
           + s dg/dlog w + l d(c g)/dt + r d^2(c g)/dt^2     how wide the sign change is, how late, and how long it lasts
-          + sum_e (f_e c u_e(t) + t_e d(c g)/dt)            each rest or reversal: what friction holds, when it turns
+          + sum_i f_i c (g'_i - g)                          how far friction at rest is what holds the joint
+          + sum_e (c sum_k h_ek u_e(t) cos(k pi s_e) / (1 + k) + t_e d(c g)/dt)
+                                                            each rest or reversal, s_e from 0 to 1 while it lasts: what
+                                                            friction holds, and when it turns
           + t0 d(tau_s)/dt                                  one offset between the clocks of torque and motion
           + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
                                                             what the fastest part of each joint's motion is worth
@@ -14,10 +17,12 @@ The fastest part of the differentiated positions is encoder noise as well as mot
 band, the torques of all joints tell how much of it is motion, joint by joint: q + a d^2q/dt^2 is q with its highest
 frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4).
 Friction keeps its sharp edges, but for this: at a reversal a joint rests while its friction turns from one side to the
-other, which the differentiated positions, smoothed, pass over. While it rests, for however long, friction is whatever
-holds, within what it could be, and when it turns is told to a part of a sample: two unknowns each time. What rounding
-adds is a function of the torque, a
-sawtooth that noise smooths to its first harmonic (Widrow and Kollar, "Quantization Noise", 2008).
+other, which the differentiated positions, smoothed, pass over. The drive pushes harder and harder until the joint breaks
+away, so that friction follows a straight line: g' is g with straight lines across rests, shorter or longer ones. How far
+it does (f) depends on the drive: a joint that passes through zero does not rest. Each time, friction is whatever holds, within what it could
+be (h): one unknown for a reversal, more for a long rest; and when it turns is told to a part of a sample (t). What
+rounding adds is a function of the torque, a sawtooth that noise smooths to its first harmonic (Widrow and Kollar,
+"Quantization Noise", 2008).
 """
 
 from __future__ import annotations
@@ -44,6 +49,8 @@ _LASTING_ROWS = 0.5
 # A joint rests, or turns, where the direction of its motion is as unsure as this, if its velocity errs so many times as
 # much as it should; so many rests a joint are told apart, the longest ones.
 _RESTS, _REST_STICK, _MOST_RESTS = 0.05, 3.0, 30
+# What holds a joint that rests for long changes no faster than this [Hz]; so many unknowns a joint tell it.
+_HOLDS_HZ, _MOST_HOLDS = 5.0, 60
 # Standard deviation of the moment at which friction turns, in samples, and how far around it that is felt [rows].
 _TURNS_SAMPLES, _FELT_ROWS = 0.5, 6
 # Friction of a joint may take all of its torque; its sign change may be wider or narrower by this part.
@@ -111,7 +118,7 @@ class Machine:
         self.torque_rms = np.sqrt((rows.tau**2).sum(1) / np.maximum(rows.measured.sum(1), 1))
         self.speed_rms = np.sqrt(np.mean(rows.qd**2, axis=1))
         self._drift, self._drift_size = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
-        self._local = len(ORDINARY) + 3 + _ROUNDING + len(self._drift)
+        self._local = len(ORDINARY) + 3 + len(STICKS) + _ROUNDING + len(self._drift)
         self._inside = [rows.recording == k for k in np.unique(rows.recording)]
         self._rigid = [rows.rigid[j][:, self.inertial] @ self.scale for j in range(rows.n_dof)]
         self.target = np.stack([rows.tau[j] - rows.rigid[j] @ self.mean for j in range(rows.n_dof)])
@@ -121,10 +128,12 @@ class Machine:
         self._resting = [self._rests(j) for j in range(rows.n_dof)]
         ends = len(self.inertial) + rows.n_dof * (self._local + 1) + len(self._inside)
         self._around = [_near(rest) for rest in self._resting]
-        self._rest_at = ends + np.cumsum([0, *(2 * len(rest) for rest in self._resting)])
+        self._holding = [self._holds(rest) for rest in self._resting]
+        both = zip(self._holding, self._around, strict=True)
+        self._rest_at = ends + np.cumsum([0, *(len(holds) + len(turns) for holds, turns in both)])
         self.n = int(self._rest_at[-1])
         self.index = [predicted(rows.run, measured) for measured in rows.measured]
-        self.sign = lru_cache(maxsize=256)(self._sign)
+        self._directions = lru_cache(maxsize=256)(self._evaluated_directions)
 
     def _direction_std(self, stick: float, signals: Signals) -> Tensor:
         """Return the standard deviation of sign(qd), (n, N): 2 sqrt(p (1 - p)), p the probability that it is wrong."""
@@ -142,6 +151,22 @@ class Machine:
         kept = np.sort(np.argsort(-lengths)[:_MOST_RESTS]) + 1
         return np.array([np.where(number == k, u, 0.0) for k in kept]).reshape(len(kept), len(u))
 
+    def _holds(self, rests: np.ndarray) -> np.ndarray:
+        """Return in what ways friction may hold during rests (E, M), the slowest ones first, (H, M).
+
+        While a joint rests its friction wanders: its cosines are the smaller the faster they are.
+        """
+        found: list[tuple[int, int, np.ndarray]] = []
+        for rest in rests:
+            at = np.flatnonzero(rest)
+            passed = np.linspace(0.0, math.pi, len(at))
+            for order in range(1 + int(2.0 * _HOLDS_HZ * len(at) * self.rows.dt_out)):
+                way = np.zeros(len(rest))
+                way[at] = rest[at] * np.cos(order * passed) / (1 + order)
+                found.append((order, -len(at), way))
+        kept = sorted(found, key=lambda one: one[:2])[:_MOST_HOLDS]
+        return np.array([way for *_, way in kept]).reshape(len(kept), rests.shape[1])
+
     def ordinary(self, joint: int) -> np.ndarray:
         """Return where the coefficients of viscous and both Coulomb frictions of a joint stand, (3,)."""
         return self._first(joint) + np.arange(len(ORDINARY))
@@ -149,6 +174,10 @@ class Machine:
     def bend(self, joint: int) -> int:
         """Return where the coefficient of the width of a joint's sign change stands."""
         return self._first(joint) + len(ORDINARY)
+
+    def sticks(self, joint: int) -> np.ndarray:
+        """Return where the coefficients of friction that holds a joint at rest stand, (3,)."""
+        return self.bend(joint) + 1 + np.arange(len(STICKS))
 
     @property
     def resisting(self) -> np.ndarray:
@@ -192,14 +221,25 @@ class Machine:
     def _first(self, joint: int) -> int:
         return len(self.inertial) + joint * self._local
 
-    def _sign(self, joint: int, width: float) -> np.ndarray:
+    def sign(self, joint: int, width: float) -> np.ndarray:
         """Return max(g, 0) and min(g, 0), (2, M), of g = tanh(qd / width)."""
+        return self._directions(joint, width)[:2]
 
-        def both(signals: Signals) -> Tensor:
+    def held(self, joint: int, width: float) -> np.ndarray:
+        """Return g' - g, (3, M): g' is g = tanh(qd / width), in straight lines wherever the joint may rest.
+
+        It may be taken to rest at speeds of more or fewer standard deviations, see ``STICKS``.
+        """
+        return self._directions(joint, width)[2:]
+
+    def _evaluated_directions(self, joint: int, width: float) -> np.ndarray:
+        def directions(signals: Signals) -> Tensor:
             g = torch.tanh(signals.qd[joint] / width)
-            return torch.stack((g.clamp_min(0.0), g.clamp_max(0.0)))
+            unsure = (self._direction_std(stick, signals)[joint] > _RESTS for stick in STICKS)
+            lines = [_straight(g.numpy(), rests.numpy()) - g.numpy() for rests in unsure]
+            return torch.stack((g.clamp_min(0.0), g.clamp_max(0.0), *map(torch.from_numpy, lines)))
 
-        return self.rows.evaluated(both)
+        return self.rows.evaluated(directions)
 
     def friction_columns(self, joint: int, width: float) -> np.ndarray:
         """Return the features of ordinary friction, (3, M)."""
@@ -244,25 +284,28 @@ class Machine:
         first, width = self._first(joint), float(hyper.rest_width[joint])
         friction = self.friction_columns(joint, width)
         bend = self.sign(joint, width * _WIDTH_STEP).sum(0) - self.sign(joint, width / _WIDTH_STEP).sum(0)
-        bend *= (not hyper.white) * _WIDTH_STD * float(hyper.friction[joint, 1]) / (2 * math.log(_WIDTH_STEP))
+        coulomb = float(hyper.friction[joint, 1])
+        bend *= (not hyper.white) * _WIDTH_STD * coulomb / (2 * math.log(_WIDTH_STEP))
         parts = [
             self._rigid[joint].T / math.sqrt(hyper.kappa),
             friction * self.friction_std(joint, friction)[:, None],
             bend[None],
+            coulomb * self.held(joint, width),
             self._drift * (hyper.drift[joint] * self._drift_size)[:, None],
         ]
-        places = [np.arange(len(self.inertial)), first + np.arange(len(ORDINARY) + 1), self.drifting(joint)]
+        local = first + np.arange(len(ORDINARY) + 1 + len(STICKS))
+        places = [np.arange(len(self.inertial)), local, self.drifting(joint)]
         if slopes is not None:
             lasting = 0.5 * (_LASTING_ROWS * self.rows.dt_out) ** 2
             late, long = slopes[-_ROUNDING - 2 : -_ROUNDING, joint]
             parts.append(np.stack((self.rows.dt * late, lasting * long, *slopes[-_ROUNDING:, joint])))
-            places.append(first + len(ORDINARY) + 1 + np.arange(2 + _ROUNDING))
+            places.append(local[-1] + 1 + np.arange(2 + _ROUNDING))
             average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
             parts.append(slopes[1 : -_ROUNDING - 2, joint] * average[:, None])
             places.append(self.averaging)
             parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))
             places.append(self.timing)
-            parts.append(float(hyper.friction[joint, 1]) * self._resting[joint])
+            parts.append(coulomb * self._holding[joint])
             parts.append(_TURNS_SAMPLES * self.rows.dt * late * self._around[joint])
             places.append(self.resting(joint))
         return np.concatenate(parts), np.concatenate(places)
@@ -289,3 +332,9 @@ def _near(rests: np.ndarray) -> np.ndarray:
     """Return which rows belong to each of E rests (E, M), those beside it included, each row to one at most."""
     weight = np.array([maximum_filter1d(rest, 2 * _FELT_ROWS + 1) + rest for rest in rests]).reshape(rests.shape)
     return (weight > 0) & (np.arange(len(rests))[:, None] == weight.argmax(0)) if len(rests) else weight
+
+
+def _straight(g: np.ndarray, rests: np.ndarray) -> np.ndarray:
+    """Return a signal (N,) with straight lines in place of what it is at rest (N,) bool."""
+    at = np.arange(len(g))
+    return np.interp(at, at[~rests], g[~rests]) if not rests.all() else g
