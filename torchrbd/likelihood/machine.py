@@ -17,12 +17,12 @@ The fastest part of the differentiated positions is encoder noise as well as mot
 band, the torques of all joints tell how much of it is motion, joint by joint: q + a d^2q/dt^2 is q with its highest
 frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4).
 Friction keeps its sharp edges, but for this: at a reversal a joint rests while its friction turns from one side to the
-other, which the differentiated positions, smoothed, pass over. The drive pushes harder and harder until the joint breaks
-away, so that friction follows a straight line: g' is g with straight lines across rests, shorter or longer ones. How far
-it does (f) depends on the drive: a joint that passes through zero does not rest. Each time, friction is whatever holds, within what it could
-be (h): one unknown for a reversal, more for a long rest; and when it turns is told to a part of a sample (t). What
-rounding adds is a function of the torque, a sawtooth that noise smooths to its first harmonic (Widrow and Kollar,
-"Quantization Noise", 2008).
+other, which the differentiated positions, smoothed, pass over. The drive pushes harder and harder until the joint
+breaks away, so that friction follows a straight line: g' is g with straight lines across rests, shorter or longer ones.
+How far it does (f) depends on the drive: a joint that passes through zero does not rest. Each time, friction is
+whatever holds, within what it could be (h): one unknown for a reversal, more for a long rest; and when it turns is told
+to a part of a sample (t). What rounding adds is a function of the torque, a sawtooth that noise smooths to its first
+harmonic (Widrow and Kollar, "Quantization Noise", 2008).
 """
 
 from __future__ import annotations
