@@ -103,7 +103,7 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     if not np.allclose(extended.hyper.rest_width, width):
         with_it.append(beside.settled_at((), width).dispersed(dispersion))
         without.append(fit.settled_at((), extended.hyper.rest_width).dispersed(dispersion))
-    noises = [one.hyper.noise for one in (*with_it, *without)]
+    noises = [models[0].hyper.noise for models in (with_it, without)]
     # What averaging over shapes, sizes and windows costs, the first noise has told.
     positive = h.candidate.effect.prior.positive
     average = h.log_evidence - truncated(h.coefficients, h.std, positive) - (beside.log_evidence - fit.log_evidence)

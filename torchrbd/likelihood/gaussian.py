@@ -22,10 +22,11 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg.lapack import dpotri
 from scipy.special import log_ndtr
 
 _ROUNDING = 1e-13
@@ -54,6 +55,14 @@ class Block:
     def gram(self) -> np.ndarray:
         """X X', (P_j, P_j)."""
         return self.X @ self.X.T
+
+    def louder(self, part: float) -> Block:
+        """Return the same rows, their noise so many times as large."""
+        if part == 1.0:
+            return self
+        one = Block(self.X / part, self.y / part, self.own)
+        vars(one)["gram"] = self.gram / part**2
+        return one
 
 
 @dataclass(frozen=True)
@@ -192,14 +201,16 @@ class Gaussian(Posterior):
         inside = [number[b.own] >= 0 for b in self.blocks]
         blocks = [Block(b.X[k], b.y, number[b.own[k]]) for b, k in zip(self.blocks, inside, strict=True)]
         one = copy(self)
+        vars(one).pop("used", None)
         one._explain(blocks, self.H[np.ix_(kept, kept)], self.h[kept])
         return one
 
-    @lru_cache(maxsize=64)  # noqa: B019  (a posterior lives as long as its fit)
-    def used(self, joint: int) -> float:
-        """Return the degrees of freedom that the fit takes from a joint's rows."""
-        b = self.blocks[joint]
-        return float((self.covariance(b.own) * b.gram).sum())
+    @cached_property
+    def used(self) -> np.ndarray:
+        """The degrees of freedom that the fit takes from each joint's rows, (n,)."""
+        lower = dpotri(self.L, lower=1)[0]
+        covariance = np.tril(lower) + np.tril(lower, -1).T
+        return np.array([(covariance[np.ix_(b.own, b.own)] * b.gram).sum() for b in self.blocks])
 
     def beside(self, columns: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return precision S (K, K) and score r (K,) of whitened columns, (K, m) by joint."""

@@ -208,7 +208,7 @@ class Likelihood:
         parts = np.ones(self.machine.rows.n_dof)
         for j, index in enumerate(self.index):
             if len(index):
-                free = max(1.0 - self.gaussian.used(j) / len(index), _LEAST_FREEDOM)
+                free = max(1.0 - self.gaussian.used[j] / len(index), _LEAST_FREEDOM)
                 parts[j] = float(np.mean(self.gaussian.left[j] ** 2)) / free
         return self._scaled(parts * self.hyper.dispersion)
 
@@ -218,9 +218,12 @@ class Likelihood:
 
     def _scaled(self, variance: np.ndarray) -> Likelihood:
         """Return the same model whose noises have so many times (n,) their variance."""
-        least = _LEAST_NOISE * self.machine.torque_rms
-        each = zip(self.hyper.noise, np.sqrt(variance), least, strict=True)
-        return self.with_(noise=tuple(replace(n, sigma=max(n.sigma * float(part), most)) for n, part, most in each))
+        least, old = _LEAST_NOISE * self.machine.torque_rms, self.hyper.noise
+        sigma = np.maximum([n.sigma * part for n, part in zip(old, np.sqrt(variance), strict=True)], least)
+        noise = tuple(replace(n, sigma=float(new)) for n, new in zip(old, sigma, strict=True))
+        each = zip(self.gaussian.blocks, noise, old, strict=True)
+        blocks = [b.louder(new.sigma / was.sigma) for b, new, was in each]
+        return Likelihood(self.machine, self.hyper.with_(noise=noise), self.extra, self._slopes, self._raw, blocks)
 
     def rewidened(self, joints: Sequence[int] | None = None, known: np.ndarray | None = None) -> Likelihood:
         """Return the same model with the widths of friction's sign change that have the greatest evidence.
@@ -267,7 +270,7 @@ class Likelihood:
     def _noise(self, joint: int, dispersion: float, spread: np.ndarray) -> Noise:
         """Return the noise of what is left at a joint whose rows are as noisy as ``spread`` (M,) against each other."""
         fit, index, run = self.least_squares, self.index[joint], self.machine.rows.run
-        used, white = fit.gaussian.used(joint), self.hyper.white
+        used, white = fit.gaussian.used[joint], self.hyper.white
         found = learnt(fit.residual(joint), index, spread, run, used, dispersion, white=white)
         return replace(found, sigma=max(found.sigma, _LEAST_NOISE * self.machine.torque_rms[joint]))
 
