@@ -25,8 +25,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
-from scipy.linalg.lapack import dpotri
+from scipy.linalg import cho_solve, get_lapack_funcs, solve_triangular
 from scipy.special import log_ndtr
 
 _ROUNDING = 1e-13
@@ -208,7 +207,8 @@ class Gaussian(Posterior):
     @cached_property
     def used(self) -> np.ndarray:
         """The degrees of freedom that the fit takes from each joint's rows, (n,)."""
-        lower = dpotri(self.L, lower=1)[0]
+        (inverse_of,) = get_lapack_funcs(("potri",), (self.L,))
+        lower = inverse_of(self.L, lower=1)[0]
         covariance = np.tril(lower) + np.tril(lower, -1).T
         return np.array([(covariance[np.ix_(b.own, b.own)] * b.gram).sum() for b in self.blocks])
 
