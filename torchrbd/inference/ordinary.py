@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
 
 from torchrbd.errors import RecordingError
@@ -31,7 +32,7 @@ from torchrbd.physics import Effect, JointScale, effect
 
 # Clocks that are apart by less than so many standard deviations are not.
 _TOLD = 3.0
-# Where a joint sticks, its friction makes rows so many times noisier.
+# Where a joint sticks, rows are so many times noisier, or what holds it is as many times the noise.
 _STICKS = 2.0
 
 
@@ -61,7 +62,7 @@ def with_machine(
     progress("learning clocks and sticks", 0.0)
     held = frozenset(settings.held_bodies(prepared.robot))
     plain = learn(Machine(read_rows(prepared.reading, prepared.columns, prepared.kept_back), held), white=True)
-    sticky = torch.tensor([bool((noise.spread > _STICKS).any()) for noise in plain.hyper.noise])
+    sticky = torch.tensor([_sticks(plain, joint) for joint in range(prepared.robot.n_dof)])
     found, wide = _told_by_what_is_fast(prepared, _learnt(prepared, held) if known is None else known)
     late = {} if not found else of_one_machine(found, [r.name for r in prepared.recordings])
     reading = replace(prepared.reading, delay_s={name: d for name, (d, std) in late.items() if abs(d) > _TOLD * std})
@@ -74,6 +75,12 @@ def with_machine(
     statistics = reading.statistics(columns, progress)
     prior = data_prior(statistics.select(~prepared.held_out), held, settings.kappa)
     return replace(prepared, columns=columns, statistics=statistics, prior=prior)
+
+
+def _sticks(fit: Likelihood, joint: int) -> bool:
+    """Say whether friction at rest is told to be another than the law says."""
+    noise = fit.hyper.noise[joint]
+    return bool((np.maximum(noise.spread, np.abs(fit.held(joint)) / noise.std) > _STICKS).any())
 
 
 def _left(

@@ -151,6 +151,12 @@ class Likelihood:
         A, own = self._raw[joint]
         return self.machine.target[joint] - self.gaussian.z[own] @ A
 
+    def held(self, joint: int) -> np.ndarray:
+        """Return what friction holds a joint with while it rests, beside its law, (M,) [N m or N]."""
+        A, own = self._raw[joint]
+        at = np.isin(own, (*self.machine.sticks(joint), *self.machine.resting(joint)))
+        return self.gaussian.z[own[at]] @ A[at]
+
     def columns(self, joint: int) -> np.ndarray:
         """Return the columns of a joint before they are whitened, (P_j, M), in prior coordinates."""
         return self._raw[joint][0]
