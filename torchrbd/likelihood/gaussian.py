@@ -2,9 +2,9 @@
 
 In coordinates z ~ N(0, 1) and with whitened rows y = X z + n,
 
-    H = X'X + 1 = L L',   z^ = H^-1 X'y,   log p(y) = -1/2 (y'y - z^'X'y) - sum log L_kk + const
+    H = X'X + 1 = F F',   z^ = H^-1 X'y,   log p(y) = -1/2 (y'y - z^'X'y) - log det F + const
 
-Columns C with coefficients w ~ N(0, D^2) have, beside it, precision S = C'C - V'V with V = L^-1 X'C and score
+Columns C with coefficients w ~ N(0, D^2) have, beside it, precision S = C'C - V'V with V = F^-1 X'C and score
 r = C'(y - X z^), and raise the log marginal likelihood by
 
     log B = 1/2 r'D (1 + D S D)^-1 D r - 1/2 log det(1 + D S D)
@@ -25,10 +25,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_solve, get_lapack_funcs, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.special import log_ndtr
 
-_ROUNDING = 1e-13
+_ROUNDING, _LEAST_PRECISION = 1e-13, 1e-280
 # Sweeps over the sites of truncated coefficients, and the least part of its variance that a truncation leaves.
 _SWEEPS, _LEAST_VARIANCE = 8, 1e-6
 
@@ -78,6 +78,83 @@ class Addition:
     std: np.ndarray
 
 
+class Root:
+    """A root F of a precision H = F F' (P, P), whose ``local`` groups of coefficients do not meet each other.
+
+        H_jj = L_j L_j',   X_j = L_j^-1 H_js,   H_ss - sum_j X_j'X_j = L_s L_s'
+
+        F = [L_s  X_1' X_2' ...]
+            [     L_1          ]
+            [          L_2     ]
+
+    Without such groups it is Cholesky's factor.
+
+    Args:
+        H: (P, P) precision.
+        local: indices of each group; all others are shared.
+        rounding: part of its diagonal that is added to H.
+
+    Raises:
+        LinAlgError: H is no precision.
+    """
+
+    def __init__(self, H: np.ndarray, local: Sequence[np.ndarray] = (), rounding: float = _ROUNDING) -> None:
+        self.shared = np.setdiff1d(np.arange(len(H)), np.concatenate(local)) if len(local) else np.arange(len(H))
+        self.left, self.local = _raised(H, self.shared, rounding), []
+        for own in local:
+            L = np.linalg.cholesky(_raised(H, own, rounding))
+            X = _forwards(L, H[np.ix_(own, self.shared)])
+            self.left -= X.T @ X
+            self.local.append((own, L, X))
+        self.L = np.linalg.cholesky(self.left)
+
+    @property
+    def log_det(self) -> float:
+        """log det F."""
+        return float(sum(np.log(L.diagonal()).sum() for L in (self.L, *(L for _, L, _ in self.local))))
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """F, (P, P)."""
+        F = np.zeros((len(self.shared) + sum(len(own) for own, *_ in self.local),) * 2)
+        F[np.ix_(self.shared, self.shared)] = self.L
+        for own, L, X in self.local:
+            F[np.ix_(own, own)], F[np.ix_(self.shared, own)] = L, X.T
+        return F
+
+    def half(self, B: np.ndarray) -> np.ndarray:
+        """Return F^-1 B of B (P, ...)."""
+        found, shared = np.zeros(B.shape), B[self.shared].astype(float)
+        for own, L, X in self.local:
+            if (part := B[own]).any():
+                found[own] = part = _forwards(L, part)
+                shared -= X.T @ part
+        found[self.shared] = _forwards(self.L, shared)
+        return found
+
+    def solve(self, B: np.ndarray) -> np.ndarray:
+        """Return H^-1 B of B (P, ...)."""
+        found = self.half(B)
+        found[self.shared] = shared = solve_triangular(
+            self.L, found[self.shared], lower=True, trans=1, check_finite=False
+        )
+        for own, L, X in self.local:
+            found[own] = solve_triangular(L, found[own] - X @ shared, lower=True, trans=1, check_finite=False)
+        return found
+
+
+def _raised(H: np.ndarray, own: np.ndarray, rounding: float) -> np.ndarray:
+    """Return a part of a precision; of noise-free torques, rounding would decide the weak directions."""
+    part = H[np.ix_(own, own)]
+    at = np.diag_indices_from(part)
+    part[at] += rounding * np.maximum(part[at], _LEAST_PRECISION)
+    return part
+
+
+def _forwards(L: np.ndarray, B: np.ndarray) -> np.ndarray:
+    return solve_triangular(L, B, lower=True, check_finite=False)
+
+
 class Posterior:
     """The posterior N(z^, H^-1) of coefficients z (P,) from their normal equations H z = h, prior included.
 
@@ -85,37 +162,49 @@ class Posterior:
         H: (P, P) precision.
         h: (P,) shift.
         rounding: part of its diagonal that is added to H.
+        local: groups of coefficients that do not meet each other, see ``Root``.
 
     Attributes:
-        L: (P, P) Cholesky factor of the precision.
+        root: of the precision.
         z: (P,) mean.
 
     Raises:
         LinAlgError: H is no precision.
     """
 
-    def __init__(self, H: np.ndarray, h: np.ndarray, rounding: float = _ROUNDING) -> None:
-        self.H, self.h = H, h
-        size = np.sqrt(np.maximum(H.diagonal(), 1e-300))
-        # Of noise-free torques, rounding would decide the weak directions.
-        self.L = size[:, None] * np.linalg.cholesky(H / size / size[:, None] + rounding * np.eye(len(H)))
+    def __init__(
+        self, H: np.ndarray, h: np.ndarray, rounding: float = _ROUNDING, local: Sequence[np.ndarray] = ()
+    ) -> None:
+        self.H, self.h, self.root = H, h, Root(H, local, rounding)
         self.z = self.solve(h)
 
     def half(self, B: np.ndarray) -> np.ndarray:
-        """Return L^-1 B of B (P, ...)."""
-        return solve_triangular(self.L, B, lower=True, check_finite=False)
+        """Return F^-1 B of B (P, ...), F the root of the precision."""
+        return self.root.half(B)
 
     def solve(self, B: np.ndarray) -> np.ndarray:
         """Return H^-1 B of B (P, ...)."""
-        return cho_solve((self.L, True), B, check_finite=False)
+        return self.root.solve(B)
 
     def schur(self, cross: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return what is left beside the coefficients of products ``own`` (K, K) of columns, ``cross`` (P, K) with X.
 
-        S = C'C - V'V,   V = L^-1 X'C
+        S = C'C - V'V,   V = F^-1 X'C
         """
         V = self.half(cross)
         return own - V.T @ V
+
+    def first(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return precision (k, k) and shift (k,) of the first k coefficients, all others integrated out.
+
+        They must be shared ones.
+        """
+        S, shift = self.root.left, self.h[self.root.shared].copy()
+        for own, L, X in self.root.local:
+            shift -= X.T @ _forwards(L, self.h[own])
+        across = np.linalg.solve(S[k:, k:], np.column_stack((S[k:, :k], shift[k:])))
+        P = S[:k, :k] - S[:k, k:] @ across[:, :k]
+        return 0.5 * (P + P.T), shift[:k] - S[:k, k:] @ across[:, k]
 
     def without(self, H: np.ndarray, h: np.ndarray) -> Posterior:
         """Return the posterior without rows that have X'X = H (P, P) and X'y = h (P,)."""
@@ -141,9 +230,9 @@ class Gaussian(Posterior):
         n: number of coefficients P.
         first: log prior density of the first of them; the others have N(0, 1).
         sites: factors (3, P) that multiply the prior, see ``nonnegative``.
+        local: indices of coefficients of one block each, none of them among the first.
 
     Attributes:
-        data, score: X'X (P, P) and X'y (P,), without any prior.
         left: per joint, whitened residual (m,).
         log_evidence: of the rows, in units of their noise.
     """
@@ -154,13 +243,12 @@ class Gaussian(Posterior):
         n: int,
         first: Quadratic | None = None,
         sites: np.ndarray | None = None,
+        local: Sequence[np.ndarray] = (),
     ) -> None:
-        self.data, self.score = np.zeros((n, n)), np.zeros(n)
+        H, h, self._constant = np.eye(n), np.zeros(n), 0.0
         for b in blocks:
-            self.data[np.ix_(b.own, b.own)] += b.gram
-            self.score[b.own] += b.X @ b.y
-        H, h = self.data + np.eye(n), self.score.copy()
-        self._constant = 0.0
+            H[np.ix_(b.own, b.own)] += b.gram
+            h[b.own] += b.X @ b.y
         if first is not None:
             k = len(first.shift)
             H[:k, :k] += first.precision - np.eye(k)
@@ -170,14 +258,16 @@ class Gaussian(Posterior):
             H[np.diag_indices(n)] += sites[0]
             h += sites[1]
             self._constant += float(sites[2].sum())
-        self._explain(blocks, H, h)
+        self._explain(blocks, H, h, local)
 
-    def _explain(self, blocks: Sequence[Block], H: np.ndarray, h: np.ndarray) -> None:
-        super().__init__(H, h)
+    def _explain(
+        self, blocks: Sequence[Block], H: np.ndarray, h: np.ndarray, local: Sequence[np.ndarray] = ()
+    ) -> None:
+        super().__init__(H, h, local=local)
         self.blocks = tuple(blocks)
         self.left = [b.y - self.z[b.own] @ b.X for b in blocks]
         power = sum(float(b.y @ b.y) for b in blocks)
-        self.log_evidence = self._constant - 0.5 * (power - float(h @ self.z)) - float(np.log(np.diag(self.L)).sum())
+        self.log_evidence = self._constant - 0.5 * (power - float(h @ self.z)) - self.root.log_det
 
     def log_density(self, blocks: Sequence[Block]) -> float:
         """Return the log density of other rows, given those that are explained, in units of their noise.
@@ -188,10 +278,9 @@ class Gaussian(Posterior):
         for b in blocks:
             H[np.ix_(b.own, b.own)] += b.gram
             h[b.own] += b.X @ b.y
-        both = Posterior(H, h)
+        both = Posterior(H, h, local=[own for own, *_ in self.root.local])
         power = sum(float(b.y @ b.y) for b in blocks)
-        volume = float(np.log(np.diag(both.L) / np.diag(self.L)).sum())
-        return 0.5 * (float(h @ both.z - self.h @ self.z) - power) - volume
+        return 0.5 * (float(h @ both.z - self.h @ self.z) - power) - (both.root.log_det - self.root.log_det)
 
     def among(self, kept: np.ndarray) -> Gaussian:
         """Return the posterior of a model that has some of the coefficients alone."""
@@ -201,16 +290,14 @@ class Gaussian(Posterior):
         blocks = [Block(b.X[k], b.y, number[b.own[k]]) for b, k in zip(self.blocks, inside, strict=True)]
         one = copy(self)
         vars(one).pop("used", None)
-        one._explain(blocks, self.H[np.ix_(kept, kept)], self.h[kept])
+        local = [number[own][number[own] >= 0] for own, *_ in self.root.local]
+        one._explain(blocks, self.H[np.ix_(kept, kept)], self.h[kept], local)
         return one
 
     @cached_property
     def used(self) -> np.ndarray:
         """The degrees of freedom that the fit takes from each joint's rows, (n,)."""
-        (inverse_of,) = get_lapack_funcs(("potri",), (self.L,))
-        lower = inverse_of(self.L, lower=1)[0]
-        covariance = np.tril(lower) + np.tril(lower, -1).T
-        return np.array([(covariance[np.ix_(b.own, b.own)] * b.gram).sum() for b in self.blocks])
+        return np.array([(self.covariance(b.own) * b.gram).sum() for b in self.blocks])
 
     def beside(self, columns: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return precision S (K, K) and score r (K,) of whitened columns, (K, m) by joint."""

@@ -38,9 +38,9 @@ _WIDTHS = (
 )
 _LEAST_DRIFT, _LEAST_NOISE = 1e-4, 1e-6
 _SHARES, _DOUBTS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0), (0.0, 0.1, 0.3, 1.0)
-# What columns do not depend on, and whitened rows neither.
+# What columns do not depend on, and what whitened rows do not depend on either.
 _NOT_OF_COLUMNS = {"noise", "dispersion", "bodies", "resists", "encoder_share"}
-_OF_PRIORS = {"bodies", "resists"}
+_NOT_OF_ROWS = {"bodies", "resists", "dispersion"}
 # Directions of a joint's columns below this are told by rounding.
 _LEAST_DIRECTION = 1e-3
 # Part of its rows that a fit leaves free at least.
@@ -104,8 +104,8 @@ class Likelihood:
         root = np.sqrt(hyper.kappa)
         sites = np.zeros((3, int(self._first[-1])))
         sites[:, machine.resisting] = hyper.resists.reshape(3, -1)
-        bodies = expanded(root * hyper.bodies, hyper.kappa)
-        self.gaussian = Gaussian(blocks, sites.shape[1], bodies, sites)
+        self._bodies = expanded(root * hyper.bodies, hyper.kappa)
+        self.gaussian = Gaussian(blocks, sites.shape[1], self._bodies, sites, machine.local)
 
     def _columns(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the columns (P_j, M) of a joint, and which coefficients they have (P_j,)."""
@@ -259,7 +259,7 @@ class Likelihood:
                 S, r = rest.beside({j: plain.hyper.noise[j].white(F)})
                 found.append((float(added(S, r, std).log_evidence), width))
             widths[j] = max(found)[1]
-        return self.with_(rest_width=widths)
+        return self if np.array_equal(widths, self.hyper.rest_width) else self.with_(rest_width=widths)
 
     @cached_property
     def least_squares(self) -> Likelihood:
@@ -305,12 +305,9 @@ class Likelihood:
 
     def _physical(self) -> Likelihood:
         """Return the same model, the prior of its bodies expanded where the posterior of physical ones is largest."""
-        n, g = len(self.hyper.bodies), self.gaussian
-        rest = slice(n, None)
-        # All else is Gaussian and is integrated out.
-        across = np.linalg.solve(g.H[rest, rest], np.column_stack((g.H[rest, :n], g.h[rest])))
-        A = g.data[:n, :n] - g.H[:n, rest] @ across[:, :n]
-        z = most_probable(0.5 * (A + A.T), g.score[:n] - g.H[:n, rest] @ across[:, n], self.hyper.kappa)
+        prior = self._bodies
+        precision, shift = self.gaussian.first(len(prior.shift))
+        z = most_probable(precision - prior.precision, shift - prior.shift, self.hyper.kappa)
         return self.with_(bodies=z / np.sqrt(self.hyper.kappa))
 
     def _resisting(self) -> Likelihood:
@@ -350,5 +347,5 @@ class Likelihood:
     def with_(self, **changes: object) -> Likelihood:
         """Return the same model with some of what is learnt changed, see ``Hyper``."""
         raw = self._raw if changes.keys() <= _NOT_OF_COLUMNS else None
-        blocks = self.gaussian.blocks if changes.keys() <= _OF_PRIORS else None
+        blocks = self.gaussian.blocks if changes.keys() <= _NOT_OF_ROWS else None
         return Likelihood(self.machine, self.hyper.with_(**changes), self.extra, self._slopes, raw, blocks)

@@ -192,6 +192,12 @@ class Machine:
         """Return where the coefficients of a joint's rests stand, what each holds and then when each turns."""
         return np.arange(self._rest_at[joint], self._rest_at[joint + 1])
 
+    @property
+    def local(self) -> list[np.ndarray]:
+        """Where the coefficients stand that one joint alone has, joint by joint."""
+        each = range(self.rows.n_dof)
+        return [np.concatenate((self._first(j) + np.arange(self._local), self.resting(j))) for j in each]
+
     def spread(self, joint: int, encoder_share: float, loose: float = 0.0, stick: float = 1.0) -> np.ndarray:
         """Return how noisy a joint's rows are against each other, (M,): s^2 = 1 - k + k m^2 / mean m^2 + l^2 u^2
 

@@ -69,8 +69,9 @@ class TwoEstimates:
         self._efficient_against = g.against
         sites = np.zeros((2, len(g.z)))
         sites[:, at] = fit.hyper.resists[:2].reshape(2, -1)
-        self._P, shift = g.H - g.data - np.diag(sites[0]), g.h - g.score - sites[1]
-        data, score = np.zeros_like(g.data), np.zeros_like(g.score)
+        H, h = g.H - np.diag(sites[0]), g.h - sites[1]
+        self._P, shift = H.copy(), h.copy()
+        data, score = np.zeros_like(H), np.zeros_like(h)
         self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
         for j, (block, noise, index) in enumerate(zip(g.blocks, fit.hyper.noise, fit.index, strict=True)):
             if not len(index):
@@ -78,13 +79,15 @@ class TwoEstimates:
             scale = np.zeros(len(rows.t))
             scale[index] = 1.0 / noise.spread[index]
             scale /= np.sqrt(np.mean((scale * fit.residual(j))[index] ** 2))
+            self._P[np.ix_(block.own, block.own)] -= block.gram
+            shift[block.own] -= block.X @ block.y
             X = fit.columns(j) * scale
             data[np.ix_(block.own, block.own)] += X @ X.T
             score[block.own] += X @ (scale * fit.machine.target[j])
             memory, before = remembered(X * scale, noise, rows.run)
             self._parts.append((block.own, memory[:, index], block.X, before + _left(memory, index)))
-        self._Hw, self._Ho = _inverse(g.data + self._P), _inverse(data + self._P)
-        self.efficient, self.ordinary = self._Hw @ (g.score + shift), self._Ho @ (score + shift)
+        self._Hw, self._Ho = _inverse(H), _inverse(data + self._P)
+        self.efficient, self.ordinary = self._Hw @ h, self._Ho @ (score + shift)
 
     def test(self, index: Sequence[int] | np.ndarray) -> Misfit:
         """Test whether the estimates of some coefficients (K,) are one but for noise.

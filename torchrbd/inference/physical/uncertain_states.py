@@ -41,6 +41,6 @@ class UncertainStates:
         """
         S = prior.scale
         before, now = Equations(S.T @ self.gram @ S, known.h).posterior(), known.posterior()
-        half = torch.from_numpy(now.L @ before.half(S.T.numpy()))
+        half = torch.from_numpy(now.root.matrix @ before.half(S.T.numpy()))
         lost = half @ self.lost @ half.T
         return Equations(known.H - lost, known.h - lost @ torch.from_numpy(now.z))
