@@ -151,7 +151,8 @@ def settled(
         return None if evidence is None else replace(h, log_evidence=evidence)
 
     monkeypatch.setattr(search, "again", again)
-    monkeypatch.setattr(search, "with_own_noise", lambda fit, rows, h: h)
+    for learnt in ("at_a_glance", "with_own_noise"):
+        monkeypatch.setattr(search, learnt, lambda fit, rows, h: h)
 
     def made(name: str) -> Hypothesis:
         c = candidate(rows, *SITES[name])
@@ -251,7 +252,8 @@ def test_a_term_that_is_swapped_for_another_time_is_that_of_the_model(rows: Rows
         return replace(h, log_evidence=30.0 if h.candidate == early.candidate else 60.0)
 
     monkeypatch.setattr(search, "again", again)
-    monkeypatch.setattr(search, "with_own_noise", lambda fit, rows, h: h)
+    for learnt in ("at_a_glance", "with_own_noise"):
+        monkeypatch.setattr(search, learnt, lambda fit, rows, h: h)
     monkeypatch.setattr(Table, "with_terms", lambda self, base, chosen: [h.candidate for h in chosen])
     at = Table(rows, (), lambda _: None)
     fit, (term,), _ = at.settled(cast(Any, []), cast(Any, [early.candidate]), [early], [[late]], [])

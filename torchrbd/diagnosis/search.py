@@ -29,6 +29,8 @@ _LEADING = 5
 MOST_TERMS = 12
 # Rivals of a term that are looked at beside all others, and those of them that are judged; sweeps over all terms.
 _RIVALS, _JUDGED, _SWEEPS = 12, 3, 2
+# Laws a thousand times less likely than the likeliest are not told of.
+_TOLD = 7.0
 
 
 @dataclass(frozen=True)
@@ -103,11 +105,33 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     if not np.allclose(extended.hyper.rest_width, width):
         with_it.append(beside.settled_at((), width).dispersed(dispersion))
         without.append(fit.settled_at((), extended.hyper.rest_width).dispersed(dispersion))
-    noises = [models[0].hyper.noise for models in (with_it, without)]
-    # What averaging over shapes, sizes and windows costs, the first noise has told.
+    return _weighed(fit, rows, h, beside, with_it, without)
+
+
+def at_a_glance(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis with the noise of its joints learnt beside it, and nothing else: some nats off, but soon."""
+    extra = h.extra(fit, rows)
+    beside = fit.extended((*fit.extra, extra))
+    extended = beside.renoised(extra.joints, dispersed=True)
+    return _weighed(fit, rows, h, beside, [extended], [fit.with_new_noise.dispersed(extended.hyper.dispersion)])
+
+
+def _weighed(
+    fit: Likelihood,
+    rows: Rows,
+    h: Hypothesis,
+    beside: Likelihood,
+    with_it: Sequence[Likelihood],
+    without: Sequence[Likelihood],
+) -> Hypothesis:
+    """Return a hypothesis with the evidence and coefficients of the likeliest models with it and without.
+
+    What averaging over shapes, sizes and windows costs, the noise of ``beside``, which is that of the fit, has told.
+    """
+    noises, k = [models[0].hyper.noise for models in (with_it, without)], len(fit.extra)
     positive = h.candidate.effect.prior.positive
     average = h.log_evidence - truncated(h.coefficients, h.std, positive) - (beside.log_evidence - fit.log_evidence)
-    best, k = _likeliest(with_it, noises), len(fit.extra)
+    best = _likeliest(with_it, noises)
     mean, covariance = best.coefficients(k), best.coefficients_covariance(k)
     std = np.sqrt(covariance.diagonal())
     bounds = truncated(mean, std, positive) + support(h, best, rows, mean, covariance)
@@ -122,19 +146,18 @@ def _likeliest(models: Sequence[Likelihood], noises: Sequence[tuple[Noise, ...]]
 
 
 def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis whose shape is refined beside the noise, bodies and friction that go with it.
+    """Return a hypothesis whose shape, refined, is refined beside the noise, bodies and friction that go with it.
 
     Those of a fit without it stand in for it, best where its shape is not the true one; steps in time they cannot.
     """
-    first = refined(fit, rows, h)
-    if first.tried == 1 or first.candidate.site.window is not None:
-        return first
-    extra = first.extra(fit, rows)
+    if h.tried == 1 or h.candidate.site.window is not None:
+        return h
+    extra = h.extra(fit, rows)
     beside = fit.extended((*fit.extra, extra)).renoised().rewidened(extra.joints)
     own = beside.relinearised().extended(fit.extra)
     # What averaging costs is that of the first refinement.
-    then = again(fit, rows, replace(refined(own, rows, first), paid=first.paid))
-    return first if then is None else then
+    then = again(fit, rows, replace(refined(own, rows, h), paid=h.paid))
+    return h if then is None else then
 
 
 class _Search:
@@ -147,12 +170,35 @@ class _Search:
         """Return hypotheses, the likeliest first."""
         return sorted(found, key=lambda h: -log_odds(h, self.rows))
 
+    def judged(
+        self, fit: Likelihood, found: Sequence[Hypothesis], *, sharp: bool = False, reach: float = 0.0
+    ) -> list[Hypothesis]:
+        """Return hypotheses beside a fit; those that lead, by odds or evidence, with all that is learnt learnt anew.
+
+        Args:
+            fit: beside which they stand.
+            found: what is judged.
+            sharp: refine the shapes of those that lead, too.
+            reach: log odds below the greatest which lead as well.
+        """
+        now, done = [at_a_glance(fit, self.rows, h) for h in found], set[int]()
+        while now:
+            odds = np.array([log_odds(h, self.rows) for h in now])
+            lead = {int(np.argmax([h.log_evidence for h in now])), *np.flatnonzero(odds >= odds.max() - reach).tolist()}
+            if lead <= done:
+                break
+            for k in lead - done:
+                h = sharpened(fit, self.rows, found[k]) if sharp else found[k]
+                now[k] = with_own_noise(fit, self.rows, h)
+            done |= lead
+        return now
+
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
         # What acts for a time may come again.
         known = {h.name for h in chosen if h.candidate.site.always}
         found = self.ordered([h for h in screened(fit, self.rows, self.effects) if h.name not in known])
-        leaders = [with_own_noise(fit, self.rows, sharpened(fit, self.rows, h)) for h in found[:_LEADING]]
+        leaders = self.judged(fit, [refined(fit, self.rows, h) for h in found[:_LEADING]], sharp=True)
         return self.ordered((*leaders, *found[_LEADING:]))
 
     def curves(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -160,7 +206,7 @@ class _Search:
         known = {h.name for h in chosen}
         found = [h for h in curves(fit, self.rows) if h.name not in known]
         kinds = [[h for h in found if (h.candidate.effect is HUM) is tone] for tone in (False, True)]
-        return [with_own_noise(fit, self.rows, self.ordered(kind)[0]) for kind in kinds if kind]
+        return self.judged(fit, [self.ordered(kind)[0] for kind in kinds if kind])
 
     def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
         """Return the model with chosen hypotheses, all else learnt beside them."""
@@ -225,5 +271,5 @@ class _Search:
         own, *rivals = beside
         assert own is not None
         likeliest = self.ordered([h for h in rivals if h is not None])[:_JUDGED]
-        own, *rivals = (with_own_noise(rest, self.rows, h) for h in (own, *likeliest))
+        own, *rivals = self.judged(rest, (own, *likeliest), reach=_TOLD)
         return Term(own, tuple(self.ordered(rivals)))

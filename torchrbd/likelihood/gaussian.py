@@ -264,7 +264,7 @@ class Gaussian(Posterior):
         self, blocks: Sequence[Block], H: np.ndarray, h: np.ndarray, local: Sequence[np.ndarray] = ()
     ) -> None:
         super().__init__(H, h, local=local)
-        self.blocks = tuple(blocks)
+        self.blocks, self._used = tuple(blocks), dict[int, float]()
         self.left = [b.y - self.z[b.own] @ b.X for b in blocks]
         power = sum(float(b.y @ b.y) for b in blocks)
         self.log_evidence = self._constant - 0.5 * (power - float(h @ self.z)) - self.root.log_det
@@ -289,15 +289,16 @@ class Gaussian(Posterior):
         inside = [number[b.own] >= 0 for b in self.blocks]
         blocks = [Block(b.X[k], b.y, number[b.own[k]]) for b, k in zip(self.blocks, inside, strict=True)]
         one = copy(self)
-        vars(one).pop("used", None)
         local = [number[own][number[own] >= 0] for own, *_ in self.root.local]
         one._explain(blocks, self.H[np.ix_(kept, kept)], self.h[kept], local)
         return one
 
-    @cached_property
-    def used(self) -> np.ndarray:
-        """The degrees of freedom that the fit takes from each joint's rows, (n,)."""
-        return np.array([(self.covariance(b.own) * b.gram).sum() for b in self.blocks])
+    def used(self, joint: int) -> float:
+        """Return the degrees of freedom that the fit takes from a joint's rows."""
+        if joint not in self._used:
+            b = self.blocks[joint]
+            self._used[joint] = float((self.covariance(b.own) * b.gram).sum())
+        return self._used[joint]
 
     def beside(self, columns: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return precision S (K, K) and score r (K,) of whitened columns, (K, m) by joint."""

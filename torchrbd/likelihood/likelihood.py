@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import takewhile
 
 import numpy as np
 import torch
@@ -38,9 +39,9 @@ _WIDTHS = (
 )
 _LEAST_DRIFT, _LEAST_NOISE = 1e-4, 1e-6
 _SHARES, _DOUBTS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0), (0.0, 0.1, 0.3, 1.0)
-# What columns do not depend on, and what whitened rows do not depend on either.
+# What columns do not depend on, and what those of one joint alone do.
 _NOT_OF_COLUMNS = {"noise", "dispersion", "bodies", "resists", "encoder_share"}
-_NOT_OF_ROWS = {"bodies", "resists", "dispersion"}
+_OF_ONE_JOINT = {"drift", "rest_width"}
 # Directions of a joint's columns below this are told by rounding.
 _LEAST_DIRECTION = 1e-3
 # Part of its rows that a fit leaves free at least.
@@ -77,8 +78,8 @@ class Likelihood:
         hyper: what is learnt.
         extra: columns beside them.
         slopes: see ``Machine.slopes``.
-        raw: per joint, columns (P_j, M) and which coefficients they have, of a model that has the same.
-        blocks: per joint, the whitened rows of a model that has the same.
+        raw: per joint, columns (P_j, M) and which coefficients they have, of a model that has the same, if one has.
+        blocks: per joint, the whitened rows of a model that has the same, if one has.
 
     Attributes:
         index: per joint, the rows (m,) that are whitened.
@@ -91,21 +92,20 @@ class Likelihood:
         hyper: Hyper,
         extra: Sequence[Extra] = (),
         slopes: np.ndarray | None = None,
-        raw: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
-        blocks: Sequence[Block] | None = None,
+        raw: Sequence[tuple[np.ndarray, np.ndarray] | None] | None = None,
+        blocks: Sequence[Block | None] | None = None,
     ) -> None:
         self.machine, self.hyper, self.extra, self._slopes = machine, hyper, tuple(extra), slopes
-        n = machine.n
+        n, none = machine.n, [None] * machine.rows.n_dof
         self._first = n + np.cumsum([0, *(len(e.std) for e in self.extra)])
-        self._raw = [self._columns(j) for j in range(machine.rows.n_dof)] if raw is None else raw
-        self.index, each = machine.index, zip(self._raw, hyper.noise, machine.target, strict=True)
-        if blocks is None:
-            blocks = [Block(noise.white(A), noise.white(target), own) for (A, own), noise, target in each]
+        self._raw = [one or self._columns(j) for j, one in enumerate(raw or none)]
+        self.index = machine.index
+        whitened = [one or self._whitened(j) for j, one in enumerate(blocks or none)]
         root = np.sqrt(hyper.kappa)
         sites = np.zeros((3, int(self._first[-1])))
         sites[:, machine.resisting] = hyper.resists.reshape(3, -1)
         self._bodies = expanded(root * hyper.bodies, hyper.kappa)
-        self.gaussian = Gaussian(blocks, sites.shape[1], self._bodies, sites, machine.local)
+        self.gaussian = Gaussian(whitened, sites.shape[1], self._bodies, sites, machine.local)
 
     def _columns(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the columns (P_j, M) of a joint, and which coefficients they have (P_j,)."""
@@ -115,6 +115,10 @@ class Likelihood:
                 A = np.concatenate((A, features * e.std[:, None]))
                 own = np.concatenate((own, first + np.arange(len(e.std))))
         return A, own
+
+    def _whitened(self, joint: int) -> Block:
+        (A, own), noise = self._raw[joint], self.hyper.noise[joint]
+        return Block(noise.white(A), noise.white(self.machine.target[joint]), own)
 
     @property
     def log_evidence(self) -> float:
@@ -187,49 +191,57 @@ class Likelihood:
         np.add.at(scores, number, (Z * e).T)
         return float((scores**2).sum() / kept.sum() / np.mean(e**2))
 
-    def renoised(self, *, dispersed: bool = False) -> Likelihood:
-        """Return the same model with the noise, its drift and, if asked, its dispersion learnt from what is left."""
-        rows, noise, drift = self.machine.rows, [], self.hyper.drift.copy()
-        dispersion = self.hyper.dispersion
+    def renoised(self, joints: Sequence[int] | None = None, *, dispersed: bool = False) -> Likelihood:
+        """Return the same model with the noise, its drift and, if asked, its dispersion learnt from what is left.
+
+        Args:
+            joints: where; everywhere if not given.
+            dispersed: whether rows are to count by the scatter of their blocks.
+        """
+        rows, noise, drift = self.machine.rows, list(self.hyper.noise), self.hyper.drift.copy()
+        joints, dispersion = self._seen(joints), self.hyper.dispersion.copy()
         if dispersed:
-            dispersion = np.maximum([self.dispersion(j) for j in range(rows.n_dof)], 1.0)
-        for j in range(rows.n_dof):
-            if not len(self.index[j]):
-                noise.append(self.hyper.noise[j])
-                continue
-            noise.append(self._noise(j, dispersion[j], self.hyper.noise[j].spread))
+            dispersion[joints] = np.maximum([self.dispersion(j) for j in joints], 1.0)
+        for j in joints:
+            noise[j] = self._noise(j, dispersion[j], self.hyper.noise[j].spread)
             at = self.machine.drifting(j)
             power = np.mean(self.gaussian.z[at] ** 2 + self.gaussian.covariance(at).diagonal())
             least = _LEAST_DRIFT * self.machine.torque_rms[j]
             drift[j] = max(drift[j] * np.sqrt(np.clip(power, 0.1, 10.0)), least)
-        return self.with_(noise=tuple(noise), drift=drift, dispersion=dispersion).levelled()
+        return self.with_(noise=tuple(noise), drift=drift, dispersion=dispersion).levelled(joints)
 
-    def levelled(self) -> Likelihood:
+    def levelled(self, joints: Sequence[int] | None = None) -> Likelihood:
         """Return the same model with noises as large as the evidence says, their colours as they are.
 
             sigma^2 <- sigma^2 sum e^2 / (m - gamma)
 
         Source: MacKay, "Bayesian Interpolation", Neural Computation 1992, eq. 4.9; gamma are degrees of freedom used.
+
+        Args:
+            joints: where; everywhere if not given.
         """
         parts = np.ones(self.machine.rows.n_dof)
-        for j, index in enumerate(self.index):
-            if len(index):
-                free = max(1.0 - self.gaussian.used[j] / len(index), _LEAST_FREEDOM)
-                parts[j] = float(np.mean(self.gaussian.left[j] ** 2)) / free
-        return self._scaled(parts * self.hyper.dispersion)
+        for j in self._seen(joints):
+            free = max(1.0 - self.gaussian.used(j) / len(self.index[j]), _LEAST_FREEDOM)
+            parts[j] = float(np.mean(self.gaussian.left[j] ** 2)) / free * self.hyper.dispersion[j]
+        return self._scaled(parts)
+
+    def _seen(self, joints: Sequence[int] | None) -> list[int]:
+        return [j for j, index in enumerate(self.index) if len(index) and (joints is None or j in joints)]
 
     def dispersed(self, dispersion: np.ndarray) -> Likelihood:
         """Return the same model whose rows count by another dispersion (n,)."""
-        return self._scaled(dispersion / self.hyper.dispersion).with_(dispersion=dispersion)
+        return self._scaled(dispersion / self.hyper.dispersion, dispersion)
 
-    def _scaled(self, variance: np.ndarray) -> Likelihood:
-        """Return the same model whose noises have so many times (n,) their variance."""
+    def _scaled(self, variance: np.ndarray, dispersion: np.ndarray | None = None) -> Likelihood:
+        """Return the same model whose noises have so many times (n,) their variance, and another dispersion."""
         least, old = _LEAST_NOISE * self.machine.torque_rms, self.hyper.noise
         sigma = np.maximum([n.sigma * part for n, part in zip(old, np.sqrt(variance), strict=True)], least)
         noise = tuple(replace(n, sigma=float(new)) for n, new in zip(old, sigma, strict=True))
         each = zip(self.gaussian.blocks, noise, old, strict=True)
         blocks = [b.louder(new.sigma / was.sigma) for b, new, was in each]
-        return Likelihood(self.machine, self.hyper.with_(noise=noise), self.extra, self._slopes, self._raw, blocks)
+        hyper = self.hyper.with_(noise=noise, dispersion=self.hyper.dispersion if dispersion is None else dispersion)
+        return Likelihood(self.machine, hyper, self.extra, self._slopes, self._raw, blocks)
 
     def rewidened(self, joints: Sequence[int] | None = None, known: np.ndarray | None = None) -> Likelihood:
         """Return the same model with the widths of friction's sign change that have the greatest evidence.
@@ -259,7 +271,7 @@ class Likelihood:
                 S, r = rest.beside({j: plain.hyper.noise[j].white(F)})
                 found.append((float(added(S, r, std).log_evidence), width))
             widths[j] = max(found)[1]
-        return self if np.array_equal(widths, self.hyper.rest_width) else self.with_(rest_width=widths)
+        return self.with_(rest_width=widths)
 
     @cached_property
     def least_squares(self) -> Likelihood:
@@ -276,7 +288,7 @@ class Likelihood:
     def _noise(self, joint: int, dispersion: float, spread: np.ndarray) -> Noise:
         """Return the noise of what is left at a joint whose rows are as noisy as ``spread`` (M,) against each other."""
         fit, index, run = self.least_squares, self.index[joint], self.machine.rows.run
-        used, white = fit.gaussian.used[joint], self.hyper.white
+        used, white = fit.gaussian.used(joint), self.hyper.white
         found = learnt(fit.residual(joint), index, spread, run, used, dispersion, white=white)
         return replace(found, sigma=max(found.sigma, _LEAST_NOISE * self.machine.torque_rms[joint]))
 
@@ -332,6 +344,11 @@ class Likelihood:
         return Likelihood(self.machine, hyper, self.extra, self.machine.slopes(hyper))
 
     @cached_property
+    def with_new_noise(self) -> Likelihood:
+        """The same model with its noise learnt once more."""
+        return self.renoised(dispersed=True)
+
+    @cached_property
     def settled(self) -> Likelihood:
         """The same model with all that is learnt beside the columns it has learnt once more, see ``settled_at``."""
         return self.settled_at()
@@ -342,10 +359,25 @@ class Likelihood:
 
     def extended(self, extra: Sequence[Extra]) -> Likelihood:
         """Return the same model with other columns beside the machine's."""
-        return Likelihood(self.machine, self.hyper, extra, self._slopes)
+        same = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(self.extra, extra, strict=False)))
+        other = {j for e in (*self.extra[same:], *extra[same:]) for j in e.joints}
+        kept = [j not in other for j in range(self.machine.rows.n_dof)]
+        return Likelihood(self.machine, self.hyper, extra, self._slopes, *self._kept(kept, kept))
 
     def with_(self, **changes: object) -> Likelihood:
         """Return the same model with some of what is learnt changed, see ``Hyper``."""
-        raw = self._raw if changes.keys() <= _NOT_OF_COLUMNS else None
-        blocks = self.gaussian.blocks if changes.keys() <= _NOT_OF_ROWS else None
-        return Likelihood(self.machine, self.hyper.with_(**changes), self.extra, self._slopes, raw, blocks)
+        hyper = self.hyper.with_(**changes)
+        raw = np.full(self.machine.rows.n_dof, changes.keys() <= _NOT_OF_COLUMNS | _OF_ONE_JOINT)
+        for name in changes.keys() & _OF_ONE_JOINT:
+            raw &= getattr(hyper, name) == getattr(self.hyper, name)
+        alike = [one is other for one, other in zip(hyper.noise, self.hyper.noise, strict=True)]
+        return Likelihood(self.machine, hyper, self.extra, self._slopes, *self._kept(raw, raw & alike))
+
+    def _kept(
+        self, raw: Sequence[bool] | np.ndarray, blocks: Sequence[bool] | np.ndarray
+    ) -> tuple[list[tuple[np.ndarray, np.ndarray] | None], list[Block | None]]:
+        """Return columns and whitened rows of the joints where they stay as they are, None elsewhere."""
+        return (
+            [one if same else None for one, same in zip(self._raw, raw, strict=True)],
+            [one if same else None for one, same in zip(self.gaussian.blocks, blocks, strict=True)],
+        )
