@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
+from scipy.stats import t as student_t
 
-from torchrbd.likelihood.noise import Noise, drift_basis, learnt, predicted, predictors
+from torchrbd.likelihood.noise import Noise, drift_basis, learnt, order_cost, predicted, predictors, tailed
 
 COEFFICIENTS = np.array([1.2, -0.5])
 
@@ -206,3 +207,36 @@ def test_drift_of_a_long_recording_has_as_many_functions_as_are_allowed() -> Non
     assert len(drift_basis(t, np.zeros(500), 0.1, 12)[0]) == 13
     basis, _ = drift_basis(np.array([4.0]), np.zeros(1), 0.1, 12)
     assert np.isfinite(basis).all()
+
+
+@pytest.mark.parametrize("nu", [2.0, 4.0, 10.0])
+def test_heavy_tails_have_students_density(nu: float) -> None:
+    rng = np.random.default_rng(8)
+    n, index = 0.3 * rng.standard_t(nu, 4000), np.arange(4000)
+    size, tail = tailed(n, index, len(n))
+    assert tail is not None
+    assert tail.freedom == nu
+    assert size == pytest.approx(0.3, rel=0.05)
+    noise = Noise(index, np.zeros(0), size, np.ones(len(n)), tail)
+    got = -noise.surprise + order_cost(1, len(n)) - 0.5 * (noise.white(n) ** 2).sum() - 0.5 * len(n) * np.log(2 * np.pi)
+    assert got == pytest.approx(student_t.logpdf(n, nu, scale=size).sum(), rel=1e-6)
+    # At any other place of the rows it lies below.
+    for part in (0.5, 1.7):
+        other = -noise.surprise + order_cost(1, len(n)) - 0.5 * (noise.white(part * n) ** 2).sum()
+        assert other - 0.5 * len(n) * np.log(2 * np.pi) < student_t.logpdf(part * n, nu, scale=size).sum()
+
+
+def test_normal_noise_has_no_tail() -> None:
+    n = np.random.default_rng(9).normal(size=4000)
+    size, tail = tailed(n, np.arange(4000), len(n))
+    assert tail is None
+    assert size == pytest.approx(n.std(), rel=1e-3)
+
+
+def test_few_of_the_rows_may_be_whitened() -> None:
+    rng = np.random.default_rng(10)
+    n, index = rng.standard_t(2.0, 900), np.arange(50, 950)
+    _, tail = tailed(n, index, 1000)
+    assert tail is not None
+    assert (tail.weight[:50] == 1.0).all()
+    assert tail.weight[index][np.abs(n).argmax()] == tail.weight.min()

@@ -254,7 +254,7 @@ class Likelihood:
         """
         joints = range(self.machine.rows.n_dof) if joints is None else joints
         one, widths = np.ones(len(self.machine.rows.t)), np.array(self.hyper.rest_width if known is None else known)
-        plain = self.with_(noise=tuple(replace(n, spread=one) for n in self.hyper.noise))
+        plain = self.with_(noise=tuple(replace(n, spread=one, tail=None) for n in self.hyper.noise))
         g = plain.gaussian
         for j in joints:
             if not len(self.index[j]) or not self.machine.speed_rms[j]:

@@ -77,7 +77,7 @@ class TwoEstimates:
             if not len(index):
                 continue
             scale = np.zeros(len(rows.t))
-            scale[index] = 1.0 / noise.spread[index]
+            scale[index] = 1.0 / noise.scatter[index]
             scale /= np.sqrt(np.mean((scale * fit.residual(j))[index] ** 2))
             self._P[np.ix_(block.own, block.own)] -= block.gram
             shift[block.own] -= block.X @ block.y
@@ -156,8 +156,8 @@ def remembered(U: np.ndarray, noise: Noise, run: np.ndarray) -> tuple[np.ndarray
         inside = np.flatnonzero(run == number)
         later = np.concatenate((U[:, inside[::-1]], np.zeros((len(U), reach))), axis=1)
         found = np.asarray(lfilter([1.0], recursion, later, axis=1))
-        memory[:, inside] = found[:, : len(inside)][:, ::-1] * (noise.sigma * noise.spread[inside])
-        early = found[:, len(inside) :] * (noise.sigma * noise.spread[inside[0]])
+        memory[:, inside] = found[:, : len(inside)][:, ::-1] * (noise.sigma * noise.scatter[inside])
+        early = found[:, len(inside) :] * (noise.sigma * noise.scatter[inside[0]])
         before += early @ early.T
     return memory, before
 

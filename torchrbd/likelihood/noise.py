@@ -1,11 +1,18 @@
-"""Coloured torque noise of one joint: an autoregressive filter whose order the evidence chooses.
+"""Coloured torque noise of one joint: an autoregressive filter whose order the evidence chooses, with heavy tails.
 
-    e_t = sum_i a_i e_(t-i) + sigma s_t n_t,   n white
+    e_t = sum_i a_i e_(t-i) + sigma s_t n_t,   n white, normal or Student's t of nu degrees of freedom
 
 s_t says which rows are noisier than others: encoder noise counts by the inertia that it is multiplied with, friction
 errs where the velocity does not tell its direction. What rows err by has passed the filter of the rows, whatever made
 it, so that one predictor serves. A run's first rows only predict: as many whatever the order, so that models with
 noises of different orders explain the same rows.
+
+Spikes and bursts make tails heavy. Student's density has a normal one below it that touches it at n_0,
+
+    log t(n) >= log N(n; 0, 1/w) + c(w),   w = (nu + 1) / (nu + n_0^2)
+
+so that all else stays Gaussian, and rows count by w: Lange, Little and Taylor, "Robust Statistical Modeling Using the t
+Distribution", JASA 1989; the bound: Jaakkola and Jordan, "Bayesian parameter estimation via variational methods", 2000.
 """
 
 from __future__ import annotations
@@ -16,10 +23,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import convolve1d
+from scipy.special import gammaln
 
 _MOST_ORDER = 16
 # Noise below this part of the residual's RMS is rounding.
 _LEAST = 1e-6
+# Degrees of freedom of Student's t that are tried, and steps towards its size.
+_FREEDOMS, _STEPS = (2.0, 4.0, 10.0), 6
+
+
+@dataclass(frozen=True)
+class Tail:
+    """Heavy tails of one joint's M rows.
+
+    Attributes:
+        freedom: nu.
+        weight: w (M,) of each row.
+    """
+
+    freedom: float
+    weight: np.ndarray
+
+    def constant(self, index: np.ndarray) -> float:
+        """Return sum c(w) of some rows (m,): what the normal densities below Student's lack at their own size."""
+        nu, w = self.freedom, self.weight[index]
+        size = gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * math.log(0.5 * nu)
+        each = 0.5 * (nu + 1.0) * (np.log(w * nu / (nu + 1.0)) + 1.0) - 0.5 * nu * w - 0.5 * np.log(w)
+        return float(len(w) * size + each.sum())
 
 
 @dataclass(frozen=True)
@@ -31,12 +61,19 @@ class Noise:
         predictor: a (p,).
         sigma: standard deviation of the innovations [N m or N].
         spread: s (M,) of each row.
+        tail: if it is heavy.
     """
 
     index: np.ndarray
     predictor: np.ndarray
     sigma: float
     spread: np.ndarray
+    tail: Tail | None = None
+
+    @property
+    def scatter(self) -> np.ndarray:
+        """Standard deviation of n s (M,) by which rows count."""
+        return self.spread if self.tail is None else self.spread / np.sqrt(self.tail.weight)
 
     @property
     def correlation(self) -> np.ndarray:
@@ -56,14 +93,15 @@ class Noise:
     @property
     def surprise(self) -> float:
         """-log p of the rows, but for half the squares of the whitened ones: its order is paid for."""
-        volume = float(np.log(self.sigma * self.spread[self.index]).sum())
-        return volume + order_cost(len(self.predictor), len(self.index))
+        volume = float(np.log(self.sigma * self.scatter[self.index]).sum())
+        heavy = 0.0 if self.tail is None else self.tail.constant(self.index)
+        return volume - heavy + order_cost(len(self.predictor) + (self.tail is not None), len(self.index))
 
     def white(self, A: np.ndarray) -> np.ndarray:
         """Return signals (..., M) as the whitened rows (m,) see them, (..., m)."""
         ahead = np.concatenate(([1.0], -self.predictor))
         out = convolve1d(A, ahead, mode="constant", origin=-(len(ahead) // 2))[..., self.index]
-        out /= self.sigma * self.spread[self.index]
+        out /= self.sigma * self.scatter[self.index]
         return out
 
 
@@ -105,11 +143,29 @@ def learnt(
             return 0.5 * len(index) * math.log(variance) + order_cost(len(a), len(index))
 
         noise = replace(noise, predictor=min(predictors(own, run, 0 if white else _MOST_ORDER), key=loss)[0])
-        left = float(np.mean(noise.white(residual) ** 2))
-        noise = replace(noise, sigma=noise.sigma * math.sqrt(max(left, _LEAST**2)))
+        size, tail = tailed(noise.white(residual), index, len(residual))
+        noise = replace(noise, sigma=noise.sigma * max(size, _LEAST), tail=tail)
     # A fit that has many parameters leaves less than the noise.
     raised = max(dispersion, 1.0) / max(1.0 - used / count, 0.1)
     return replace(noise, sigma=noise.sigma * math.sqrt(raised))
+
+
+def tailed(n: np.ndarray, index: np.ndarray, rows: int) -> tuple[float, Tail | None]:
+    """Return the size of innovations n (m,) at some of M rows, and their tail, if its evidence pays for it."""
+    size, count = float(np.sqrt(np.mean(n**2))), len(n)
+    found: list[tuple[float, float, Tail | None]] = [(count * math.log(max(size, 1e-150)) + 0.5 * count, size, None)]
+    for nu in _FREEDOMS if size > 0 else ():
+        now = size
+        for _ in range(_STEPS):
+            w = (nu + 1.0) / (nu + (n / now) ** 2)
+            now = float(np.sqrt(np.mean(w * n**2)))
+        weight = np.ones(rows)
+        weight[index] = w = (nu + 1.0) / (nu + (n / now) ** 2)
+        tail = Tail(nu, weight)
+        volume = count * math.log(now) - 0.5 * float(np.log(w).sum()) - tail.constant(index)
+        found.append((volume + 0.5 * float(w @ (n / now) ** 2) + order_cost(1, count), now, tail))
+    _, size, tail = min(found, key=lambda one: one[0])
+    return size, tail
 
 
 def order_cost(order: int, rows: float) -> float:
