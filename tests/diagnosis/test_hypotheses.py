@@ -56,6 +56,20 @@ def ripple(m: Motion) -> np.ndarray:
     return 0.08 * np.sin(17.4 * m.q[:, 1] + 0.7)
 
 
+def bursts(m: Motion) -> np.ndarray:
+    """Five bursts of noise, .3 s each, and twenty single readings that are far off."""
+    rng = np.random.default_rng(21)
+    tau = np.zeros_like(m.q)
+    for begin in rng.integers(0, len(tau) - 30, 5):
+        tau[begin : begin + 30] += rng.normal(size=(30, 2)) * (1.5, 0.5)
+    tau[rng.choice(len(tau), 20)] += rng.choice([-1, 1], (20, 2)) * (6.0, 2.0)
+    return tau
+
+
+def spoilt_rotor(m: Motion) -> np.ndarray:
+    return bursts(m) + at_joint(1, rotor)(m)
+
+
 ROTOR, STRIBECK, RIPPLE = at_joint(1, rotor), at_joint(0, stribeck), at_joint(1, ripple)
 
 
@@ -79,6 +93,16 @@ def test_nothing_has_evidence_where_nothing_is() -> None:
     twice = Counter(h.name for h in found)
     assert {name for name, count in twice.items() if count > 1} == {n for n in names if n[0] in FOR_A_TIME}
     assert max(twice.values()) == 2
+
+
+def test_bursts_and_spikes_are_no_effect_and_hide_none() -> None:
+    fit, rows, found = leading(bursts)
+    assert all(noise.tail is not None for noise in fit.hyper.noise)
+    best = [with_own_noise(fit, rows, sharpened(fit, rows, refined(fit, rows, h))) for h in found[:5]]
+    assert all(h.log_evidence < 8.0 for h in best)
+    fit, rows, found = leading(spoilt_rotor)
+    assert found[0].name == ("rotor_inertia", Site(1))
+    assert with_own_noise(fit, rows, found[0]).log_evidence > 80.0
 
 
 def test_what_shifts_the_only_joint_is_the_clock() -> None:

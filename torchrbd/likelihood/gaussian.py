@@ -260,9 +260,7 @@ class Gaussian(Posterior):
             self._constant += float(sites[2].sum())
         self._explain(blocks, H, h, local)
 
-    def _explain(
-        self, blocks: Sequence[Block], H: np.ndarray, h: np.ndarray, local: Sequence[np.ndarray] = ()
-    ) -> None:
+    def _explain(self, blocks: Sequence[Block], H: np.ndarray, h: np.ndarray, local: Sequence[np.ndarray] = ()) -> None:
         super().__init__(H, h, local=local)
         self.blocks, self._used = tuple(blocks), dict[int, float]()
         self.left = [b.y - self.z[b.own] @ b.X for b in blocks]
