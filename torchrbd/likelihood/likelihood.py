@@ -198,7 +198,7 @@ class Likelihood:
             joints: where; everywhere if not given.
             dispersed: whether rows are to count by the scatter of their blocks.
         """
-        rows, noise, drift = self.machine.rows, list(self.hyper.noise), self.hyper.drift.copy()
+        noise, drift = list(self.hyper.noise), self.hyper.drift.copy()
         joints, dispersion = self._seen(joints), self.hyper.dispersion.copy()
         if dispersed:
             dispersion[joints] = np.maximum([self.dispersion(j) for j in joints], 1.0)
