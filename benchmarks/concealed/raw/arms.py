@@ -14,6 +14,8 @@ wallmounted   x z z y x z   axes lie; two parallel ones fold in a plane (arms on
 elbowed       z x x z x z y two elbows; hangs or stands (arms with a redundant elbow)
 inclined      z y z z x y   its second link turns in a plane that its third leaves; leans (arms on slanted rails)
 serpent       y z y z y z y seven like links; hangs or lies (arms that reach into something)
+crossed       z x y x z y   neighbouring axes are all across; upright or leaning (arms of six joints for assembly)
+whip          z y x y z x y links that get lighter; stands or lies on its side (long arms with small wrists)
 """
 
 from __future__ import annotations
@@ -70,11 +72,14 @@ OWN = {
                             (0.0, 0.5 * np.pi)),
         "elbowed": Kind("zxxzxzy", (0.15, 0.3, 0.25, 0.1, 0.2, 0.08, 0.07), (5.0, 4.5, 3.0, 1.8, 1.5, 0.9, 0.4), 0.12,
                         (0.0, np.pi)),
-    },
-    "final": {
         "inclined": Kind("zyzzxy", (0.2, 0.35, 0.12, 0.3, 0.1, 0.08), (7.0, 6.0, 2.5, 2.4, 1.3, 0.5), 0.2, (0.4, 0.9)),
         "serpent": Kind("yzyzyzy", (0.12, 0.18, 0.18, 0.18, 0.16, 0.12, 0.08), (3.5, 3.0, 2.6, 2.2, 1.6, 1.0, 0.5),
                         0.05, (0.0, 0.5 * np.pi, np.pi)),
+    },
+    "final": {
+        "crossed": Kind("zxyxzy", (0.15, 0.3, 0.1, 0.28, 0.1, 0.07), (6.0, 5.0, 2.4, 2.2, 1.2, 0.5), 0.15, (0.0, 0.3)),
+        "whip": Kind("zyxyzxy", (0.15, 0.25, 0.2, 0.18, 0.15, 0.12, 0.08), (5.5, 4.2, 3.0, 2.0, 1.4, 0.8, 0.4), 0.08,
+                     (0.0, 0.5 * np.pi)),
     },
 }  # fmt: skip
 """Own kinds of arms of each set."""
@@ -91,10 +96,12 @@ PUBLIC = {
         "tiago_pro": ("tiago_pro_description/robots/tiago_pro.urdf", r"arm_left_\d_joint"),
         "g1": ("g1_description/urdf/g1_29dof_rev_1_0.urdf", r"left_(shoulder|elbow|wrist).*"),
         "centauro": ("centauro_description/urdf/centauro.urdf", r"j_arm1_\d"),
-    },
-    "final": {
         "pr2": ("pr2_description/urdf/pr2.urdf", r"l_(shoulder|upper_arm|elbow|forearm|wrist)_.*_joint"),
         "alex": ("alex_description/urdf/alex_nub_hands.urdf", r"Left(Shoulder|Elbow|Wrist).*"),
+    },
+    "final": {
+        "humanoid": ("simple_humanoid_description/urdf/simple_humanoid.urdf", r"LARM_(SHOULDER|ELBOW|WRIST).*"),
+        "panda": ("panda_description/urdf/panda.urdf", r"panda_joint\d"),
     },
 }
 """Arms of example-robot-data, by set: file and joints that move."""
