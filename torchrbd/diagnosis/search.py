@@ -266,7 +266,8 @@ class _Search:
 
     def _judged_again(self, base: Likelihood, chosen: Sequence[Hypothesis], k: int, seen: Sequence[Hypothesis]) -> Term:
         """Return a term and its rivals beside all other terms."""
-        rest = self.with_terms(base, [h for i, h in enumerate(chosen) if i != k])
+        others = [h for i, h in enumerate(chosen) if i != k]
+        rest = self.with_terms(base, others) if others else base
         beside = [again(rest, self.rows, h) for h in (chosen[k], *seen[:_RIVALS])]
         own, *rivals = beside
         assert own is not None
