@@ -14,6 +14,7 @@ from torchrbd.physics import effect as effect_of
 from torchrbd.physics.cable_drag import CableDrag
 from torchrbd.physics.counterbalance import Counterbalance
 from torchrbd.physics.joint_coupling import JointCoupling
+from torchrbd.physics.joint_spring import JointSpring
 from torchrbd.physics.load_dependent_friction import LoadDependentFriction
 from torchrbd.physics.one_sided_spring import OneSidedSpring
 from torchrbd.physics.position_dependent_friction import PositionDependentFriction
@@ -144,6 +145,8 @@ class TestPairsOfJoints:
         (CableDrag(), {"start": -1.0, "end": 0.5, "resistance": 1.0}, {"resistance": -1.0}),
         (CableDrag(), {"start": -1.0, "end": 0.5, "resistance": 1.0}, {"end": -1.2}),
         (CableDrag(), {"start": -1.0, "end": 2.5, "resistance": 1.0}, {"start": 1.8}),
+        (JointSpring(), {"stiffness": 2.0, "rest_position": 3.0}, {"stiffness": -2.0}),
+        (JointSpring(), {"stiffness": 2.0, "rest_position": 3.0}, {"rest_position": 70.0}),
         (OneSidedSpring(), {"contact_position": 0.0, "side": -1.0, "stiffness": 2.0}, {"stiffness": -2.0}),
         (OneSidedSpring(), {"contact_position": 0.0, "side": 1.0, "stiffness": 2.0}, {"contact_position": 1.6}),
         (TorqueRipple(), {"amplitude": 1.0, "phase": 0.0, "order": 2.0}, {"order": 1.0}),

@@ -11,6 +11,9 @@ from torch import Tensor
 from torchrbd.physics.base import CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.physics.signals import JointScale, JointState
 
+# A spring's rest lies within so many times the range that the joint has covered.
+_MOST_SPANS = 10.0
+
 
 class JointSpring(JointEffect):
     """tau += k (q - q0) with k >= 0; linear in k and the torque at zero, -k q0."""
@@ -23,7 +26,7 @@ class JointSpring(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
     comes_and_goes = True
     drawn_over = "q"
-    prior = CoefficientPrior("A spring pushes back.", positive=(0,))
+    prior = CoefficientPrior("A spring pushes back, and rests within ten ranges.", positive=(0,))
     export_note = "springs of one joint have one springref: it is that of their sum"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
@@ -37,7 +40,9 @@ class JointSpring(JointEffect):
         return (stiffness, -stiffness * parameters["rest_position"]), {}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        return parameters["stiffness"] >= 0
+        """Say whether it pushes back, and is no constant torque: its rest is not too far from where the joint was."""
+        away = abs(parameters["rest_position"] - 0.5 * (scale.q_low + scale.q_high))
+        return parameters["stiffness"] >= 0 and away <= _MOST_SPANS * (scale.q_high - scale.q_low)
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         return {"joint": {"stiffness": parameters["stiffness"], "springref": parameters["rest_position"]}}
