@@ -8,7 +8,7 @@ three nats of it; they are looked at where laws have ended.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -160,6 +160,12 @@ def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     return h if then is None else then
 
 
+def _alike(h: Hypothesis) -> tuple[Hashable, ...]:
+    """Return effect, place and recording, and whether it comes or goes: one hypothesis, whatever its window."""
+    window = h.candidate.site.window
+    return (*h.name, window and (window.recording, window.one_ended))
+
+
 class _Search:
     """Rows, what may be there, and the steps of one search."""
 
@@ -197,9 +203,19 @@ class _Search:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
         # What acts for a time may come again.
         known = {h.name for h in chosen if h.candidate.site.always}
-        found = self.ordered([h for h in screened(fit, self.rows, self.effects) if h.name not in known])
-        leaders = self.judged(fit, [refined(fit, self.rows, h) for h in found[:_LEADING]], sharp=True)
-        return self.ordered((*leaders, *found[_LEADING:]))
+
+        def found(beside: Likelihood) -> list[Hypothesis]:
+            return self.ordered([h for h in screened(beside, self.rows, self.effects) if h.name not in known])
+
+        likely, plain = found(fit), fit.with_normal_noise
+        near = [refined(fit, self.rows, h) for h in likely[:_LEADING]]
+        if plain is not fit:
+            others = [again(fit, self.rows, refined(plain, self.rows, h)) for h in found(plain)[:_LEADING]]
+            known_too = [h.candidate for h in near]
+            near += [h for h in others if h is not None and h.candidate not in known_too]
+        best = self.ordered((*self.judged(fit, near, sharp=True), *likely[_LEADING:]))
+        first = {_alike(h): h for h in reversed(best)}
+        return [h for h in best if first[_alike(h)] is h]
 
     def curves(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return the likeliest curve and the likeliest tone beside a fit; one at most for each joint and signal."""

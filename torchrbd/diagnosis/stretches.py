@@ -249,11 +249,6 @@ def located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     if near is None or exact is None:
         return h
     # All that are near stand for one that begins and ends with blocks, or for themselves among finer ones.
-    part = len(stretches.pairs) / h.tried if _open(window) else 1.0 / h.tried
+    part = len(stretches.pairs) / h.tried if window.one_ended else 1.0 / h.tried
     paid = near[1] - near[0].log_evidence - math.log(part)
     return replace(exact, log_evidence=exact.log_evidence - paid, tried=h.tried, paid=-paid)
-
-
-def _open(window: Window) -> bool:
-    """Say whether a window has one end only."""
-    return math.isinf(window.start_s) != math.isinf(window.end_s)

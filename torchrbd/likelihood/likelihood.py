@@ -344,6 +344,13 @@ class Likelihood:
         return Likelihood(self.machine, hyper, self.extra, self.machine.slopes(hyper))
 
     @cached_property
+    def with_normal_noise(self) -> Likelihood:
+        """The same model whose noise has no heavy tails: steps in time look like these."""
+        if all(n.tail is None for n in self.hyper.noise):
+            return self
+        return self.with_(noise=tuple(replace(n, tail=None) for n in self.hyper.noise)).levelled()
+
+    @cached_property
     def with_new_noise(self) -> Likelihood:
         """The same model with its noise learnt once more."""
         return self.renoised(dispersed=True)

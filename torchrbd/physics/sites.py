@@ -16,6 +16,11 @@ class Window:
     start_s: float = -math.inf
     end_s: float = math.inf
 
+    @property
+    def one_ended(self) -> bool:
+        """Whether it begins or ends with the recording, not both."""
+        return math.isinf(self.start_s) != math.isinf(self.end_s)
+
 
 @dataclass(frozen=True)
 class Site:
