@@ -27,9 +27,10 @@ from scipy.special import logsumexp
 from simulated import Motion, joint_names
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, told
+from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.ranking import _ranked
 from torchrbd.diagnosis.screening import ORDINARY, refined, screened
-from torchrbd.diagnosis.search import sharpened, with_own_noise
+from torchrbd.diagnosis.search import _alike, _Search, sharpened, with_own_noise
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
@@ -103,6 +104,18 @@ def test_bursts_and_spikes_are_no_effect_and_hide_none() -> None:
     fit, rows, found = leading(spoilt_rotor)
     assert found[0].name == ("rotor_inertia", Site(1))
     assert with_own_noise(fit, rows, found[0]).log_evidence > 80.0
+
+
+def test_hypotheses_are_sought_beside_normal_noise_too_and_each_is_told_once() -> None:
+    fit = fitted(bursts)
+    plain = fit.with_normal_noise
+    assert all(noise.tail is None for noise in plain.hyper.noise)
+    assert plain.log_evidence < fit.log_evidence - 100.0
+    assert fitted(None).with_normal_noise is fitted(None)
+    rows = carried(fit)
+    found = _Search(rows, ALL, lambda _: None).leading(fit)
+    assert len({_alike(h) for h in found}) == len(found) > 40
+    assert all(log_odds(h, rows) < 0.0 for h in found)
 
 
 def test_what_shifts_the_only_joint_is_the_clock() -> None:
