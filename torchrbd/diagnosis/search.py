@@ -8,7 +8,7 @@ three nats of it; they are looked at where laws have ended.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from torchrbd.likelihood.gaussian import truncated
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.noise import Noise
 from torchrbd.likelihood.rows import Rows
-from torchrbd.physics import Effect
+from torchrbd.physics import Effect, Site
 from torchrbd.physics.smooth_torque import HUM
 
 # Hypotheses whose shapes are refined and whose noise is learnt anew, at each step.
@@ -171,6 +171,8 @@ class _Search:
 
     def __init__(self, rows: Rows, effects: Sequence[Effect], report: Callable[[int], None]) -> None:
         self.rows, self.effects, self.report = rows, effects, report
+        # What leads beside normal noise where there is nothing yet: steps in time look like heavy tails.
+        self.beside_normal: list[Hypothesis] | None = None
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return hypotheses, the likeliest first."""
@@ -199,20 +201,23 @@ class _Search:
             done |= lead
         return now
 
+    def sought(self, fit: Likelihood, known: Collection[tuple[str, Site]]) -> list[Hypothesis]:
+        """Return laws beside a fit, the likeliest first, but those that are known."""
+        return self.ordered([h for h in screened(fit, self.rows, self.effects) if h.name not in known])
+
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
         # What acts for a time may come again.
         known = {h.name for h in chosen if h.candidate.site.always}
-
-        def found(beside: Likelihood) -> list[Hypothesis]:
-            return self.ordered([h for h in screened(beside, self.rows, self.effects) if h.name not in known])
-
-        likely, plain = found(fit), fit.with_normal_noise
+        likely = self.sought(fit, known)
         near = [refined(fit, self.rows, h) for h in likely[:_LEADING]]
-        if plain is not fit:
-            others = [again(fit, self.rows, refined(plain, self.rows, h)) for h in found(plain)[:_LEADING]]
-            known_too = [h.candidate for h in near]
-            near += [h for h in others if h is not None and h.candidate not in known_too]
+        if self.beside_normal is None:
+            plain = fit.with_normal_noise
+            others = [] if plain is fit else self.sought(plain, known)[:_LEADING]
+            self.beside_normal = [refined(plain, self.rows, h) for h in others]
+        seen = [h.candidate for h in (*near, *chosen)]
+        others = [again(fit, self.rows, h) for h in self.beside_normal if h.name not in known]
+        near += [h for h in others if h is not None and h.candidate not in seen]
         best = self.ordered((*self.judged(fit, near, sharp=True), *likely[_LEADING:]))
         first = {_alike(h): h for h in reversed(best)}
         return [h for h in best if first[_alike(h)] is h]
