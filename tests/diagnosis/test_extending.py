@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -24,6 +25,7 @@ from torchrbd.inference.settings import Settings
 from torchrbd.physics import Site
 from torchrbd.robot import RobotModel
 
+EVERY = ("smooth_torque_over_qd", "smooth_torque_over_load", "smooth_friction_over_load")
 MAY = ("viscous_friction", "coulomb_friction")
 
 
@@ -31,23 +33,32 @@ def waves(m: Motion) -> np.ndarray:
     return 0.5 * np.cos(4.0 * m.qd[:, 0]) + 0.5 * np.sin(6.0 * m.q[:, 0])
 
 
-def with_two_curves(**options: Any) -> Extended:
+def pushed(m: Motion) -> np.ndarray:
+    return waves(m) + 0.3
+
+
+def with_curves(
+    wanted: Sequence[str] = ("smooth_torque_over_qd", "smooth_torque_over_q"),
+    torque: Any = waves,
+    may: tuple[str, ...] = MAY,
+    **options: Any,
+) -> Extended:
     """Return a model with a curve over the velocity and one over the position, whatever the evidence."""
-    recording = recorded(URDF, 2, with_friction(at_joint(0, waves)), **{**OPTIONS, "duration_s": 30.0})
-    settings = Settings.from_mapping({"effects": MAY, **options}, "test")
+    recording = recorded(URDF, 2, with_friction(at_joint(0, torque)), **{**OPTIONS, "duration_s": 30.0})
+    settings = Settings.from_mapping({"effects": may, **options}, "test")
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [recording], settings, ())
     ranked = ranking(prepared.reading, settings, prepared.kept_back, lambda *_: None)
     prepared = with_machine(prepared, settings, friction_of(settings), lambda *_: None, ranked.clocks)
     found = ranked.explanation
-    wanted = ("smooth_torque_over_qd", "smooth_torque_over_q")
     own = {h.candidate.effect.id: h for h in curves(found.fit, found.rows) if h.candidate.site == Site(0)}
     terms = tuple(Term(own[name], ()) for name in wanted)
-    return extended(prepared, replace(found, terms=terms), MAY, lambda *_: None)
+    fit = found.base.extended([own[name].extra(found.base, found.rows) for name in wanted]).settled
+    return extended(prepared, replace(found, terms=terms, fit=fit), may, lambda *_: None)
 
 
 @pytest.fixture(scope="module")
 def model() -> Extended:
-    return with_two_curves()
+    return with_curves()
 
 
 def late_columns(model: Extended) -> list[int]:
@@ -77,9 +88,16 @@ def test_it_is_where_the_posterior_of_what_is_left_is_largest(model: Extended) -
     torch.testing.assert_close(pulled, model.model.x[late], rtol=1e-6, atol=1e-8)
 
 
+def test_friction_is_told_without_curves_that_could_stand_in_for_it() -> None:
+    may = (*MAY, "asymmetric_coulomb_friction")
+    found, alone = (with_curves(wanted, pushed, may).friction for wanted in (EVERY, ()))
+    assert [f.candidate.effect.id for f in found] == [f.candidate.effect.id for f in alone]
+    np.testing.assert_allclose([f.log_evidence for f in found], [f.log_evidence for f in alone], rtol=0.1, atol=1.0)
+
+
 def test_states_may_be_uncertain() -> None:
     """What uncertain states take from the information is that of the columns as they are."""
-    smoothed = with_two_curves(estimator="smoother", cutoff_hz=8.0)
+    smoothed = with_curves(estimator="smoother", cutoff_hz=8.0)
     assert smoothed.prepared.states is not None
     assert smoothed.prepared.states.lost.shape == (smoothed.model.columns.n, smoothed.model.columns.n)
     fit = smoothed.prepared.fit(smoothed.first.terms)

@@ -1,7 +1,7 @@
 """The model with what was found: physically valid, in the band of the fit, as identification fits it.
 
 Curves over a joint's own velocity, acceleration or load, which friction and inertia are linear in, are fitted to what
-all else leaves, so that none stands in for a part of these:
+all else leaves, so that none stands in for a part of these; what friction there is, is told without them:
 
     w ~ N(0, D^2),   (C'C / s^2 + D^-2) w = C'(tau - X x) / s^2
 """
@@ -56,7 +56,9 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     columns = prepared.columns
     own = [t.own.candidate for t in found.terms]
     shifted = {c.joint for c in own if c.effect.id == "torque_offset" and c.site.always}
-    friction = ordinary_friction(found.fit, columns, may, shifted)
+    early = [e for e, c in zip(found.fit.extra, own, strict=True) if not stands_in(c)]
+    beside = found.fit if len(early) == len(own) else found.fit.extended(early).settled
+    friction = ordinary_friction(beside, columns, may, shifted)
     # Nothing is larger than the likelihood believes.
     believed = {
         (t.own.candidate.effect.id, t.own.candidate.site): t.own.extra(found.fit, found.rows).std for t in found.terms

@@ -356,7 +356,7 @@ def nonnegative(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     precision, shift, constant = sites = np.zeros((3, len(m)))
     for _ in range(_SWEEPS):
         for k in range(len(m)):
-            rest = 1.0 / C[k, k] - precision[k]
+            rest = 1.0 / C[k, k] - precision[k] if C[k, k] > 0 else 0.0
             if rest <= 0:
                 continue
             std, centre = rest**-0.5, (m[k] / C[k, k] - shift[k]) / rest
