@@ -28,8 +28,8 @@ from scipy.special import gammaln
 _MOST_ORDER = 16
 # Noise below this part of the residual's RMS is rounding.
 _LEAST = 1e-6
-# Degrees of freedom of Student's t that are tried, and steps towards its size.
-_FREEDOMS, _STEPS = (2.0, 4.0, 10.0), 6
+# Degrees of freedom of Student's t that are tried, its variance finite, and steps towards its size.
+_FREEDOMS, _STEPS = (4.0, 10.0), 6
 
 
 @dataclass(frozen=True)
