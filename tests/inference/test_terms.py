@@ -6,7 +6,10 @@ import math
 from types import SimpleNamespace
 
 import pytest
+from likelihood.arms import recorded
+from likelihood.fits import OPTIONS, URDF
 
+from torchrbd.inference.identify import identify
 from torchrbd.inference.physical import terms
 from torchrbd.physics import effect
 
@@ -29,3 +32,16 @@ def test_of_one_coefficient_everything_is_said(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(terms, "term_parameters", lambda *_: found)
     offset = SimpleNamespace(effect=effect("encoder_offset"))
     assert terms.told_parameters(None, offset) == found  # pyright: ignore[reportArgumentType]
+
+
+def test_coefficients_have_the_signs_that_physics_gives_them() -> None:
+    """A motor that helped acceleration would be a rotor of negative inertia."""
+    truth = {size: recorded(URDF, 2, lambda m, size=size: size * m.qdd, **OPTIONS) for size in (-0.02, 0.02)}
+    effects = ["viscous_friction", "coulomb_friction", "rotor_inertia"]
+    for size, recording in truth.items():
+        model = identify(URDF.encode(), recording, effects=effects).model
+        found = [float(t.coefficients.detach()[0]) for t in model.terms if t.effect.id == "rotor_inertia"]
+        assert len(found) == 2
+        assert min(found) >= 0.0
+        if size > 0:
+            assert found == pytest.approx([size] * 2, rel=0.2)

@@ -20,6 +20,7 @@ from torchrbd.likelihood.shapes import ShapeSlope
 from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Site, Term
+from torchrbd.physics.registry import PLAIN_OR_UNEVEN
 from torchrbd.recordings import States
 
 _MOST_ROUNDS, _SETTLED = 6, 0.1
@@ -160,8 +161,11 @@ def _told(prior: Prior, fit: PhysicalFit) -> tuple[Tensor, Tensor]:
 
 
 def _positive(columns: Columns, terms: Sequence[Candidate]) -> list[int]:
-    """Return the columns of coefficients that physics keeps from being negative."""
-    proper = [c for c in terms if not isinstance(c, ShapeSlope)]
+    """Return the columns of coefficients that physics keeps from being negative.
+
+    Ordinary friction, which every machine is fitted with, may be negative: there may be none.
+    """
+    proper = [c for c in terms if not isinstance(c, ShapeSlope) and c.effect.id not in PLAIN_OR_UNEVEN]
     return sorted({columns.of(c)[i] for c in proper for i in c.effect.prior.positive})
 
 
