@@ -36,12 +36,9 @@ def test_of_one_coefficient_everything_is_said(monkeypatch: pytest.MonkeyPatch) 
 
 def test_coefficients_have_the_signs_that_physics_gives_them() -> None:
     """A motor that helped acceleration would be a rotor of negative inertia."""
-    truth = {size: recorded(URDF, 2, lambda m, size=size: size * m.qdd, **OPTIONS) for size in (-0.02, 0.02)}
+    helping = recorded(URDF, 2, lambda m: -0.02 * m.qdd, **OPTIONS)
     effects = ["viscous_friction", "coulomb_friction", "rotor_inertia"]
-    for size, recording in truth.items():
-        model = identify(URDF.encode(), recording, effects=effects).model
-        found = [float(t.coefficients.detach()[0]) for t in model.terms if t.effect.id == "rotor_inertia"]
-        assert len(found) == 2
-        assert min(found) >= 0.0
-        if size > 0:
-            assert found == pytest.approx([size] * 2, rel=0.2)
+    model = identify(URDF.encode(), helping, effects=effects).model
+    found = [float(t.coefficients.detach()[0]) for t in model.terms if t.effect.id == "rotor_inertia"]
+    assert len(found) == 2
+    assert min(found) >= 0.0
