@@ -67,7 +67,8 @@ def test_concealed_effect_is_named(effect: str) -> None:
     diagnosis = torchrbd.diagnose(with_wrong_inertials(urdf, 3), recording)
     assert [(f.effect, f.joints) for f in diagnosis.findings] == [(effect, (joint,))]
     finding = diagnosis.findings[0]
-    assert finding.probability > 0.75
+    # A constant torque is friction that differs by direction but for what happens within a reversal.
+    assert finding.probability > (0.75 if effect == "torque_offset" else 0.9)
     assert finding.nmse_after[joint] < 0.5 * finding.nmse_before[joint]
     for name, value in truth.items():
         tolerance = 0.4 if effect == "stribeck_friction" else 0.1

@@ -272,6 +272,32 @@ def test_sites_multiply_the_prior() -> None:
     other = Gaussian([*blocks, row], N_COEFFICIENTS)
     np.testing.assert_allclose(got.z, other.z, rtol=1e-10)
     np.testing.assert_allclose(got.covariance([4, 1]), other.covariance([4, 1]), rtol=1e-10)
+    np.testing.assert_allclose(got.H - np.diag(sites[0]), Gaussian(blocks, N_COEFFICIENTS).H)
+
+
+def test_what_joints_have_alone_may_be_eliminated_first() -> None:
+    """Coefficients 4 and 6 are of the second block alone, 3 and 5 of the third: nothing else changes."""
+    blocks, local = problem(13), [np.array([4, 6]), np.array([5, 3])]
+    sites = np.zeros((3, N_COEFFICIENTS))
+    sites[:2, 4] = 2.5, -1.2
+    got, dense = (Gaussian(blocks, N_COEFFICIENTS, sites=sites, local=some) for some in (local, []))
+    np.testing.assert_allclose(got.root.matrix @ got.root.matrix.T, got.H, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(got.z, dense.z, rtol=1e-10)
+    every = np.arange(N_COEFFICIENTS)
+    np.testing.assert_allclose(got.covariance(every), dense.covariance(every), rtol=1e-9, atol=1e-12)
+    assert got.log_evidence == pytest.approx(dense.log_evidence, rel=1e-12)
+    assert [got.used(j) for j in range(3)] == pytest.approx([dense.used(j) for j in range(3)], rel=1e-10)
+    columns, _ = extra(13, blocks, (0, 2))
+    for one, other in zip(got.beside(columns), dense.beside(columns), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9)
+    held = problem(50, (4, 0, 7))
+    assert got.log_density(held) == pytest.approx(dense.log_density(held), rel=1e-10)
+    kept = np.array([0, 1, 3, 4])
+    np.testing.assert_allclose(got.among(kept).z, dense.among(kept).z, rtol=1e-10)
+    precision, shift = got.first(2)
+    cov = dense.covariance([0, 1])
+    np.testing.assert_allclose(precision, np.linalg.inv(cov), rtol=1e-9)
+    np.testing.assert_allclose(shift, np.linalg.solve(cov, dense.z[:2]), rtol=1e-9)
 
 
 @pytest.mark.parametrize("centre", [(0.5, -0.3, 0.2), (-0.8, 0.4, 0.6), (2.0, 1.5, -0.5)])

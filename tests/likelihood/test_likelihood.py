@@ -236,6 +236,29 @@ def test_features_are_judged_together_as_one_by_one(fit: Likelihood) -> None:
         np.testing.assert_allclose(r[here], score, rtol=1e-9, atol=1e-9)
 
 
+def test_rows_that_are_kept_are_those_of_a_model_made_anew(fit: Likelihood) -> None:
+    features = fit.machine.rows.q
+    own = Extra(1, features[1:2] ** 3, np.ones(1))
+    other = Extra(None, np.stack((features**2,)), np.ones(1))
+    base = fit.extended([own])
+    drift = fit.hyper.drift * [1.0, 2.0]
+    noise = (fit.hyper.noise[0], replace(fit.hyper.noise[1], sigma=2.0 * fit.hyper.noise[1].sigma))
+    changed = (
+        base,
+        base.extended([own, other]),
+        base.extended([other]).extended([own]),
+        base.with_(drift=drift, noise=noise),
+        base.with_(rest_width=fit.hyper.rest_width * [1.0, 1.5]),
+        base.renoised([1], dispersed=True),
+    )
+    for one in changed:
+        anew = Likelihood(one.machine, one.hyper, one.extra, one._slopes)
+        assert one.log_evidence == pytest.approx(anew.log_evidence, rel=1e-10)
+        np.testing.assert_allclose(one.gaussian.z, anew.gaussian.z, rtol=1e-6, atol=1e-9)
+    assert changed[-1].hyper.noise[0].sigma == base.hyper.noise[0].sigma
+    assert changed[-1].hyper.noise[1].sigma != base.hyper.noise[1].sigma
+
+
 def test_dispersion_is_one_for_white_rows_and_more_for_errors_that_last(fit: Likelihood) -> None:
     rng = np.random.default_rng(0)
     one, rows = fit.extended(()), fit.machine.rows

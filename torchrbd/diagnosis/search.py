@@ -181,7 +181,9 @@ class _Search:
     def judged(
         self, fit: Likelihood, found: Sequence[Hypothesis], *, sharp: bool = False, reach: float = 0.0
     ) -> list[Hypothesis]:
-        """Return hypotheses beside a fit; those that lead, by odds or evidence, with all that is learnt learnt anew.
+        """Return hypotheses beside a fit; those that may be there, or lead, with all that is learnt learnt anew.
+
+        Those may be there that are likelier than not; that of the greatest odds and that of the greatest evidence lead.
 
         Args:
             fit: beside which they stand.
@@ -192,7 +194,8 @@ class _Search:
         now, done = [at_a_glance(fit, self.rows, h) for h in found], set[int]()
         while now:
             odds = np.array([log_odds(h, self.rows) for h in now])
-            lead = {int(np.argmax([h.log_evidence for h in now])), *np.flatnonzero(odds >= odds.max() - reach).tolist()}
+            near = np.flatnonzero((odds > 0.0) | (odds >= odds.max() - reach))
+            lead = {int(np.argmax([h.log_evidence for h in now])), *near.tolist()}
             if lead <= done:
                 break
             for k in lead - done:

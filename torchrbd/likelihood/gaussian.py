@@ -25,10 +25,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import log_ndtr
 
-_ROUNDING, _LEAST_PRECISION = 1e-13, 1e-280
+from torchrbd.likelihood.root import ROUNDING, Root, forwards
+
 # Sweeps over the sites of truncated coefficients, and the least part of its variance that a truncation leaves.
 _SWEEPS, _LEAST_VARIANCE = 8, 1e-6
 
@@ -78,83 +78,6 @@ class Addition:
     std: np.ndarray
 
 
-class Root:
-    """A root F of a precision H = F F' (P, P), whose ``local`` groups of coefficients do not meet each other.
-
-        H_jj = L_j L_j',   X_j = L_j^-1 H_js,   H_ss - sum_j X_j'X_j = L_s L_s'
-
-        F = [L_s  X_1' X_2' ...]
-            [     L_1          ]
-            [          L_2     ]
-
-    Without such groups it is Cholesky's factor.
-
-    Args:
-        H: (P, P) precision.
-        local: indices of each group; all others are shared.
-        rounding: part of its diagonal that is added to H.
-
-    Raises:
-        LinAlgError: H is no precision.
-    """
-
-    def __init__(self, H: np.ndarray, local: Sequence[np.ndarray] = (), rounding: float = _ROUNDING) -> None:
-        self.shared = np.setdiff1d(np.arange(len(H)), np.concatenate(local)) if len(local) else np.arange(len(H))
-        self.left, self.local = _raised(H, self.shared, rounding), []
-        for own in local:
-            L = np.linalg.cholesky(_raised(H, own, rounding))
-            X = _forwards(L, H[np.ix_(own, self.shared)])
-            self.left -= X.T @ X
-            self.local.append((own, L, X))
-        self.L = np.linalg.cholesky(self.left)
-
-    @property
-    def log_det(self) -> float:
-        """log det F."""
-        return float(sum(np.log(L.diagonal()).sum() for L in (self.L, *(L for _, L, _ in self.local))))
-
-    @property
-    def matrix(self) -> np.ndarray:
-        """F, (P, P)."""
-        F = np.zeros((len(self.shared) + sum(len(own) for own, *_ in self.local),) * 2)
-        F[np.ix_(self.shared, self.shared)] = self.L
-        for own, L, X in self.local:
-            F[np.ix_(own, own)], F[np.ix_(self.shared, own)] = L, X.T
-        return F
-
-    def half(self, B: np.ndarray) -> np.ndarray:
-        """Return F^-1 B of B (P, ...)."""
-        found, shared = np.zeros(B.shape), B[self.shared].astype(float)
-        for own, L, X in self.local:
-            if (part := B[own]).any():
-                found[own] = part = _forwards(L, part)
-                shared -= X.T @ part
-        found[self.shared] = _forwards(self.L, shared)
-        return found
-
-    def solve(self, B: np.ndarray) -> np.ndarray:
-        """Return H^-1 B of B (P, ...)."""
-        found = self.half(B)
-        found[self.shared] = shared = solve_triangular(
-            self.L, found[self.shared], lower=True, trans=1, check_finite=False
-        )
-        for own, L, X in self.local:
-            found[own] = solve_triangular(L, found[own] - X @ shared, lower=True, trans=1, check_finite=False)
-        return found
-
-
-def _raised(H: np.ndarray, own: np.ndarray, rounding: float) -> np.ndarray:
-    """Return a part of a precision; of noise-free torques, rounding would decide the weak directions."""
-    part = H[np.ix_(own, own)]
-    at = np.diag_indices_from(part)
-    part[at] += rounding * np.maximum(part[at], _LEAST_PRECISION)
-    return part
-
-
-def _forwards(L: np.ndarray, B: np.ndarray) -> np.ndarray:
-    return solve_triangular(L, B, lower=True, check_finite=False)
-
-
 class Posterior:
     """The posterior N(z^, H^-1) of coefficients z (P,) from their normal equations H z = h, prior included.
 
@@ -173,7 +96,7 @@ class Posterior:
     """
 
     def __init__(
-        self, H: np.ndarray, h: np.ndarray, rounding: float = _ROUNDING, local: Sequence[np.ndarray] = ()
+        self, H: np.ndarray, h: np.ndarray, rounding: float = ROUNDING, local: Sequence[np.ndarray] = ()
     ) -> None:
         self.H, self.h, self.root = H, h, Root(H, local, rounding)
         self.z = self.solve(h)
@@ -201,7 +124,7 @@ class Posterior:
         """
         S, shift = self.root.left, self.h[self.root.shared].copy()
         for own, L, X in self.root.local:
-            shift -= X.T @ _forwards(L, self.h[own])
+            shift -= X.T @ forwards(L, self.h[own])
         across = np.linalg.solve(S[k:, k:], np.column_stack((S[k:, :k], shift[k:])))
         P = S[:k, :k] - S[:k, k:] @ across[:, :k]
         return 0.5 * (P + P.T), shift[:k] - S[:k, k:] @ across[:, k]

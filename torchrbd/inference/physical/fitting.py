@@ -173,10 +173,10 @@ def _with_signs(
     prior: Prior, equations: Equations, x: Tensor, covariance: Tensor, positive: Sequence[int]
 ) -> Equations:
     """Return equations whose prior is truncated where coefficients would be negative, see ``nonnegative``."""
-    at = torch.tensor(positive, dtype=torch.long)
-    told = [k for k in positive if float(x[k]) < _CERTAIN_SIGN * float(covariance[k, k].clamp_min(0.0).sqrt())]
-    if not told:
+    std = covariance.diagonal().clamp_min(0.0).sqrt()
+    if all(float(x[k]) >= _CERTAIN_SIGN * float(std[k]) for k in positive):
         return equations
+    at = torch.tensor(positive, dtype=torch.long)
     precision, shift, _ = map(
         torch.from_numpy, nonnegative(x[at].numpy(), covariance[at.unsqueeze(1), at].contiguous().numpy())
     )
