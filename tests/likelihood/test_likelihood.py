@@ -30,7 +30,7 @@ from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Extra, Likelihood
 from torchrbd.likelihood.machine import STICKS, Machine
-from torchrbd.likelihood.noise import learnt
+from torchrbd.likelihood.noise import Tail, learnt
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 from torchrbd.physics import Site
 from torchrbd.physics.registry import effect
@@ -234,6 +234,17 @@ def test_features_are_judged_together_as_one_by_one(fit: Likelihood) -> None:
         one, score = fit.beside(0, F)
         np.testing.assert_allclose(S[here, here], one, rtol=1e-9)
         np.testing.assert_allclose(r[here], score, rtol=1e-9, atol=1e-9)
+
+
+def test_tails_are_as_heavy_as_what_the_posterior_leaves(fit: Likelihood) -> None:
+    """What a worse fit left, at reversals, would have tails that nothing has beside the right one."""
+    rng = np.random.default_rng(4)
+    worse = [Tail(4.0, 5.0 / (4.0 + rng.standard_t(4.0, len(n.spread)) ** 2)) for n in fit.hyper.noise]
+    heavy = fit.with_(noise=tuple(replace(n, tail=tail) for n, tail in zip(fit.hyper.noise, worse, strict=True)))
+    again = heavy.levelled()
+    assert all(n.tail is None for n in again.hyper.noise)
+    assert again.log_evidence == pytest.approx(fit.levelled().log_evidence, abs=5.0)
+    assert heavy.log_evidence < again.log_evidence - 50.0
 
 
 def test_rows_that_are_kept_are_those_of_a_model_made_anew(fit: Likelihood) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +13,7 @@ import torch
 
 from torchrbd.likelihood.gaussian import Block, Gaussian, added, nonnegative
 from torchrbd.likelihood.machine import STICKS, Hyper, Machine
-from torchrbd.likelihood.noise import Noise, learnt
+from torchrbd.likelihood.noise import Noise, learnt, tailed
 from torchrbd.likelihood.physical import expanded, most_probable
 
 KAPPAS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
@@ -210,37 +211,42 @@ class Likelihood:
             drift[j] = max(drift[j] * np.sqrt(np.clip(power, 0.1, 10.0)), least)
         return self.with_(noise=tuple(noise), drift=drift, dispersion=dispersion).levelled(joints)
 
-    def levelled(self, joints: Sequence[int] | None = None) -> Likelihood:
-        """Return the same model with noises as large as the evidence says, their colours as they are.
+    def levelled(self, joints: Sequence[int] | None = None, *, normal: bool = False) -> Likelihood:
+        """Return the same model with noises as large, and tails as heavy, as the evidence says, their colours as they are.
 
-            sigma^2 <- sigma^2 sum e^2 / (m - gamma)
+            sigma^2 <- sigma^2 sum w e^2 / (m - gamma)
 
         Source: MacKay, "Bayesian Interpolation", Neural Computation 1992, eq. 4.9; gamma are degrees of freedom used.
 
         Args:
             joints: where; everywhere if not given.
+            normal: whether noise is to have no heavy tails.
         """
-        parts = np.ones(self.machine.rows.n_dof)
+        noise = list(self.hyper.noise)
         for j in self._seen(joints):
-            free = max(1.0 - self.gaussian.used(j) / len(self.index[j]), _LEAST_FREEDOM)
-            parts[j] = float(np.mean(self.gaussian.left[j] ** 2)) / free * self.hyper.dispersion[j]
-        return self._scaled(parts)
+            n, index = noise[j], self.index[j]
+            free = max(1.0 - self.gaussian.used(j) / len(index), _LEAST_FREEDOM)
+            own = self.gaussian.left[j] * n.scatter[index] / n.spread[index]
+            size, tail = tailed(own, index, len(n.spread), normal=normal)
+            noise[j] = replace(n, sigma=n.sigma * size * math.sqrt(self.hyper.dispersion[j] / free), tail=tail)
+        return self._resized(noise, self.hyper.dispersion)
 
     def _seen(self, joints: Sequence[int] | None) -> list[int]:
         return [j for j, index in enumerate(self.index) if len(index) and (joints is None or j in joints)]
 
     def dispersed(self, dispersion: np.ndarray) -> Likelihood:
         """Return the same model whose rows count by another dispersion (n,)."""
-        return self._scaled(dispersion / self.hyper.dispersion, dispersion)
+        parts = np.sqrt(dispersion / self.hyper.dispersion)
+        noise = [replace(n, sigma=n.sigma * float(part)) for n, part in zip(self.hyper.noise, parts, strict=True)]
+        return self._resized(noise, dispersion)
 
-    def _scaled(self, variance: np.ndarray, dispersion: np.ndarray | None = None) -> Likelihood:
-        """Return the same model whose noises have so many times (n,) their variance, and another dispersion."""
-        least, old = _LEAST_NOISE * self.machine.torque_rms, self.hyper.noise
-        sigma = np.maximum([n.sigma * part for n, part in zip(old, np.sqrt(variance), strict=True)], least)
-        noise = tuple(replace(n, sigma=float(new)) for n, new in zip(old, sigma, strict=True))
-        each = zip(self.gaussian.blocks, noise, old, strict=True)
-        blocks = [b.louder(new.sigma / was.sigma) for b, new, was in each]
-        hyper = self.hyper.with_(noise=noise, dispersion=self.hyper.dispersion if dispersion is None else dispersion)
+    def _resized(self, noise: Sequence[Noise], dispersion: np.ndarray) -> Likelihood:
+        """Return the same model whose noises have other sizes and tails, and another dispersion (n,)."""
+        least = _LEAST_NOISE * self.machine.torque_rms
+        noise = [replace(n, sigma=max(n.sigma, float(least[j]))) for j, n in enumerate(noise)]
+        each = zip(self.gaussian.blocks, noise, self.hyper.noise, strict=True)
+        blocks = [b.louder(new.sigma / old.sigma) if new.tail is old.tail else None for b, new, old in each]
+        hyper = self.hyper.with_(noise=tuple(noise), dispersion=dispersion)
         return Likelihood(self.machine, hyper, self.extra, self._slopes, self._raw, blocks)
 
     def rewidened(self, joints: Sequence[int] | None = None, known: np.ndarray | None = None) -> Likelihood:
@@ -289,7 +295,8 @@ class Likelihood:
         """Return the noise of what is left at a joint whose rows are as noisy as ``spread`` (M,) against each other."""
         fit, index, run = self.least_squares, self.index[joint], self.machine.rows.run
         used, white = fit.gaussian.used(joint), self.hyper.white
-        found = learnt(fit.residual(joint), index, spread, run, used, dispersion, white=white)
+        tail = self.hyper.noise[joint].tail
+        found = learnt(fit.residual(joint), index, spread, run, used, dispersion, tail=tail, white=white)
         return replace(found, sigma=max(found.sigma, _LEAST_NOISE * self.machine.torque_rms[joint]))
 
     def reweighed(self) -> Likelihood:
@@ -348,7 +355,7 @@ class Likelihood:
         """The same model whose noise has no heavy tails: steps in time look like these."""
         if all(n.tail is None for n in self.hyper.noise):
             return self
-        return self.with_(noise=tuple(replace(n, tail=None) for n in self.hyper.noise)).levelled()
+        return self.with_(noise=tuple(replace(n, tail=None) for n in self.hyper.noise)).levelled(normal=True)
 
     @cached_property
     def with_new_noise(self) -> Likelihood:

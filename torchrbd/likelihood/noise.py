@@ -119,6 +119,7 @@ def learnt(
     used: float,
     dispersion: float,
     *,
+    tail: Tail | None = None,
     white: bool = False,
 ) -> Noise:
     """Learn the noise from what a fit leaves.
@@ -130,6 +131,7 @@ def learnt(
         run: (M,) number of its uninterrupted run.
         used: degrees of freedom that the fit has taken from this joint.
         dispersion: how much more the blocks scatter than white rows would; all variances are raised by it.
+        tail: how heavy its tails are.
         white: whether rows are taken to be independent, as least squares does.
     """
     own, count = residual / spread, max(len(index), 1)
@@ -143,18 +145,19 @@ def learnt(
             return 0.5 * len(index) * math.log(variance) + order_cost(len(a), len(index))
 
         noise = replace(noise, predictor=min(predictors(own, run, 0 if white else _MOST_ORDER), key=loss)[0])
-        size, tail = tailed(noise.white(residual), index, len(residual))
-        noise = replace(noise, sigma=noise.sigma * max(size, _LEAST), tail=tail)
+        noise = replace(noise, tail=tail)
+        size = float(np.sqrt(np.mean(noise.white(residual) ** 2)))
+        noise = replace(noise, sigma=noise.sigma * max(size, _LEAST))
     # A fit that has many parameters leaves less than the noise.
     raised = max(dispersion, 1.0) / max(1.0 - used / count, 0.1)
     return replace(noise, sigma=noise.sigma * math.sqrt(raised))
 
 
-def tailed(n: np.ndarray, index: np.ndarray, rows: int) -> tuple[float, Tail | None]:
+def tailed(n: np.ndarray, index: np.ndarray, rows: int, *, normal: bool = False) -> tuple[float, Tail | None]:
     """Return the size of innovations n (m,) at some of M rows, and their tail, if its evidence pays for it."""
     size, count = float(np.sqrt(np.mean(n**2))), len(n)
     found: list[tuple[float, float, Tail | None]] = [(count * math.log(max(size, 1e-150)) + 0.5 * count, size, None)]
-    for nu in _FREEDOMS if size > 0 else ():
+    for nu in () if normal or size <= 0 else _FREEDOMS:
         now = size
         for _ in range(_STEPS):
             w = (nu + 1.0) / (nu + (n / now) ** 2)
