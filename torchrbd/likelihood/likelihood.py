@@ -212,7 +212,7 @@ class Likelihood:
         return self.with_(noise=tuple(noise), drift=drift, dispersion=dispersion).levelled(joints)
 
     def levelled(self, joints: Sequence[int] | None = None, *, normal: bool = False) -> Likelihood:
-        """Return the same model with noises as large, and tails as heavy, as the evidence says, their colours as they are.
+        """Return the same model with noises as large, and tails as heavy, as the evidence says; their colours stay.
 
             sigma^2 <- sigma^2 sum w e^2 / (m - gamma)
 
