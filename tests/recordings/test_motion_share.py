@@ -6,6 +6,7 @@ import tracemalloc
 
 import numpy as np
 
+from torchrbd.recordings import Recording, survey
 from torchrbd.recordings.blocks import Block
 from torchrbd.recordings.spectrum import LOWEST_HZ, Spectrum
 
@@ -88,3 +89,24 @@ def test_noise_of_a_fast_irregular_clock_is_not_told_from_the_motion() -> None:
     one = spectrum(q, 1000.0)
     inside = (one.frequency > 3.0) & (one.frequency < 10.0)
     assert (one.motion_share(regular=False)[:, inside] > 0.99).all()
+
+
+def test_noise_is_at_least_what_rounding_makes() -> None:
+    """What interpolation between steps has taken from high frequencies may remain among the motion."""
+    one, step = spectrum(moving(200.0, 1e-5), 200.0), np.array([3e-3, np.nan])
+    loud = spectrum(moving(200.0, 3e-3 / np.sqrt(12)), 200.0)
+    share, f = one.motion_share(step=step), one.frequency
+    inside = (f > LOWEST_HZ) & (f < 10.0)
+    np.testing.assert_allclose(share[0, inside], loud.motion_share()[0, inside], atol=0.3)
+    assert share[0, f > 5.0].max() < 0.1 < 0.9 < one.motion_share()[0, (f > 5.0) & (f < 10.0)].min()
+    np.testing.assert_array_equal(share[1], one.motion_share()[1])
+
+
+def test_survey_counts_on_the_rounding_it_sees() -> None:
+    rate_hz, step = 500.0, 2e-4
+    t = np.arange(0.0, 60.0, 1.0 / rate_hz)
+    q = 0.1 * np.stack([np.sin(t), np.sin(0.7 * t + 1.0)], 1)
+    seen = survey(Recording.from_arrays("slow", ("a", "b"), t, step * np.round(q / step), np.cos(t)[:, None] + 0.0 * q))
+    inside = (seen.share_hz > 4.0) & (seen.share_hz < 12.0)
+    noise = step**2 / 6.0 / rate_hz * (2 * np.pi * seen.share_hz) ** 4
+    assert (seen.motion_share <= np.clip(1.0 - noise / seen.acceleration_density, 0.0, 1.0) + 0.1)[:, inside].all()

@@ -32,14 +32,14 @@ class Clock:
         gap: rows further apart than this [s] start a new segment; nothing is interpolated across.
         duplicate: rows closer than this [s] to the row before are dropped.
         regular: whether rows lie on the uniform clock but for rounding; others are interpolated, which smooths noise.
-        quantised: (n,) whether a joint's positions show steps.
+        step: (n,) of a joint's positions, NaN where none is seen [rad or m].
     """
 
     dt: float
     gap: float
     duplicate: float
     regular: bool = True
-    quantised: tuple[bool, ...] = ()
+    step: tuple[float, ...] = ()
 
     @staticmethod
     def of(recording: Recording) -> Clock:
@@ -67,8 +67,8 @@ class Clock:
         if regular:  # a regular clock that lost some rows keeps its rate
             steps = steps[typical]
         # nine digits: .001 stays .001 however the times were rounded
-        quantised = tuple(bool(np.isfinite(_step_of(changes))) for changes in np.diff(q, axis=0).T)
-        return Clock(float(f"{steps.mean():.9g}"), _GAP * median, _DUPLICATE * median, regular, quantised)
+        of_q = tuple(_step_of(changes) for changes in np.diff(q, axis=0).T)
+        return Clock(float(f"{steps.mean():.9g}"), _GAP * median, _DUPLICATE * median, regular, of_q)
 
 
 class Census:
@@ -155,7 +155,7 @@ def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = N
     how the rows were chunked. Segments of fewer than four rows are left out.
     """
     held: _Resampler | None = None
-    for block in between_steps(clean_blocks(recording, clock, census), np.array(clock.quantised)):
+    for block in between_steps(clean_blocks(recording, clock, census), np.array(clock.step)):
         if held is not None and held.segment != block.segment:
             yield from held.advance(last=True)
             held = None

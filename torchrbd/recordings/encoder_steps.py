@@ -3,14 +3,16 @@
 While a joint creeps, its encoder shows one reading for many rows, and the error of the reading is no noise: a sawtooth
 whose frequency, speed over step, lies within the band of the motion. At the moment of a step the position is known much
 better: halfway between both readings. With t_a, t_b the times of the steps that begin and end a reading c, halfway
-between two rows, and q_a, q_b the positions there,
+between two rows, and c + q_a, c + q_b the positions there,
 
-    q(t) = c + (q_a - c) [1 - (t - t_a) / h]_+ + (q_b - c) [1 - (t_b - t) / h]_+,   h = min(H, (t_b - t_a) / 2)
+    q(t) = c + h_00 q_a + h_01 q_b + T (h_10 v_a + h_11 v_b),   T = t_b - t_a
 
-is a straight line across a short reading, and returns to it within H of a long one. Shorter readings than 1 / 0.12 rows
-are left as they are: their sawtooth is faster than any band that is fitted (``likelihood.band``), while times of steps
-are told to a row alone. So are readings that are left where they were entered: how far the joint went before it turned,
-or for a while stuck, steps do not tell.
+with Hermite's cubics h of (t - t_a) / T, v the speed there of the parabola through three steps, and within half a step
+of c. A reading that lasts much longer than a step does at the speeds u of the steps before and after holds a rest:
+
+    q(t) = c + q_a [1 - (t - t_a) / H_a]_+^2 + q_b [1 - (t_b - t) / H_b]_+^2,   H = step / |u|, .5 s at most
+
+Steps are told to a row alone, so that readings of a few rows are left as they are.
 
 Source: Merry, van de Molengraft, Steinbuch, "Velocity and acceleration estimation for optical incremental encoders",
 Mechatronics 2010 (events of an encoder instead of its samples).
@@ -20,65 +22,112 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from torchrbd.recordings.blocks import Block
 
-# H [s], and rows that a reading must last.
-_RETURN_S, _LEAST_ROWS = 0.5, 8
+# The longest H [s], rows that a reading must last, and how many times its H of one that holds a rest.
+_LONGEST_S, _LEAST_ROWS, _RESTS = 0.5, 5, 3.0
 # Rows that are worked on at a time, at least.
 _AT_ONCE = 256
 
 
-def between_steps(blocks: Iterator[Block], quantised: np.ndarray) -> Iterator[Block]:
+def between_steps(blocks: Iterator[Block], step: np.ndarray) -> Iterator[Block]:
     """Yield the same rows, slow positions interpolated; the result does not depend on how they were cut into blocks.
 
     Args:
         blocks: rows of a recording.
-        quantised: (n,) bool, which of its positions show steps.
+        step: (n,) of its positions, NaN where none is seen [rad or m].
     """
-    if not quantised.any():
+    if np.isnan(step).all():
         yield from blocks
         return
-    joints, reach = np.flatnonzero(quantised), 2.0 * _RETURN_S
+    reach = 2.0 * (_RESTS + 1.0) * _LONGEST_S
     held: Block | None = None
     done = 0
     for block in blocks:
         if held is not None and held.segment != block.segment:
-            yield from _part(held, joints, done, len(held.t))
+            yield from _part(held, step, done, len(held.t))
             held, done = None, 0
         held = block if held is None else held.joined(block)
         known = int(np.searchsorted(held.t, held.t[-1] - reach, side="left"))
         if known >= done + _AT_ONCE:
-            yield from _part(held, joints, done, known)
-            # A reading is told by the steps around it, which may be as far before.
+            yield from _part(held, step, done, known)
+            # A reading is told by two steps on each side of it, which may be as far before.
             first = max(0, int(np.searchsorted(held.t, held.t[known] - reach, side="left")) - _LEAST_ROWS)
             held, done = held.rows(first, len(held.t)), known - first
     if held is not None:
-        yield from _part(held, joints, done, len(held.t))
+        yield from _part(held, step, done, len(held.t))
 
 
-def _part(block: Block, joints: np.ndarray, first: int, last: int) -> Iterator[Block]:
+def _part(block: Block, step: np.ndarray, first: int, last: int) -> Iterator[Block]:
     if last <= first:
         return
     x = block.x[:, first:last].copy()
-    for joint in joints:
-        x[joint] = interpolated(block.t, block.x[joint])[first:last]
+    for joint in np.flatnonzero(~np.isnan(step)):
+        x[joint] = interpolated(block.t, block.x[joint], float(step[joint]))[first:last]
     yield replace(block.rows(first, last), x=x)
 
 
-def interpolated(t: np.ndarray, q: np.ndarray) -> np.ndarray:
+class _Entry(NamedTuple):
+    """How R readings are entered, each (R,).
+
+    Attributes:
+        row: first one.
+        t: of the step, -inf if none is seen [s].
+        q: position at the step, against the reading [rad or m].
+        gap: time since the step before [s], inf if none is seen or it is too far.
+        speed: mean since then [rad/s or m/s].
+    """
+
+    row: np.ndarray
+    t: np.ndarray
+    q: np.ndarray
+    gap: np.ndarray
+    speed: np.ndarray
+
+    @staticmethod
+    def of(t: np.ndarray, q: np.ndarray, step: float) -> _Entry:
+        """Return those of readings that last some rows, of positions (K,) at times (K,)."""
+        steps = np.flatnonzero(np.diff(q)) + 1
+        first = np.concatenate(([0], steps))
+        k = np.flatnonzero(np.diff(np.append(first, len(q))) >= _LEAST_ROWS)
+        row, before = first[k], first[k - 1]
+        change = np.where(row > 0, q[row] - q[row - 1], 0.0)
+        when = np.where(row > 0, 0.5 * (t[row - 1] + t[row]), -np.inf)
+        seen = (row > 0) & (before > 0)
+        gap = np.where(seen, when - 0.5 * (t[before - 1] + t[before]), np.inf)
+        gap[gap >= 2.0 * _LONGEST_S] = np.inf
+        speed = 0.5 * (change + q[before] - q[before - 1]) / gap
+        return _Entry(row, when, 0.5 * np.clip(-change, -step, step), gap, speed)
+
+    def left(self, rows: int) -> _Entry:
+        """Return how readings of so many rows are left, these being those of the reversed motion."""
+        row, t, q, gap, speed = (x[::-1] for x in self)
+        return _Entry(rows - 1 - row, -t, q, gap, -speed)
+
+
+def interpolated(t: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
     """Return positions (K,) at times (K,), slow ones by the moments of their steps."""
-    steps = np.flatnonzero(np.diff(q)) + 1
-    number = np.searchsorted(steps, np.arange(len(q)), side="right")
-    rows = np.diff(np.concatenate(([0], steps, [len(q)])))[number]
-    at = np.concatenate(([-np.inf], 0.5 * (t[steps - 1] + t[steps]), [np.inf]))
-    half = np.concatenate(([0.0], 0.5 * (q[steps - 1] + q[steps]), [0.0]))
-    enters, leaves = (np.where(np.isfinite(at[k]), half[k] - q, 0.0) for k in (number, number + 1))
-    begin, end = at[number], at[number + 1]
-    h = np.minimum(_RETURN_S, 0.5 * (end - begin))
-    before, after = np.clip(1.0 - (t - begin) / h, 0.0, 1.0), np.clip(1.0 - (end - t) / h, 0.0, 1.0)
-    turns = (enters * leaves > 0.0) & (end - begin < 2.0 * _RETURN_S)
-    slow = (rows >= _LEAST_ROWS) & ~turns
-    return np.where(slow, q + before * enters + after * leaves, q)
+    a, b = _Entry.of(t, q, step), _Entry.of(-t[::-1], q[::-1], step).left(len(q))
+    if not len(a.row):
+        return q
+    row = np.arange(len(q))
+    at = np.searchsorted(a.row, row, side="right") - 1
+    h_a, h_b = (np.minimum(_LONGEST_S, step / np.maximum(np.abs(e.speed), 1e-300)) for e in (a, b))
+    rests = _RESTS * (h_a + h_b) < b.t - a.t
+    lasts = np.where(rests, 1.0, b.t - a.t)
+    own = (b.q - a.q) / lasts
+    v_a, v_b = (own + (e.speed - own) * lasts / (lasts + e.gap) for e in (a, b))
+    held = a.q[at] * _falling((t - a.t[at]) / h_a[at]) + b.q[at] * _falling((b.t[at] - t) / h_b[at])
+    x = np.where(rests[at], 0.0, t - a.t[at]) / lasts[at]
+    y = 1.0 - x
+    path = a.q[at] * y**2 * (1 + 2 * x) + b.q[at] * x**2 * (1 + 2 * y) + lasts[at] * x * y * (v_a[at] * y - v_b[at] * x)
+    told = np.where(rests[at], held, np.clip(path, -0.5 * step, 0.5 * step))
+    return np.where((at >= 0) & (row <= b.row[at]), q + told, q)
+
+
+def _falling(x: np.ndarray) -> np.ndarray:
+    return np.clip(1.0 - x, 0.0, 1.0) ** 2

@@ -147,18 +147,25 @@ class Spectrum:
         sums = np.add.reduceat(np.pad(self.acceleration, ((0, 0), (0, 1))), np.stack(ends, 1).ravel(), axis=1)
         return sums[:, ::2] / (ends[1] - ends[0])
 
-    def motion_share(self, *, regular: bool = True) -> np.ndarray:
-        """Return which part of the positions' power is motion and not white noise, (n, F) between 0 and 1.
+    def motion_share(self, *, step: np.ndarray | float = math.nan, regular: bool = True) -> np.ndarray:
+        """Return which part of the positions' power is motion and not noise, (n, F) between 0 and 1.
 
             W(f) = 1 - S_noise(f) / S(f)
 
         with S averaged over a third of an octave: the gain of Wiener's non-causal filter. Beyond the motion it only
-        falls, so that no chance peak of the noise passes.
+        falls, so that no chance peak of the noise passes. Noise is at least what rounding to steps makes, step^2 / 12:
+        what interpolation between steps has taken from high frequencies may remain at lower ones.
 
         Source: Wiener, "Extrapolation, Interpolation and Smoothing of Stationary Time Series", 1949.
+
+        Args:
+            step: (n,) of the encoders, NaN where none is seen [rad or m].
+            regular: whether rows lie on the uniform clock.
         """
         f, smooth = self.frequency, self.smooth_acceleration
-        noise = self.q_noise_density(regular=regular, below_hz=_NOISE_BELOW_HZ)[:, None] * self.difference_gain**2
+        white = self.q_noise_density(regular=regular, below_hz=_NOISE_BELOW_HZ)
+        density = np.fmax(white, self.dt * np.square(step) / 6.0)
+        noise = density[:, None] * self.difference_gain**2
         share = np.clip(1.0 - _NOISE_MARGIN * noise / np.maximum(smooth, 1e-300), 0.0, 1.0)
         share[:, f < LOWEST_HZ] = 1.0
         return np.minimum.accumulate(share, axis=1)

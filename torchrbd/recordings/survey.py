@@ -149,7 +149,7 @@ def survey(recording: Recording) -> Survey:
         q_resolution=census.resolution,
         tau_resolution=census.tau_resolution,
         qd_noise_std=qd_noise_std,
-        motion_share=spectrum.motion_share(regular=clock.regular),
+        motion_share=spectrum.motion_share(step=census.resolution, regular=clock.regular),
         share_hz=spectrum.frequency,
         acceleration_density=spectrum.smooth_acceleration,
         link_ratio=link_ratio,
