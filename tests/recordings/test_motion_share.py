@@ -94,11 +94,12 @@ def test_noise_of_a_fast_irregular_clock_is_not_told_from_the_motion() -> None:
 def test_noise_is_at_least_what_rounding_makes() -> None:
     """What interpolation between steps has taken from high frequencies may remain among the motion."""
     one, step = spectrum(moving(200.0, 1e-5), 200.0), np.array([3e-3, np.nan])
-    loud = spectrum(moving(200.0, 3e-3 / np.sqrt(12)), 200.0)
     share, f = one.motion_share(step=step), one.frequency
-    inside = (f > LOWEST_HZ) & (f < 10.0)
-    np.testing.assert_allclose(share[0, inside], loud.motion_share()[0, inside], atol=0.3)
-    assert share[0, f > 5.0].max() < 0.1 < 0.9 < one.motion_share()[0, (f > 5.0) & (f < 10.0)].min()
+    noise = 1.2 * 3e-3**2 / 6.0 / 200.0 * one.difference_gain**2
+    expected = np.clip(1.0 - noise / np.maximum(one.smooth_acceleration[0], 1e-300), 0.0, 1.0)
+    expected[f < LOWEST_HZ] = 1.0
+    np.testing.assert_allclose(share[0], np.minimum.accumulate(expected), atol=1e-9)
+    assert share[0, f > 5.0].max() < 0.5 < one.motion_share()[0, f > 5.0].max()
     np.testing.assert_array_equal(share[1], one.motion_share()[1])
 
 

@@ -45,4 +45,5 @@ def learn(machine: Machine, *, white: bool = False) -> Likelihood:
     fit = fit.relinearised(alone=True).reweighed()
     for _ in range(_ROUNDS):
         fit = fit.with_(white=white).renoised().relinearised(alone=True).reweighed()
+    fit = fit if white else fit.with_heavy_tails
     return fit.recalibrated().relinearised(alone=True).reweighed().renoised(dispersed=True)

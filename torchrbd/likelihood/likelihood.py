@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import takewhile
@@ -211,7 +211,7 @@ class Likelihood:
             drift[j] = max(drift[j] * np.sqrt(np.clip(power, 0.1, 10.0)), least)
         return self.with_(noise=tuple(noise), drift=drift, dispersion=dispersion).levelled(joints)
 
-    def levelled(self, joints: Sequence[int] | None = None, *, normal: bool = False) -> Likelihood:
+    def levelled(self, joints: Sequence[int] | None = None) -> Likelihood:
         """Return the same model with noises as large, and tails as heavy, as the evidence says; their colours stay.
 
             sigma^2 <- sigma^2 sum w e^2 / (m - gamma)
@@ -220,14 +220,28 @@ class Likelihood:
 
         Args:
             joints: where; everywhere if not given.
-            normal: whether noise is to have no heavy tails.
         """
+        return self._levelled({j: self.hyper.noise[j].tail is None for j in self._seen(joints)})
+
+    @cached_property
+    def with_heavy_tails(self) -> Likelihood:
+        """The same model with heavy tails at the joints where the evidence is greater with them."""
+        fit = self
+        for j in self._seen(None):
+            heavy = fit._levelled({j: False})
+            if heavy.hyper.noise[j].tail is not None:
+                heavy = heavy.levelled([j])
+                fit = max(fit.levelled([j]), heavy, key=lambda one: one.log_evidence)
+        return fit
+
+    def _levelled(self, normal: Mapping[int, bool]) -> Likelihood:
+        """Return the same model with noises of other sizes at some joints, and whether they are to be normal there."""
         noise = list(self.hyper.noise)
-        for j in self._seen(joints):
+        for j, plain in normal.items():
             n, index = noise[j], self.index[j]
             free = max(1.0 - self.gaussian.used(j) / len(index), _LEAST_FREEDOM)
             own = self.gaussian.left[j] * n.scatter[index] / n.spread[index]
-            size, tail = tailed(own, index, len(n.spread), normal=normal)
+            size, tail = tailed(own, index, len(n.spread), normal=plain)
             noise[j] = replace(n, sigma=n.sigma * size * math.sqrt(self.hyper.dispersion[j] / free), tail=tail)
         return self._resized(noise, self.hyper.dispersion)
 
@@ -355,7 +369,7 @@ class Likelihood:
         """The same model whose noise has no heavy tails: steps in time look like these."""
         if all(n.tail is None for n in self.hyper.noise):
             return self
-        return self.with_(noise=tuple(replace(n, tail=None) for n in self.hyper.noise)).levelled(normal=True)
+        return self.with_(noise=tuple(replace(n, tail=None) for n in self.hyper.noise)).levelled()
 
     @cached_property
     def with_new_noise(self) -> Likelihood:
