@@ -58,7 +58,7 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     shifted = {c.joint for c in own if c.effect.id == "torque_offset" and c.site.always}
     early = [e for e, c in zip(found.fit.extra, own, strict=True) if not stands_in(c)]
     beside = found.fit if len(early) == len(own) else found.fit.extended(early).settled
-    friction = ordinary_friction(beside, columns, may, shifted)
+    friction = ordinary_friction(beside.with_heavy_tails, columns, may, shifted)
     # Nothing is larger than the likelihood believes.
     believed = {
         (t.own.candidate.effect.id, t.own.candidate.site): t.own.extra(found.fit, found.rows).std for t in found.terms

@@ -93,7 +93,7 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
 
     Rows count by the scatter of the blocks that the larger model leaves. The priors of both are expanded around their
     own fits: bodies and friction that stood in for the effect lie far off. Widths and noise that suit the one may suit
-    the other, and those that were known may be the best: each has the best of all.
+    the other: each has the better of both.
     """
     extra = h.extra(fit, rows)
     beside = fit.extended((*fit.extra, extra))
@@ -101,8 +101,7 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     width = base.hyper.rest_width
     extended = beside.settled_at(extra.joints, width)
     dispersion = extended.hyper.dispersion
-    with_it = [extended, beside.dispersed(dispersion)]
-    without = [base.dispersed(dispersion), fit.dispersed(dispersion)]
+    with_it, without = [extended], [base.dispersed(dispersion)]
     if not np.allclose(extended.hyper.rest_width, width):
         with_it.append(beside.settled_at((), width).dispersed(dispersion))
         without.append(fit.settled_at((), extended.hyper.rest_width).dispersed(dispersion))

@@ -229,9 +229,9 @@ class Likelihood:
         fit = self
         for j in self._seen(None):
             heavy = fit._levelled({j: False})
-            if heavy.hyper.noise[j].tail is not None:
-                heavy = heavy.levelled([j])
-                fit = max(fit.levelled([j]), heavy, key=lambda one: one.log_evidence)
+            if heavy.hyper.noise[j].tail is not fit.hyper.noise[j].tail:
+                rivals = fit._levelled({j: True}), heavy.levelled([j])
+                fit = max(rivals, key=lambda one: one.log_evidence)
         return fit
 
     def _levelled(self, normal: Mapping[int, bool]) -> Likelihood:
