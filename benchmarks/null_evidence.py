@@ -1,6 +1,7 @@
 """Is log evidence what it says? Where nothing is left out, evidence above x must be as rare as e^-x.
 
     python benchmarks/null_evidence.py -o null_evidence.json [--count 200] [--seconds 30] [--rate 125] [--seed 0] [-j 2]
+    python benchmarks/null_evidence.py --only 35 39 [--seconds 30] [--rate 125] [--seed 0]
     python benchmarks/null_evidence.py --plot docs/null_evidence.png FILE...
 
 Robots with ordinary friction, inertials off by 20 %, coloured torque noise, drift and 15-bit encoders move along
@@ -104,6 +105,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, help="file to write")
     parser.add_argument("--plot", type=Path, help="picture to write")
     parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--only", type=int, nargs="+", metavar="INDEX", help="of nulls, instead of the first so many")
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--rate", type=float, default=125.0, help="[Hz]")
     parser.add_argument("--seed", type=int, default=0)
@@ -113,7 +115,7 @@ def main() -> None:
         plot(args.files, args.plot)
         return
     with workers(args.jobs) as pool:
-        jobs = [pool.submit(ranked, args.seed, k, args.seconds, args.rate) for k in range(args.count)]
+        jobs = [pool.submit(ranked, args.seed, k, args.seconds, args.rate) for k in args.only or range(args.count)]
         nulls = [job.result() for job in track(jobs, "nulls")]
     content = {"seconds": args.seconds, "rate_hz": args.rate, "seed": args.seed, "nulls": nulls}
     if args.output:

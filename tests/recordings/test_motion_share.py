@@ -104,10 +104,10 @@ def test_noise_is_at_least_what_rounding_makes() -> None:
 
 
 def test_survey_counts_on_the_rounding_it_sees() -> None:
+    """A joint that creeps is told between its steps, so that hardly any noise is left where it is measured."""
     rate_hz, step = 500.0, 2e-4
     t = np.arange(0.0, 60.0, 1.0 / rate_hz)
-    q = 0.1 * np.stack([np.sin(t), np.sin(0.7 * t + 1.0)], 1)
+    q = 0.02 * np.stack([np.sin(0.3 * t), np.sin(0.2 * t + 1.0)], 1)
     seen = survey(Recording.from_arrays("slow", ("a", "b"), t, step * np.round(q / step), np.cos(t)[:, None] + 0.0 * q))
     inside = (seen.share_hz > 4.0) & (seen.share_hz < 12.0)
-    noise = step**2 / 6.0 / rate_hz * (2 * np.pi * seen.share_hz) ** 4
-    assert (seen.motion_share <= np.clip(1.0 - noise / seen.acceleration_density, 0.0, 1.0) + 0.1)[:, inside].all()
+    assert seen.motion_share[:, inside].max() == 0.0

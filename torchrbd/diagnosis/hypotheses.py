@@ -16,8 +16,9 @@ import torch
 from scipy.special import logsumexp
 
 from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
-from torchrbd.likelihood.likelihood import Extra, Likelihood
+from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import coefficient_std
 from torchrbd.physics import Site

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import takewhile
 
 import numpy as np
 import torch
 
+from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import Block, Gaussian, added, nonnegative
 from torchrbd.likelihood.machine import STICKS, Hyper, Machine
 from torchrbd.likelihood.noise import Noise, learnt, tailed
@@ -47,28 +48,6 @@ _OF_ONE_JOINT = {"drift", "rest_width"}
 _LEAST_DIRECTION = 1e-3
 # Part of its rows that a fit leaves free at least.
 _LEAST_FREEDOM = 0.1
-
-
-@dataclass(frozen=True)
-class Extra:
-    """Columns beside the machine's: features (K, M) at a joint, or (K, n, M) at all, and their prior (K,)."""
-
-    place: int | None
-    features: np.ndarray
-    std: np.ndarray
-
-    def at(self, joint: int) -> np.ndarray | None:
-        """Return what they are at a joint, (K, M); None if they are not there."""
-        if self.place is None:
-            return self.features[:, joint]
-        return self.features if self.place == joint else None
-
-    @property
-    def joints(self) -> list[int]:
-        """The joints where they are."""
-        if self.place is not None:
-            return [self.place]
-        return np.flatnonzero(self.features.any((0, 2))).tolist()
 
 
 class Likelihood:
