@@ -14,7 +14,7 @@ from scipy.stats import chi2, kstest
 
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates, remembered
-from torchrbd.likelihood.noise import Noise
+from torchrbd.likelihood.noise import Noise, Tail
 
 # So coloured that least squares loses something in every direction.
 PREDICTOR, SIGMA, DRAWS = np.array([1.5, -0.7]), 0.01, 200
@@ -59,6 +59,18 @@ def test_p_values_are_uniform_where_the_model_is_right() -> None:
         assert {one.dof for one in found} == {found[0].dof}
         assert found[0].dof > 0
         assert kstest([one.p_value for one in found], "uniform").pvalue > 0.01
+
+
+def test_least_squares_is_plain_whatever_the_noise() -> None:
+    """Rows that count little by their tails count as all others: least squares is what predicts."""
+    fit = drawn(right(), np.random.default_rng(6))
+    rare = np.where(np.random.default_rng(7).random(len(fit.machine.rows.t)) < 0.5, 1e-3, 1.0)
+    heavy = fit.with_(noise=tuple(replace(n, tail=Tail(4.0, rare)) for n in fit.hyper.noise))
+    plain, other = TwoEstimates(fit), TwoEstimates(heavy)
+    at = fit.machine.ordinary(0)
+    std = np.array([plain.ordinary_std(k) for k in at])
+    assert (np.abs(other.ordinary - plain.ordinary)[at] < 0.02 * std).all()
+    assert (np.abs(other.efficient - plain.efficient)[at] > 0.02 * std).any()
 
 
 def test_the_efficient_estimate_is_the_posterior_mean_and_both_agree_on_average() -> None:

@@ -77,7 +77,7 @@ class TwoEstimates:
             if not len(index):
                 continue
             scale = np.zeros(len(rows.t))
-            scale[index] = 1.0 / noise.scatter[index]
+            scale[index] = 1.0 / noise.spread[index]
             scale /= np.sqrt(np.mean((scale * fit.residual(j))[index] ** 2))
             self._P[np.ix_(block.own, block.own)] -= block.gram
             shift[block.own] -= block.X @ block.y
