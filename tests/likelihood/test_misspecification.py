@@ -69,8 +69,8 @@ def test_least_squares_is_plain_whatever_the_noise() -> None:
     plain, other = TwoEstimates(fit), TwoEstimates(heavy)
     at = fit.machine.ordinary(0)
     std = np.array([plain.ordinary_std(k) for k in at])
-    assert (np.abs(other.ordinary - plain.ordinary)[at] < 0.02 * std).all()
-    assert (np.abs(other.efficient - plain.efficient)[at] > 0.02 * std).any()
+    assert (np.abs(other.ordinary - plain.ordinary)[at] < 0.1 * std).all()
+    assert (np.abs(other.efficient - plain.efficient)[at] > 0.1 * std).any()
 
 
 def test_the_efficient_estimate_is_the_posterior_mean_and_both_agree_on_average() -> None:
