@@ -12,11 +12,11 @@ from robot.random_robots import random_urdf
 
 from torchrbd.errors import OptionError
 from torchrbd.inference.identify import identify
-from torchrbd.inference.shapes.places import ToldEffect, told_sites
 from torchrbd.physics import (
     Site,
     Window,
 )
+from torchrbd.physics.told import ToldEffect, told_sites
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

@@ -25,7 +25,6 @@ from torchrbd.inference.input_noise import InputNoise, input_noise
 from torchrbd.inference.physical.fitting import FittedModel, fit_model
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.settings import Settings
-from torchrbd.inference.shapes.places import told_sites
 from torchrbd.inference.smoothing import smooth, smoothable
 from torchrbd.inference.stick_levels import stick_levels
 from torchrbd.likelihood.block_statistics import BlockStatistics
@@ -35,6 +34,7 @@ from torchrbd.likelihood.scales import covered_scales, with_loads
 from torchrbd.likelihood.simulated import Simulated, check_motion, cut, read_simulated, simulation_notes
 from torchrbd.likelihood.urdf_prior import Prior, data_prior
 from torchrbd.physics import Effect, Site
+from torchrbd.physics.told import told_sites
 from torchrbd.recordings import Filtering, Recording, States, Survey, choose_cutoff, survey
 from torchrbd.robot import RobotModel
 

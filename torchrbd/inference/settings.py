@@ -15,8 +15,8 @@ from torch import Tensor
 from torchrbd.errors import OptionError
 from torchrbd.estimators import ESTIMATORS, check_estimators
 from torchrbd.inference.data.payload import Payload
-from torchrbd.inference.shapes.places import ToldEffect
 from torchrbd.physics import Effect, effect, effects
+from torchrbd.physics.told import ToldEffect
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any, Generic, TypeVar
 
 import torch
 from torch import Tensor
@@ -17,6 +18,24 @@ from torchrbd.robot import RobotModel
 _MOVES = 3.0
 # Points of a curve.
 _SWEEP = 1000
+
+
+T = TypeVar("T")
+
+
+class computed_once(Generic[T]):  # noqa: N801
+    """A property that is computed when it is first asked for: functools' ``cached_property`` without its lock, which no
+    compiler traces (Python 3.12 has dropped it)."""
+
+    def __init__(self, compute: Callable[[Any], T]) -> None:
+        self._compute, self.__doc__ = compute, compute.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: Any, owner: type) -> T:
+        value = instance.__dict__[self._name] = self._compute(instance)
+        return value
 
 
 @dataclass(frozen=True)
@@ -32,7 +51,7 @@ class JointState:
     q: Tensor
     qd: Tensor
     qdd: Tensor
-    rest_width: float
+    rest_width: Tensor | float
     load: Tensor | None = None
     temperature: Tensor | None = None
     t: Tensor | None = None
@@ -165,14 +184,14 @@ class Signals:
         beside = None if carried is None or self.friction is None else self.friction_torque[joint]
         states = self.q[joint], self.qd[joint], self.qdd[joint]
         before = self.turned[joint] if self.turned else None
-        return JointState(*states, float(self.rest_width[joint]), carried, warm, self.t, beside, before)
+        return JointState(*states, self.rest_width[joint], carried, warm, self.t, beside, before)
 
-    @cached_property
+    @computed_once
     def load(self) -> Tensor:
         """Torque that the rigid body takes, (n, *batch) [N m] or [N]."""
         return self.robot.inverse_dynamics(*self._states, self._own_pi).movedim(-1, 0)
 
-    @cached_property
+    @computed_once
     def friction_torque(self) -> Tensor:
         """Torque that ``friction`` takes, (n, *batch) [N m] or [N]."""
         if self.friction is None:
@@ -195,17 +214,17 @@ class Signals:
         """Torque that the actuators supply to the rigid body and to friction, (n, *batch) [N m] or [N]."""
         return self.load + self.friction_torque
 
-    @cached_property
+    @computed_once
     def origin_slopes(self) -> Tensor:
         """Derivatives of the load by shifts and turns of the joints' origins, (*batch, n, n, 6)."""
         return self.robot.origin_slopes(*self._states, self._own_pi)
 
-    @cached_property
+    @computed_once
     def regressor(self) -> Tensor:
         """Regressor of the rigid body, (*batch, n, n_params)."""
         return self.robot.regressor(*self._states)
 
-    @cached_property
+    @computed_once
     def load_slopes(self) -> Tensor:
         """Derivatives of the load of each joint by q, qd and qdd of each, (3, n, n, *batch)."""
         return self.robot.torque_slopes(*self._states, self._own_pi).movedim((-3, -2, -1), (0, 1, 2))

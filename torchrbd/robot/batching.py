@@ -14,9 +14,8 @@ TILE = 2048
 
 def batch_last(*inputs: Tensor) -> tuple[tuple[Tensor, ...], torch.Size]:
     """Return (*batch, n) tensors, whose batches broadcast, as (n, N), and the batch shape."""
-    # torch.broadcast_shapes would import sympy, a second of start-up
-    batch = torch.Size(np.broadcast_shapes(*(x.shape[:-1] for x in inputs)))
-    return tuple(x.expand(*batch, -1).reshape(-1, x.shape[-1]).T.contiguous() for x in inputs), batch
+    inputs = torch.broadcast_tensors(*inputs)
+    return tuple(x.reshape(-1, x.shape[-1]).T.contiguous() for x in inputs), inputs[0].shape[:-1]
 
 
 def batch_first(x: Tensor, batch: torch.Size) -> Tensor:
@@ -30,7 +29,9 @@ def tiles(*inputs: Tensor) -> list[tuple[Tensor, ...]]:
 
 
 def tiled(function: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
-    """Return a function of (..., N) tensors, computed tile by tile."""
+    """Return a function of (..., N) tensors, computed tile by tile; in one piece where a graph is traced for any N."""
+    if torch.compiler.is_compiling():
+        return function(*inputs)
     parts = [function(*tile) for tile in tiles(*inputs)]
     return parts[0] if len(parts) == 1 else torch.cat(parts, -1)
 

@@ -120,17 +120,17 @@ class Motion(NamedTuple):
 
 def dot(a: Iterable[Tensor], b: Iterable[Tensor], out: Tensor | None = None) -> Tensor:
     """Return the sum of products along the first dimension; the rest broadcasts."""
-    # In place on a fresh tensor: allocating one for each product costs more than the product, and autograd allows it.
     first, *rest = zip(a, b, strict=True)
     total = torch.mul(*first, out=out)
     for x, y in rest:
-        total.addcmul_(x, y)
+        # Not in place where it need not be: vmap has no batched addcmul_.
+        total = torch.addcmul(total, x, y, out=out)
     return total
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
     """Return the cross product along the first dimension."""
-    return torch.stack([(a[i] * b[j]).addcmul_(a[j], b[i], value=-1) for i, j in ((1, 2), (2, 0), (0, 1))])
+    return torch.stack([torch.addcmul(a[i] * b[j], a[j], b[i], value=-1) for i, j in ((1, 2), (2, 0), (0, 1))])
 
 
 def skew(v: Tensor) -> Tensor:
@@ -165,7 +165,7 @@ def body_poses(geometry: Geometry, q: Tensor) -> Pose:
         q: (n_bodies, N) coordinate of every body [rad, m].
     """
     A, B, C = geometry.rotation
-    E = torch.addcmul(A, B, q.sin()[:, None]).addcmul_(C, q.cos()[:, None])
+    E = torch.addcmul(torch.addcmul(A, B, q.sin()[:, None]), C, q.cos()[:, None])
     rotations: list[Tensor] = []
     steps: list[Tensor] = []
     for body, parent in enumerate(geometry.parents):

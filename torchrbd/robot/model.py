@@ -73,7 +73,9 @@ class RobotModel:
         self.prismatic = torch.tensor([joint.kind == "prismatic" for joint in tree.driving])
         for limit in ("damping", "friction", "lower", "upper", "velocity", "effort"):
             setattr(self, limit, torch.tensor([getattr(joint, limit) for joint in tree.driving], dtype=torch.float64))
-        self._geometries = {EXACT: kinematics.build_geometry(tree)}
+        geometry = kinematics.build_geometry(tree)
+        single = torch.float32, EXACT[1]
+        self._geometries = {EXACT: geometry, single: geometry.to(*single)}
         self._chain: Chain | None = None
 
     @classmethod
@@ -164,7 +166,7 @@ class RobotModel:
         Returns:
             (*batch, n_dof, n_params), a permuted view: the samples are contiguous in memory.
         """
-        self._check(-1, q, qd, qdd)
+        self.check(q, qd, qdd)
         (q, qd, qdd), batch = batch_last(q, qd, qdd)
         return batch_first(self.regressor_batch_last(q, qd, qdd, gravity), batch)
 
@@ -178,7 +180,7 @@ class RobotModel:
         Returns:
             (n_dof, n_params, N).
         """
-        self._check(0, q, qd, qdd)
+        self.check(q, qd, qdd, dimension=0)
         q, qd, qdd = q.contiguous(), qd.contiguous(), qdd.contiguous()
         geometry, gravity = self._constants(q, gravity)
         if torch.is_grad_enabled() and any(x.requires_grad for x in (q, qd, qdd, gravity)):
@@ -201,7 +203,7 @@ class RobotModel:
         Returns:
             (*batch, n_dof) torque of revolute, force of prismatic joints [N m, N].
         """
-        self._check(-1, q, qd, qdd)
+        self.check(q, qd, qdd)
         (q, qd, qdd), batch = batch_last(q, qd, qdd)
         geometry, gravity = self._constants(q, gravity)
         pi = self._parameters(q, pi)
@@ -218,7 +220,7 @@ class RobotModel:
         Returns:
             (*batch, n_dof, n_dof), symmetric; positive definite if the bodies are physical.
         """
-        self._check(-1, q)
+        self.check(q)
         (q,), batch = batch_last(q)
         geometry, _ = self._constants(q, None)
         pi = self._parameters(q, pi)
@@ -241,17 +243,32 @@ class RobotModel:
         Raises:
             PhysicalError: the mass matrix is not positive definite.
         """
-        self._check(-1, q, qd, tau)
+        self.check(q, qd, tau)
         bias = self.inverse_dynamics(q, qd, torch.zeros_like(q), pi, gravity)
-        factor, info = torch.linalg.cholesky_ex(self.mass_matrix(q, pi))
-        if info.any():
+        return self.accelerate(self.mass_matrix(q, pi), tau - bias)
+
+    def accelerate(self, mass: Tensor, tau: Tensor) -> Tensor:
+        """Return the accelerations `M^-1 tau`, (*batch, n_dof).
+
+        Args:
+            mass: (*batch, n_dof, n_dof) mass matrices.
+            tau: (*batch, n_dof) torque that is left for acceleration.
+
+        Raises:
+            PhysicalError: a mass matrix is not positive definite.
+        """
+        try:
+            factor = torch.linalg.cholesky(mass)
+        except torch.linalg.LinAlgError:  # pyright: ignore[reportPrivateImportUsage]
+            _, info = torch.linalg.cholesky_ex(mass)
             joint = self.joint_names[int(info[info > 0].flatten()[0]) - 1]
             raise PhysicalError(
                 f"robot '{self.name}': the mass matrix is not positive definite at {int((info > 0).sum())} of "
                 f"{info.numel()} positions, first at joint '{joint}': what it moves is massless or has inertial "
-                "parameters that no rigid body can have; give it mass and inertia, or use physically valid parameters"
-            )
-        return torch.cholesky_solve((tau - bias)[..., None], factor)[..., 0]
+                "parameters that no rigid body can have; give it mass and inertia or the joint a rotor "
+                "inertia, or use physically valid parameters"
+            ) from None
+        return torch.cholesky_solve(tau.unsqueeze(-1), factor).squeeze(-1)
 
     def body_poses(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Return where the bodies' frames are in the base's.
@@ -262,7 +279,7 @@ class RobotModel:
         Returns:
             rotations (*batch, n_bodies, 3, 3) and origins (*batch, n_bodies, 3) [m].
         """
-        self._check(-1, q)
+        self.check(q)
         (q,), batch = batch_last(q)
         geometry, _ = self._constants(q, None)
         pose = kinematics.body_poses(geometry, *kinematics.body_coordinates(geometry, q))
@@ -278,7 +295,7 @@ class RobotModel:
         Returns:
             (*batch, 6, n_dof), in the base's axes.
         """
-        self._check(-1, q)
+        self.check(q)
         (q,), batch = batch_last(q)
         geometry, _ = self._constants(q, None)
         return batch_first(tiled(lambda q: dynamics.jacobian(geometry, q, body), q), batch)
@@ -312,7 +329,7 @@ class RobotModel:
         return torch.einsum("...djsx,jxk->...djsk", by_body.unflatten(-1, (2, 3)), axes).flatten(-2)
 
     def _slopes(self, function: Callable[..., Tensor], q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor | None) -> Tensor:
-        self._check(-1, q, qd, qdd)
+        self.check(q, qd, qdd)
         (q, qd, qdd), batch = batch_last(q, qd, qdd)
         geometry, gravity = self._constants(q, None)
         pi = self._parameters(q, pi)
@@ -339,8 +356,12 @@ class RobotModel:
                 setattr(robot, name, value.to(device=device, dtype=dtype if value.is_floating_point() else None))
         return robot
 
-    def _check(self, dimension: int, *coordinates: Tensor) -> None:
-        """Reject tensors that do not have n_dof entries along a dimension."""
+    def check(self, *coordinates: Tensor, dimension: int = -1) -> None:
+        """See that tensors have n_dof entries along a dimension.
+
+        Raises:
+            InputError: one has not.
+        """
         for x in coordinates:
             if x.ndim == 0 or x.shape[dimension] != self.n_dof:
                 shape = f"(..., {self.n_dof})" if dimension else f"({self.n_dof}, N)"
@@ -352,12 +373,13 @@ class RobotModel:
     def _constants(self, like: Tensor, gravity: Tensor | None) -> tuple[kinematics.Geometry, Tensor]:
         """Return geometry and gravity in the dtype and on the device of `like`."""
         key = (like.dtype, like.device)
-        if key not in self._geometries:
-            self._geometries[key] = self._geometries[EXACT].to(*key)
+        geometry = self._geometries.get(key) or self._geometries[EXACT].to(*key)
+        if _is_ordinary(geometry.axis):
+            self._geometries[key] = geometry
         gravity = self.gravity if gravity is None else gravity
         if gravity.shape != (3,):
             raise InputError(f"gravity has shape {tuple(gravity.shape)}, expected (3,): x, y, z in the base's axes")
-        return self._geometries[key], gravity.to(like)
+        return geometry, gravity.to(like)
 
     def _parameters(self, like: Tensor, pi: Tensor | None) -> Tensor:
         """Return the inertial parameters to use, in the dtype and on the device of `like`."""
@@ -368,3 +390,8 @@ class RobotModel:
                 f"{', '.join(self.body_names)}"
             )
         return pi.to(like)
+
+
+def _is_ordinary(x: Tensor) -> bool:
+    """Say whether a tensor may be kept: it is none of a tracer's, which mean nothing later, nor of inference mode."""
+    return not torch.compiler.is_compiling() and type(x) is Tensor and not x.is_inference()

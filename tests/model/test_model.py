@@ -3,46 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
-from robot.random_robots import random_states, random_urdf
+from model.arms import URDF, arm, states, term, terms
+from robot.random_robots import random_urdf
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from torchrbd.errors import InputError, PhysicalError
+from torchrbd.errors import InputError, OptionError, PhysicalError
 from torchrbd.export import load_model, save_model
 from torchrbd.model import REST_WIDTH, RigidBodyDynamics
 from torchrbd.parameters import is_physical
-from torchrbd.physics import Signals, Site, Term, effect
-from torchrbd.robot import RobotModel
+from torchrbd.physics import Signals, Site, Term, effect, effects
+from torchrbd.robot import RobotModel, pseudo_inertia
 
-URDF = random_urdf(9, 4, mimic=0.3)
 MASSLESS = random_urdf(5, 6, massless=1.0, branching=0.0, fixed=0.0)
-
-
-def states(robot: RobotModel, *batch: int, seed: int = 1, grad: bool = False) -> tuple[Tensor, ...]:
-    return tuple(torch.from_numpy(x).requires_grad_(grad) for x in random_states(seed, *batch, robot.n_dof))
-
-
-def term(name: str, joint: int, *coefficients: float) -> Term:
-    shape = {"stribeck_speed": 0.3} if name == "stribeck_friction" else {}
-    return Term(effect(name), Site(joint), torch.tensor(coefficients, dtype=torch.float64), shape)
-
-
-def terms() -> list[Term]:
-    return [
-        term("viscous_friction", 0, 0.7),
-        term("stribeck_friction", 1, 0.5, 0.4),
-        term("rotor_inertia", 1, 0.3),
-        term("rotor_inertia", 2, 0.2),
-        term("joint_spring", 2, 3.0, -1.0),
-    ]
 
 
 @pytest.fixture
 def model() -> RigidBodyDynamics:
-    return RigidBodyDynamics(RobotModel.from_urdf(URDF), terms=terms())
+    return arm()
 
 
 def test_torque_is_the_rigid_bodys_plus_the_terms(model: RigidBodyDynamics) -> None:
@@ -155,7 +137,7 @@ def test_a_moving_body_without_mass_is_told_and_rotor_inertia_helps() -> None:
     robot = RobotModel.from_urdf(MASSLESS)
     q, qd, qdd = states(robot, 3)
     zero = RigidBodyDynamics(robot, torch.zeros_like(robot.pi))
-    with pytest.raises(PhysicalError, match=r"mass matrix of robot 'random5' is not positive definite.*rotor inertia"):
+    with pytest.raises(PhysicalError, match=r"'random5': the mass matrix is not positive definite.*rotor inertia"):
         zero.forward_dynamics(q, qd, qdd)
     geared = RigidBodyDynamics(robot, terms=[term("rotor_inertia", j, 0.1) for j in range(robot.n_dof)])
     torch.testing.assert_close(geared.forward_dynamics(q, qd, geared(q, qd, qdd)), qdd, rtol=1e-8, atol=1e-8)
@@ -234,3 +216,74 @@ def test_urdf_friction_becomes_terms() -> None:
     added = model(q, qd, qdd) - robot.inverse_dynamics(q, qd, qdd)
     torch.testing.assert_close(added[:, j], 0.5 * qd[:, j] + 1.5 * torch.tanh(qd[:, j] / REST_WIDTH))
     assert added[:, 1 - j].abs().max() < 1e-12
+
+
+def test_terms_to_train_begin_at_nothing() -> None:
+    """Named effects at all their places, or at one; what acts for a time only, or nowhere, is answered."""
+    named = ["viscous_friction", "stribeck_friction@joint2", "payload"]
+    with pytest.raises(OptionError, match="'payload' acts for a time only"):
+        RigidBodyDynamics.from_urdf(URDF, effects=named)
+    with pytest.raises(OptionError, match="'stribeck_friction' has no place 'joint77'"):
+        RigidBodyDynamics.from_urdf(URDF, effects=["stribeck_friction@joint77"])
+    robot = RobotModel.from_urdf(URDF)
+    model = RigidBodyDynamics.from_urdf(URDF, effects=["viscous_friction", f"stribeck_friction@{robot.joint_names[1]}"])
+    assert [t.effect.id for t in model.terms] == ["viscous_friction"] * robot.n_dof + ["stribeck_friction"]
+    q, qd, qdd = states(robot, 40)
+    torch.testing.assert_close(model(q, qd, qdd), robot.inverse_dynamics(q, qd, qdd))
+    (model(q, qd, qdd) - robot.inverse_dynamics(q, qd, qdd) - 0.3 * qd).square().sum().backward()
+    assert all(t.coefficients.grad is not None and t.coefficients.grad.abs().max() > 0 for t in model.terms)
+
+
+@pytest.mark.parametrize("name", sorted(effects()))
+def test_every_effect_begins_or_says_why(name: str) -> None:
+    """At all its places, so that the model runs; or a message."""
+    if name in ("payload", "external_wrench"):
+        with pytest.raises(OptionError, match="acts for a time only"):
+            RigidBodyDynamics.from_urdf(URDF, effects=[name])
+        return
+    model = RigidBodyDynamics.from_urdf(URDF, effects=[name])
+    t = 0.01 * torch.arange(9, dtype=torch.float64)
+    x = states(model.robot, 9)
+    assert model.terms
+    torch.testing.assert_close(model(*x, t=t), model.robot.inverse_dynamics(*x))
+
+
+def test_parts_of_the_torque_add_up(model: RigidBodyDynamics) -> None:
+    """M(q) qdd + b(q, qd) is the torque of laws that are linear in acceleration; gravity is the body's at rest."""
+    q, qd, qdd = states(model.robot, 7)
+    product = (model.mass_matrix(q) @ qdd.unsqueeze(-1)).squeeze(-1)
+    torch.testing.assert_close(product + model.bias_forces(q, qd), model.inverse_dynamics(q, qd, qdd))
+    still = torch.zeros_like(q)
+    torch.testing.assert_close(model.gravity(q), model.robot.inverse_dynamics(q, still, still))
+
+
+def test_from_results(model: RigidBodyDynamics, tmp_path: Path) -> None:
+    model.save(tmp_path / "model.safetensors")
+    x = states(model.robot, 3)
+    for source in (tmp_path, str(tmp_path / "model.safetensors")):
+        assert torch.equal(RigidBodyDynamics.from_diagnosis(source)(*x), model(*x))
+    assert RigidBodyDynamics.from_diagnosis(SimpleNamespace(identification=SimpleNamespace(model=model))) is model
+    with pytest.raises(InputError, match="a Diagnosis, an Identification or a folder of results, got int"):
+        RigidBodyDynamics.from_diagnosis(3)
+    with pytest.raises(InputError, match=r"nothing.*cannot be read as a model"):
+        RigidBodyDynamics.load(tmp_path / "nothing")
+
+
+def test_files_are_as_open_as_others(model: RigidBodyDynamics, tmp_path: Path) -> None:
+    model.save(tmp_path / "model.safetensors")
+    (tmp_path / "other").write_text("")
+    assert (tmp_path / "model.safetensors").stat().st_mode == (tmp_path / "other").stat().st_mode
+
+
+def test_huge_steps_leave_a_physical_robot(model: RigidBodyDynamics) -> None:
+    """Of an optimiser that has gone wild: masses and inertias of physical bodies, finite torques."""
+    torch.manual_seed(0)
+    for size in (1.0, 5.0, 20.0):
+        with torch.no_grad():
+            model.raw_inertia.copy_(size * torch.randn_like(model.raw_inertia))
+        bodies = model.pi.detach().reshape(-1, 10)[model.physical]
+        assert (bodies[:, 0] > 0).all()
+        # Rounding at such sizes is all that is allowed to show.
+        least = torch.linalg.eigvalsh(pseudo_inertia(bodies))
+        assert (least[:, 0] >= -1e-12 * least[:, -1]).all()
+        assert model(*states(model.robot, 4)).isfinite().all()

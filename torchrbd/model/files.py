@@ -3,48 +3,66 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from lxml import etree
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
+from torch import Tensor
 
 from torchrbd.errors import InputError, RobotError
-from torchrbd.model import RigidBodyDynamics
 from torchrbd.parameters import from_log_cholesky
 from torchrbd.physics import Site, Term, Window, effect
 from torchrbd.robot import RobotModel
 
+NAME = "model.safetensors"
+"""Of the file in a folder of results."""
 _FORMAT = "torchrbd-model-2"
 
 
-def save_model(model: RigidBodyDynamics, path: str | Path) -> None:
+class Parts(NamedTuple):
+    """What a model is made of.
+
+    Attributes:
+        pi: (n_params,) inertial parameters.
+        state: of the module.
+    """
+
+    robot: RobotModel
+    pi: Tensor
+    terms: list[Term]
+    state: dict[str, Tensor]
+
+
+def write_model(path: str | Path, robot: RobotModel, terms: Sequence[Term], state: Mapping[str, Tensor]) -> None:
     """Write a model to a safetensors file.
 
     Raises:
         RobotError: the robot was not made from a URDF.
     """
-    if model.robot.urdf is None:
-        raise RobotError(f"robot '{model.robot.name}' was not made from a URDF, which the file would have to hold")
-    terms = [{"effect": t.effect.id, "site": asdict(t.site), "shape": t.shape} for t in model.terms]
+    if robot.urdf is None:
+        raise RobotError(f"robot '{robot.name}' was not made from a URDF, which the file would have to hold")
     metadata = {
         "format": _FORMAT,
-        "urdf": etree.tostring(etree.fromstring(model.robot.urdf), encoding="unicode"),
-        "gravity": json.dumps(model.robot.gravity.tolist()),
-        "terms": json.dumps(terms),
+        "urdf": etree.tostring(etree.fromstring(robot.urdf), encoding="unicode"),
+        "gravity": json.dumps(robot.gravity.tolist()),
+        "terms": json.dumps([{"effect": t.effect.id, "site": asdict(t.site), "shape": t.shape} for t in terms]),
     }
-    save_file({name: value.contiguous() for name, value in model.state_dict().items()}, path, metadata)
+    # By Python, whose files have the permissions that the user's others have; safetensors' own are for the owner alone.
+    Path(path).write_bytes(save({name: value.contiguous() for name, value in state.items()}, metadata))
 
 
-def load_model(path: str | Path) -> RigidBodyDynamics:
-    """Read a model that ``save_model`` wrote.
+def read_model(path: str | Path) -> Parts:
+    """Read what ``write_model`` wrote, from the file or from the folder of results that it is in.
 
     Raises:
         InputError: no such file, or none of ours.
     """
+    path = Path(path) / NAME if Path(path).is_dir() else Path(path)
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
@@ -62,9 +80,7 @@ def load_model(path: str | Path) -> RigidBodyDynamics:
     ]
     pi = state["constant_pi"].clone()
     pi[state["physical"]] += from_log_cholesky(state["raw_inertia"])
-    model = RigidBodyDynamics(robot, pi.flatten().to(torch.float64), terms)
-    model.load_state_dict(state)
-    return model
+    return Parts(robot, pi.flatten().to(torch.float64), terms, state)
 
 
 def _site(content: dict[str, Any]) -> Site:

@@ -1,0 +1,325 @@
+"""The one model: a rigid body with trainable, always physical inertial parameters, and terms for what a rigid body
+leaves out.
+
+    tau = Y(q, qd, qdd) pi(theta) + sum_terms sum_k w_k phi_k
+
+It is what a fit returns, what findings extend, what is exported, and what a learning pipeline differentiates through.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from torch import Tensor, nn
+
+from torchrbd.errors import InputError
+from torchrbd.model.files import read_model, write_model
+from torchrbd.model.starting import REST_WIDTH, starting_terms, urdf_friction
+from torchrbd.model.stepping import implicit_velocity, runge_kutta
+from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, is_physical, to_log_cholesky
+from torchrbd.physics import Signals, Term
+from torchrbd.physics.plain_friction import plain_friction
+from torchrbd.robot import STANDARD_GRAVITY, RobotModel
+
+
+class RigidBodyDynamics(nn.Module):
+    """Inverse dynamics as a module: ``tau = model(q, qd, qdd)``.
+
+        model = RigidBodyDynamics.from_urdf("robot.urdf", effects=["viscous_friction", "coulomb_friction"])
+        loss = (model(q, qd, qdd) - tau).square().mean()
+
+    States are (*batch, n_dof) tensors whose batches broadcast, in float32 or float64, on any device; results follow.
+    Methods are differentiable in states and parameters, and compose with ``torch.func``, ``torch.compile`` and
+    ``torch.export``. Whatever an optimiser does to the parameters, the robot stays physical.
+
+    Args:
+        robot: kinematics, gravity and names.
+        pi: (n_params,) inertial parameters; the robot's own by default.
+        terms: what else adds to the torque.
+        rest_width: (n_dof,) speed below which the direction of motion is not told; ``REST_WIDTH`` by default.
+
+    Attributes:
+        raw_inertia: (n_physical, 10) log-Cholesky coordinates; any values give a physical robot.
+        constant_pi: (n_bodies, 10) the parameters of bodies that have no such coordinates (massless ones), zero
+            elsewhere.
+        physical: (n_bodies,) which bodies have.
+    """
+
+    raw_inertia: nn.Parameter
+    constant_pi: Tensor
+    physical: Tensor
+    rest_width: Tensor
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        pi: Tensor | None = None,
+        terms: Iterable[Term] = (),
+        rest_width: Tensor | None = None,
+    ) -> None:
+        super().__init__()
+        self.robot = robot
+        bodies = (robot.pi if pi is None else pi).detach().reshape(-1, PARAMETERS_PER_BODY).to(torch.float64)
+        physical = is_physical(bodies)
+        self.register_buffer("physical", physical)
+        self.register_buffer("constant_pi", torch.where(physical.unsqueeze(1), torch.zeros_like(bodies), bodies))
+        self.raw_inertia = nn.Parameter(to_log_cholesky(bodies[physical]))
+        width = torch.full((robot.n_dof,), REST_WIDTH, dtype=torch.float64) if rest_width is None else rest_width
+        self.register_buffer("rest_width", width.clone())
+        self._terms = nn.ModuleList(terms)
+        # As numbers: indexing by a tensor would neither batch nor trace.
+        self._trained = physical.nonzero().flatten().tolist()
+
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | Path | bytes,
+        *,
+        gravity: Sequence[float] | Tensor = STANDARD_GRAVITY,
+        effects: Sequence[str] = (),
+    ) -> RigidBodyDynamics:
+        """Read a URDF, as ``RobotModel.from_urdf``, with the friction of its <dynamics> tags: what a simulator runs.
+
+        Args:
+            source, gravity: as of ``RobotModel.from_urdf``.
+            effects: terms to train from zero: "viscous_friction" at all its places, "joint_spring@joint2" at one;
+                ``torchrbd.effects()`` lists them. Nonlinear shapes are in the middle of what the URDF's limits allow.
+
+        Raises:
+            RobotError: the file cannot be used.
+            OptionError: an unknown effect, or a place that it has not.
+        """
+        robot = RobotModel.from_urdf(source, gravity=gravity)
+        return cls(robot, terms=[*urdf_friction(robot), *starting_terms(robot, effects)])
+
+    @classmethod
+    def from_diagnosis(cls, diagnosis: Any) -> RigidBodyDynamics:
+        """Take the model of a result: a ``Diagnosis``, an ``Identification``, or the folder that a command wrote.
+
+        Of an object the model is its own, not a copy.
+
+        Raises:
+            InputError: there is no model in it.
+        """
+        if isinstance(diagnosis, (str, Path)):
+            return cls.load(diagnosis)
+        model = getattr(getattr(diagnosis, "identification", diagnosis), "model", None)
+        if not isinstance(model, RigidBodyDynamics):
+            raise InputError(
+                f"expected a Diagnosis, an Identification or a folder of results, got {type(diagnosis).__name__}"
+            )
+        return model
+
+    @classmethod
+    def load(cls, path: str | Path) -> RigidBodyDynamics:
+        """Read a model that ``save`` wrote; a folder of results holds one as model.safetensors.
+
+        Raises:
+            InputError: no such file, or none of ours.
+        """
+        robot, pi, terms, state = read_model(path)
+        model = cls(robot, pi, terms)
+        model.load_state_dict(state)
+        return model
+
+    def save(self, path: str | Path) -> None:
+        """Write the model to a safetensors file: numbers, URDF and terms, nothing that can run code.
+
+        Raises:
+            RobotError: the robot was not made from a URDF.
+        """
+        write_model(path, self.robot, self.terms, self.state_dict())
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """What adds to the rigid body's torque."""
+        return tuple(term for term in self._terms if isinstance(term, Term))
+
+    @property
+    def pi(self) -> Tensor:
+        """Inertial parameters (n_params,), differentiable in ``raw_inertia``."""
+        bodies, trained = list(self.constant_pi.unbind(0)), from_log_cholesky(self.raw_inertia).unbind(0)
+        for body, pi in zip(self._trained, trained, strict=True):
+            bodies[body] = pi
+        return torch.cat(bodies)
+
+    def forward(
+        self,
+        q: Tensor,
+        qd: Tensor,
+        qdd: Tensor,
+        t: Tensor | None = None,
+        temperature: Tensor | None = None,
+        recording: str | None = None,
+    ) -> Tensor:
+        """Return the torque that the actuators must supply.
+
+        Args:
+            q, qd, qdd: (*batch, n_dof), [rad, m] and per second, per second squared.
+            t: (N,) evenly spaced times of the last batch dimension [s], or one time; only effects with memory or that
+                depend on time need it.
+            temperature: (*batch, n_dof) of the joints [deg C]; without it thermal effects are zero.
+            recording: the one in whose condition the robot is; without it, what acts in some only is zero.
+
+        Returns:
+            (*batch, n_dof), [N m] or [N].
+        """
+        # In full precision, whatever a network beside it is computed in.
+        with torch.autocast(q.device.type, enabled=False):
+            rigid = self.robot.inverse_dynamics(q, qd, qdd, self.pi.to(q))
+            return rigid + self._term_torque(q, qd, qdd, t, temperature, recording)
+
+    inverse_dynamics = forward
+
+    def term_torque(
+        self,
+        q: Tensor,
+        qd: Tensor,
+        qdd: Tensor,
+        t: Tensor | None = None,
+        temperature: Tensor | None = None,
+        recording: str | None = None,
+    ) -> Tensor:
+        """Return what the terms add, (*batch, n_dof); arguments as in ``forward``."""
+        self.robot.check(q, qd, qdd)
+        with torch.autocast(q.device.type, enabled=False):
+            return self._term_torque(q, qd, qdd, t, temperature, recording)
+
+    def _term_torque(
+        self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None, temperature: Tensor | None, recording: str | None
+    ) -> Tensor:
+        q, qd, qdd = (x.movedim(-1, 0) for x in torch.broadcast_tensors(q, qd, qdd))
+        warm = None if temperature is None else temperature.movedim(-1, 0)
+        plain = ((term.effect.id, term.site.joint, term.coefficients) for term in self.terms if term.site.always)
+        friction = plain_friction(self.robot.n_dof, plain)
+        known = (self.rest_width, self.pi, t, recording, warm, friction)
+        signals = Signals(self.robot, q, qd, qdd, *known)
+        torques = list(torch.zeros_like(signals.q).unbind(0))
+        for term in self.terms:
+            added = term(signals)
+            for j in range(len(torques)) if term.effect.whole_robot else (term.site.joint,):
+                assert j is not None
+                torques[j] = torques[j] + (added[j] if term.effect.whole_robot else added)
+        return torch.stack(torques, -1)
+
+    def mass_matrix(self, q: Tensor, t: Tensor | None = None, recording: str | None = None) -> Tensor:
+        """Return how torque grows with acceleration, (*batch, n_dof, n_dof): the rigid body's, and that of rotors.
+
+        Args:
+            q: (*batch, n_dof) [rad, m].
+            t, recording: as in ``forward``.
+        """
+        return self._at_rest(q, torch.zeros_like(q), t, None, recording)[0]
+
+    def bias_forces(
+        self,
+        q: Tensor,
+        qd: Tensor,
+        t: Tensor | None = None,
+        temperature: Tensor | None = None,
+        recording: str | None = None,
+    ) -> Tensor:
+        """Return the torque (*batch, n_dof) at no acceleration: gravity, Coriolis forces and terms."""
+        return self(q, qd, torch.zeros_like(qd), t, temperature, recording)
+
+    def gravity(self, q: Tensor) -> Tensor:
+        """Return the torque (*batch, n_dof) that holds the rigid body against gravity."""
+        still = torch.zeros_like(q)
+        with torch.autocast(q.device.type, enabled=False):
+            return self.robot.inverse_dynamics(q, still, still, self.pi.to(q))
+
+    def forward_dynamics(
+        self,
+        q: Tensor,
+        qd: Tensor,
+        tau: Tensor,
+        t: Tensor | None = None,
+        temperature: Tensor | None = None,
+        recording: str | None = None,
+    ) -> Tensor:
+        """Return the acceleration qdd (*batch, n_dof) that a torque causes.
+
+            qdd = (M(q) + d tau_terms / d qdd)^-1 (tau - tau(q, qd, 0))
+
+        The terms are taken as linear in qdd.
+
+        Args:
+            q, qd, tau: (*batch, n_dof).
+            t: (N,) times of the last batch dimension, or one time [s]; only effects that depend on time need it.
+            temperature, recording: as in ``forward``.
+
+        Raises:
+            InputError: a term has memory: its torque is not one of the present state.
+            PhysicalError: the mass matrix is not positive definite (a moving body without mass or rotor inertia).
+        """
+        self.robot.check(q, qd, tau)
+        mass, rest = self._at_rest(q, qd, t, temperature, recording)
+        return self.robot.accelerate(mass, tau - rest)
+
+    def step(
+        self,
+        q: Tensor,
+        qd: Tensor,
+        tau: Tensor,
+        dt: float | Tensor,
+        t: Tensor | None = None,
+        *,
+        method: Literal["semi_implicit", "runge_kutta"] = "semi_implicit",
+        temperature: Tensor | None = None,
+        recording: str | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Return position and velocity a time dt later, under a torque that is held.
+
+        "semi_implicit" finds the velocity at the end of the step at which the terms balance the rest: it stays stable,
+        and its derivatives bounded, however stiff friction is. "runge_kutta" (fourth order) is for smooth forces.
+
+        Args:
+            q, qd, tau: (*batch, n_dof).
+            dt: [s].
+            t: at the begin of the step [s]; only effects that depend on time need it.
+            temperature, recording: as in ``forward``.
+
+        Raises:
+            InputError: a term has memory: its torque is not one of the present state.
+            PhysicalError: the mass matrix is not positive definite.
+        """
+        self.robot.check(q, qd, tau)
+        if method == "runge_kutta":
+            return runge_kutta(lambda q, qd: self.forward_dynamics(q, qd, tau, t, temperature, recording), q, qd, dt)
+        q, qd, tau = torch.broadcast_tensors(q, qd, tau)
+        still, instants = torch.zeros_like(q), _instants(t)
+        with torch.autocast(q.device.type, enabled=False):
+            mass, _ = self._at_rest(q, qd, t, temperature, recording)
+            rigid = self.robot.inverse_dynamics(q, qd, still, self.pi.to(q))
+            v = implicit_velocity(
+                mass,
+                rigid,
+                lambda v: self._term_torque(q, v, still, instants, temperature, recording),
+                qd,
+                tau,
+                dt,
+                self.rest_width,
+            )
+        return q + dt * v, v
+
+    def _at_rest(
+        self, q: Tensor, qd: Tensor, t: Tensor | None, temperature: Tensor | None, recording: str | None
+    ) -> tuple[Tensor, Tensor]:
+        """Return the mass matrix with that of the terms, and the torque of no acceleration."""
+        self.robot.check(q, qd)
+        q, qd = torch.broadcast_tensors(q, qd)
+        with torch.autocast(q.device.type, enabled=False):
+            # At rest and with each unit acceleration.
+            unit = torch.eye(self.robot.n_dof, dtype=q.dtype, device=q.device)
+            tries = torch.cat((torch.zeros_like(unit[:1]), unit)).reshape(-1, *[1] * (q.ndim - 1), len(unit))
+            still, *moved = self._term_torque(q, qd, tries, _instants(t), temperature, recording)
+            mass = self.robot.mass_matrix(q, self.pi.to(q)) + torch.stack([one - still for one in moved], -1)
+            return mass, self.robot.inverse_dynamics(q, qd, torch.zeros_like(q), self.pi.to(q)) + still
+
+
+def _instants(t: Tensor | None) -> Tensor | None:
+    """Return times as those of states that are no sequence, (1, N)."""
+    return t.unsqueeze(0) if t is not None and t.ndim else t

@@ -1,0 +1,70 @@
+"""Terms that a model begins with, before any data: those of the URDF, and zeros to train."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+
+from torchrbd.errors import OptionError
+from torchrbd.physics import Effect, JointScale, Shape, Signals, Site, Term, effect
+from torchrbd.physics.told import ToldEffect
+from torchrbd.robot import RobotModel
+
+REST_WIDTH = 1e-3
+"""Softness of the sign of velocity [rad/s, m/s] where no recording has told it."""
+_ROOM_AND_WARM = 20.0, 50.0
+
+
+def urdf_friction(robot: RobotModel) -> list[Term]:
+    """Return the terms that a URDF's <dynamics> tags stand for: damping is viscous, friction Coulomb friction."""
+    terms = []
+    for joint in range(robot.n_dof):
+        for name, value in (("viscous_friction", robot.damping[joint]), ("coulomb_friction", robot.friction[joint])):
+            if value:
+                terms.append(Term(effect(name), Site(joint), value.reshape(1), {}))
+    return terms
+
+
+def starting_terms(robot: RobotModel, effects: Sequence[str]) -> list[Term]:
+    """Return terms without torque, to be trained: "viscous_friction" at all its places, or "joint_spring@joint2".
+
+    Raises:
+        OptionError: an unknown effect, a place that it has not, or an effect that acts for a time only.
+    """
+    terms = []
+    for told in map(ToldEffect.parse, effects):
+        if told.window is not None or not (sites := told.sites(robot, ())):
+            raise OptionError(
+                f"'{told.effect.id}' acts for a time only; a model that knows no recording can have no such term"
+            )
+        for site in sites:
+            shapes = told.effect.shapes(_scale(robot, site.joint or 0))
+            if not shapes:
+                raise OptionError(f"'{told.effect.id}' has no shape within the limits of '{robot.name}': leave it out")
+            shape = shapes[len(shapes) // 2]
+            zeros = torch.zeros(_count(told.effect, robot, site, shape), dtype=torch.float64)
+            terms.append(Term(told.effect, site, zeros, shape))
+    return terms
+
+
+def _scale(robot: RobotModel, joint: int) -> JointScale:
+    """Return what a joint may cover by its limits; a turn and a turn a second where it has none."""
+    low, high, speed, effort = (float(x[joint]) for x in (robot.lower, robot.upper, robot.velocity, robot.effort))
+    return JointScale(
+        speed_max=speed if math.isfinite(speed) else 2.0 * math.pi,
+        rest_width=REST_WIDTH,
+        q_low=low if math.isfinite(low) else -math.pi,
+        q_high=high if math.isfinite(high) else math.pi,
+        load_max=effort if math.isfinite(effort) else None,
+        temperature=_ROOM_AND_WARM,
+    )
+
+
+def _count(effect: Effect, robot: RobotModel, site: Site, shape: Shape) -> int:
+    """Return how many coefficients an effect has."""
+    t = torch.arange(2, dtype=torch.float64)
+    still = torch.zeros(robot.n_dof, 2, dtype=torch.float64)
+    signals = Signals(robot, still, still, still, torch.full((robot.n_dof,), REST_WIDTH, dtype=torch.float64), t=t)
+    return len(effect.features(signals, site, shape))
