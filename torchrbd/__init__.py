@@ -17,6 +17,7 @@ _NAMES = {
     "errors": ("InputError", "OptionError", "PhysicalError", "RecordingError", "RobotError", "TorchRBDError"),
     "export": ("load_model", "save_model", "to_urdf"),
     "inference": ("EstimatorComparison", "Identification", "Settings", "compare_estimators", "identify"),
+    "learning": ("DynamicsRegressor",),
     "model": ("RigidBodyDynamics",),
     "parameters": (),
     "physics": ("effects", "register"),

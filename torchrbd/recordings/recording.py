@@ -210,7 +210,7 @@ def open_recording(
       ``table[column].to_numpy()``,
     - or a dict of arrays, lists or tensors: of the same columns (N,), or, as in NPZ files, of ``t`` (N,), ``q``,
       ``tau`` and, where there are any, ``qd``, ``qdd``, ``q_ref``, ``q_link``, ``temperature`` (N, n) with the joints'
-      names in ``joints`` (n,). Without ``joints``, n must be the robot's number of joints and the order the robot's.
+      names in ``joints`` (n,). Without ``joints``, n must be the robot's number of joints; the order is the robot's.
 
     Example:
 
