@@ -9,6 +9,8 @@ Importing torchrbd costs nothing: what stands here is imported when it is first 
 
 from importlib import import_module
 
+from torchrbd.display import Displayed
+
 __version__ = "0.1.0"
 
 # Where the public names live; ``__init__.pyi`` says the same to type checkers, and a test compares the two.
@@ -28,6 +30,13 @@ _NAMES = {
 _ROOM_OF = {name: room for room, names in _NAMES.items() for name in names}
 
 __all__ = sorted(_ROOM_OF)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def _card(result: object) -> str:
+    return import_module("torchrbd.report.notebook").card(result)
+
+
+Displayed.card = staticmethod(_card)
 
 
 def __getattr__(name: str) -> object:
