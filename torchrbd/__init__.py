@@ -36,6 +36,7 @@ def _card(result: object) -> str:
     return import_module("torchrbd.report.notebook").card(result)
 
 
+# Results come before the report in the order of imports, so that they are told here who draws them.
 Displayed.card = staticmethod(_card)
 
 

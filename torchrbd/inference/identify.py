@@ -63,6 +63,14 @@ def identify(
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
+
+    Example:
+        >>> import pandas as pd, torchrbd
+        >>> monday = pd.read_feather("monday.feather")  # columns t, q_joint1, tau_joint1, ...
+        >>> tuesday = {"t": t, "q": q, "tau": tau}  # (N,) and twice (N, n), joints in the robot's order
+        >>> found = torchrbd.identify("robot.urdf", [monday, "sunday.csv"], holdout=tuesday)
+        >>> found.recordings, found.held_out
+        (('recording 1', 'sunday.csv'), 'held-out recording 1')
     """
     robot, sources, settings = read_arguments(robot, recordings, options, "identify")
     effects = with_friction(settings)
