@@ -9,6 +9,8 @@ Importing torchrbd costs nothing: what stands here is imported when it is first 
 
 from importlib import import_module
 
+from torchrbd.display import Displayed
+
 __version__ = "0.1.0"
 
 # Where the public names live; ``__init__.pyi`` says the same to type checkers, and a test compares the two.
@@ -17,6 +19,7 @@ _NAMES = {
     "errors": ("InputError", "OptionError", "PhysicalError", "RecordingError", "RobotError", "TorchRBDError"),
     "export": ("load_model", "save_model", "to_urdf"),
     "inference": ("EstimatorComparison", "Identification", "Settings", "compare_estimators", "identify"),
+    "learning": ("DynamicsRegressor",),
     "model": ("RigidBodyDynamics",),
     "parameters": (),
     "physics": ("effects", "register"),
@@ -27,6 +30,14 @@ _NAMES = {
 _ROOM_OF = {name: room for room, names in _NAMES.items() for name in names}
 
 __all__ = sorted(_ROOM_OF)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def _card(result: object) -> str:
+    return import_module("torchrbd.report.notebook").card(result)
+
+
+# Results come before the report in the order of imports, so that they are told here who draws them.
+Displayed.card = staticmethod(_card)
 
 
 def __getattr__(name: str) -> object:

@@ -2,6 +2,7 @@ from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare,
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.export import load_model, save_model, to_urdf
 from torchrbd.inference import EstimatorComparison, Identification, Settings, compare_estimators, identify
+from torchrbd.learning import DynamicsRegressor
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import effects, register
 from torchrbd.recordings import Recording, open_recording, read_mapping
@@ -13,6 +14,7 @@ __version__: str
 __all__ = [
     "Comparison",
     "Diagnosis",
+    "DynamicsRegressor",
     "EstimatorComparison",
     "Finding",
     "Identification",

@@ -23,12 +23,13 @@ from torchrbd.diagnosis.unexplained import unexplained
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
-from torchrbd.inference.identify import Source, read_arguments, summarise
+from torchrbd.inference.identify import read_arguments, summarise
 from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.likelihood.reading import Progress
 from torchrbd.physics import Site, effect
 from torchrbd.physics.registry import PLAIN
+from torchrbd.recordings import RecordingSource
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded
 
@@ -36,7 +37,7 @@ from torchrbd.threads import single_threaded
 @single_threaded()
 def diagnose(
     robot: RobotModel | str | Path | bytes,
-    recordings: Sequence[Source] | Source,
+    recordings: Sequence[RecordingSource] | RecordingSource,
     *,
     progress: Progress = lambda *_: None,
     **options: Any,
@@ -45,7 +46,7 @@ def diagnose(
 
     Args:
         robot: a robot or its URDF.
-        recordings: files or opened recordings.
+        recordings: files, opened recordings or data in memory, as for ``identify``.
         progress: told how far the work is.
         **options: those of ``identify``; ``effects`` are those that the search may use, all by default.
 

@@ -15,7 +15,7 @@ from torchrbd.diagnosis.hypotheses import Hypothesis, told, whole
 from torchrbd.diagnosis.screening import is_clocks
 from torchrbd.diagnosis.search import Explanation, explained, with_own_noise
 from torchrbd.errors import RecordingError
-from torchrbd.inference.identify import Source, read_arguments
+from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
@@ -27,6 +27,7 @@ from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.rows import KeptBack, not_held_out
 from torchrbd.physics import Effect, Site, Window
 from torchrbd.physics.registry import effect
+from torchrbd.recordings import RecordingSource
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded
 
@@ -127,7 +128,7 @@ class Ranking:
 @single_threaded()
 def rank(
     robot: RobotModel | str | Path | bytes,
-    recordings: Sequence[Source] | Source,
+    recordings: Sequence[RecordingSource] | RecordingSource,
     *,
     progress: Progress = lambda *_: None,
     **options: Any,
@@ -136,7 +137,7 @@ def rank(
 
     Args:
         robot: a robot or its URDF.
-        recordings: files or opened recordings; those held out are not looked at.
+        recordings: files, opened recordings or data in memory, as for ``identify``; those held out are not looked at.
         progress: told how far the work is.
         **options: those of ``diagnose``.
 
@@ -145,7 +146,7 @@ def rank(
     """
     robot, sources, settings = read_arguments(robot, recordings, options, "rank")
     reading, _ = read(robot, sources, settings, progress)
-    held = {source.name for source in settings.holdout}
+    held = {recording.name for recording in reading.recordings[len(sources) :]}
 
     def kept_back(name: str, t: torch.Tensor) -> torch.Tensor:
         return torch.full((len(t),), name in held)

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from torchrbd.diagnosis.ranking import Ranking
+from torchrbd.display import Displayed
 from torchrbd.inference.results import Identification
+
+_MOST_IN_REPR = 5
 
 
 @dataclass(frozen=True)
@@ -272,9 +275,9 @@ class Proof:
     white_s: float
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """Verdict, findings, and the identification they belong to.
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Displayed):
+    """Verdict, findings, and the identification they belong to; a notebook shows it as a card.
 
     ``findings`` come strongest first: those that are likelier than not, then the others, by gain in both.
 
@@ -301,3 +304,11 @@ class Diagnosis:
     proofs: tuple[Proof, ...] = field(default=())
     ranking: Ranking | None = None
     trifling: tuple[Finding, ...] = field(default=())
+
+    def __repr__(self) -> str:
+        names = [f"{f.effect} at {', '.join((*f.joints, *f.links)) or 'whole robot'}" for f in self.findings]
+        more = [f"{len(names) - _MOST_IN_REPR} more"] if len(names) > _MOST_IN_REPR else []
+        return (
+            f"Diagnosis(robot={self.identification.robot.name!r}, verdict={self.verdict!r}, "
+            f"findings={[*names[:_MOST_IN_REPR], *more]}, unexplained={len(self.unexplained)})"
+        )

@@ -11,7 +11,7 @@ from typing import Any
 from torchrbd.errors import OptionError, TorchRBDError
 from torchrbd.estimators import COMPARABLE, check_estimators
 from torchrbd.inference.estimators import Estimate, estimate, linear_problem
-from torchrbd.inference.identify import Source, read_arguments
+from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.physical.fitting import judge, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
@@ -19,6 +19,7 @@ from torchrbd.inference.torque_error import Fit
 from torchrbd.inference.verdict import encoder_doubts, regime_of
 from torchrbd.likelihood.reading import Progress
 from torchrbd.physics import Effect
+from torchrbd.recordings import NamedSource, RecordingSource
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded
 
@@ -80,7 +81,7 @@ class EstimatorComparison:
 @single_threaded()
 def compare_estimators(
     robot: RobotModel | str | Path | bytes,
-    recordings: Sequence[Source] | Source,
+    recordings: Sequence[RecordingSource] | RecordingSource,
     *,
     estimators: Sequence[str] = COMPARABLE,
     progress: Progress = lambda *_: None,
@@ -90,7 +91,7 @@ def compare_estimators(
 
     Args:
         robot: a robot or its URDF.
-        recordings: files or opened recordings.
+        recordings: files, opened recordings or data in memory, as for ``identify``.
         estimators: names, of ``torchrbd.estimators.COMPARABLE``. One that cannot be used on these recordings is a row
             that says why.
         progress: told how far the work is.
@@ -144,7 +145,7 @@ def _row(prepared: Prepared, found: Estimate) -> EstimatorRow:
 
 def _smoothed(
     robot: RobotModel,
-    recordings: Sequence[Source],
+    recordings: Sequence[NamedSource],
     settings: Settings,
     effects: Sequence[Effect],
     progress: Progress,

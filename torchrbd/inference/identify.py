@@ -35,17 +35,15 @@ from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.simulated import motion_doubts
 from torchrbd.likelihood.urdf_prior import local_covariance
 from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base_parameters
-from torchrbd.recordings import Recording
+from torchrbd.recordings import NamedSource, RecordingSource, listed_sources
 from torchrbd.robot import STANDARD_GRAVITY, RobotModel
 from torchrbd.threads import single_threaded
-
-Source = str | Path | Recording
 
 
 @single_threaded()
 def identify(
     robot: RobotModel | str | Path | bytes,
-    recordings: Sequence[Source] | Source,
+    recordings: Sequence[RecordingSource] | RecordingSource,
     *,
     progress: Progress = lambda *_: None,
     **options: Any,
@@ -54,7 +52,8 @@ def identify(
 
     Args:
         robot: a robot or its URDF.
-        recordings: files or opened recordings.
+        recordings: files, opened recordings, or data in memory as ``open_recording`` takes them: tables such as a
+            ``pandas.DataFrame``, dicts of arrays. Those in memory are called "recording 1" by their place in the list.
         progress: told how far the work is.
         **options: holdout, holdout_fraction, time, joints, effects, exclude, gravity, trust, payload, simulated,
             mapping, cutoff_hz, estimator, encoder_noise, kappa and seed; ``help(torchrbd.Settings)`` has their
@@ -64,6 +63,14 @@ def identify(
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
+
+    Example:
+        >>> import pandas as pd, torchrbd
+        >>> monday = pd.read_feather("monday.feather")  # columns t, q_joint1, tau_joint1, ...
+        >>> tuesday = {"t": t, "q": q, "tau": tau}  # (N,) and twice (N, n), joints in the robot's order
+        >>> found = torchrbd.identify("robot.urdf", [monday, "sunday.csv"], holdout=tuesday)
+        >>> found.recordings, found.held_out
+        (('recording 1', 'sunday.csv'), 'held-out recording 1')
     """
     robot, sources, settings = read_arguments(robot, recordings, options, "identify")
     effects = with_friction(settings)
@@ -83,18 +90,17 @@ def identify(
 
 def read_arguments(
     robot: RobotModel | str | Path | bytes,
-    recordings: Sequence[Source] | Source,
+    recordings: Sequence[RecordingSource] | RecordingSource,
     options: Mapping[str, Any],
     place: str,
-) -> tuple[RobotModel, list[Source], Settings]:
+) -> tuple[RobotModel, list[NamedSource], Settings]:
     """Return robot, list of recordings and checked settings of a call; ``place`` is named in errors."""
     settings = Settings.from_mapping(options, place)
     if not isinstance(robot, RobotModel):
         robot = RobotModel.from_urdf(robot, gravity=settings.gravity or STANDARD_GRAVITY)
     elif settings.gravity is not None:
         raise OptionError(f"{place}: a RobotModel has its own gravity; give it to RobotModel.from_urdf")
-    sources = [recordings] if isinstance(recordings, (str, Path, Recording)) else list(recordings)
-    return robot, sources, settings
+    return robot, listed_sources(recordings), settings
 
 
 def _estimated(

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -35,7 +34,7 @@ from torchrbd.likelihood.simulated import Simulated, check_motion, cut, read_sim
 from torchrbd.likelihood.urdf_prior import Prior, data_prior
 from torchrbd.physics import Effect, Site
 from torchrbd.physics.told import told_sites
-from torchrbd.recordings import Filtering, Recording, States, Survey, choose_cutoff, survey
+from torchrbd.recordings import Filtering, InMemory, Recording, RecordingSource, States, Survey, choose_cutoff, survey
 from torchrbd.robot import RobotModel
 
 
@@ -130,7 +129,7 @@ class Prepared:
 
 def prepare(
     robot: RobotModel,
-    recordings: Sequence[str | Path | Recording],
+    recordings: Sequence[RecordingSource | InMemory],
     settings: Settings,
     effects: Sequence[Effect],
     progress: Progress = lambda *_: None,
@@ -139,7 +138,7 @@ def prepare(
 
     Args:
         robot: the robot.
-        recordings: files or opened recordings to fit.
+        recordings: files, opened recordings or data in memory to fit.
         settings: the user's choices.
         effects: physics to have columns for.
         progress: told how far the work is.
@@ -195,7 +194,7 @@ def prepare(
 
 def read(
     robot: RobotModel,
-    recordings: Sequence[str | Path | Recording],
+    recordings: Sequence[RecordingSource | InMemory],
     settings: Settings,
     progress: Progress = lambda *_: None,
 ) -> tuple[Reading, list[Survey]]:

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from torchrbd.display import Displayed
 from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.torque_error import Fit
 from torchrbd.model import RigidBodyDynamics
@@ -110,9 +111,9 @@ class JointNoise:
     torque: float
 
 
-@dataclass(frozen=True)
-class Identification:
-    """A fitted robot.
+@dataclass(frozen=True, repr=False)
+class Identification(Displayed):
+    """A fitted robot; a notebook shows it as a card.
 
     Attributes:
         robot: the robot as its URDF gives it.
@@ -157,3 +158,7 @@ class Identification:
     posterior: Posterior | None
     doubts: tuple[str, ...] = field(default=())
     notes: tuple[str, ...] = field(default=())
+
+    def __repr__(self) -> str:
+        errors = {name: float(f"{fit.mean_nmse:.3g}") for name, fit in self.fits.items()}
+        return f"Identification(robot={self.robot.name!r}, verdict={self.verdict!r}, mean_nmse={errors})"

@@ -17,7 +17,7 @@ from torchrbd.estimators import ESTIMATORS, check_estimators
 from torchrbd.inference.data.payload import Payload
 from torchrbd.physics import Effect, effect, effects
 from torchrbd.physics.told import ToldEffect
-from torchrbd.recordings import Recording
+from torchrbd.recordings import NamedSource, listed_sources
 from torchrbd.robot import RobotModel
 
 
@@ -28,7 +28,8 @@ class Settings:
     Where several are meant, one alone will do; text as on the command line is understood too ("2:30").
 
     Attributes:
-        holdout: recordings (files or opened) that no fit or choice sees. Default: none, but ``holdout_fraction``.
+        holdout: recordings (files, opened, or in memory) that no fit or choice sees. Default: none, but
+            ``holdout_fraction``.
         holdout_fraction: without ``holdout``, the part of each recording that is kept back, (0, 0.5]. Default: 0.25.
         time: use only this part of each recording, (from, to) [s] from its start. Default: all.
         joints: joints whose torque counts, by name. Default: all.
@@ -41,7 +42,8 @@ class Settings:
         trust: links whose inertia is not re-fitted, by name. Default: none.
         payload: known loads: ``torchrbd.inference.Payload`` or "FILE=kg,x,y,z[@LINK]" [kg, m]. Default: none.
         simulated: recordings of a simulator with the same commands, one for each recording and then for each of
-            ``holdout``, in their order (files or opened): they stand for the URDF in what is compared. Default: none.
+            ``holdout``, in their order (files, opened, or in memory): they stand for the URDF in what is compared.
+            Default: none.
         mapping: YAML file that maps other column names and units. Default: columns as in the README.
         cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
         estimator: of the parameters, one of ``torchrbd.estimators.ESTIMATORS``. Default: "auto".
@@ -50,7 +52,7 @@ class Settings:
         seed: which blocks are kept back, a whole number. Default: 0.
     """
 
-    holdout: tuple[Path | Recording, ...] = ()
+    holdout: tuple[NamedSource, ...] = ()
     holdout_fraction: float = 0.25
     time: tuple[float, float] | None = None
     joints: tuple[str, ...] | None = None
@@ -59,7 +61,7 @@ class Settings:
     gravity: tuple[float, ...] | None = None
     trust: tuple[str, ...] = ()
     payload: tuple[Payload, ...] = ()
-    simulated: tuple[Path | Recording, ...] = ()
+    simulated: tuple[NamedSource, ...] = ()
     mapping: Path | None = None
     cutoff_hz: float | None = None
     estimator: str = "auto"
@@ -95,8 +97,8 @@ class Settings:
                     + (f"; did you mean '{close[0]}'?" if close else f"; known: {', '.join(sorted(known))}")
                 )
         values = dict(options)
-        for key in ("holdout", "simulated"):
-            values[key] = tuple(s if isinstance(s, Recording) else Path(str(s)) for s in _listed(values.get(key)))
+        for key, word in (("holdout", "held-out recording"), ("simulated", "simulated recording")):
+            values[key] = tuple(listed_sources(values.get(key), word))
         for key in ("joints", "effects"):
             if values.get(key) is not None:
                 values[key] = tuple(map(str, _listed(values[key])))

@@ -236,7 +236,11 @@ class Columns:
 
     def features(self, states: States) -> list[Tensor]:
         """Evaluate all features on a tile of N samples: per joint (K_j, N), in the order of ``of_joint``."""
-        found = self.evaluated(self.signals(states), self._maker.values())
+        return self.features_of(self.signals(states))
+
+    def features_of(self, signals: Signals) -> list[Tensor]:
+        """Evaluate all features on signals of N samples, as ``features`` does."""
+        found = self.evaluated(signals, self._maker.values())
         return [
             torch.stack([v if v.ndim == 1 else v[j] for v in (found[k] for k in self.of_joint[j][len(own) :].tolist())])
             for j, own in enumerate(self.inertial)

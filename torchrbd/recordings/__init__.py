@@ -1,20 +1,27 @@
-"""Recordings of the real robot: files in, tiles of filtered states out."""
+"""Recordings of the real robot: files or data in memory in, tiles of filtered states out."""
 
 from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering
 from torchrbd.recordings.mapping import Mapping, read_mapping
+from torchrbd.recordings.memory import Data, InMemory
 from torchrbd.recordings.recording import Chunk, Recording, open_recording
+from torchrbd.recordings.sources import NamedSource, RecordingSource, listed_sources
 from torchrbd.recordings.states import States, skipped_segments, tiles
 from torchrbd.recordings.survey import Survey, choose_cutoff, survey
 
 __all__ = [
     "Chunk",
+    "Data",
     "Filtering",
+    "InMemory",
     "Mapping",
+    "NamedSource",
     "Recording",
+    "RecordingSource",
     "States",
     "Survey",
     "choose_cutoff",
+    "listed_sources",
     "open_recording",
     "read_mapping",
     "skipped_segments",

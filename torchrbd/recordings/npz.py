@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -12,7 +12,7 @@ import numpy as np
 
 from torchrbd.errors import RecordingError
 
-_NPZ_SIGNALS = ("q", "tau", "qd", "qdd", "q_ref", "q_link", "temperature")
+NPZ_SIGNALS = ("q", "tau", "qd", "qdd", "q_ref", "q_link", "temperature")
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class NpzTable:
             with zipfile.ZipFile(path) as archive:
                 members = {name.removesuffix(".npy"): name for name in archive.namelist()}
                 self._arrays = {}
-                for name in ("t", *_NPZ_SIGNALS):
+                for name in ("t", *NPZ_SIGNALS):
                     if name in members:
                         with archive.open(members[name]) as stream:
                             self._arrays[name] = _Array(members[name], _read_npy_header(stream, path, name)[0])
@@ -48,22 +48,13 @@ class NpzTable:
             if isinstance(error, RecordingError):
                 raise
             raise RecordingError(f"{path}: not a readable NPZ file: {error}") from None
-        self._check_shapes(joints)
-        self._slots = {"t": ("t", 0)} if "t" in self._arrays else {}
-        for name in _NPZ_SIGNALS:
+        shapes = {name: array.shape for name, array in self._arrays.items()}
+        check_shapes(str(path), shapes, len(joints), f"the {len(joints)} names in 'joints'")
+        self._slots = {"t": ("t", 0)}
+        for name in NPZ_SIGNALS:
             if name in self._arrays:
                 self._slots |= {f"{name}_{joint}": (name, index) for index, joint in enumerate(joints)}
         self.columns = tuple(self._slots)
-
-    def _check_shapes(self, joints: list[str]) -> None:
-        length = self._arrays["t"].shape[0] if "t" in self._arrays and self._arrays["t"].shape else None
-        for name, array in self._arrays.items():
-            expected = (length,) if name == "t" else (length, len(joints))
-            if array.shape != expected:
-                raise RecordingError(
-                    f"{self.path}: array '{name}' has shape {array.shape}; expected {expected} for {length} times "
-                    f"and the {len(joints)} names in 'joints'"
-                )
 
     def batches(self, columns: Sequence[str], rows: int) -> Iterator[np.ndarray]:
         names = list(dict.fromkeys(self._slots[column][0] for column in columns))
@@ -72,6 +63,29 @@ class NpzTable:
             for blocks in zip(*streams, strict=True):
                 block = dict(zip(names, blocks, strict=True))
                 yield np.stack([block[name][:, index] for name, index in (self._slots[c] for c in columns)])
+
+
+def check_shapes(place: str, shapes: Mapping[str, tuple[int, ...]], n_joints: int, whose: str) -> None:
+    """Check arrays t (N,) and others (N, n).
+
+    Args:
+        place: file or name, for messages.
+        shapes: by name.
+        n_joints: n.
+        whose: the joints, for messages.
+
+    Raises:
+        RecordingError: there is no t, or a shape does not fit.
+    """
+    if "t" not in shapes:
+        raise RecordingError(f"{place}: the array 't' with the times is missing; present: {', '.join(shapes)}")
+    length = shapes["t"][0] if shapes["t"] else 0
+    for name, shape in shapes.items():
+        expected = (length,) if name == "t" else (length, n_joints)
+        if shape != expected:
+            raise RecordingError(
+                f"{place}: array '{name}' has shape {shape}; expected {expected} for {length} times and {whose}"
+            )
 
 
 def _read_npy_header(stream: IO[bytes], path: Path, name: str) -> tuple[tuple[int, ...], bool, np.dtype]:

@@ -13,6 +13,7 @@ from torchrbd.errors import RecordingError
 from torchrbd.recordings.formats import ArrayTable, Table, open_table
 from torchrbd.recordings.mapping import Mapping, Source
 from torchrbd.recordings.matching import OPTIONAL_SIGNALS, PARTIAL_SIGNALS, match
+from torchrbd.recordings.memory import Data, memory_table
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ class Recording:
     """Stream the rows of a checked table; as often as one likes.
 
     Attributes:
-        name: the file's name.
-        path: where it lies; None for arrays.
+        name: the file's name, or what data in memory are called.
+        path: where it lies; None for data in memory.
         joints: the robot's joints, in its order.
         measured: (n,) bool, which joints have torque.
         has_velocity, has_acceleration, has_reference: whether every joint has a measured one, and a set-point.
@@ -194,28 +195,49 @@ class Recording:
 
 
 def open_recording(
-    path: str | Path,
+    source: str | Path | Data,
     joints: Sequence[str],
     *,
     mapping: Mapping | None = None,
     time: tuple[float, float] | None = None,
+    name: str | None = None,
 ) -> Recording:
-    """Open a CSV, Parquet or NPZ recording and check that its columns fit the robot's joints.
+    """Open a CSV, Parquet or NPZ recording, or one in memory, and check that its columns fit the robot's joints.
+
+    Data in memory are read where they lie and are not copied: leave them as they are while they are in use. They are
+
+    - a table with a CSV file's columns: a ``pandas.DataFrame``, or whatever has ``columns`` and
+      ``table[column].to_numpy()``,
+    - or a dict of arrays, lists or tensors: of the same columns (N,), or, as in NPZ files, of ``t`` (N,), ``q``,
+      ``tau`` and, where there are any, ``qd``, ``qdd``, ``q_ref``, ``q_link``, ``temperature`` (N, n) with the joints'
+      names in ``joints`` (n,). Without ``joints``, n must be the robot's number of joints; the order is the robot's.
+
+    Example:
+
+        recording = torchrbd.open_recording({"t": t, "q": q, "tau": tau}, robot.joint_names, name="monday")
 
     Args:
-        path: the file.
+        source: a file, a table, or a dict.
         joints: the robot's joints, in its order.
         mapping: where the columns have other names, units or signs.
         time: use only this part, (from, to) in seconds since the recording's first row.
+        name: what results call it; the file's name, or "recording", if not given.
 
-    Raises: RecordingError naming the columns that are missing, those present, and the closest matches.
+    Raises: RecordingError naming the columns that are missing, those present, and the closest matches; data in memory
+        that are no numbers or of different lengths.
     """
-    path = Path(path)
+    place = str(source) if isinstance(source, (str, Path)) else name or "recording"
     if time is not None and not time[0] < time[1]:
-        raise RecordingError(f"{path}: time {time[0]:g}:{time[1]:g} s is empty; expected from < to")
+        raise RecordingError(f"{place}: time {time[0]:g}:{time[1]:g} s is empty; expected from < to")
     mapping = mapping or Mapping()
     mapping.check_joints(joints)
-    return _connect(path.name, path, open_table(path), joints, mapping, time)
+    if isinstance(source, (str, Path)):
+        path = Path(source)
+        return _connect(name or path.name, path, open_table(path), joints, mapping, time)
+    table = memory_table(source, joints, place)
+    recording = _connect(place, None, table, joints, mapping, time)
+    table.check([one.column for group in recording._sources.values() for one in group])
+    return recording
 
 
 def _connect(

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
 from torchrbd.diagnosis.changes.results import Change, Comparison, Difference
 from torchrbd.diagnosis.changes.words import certainty, signed
-from torchrbd.diagnosis.numbers import measure, unit
 from torchrbd.diagnosis.words import at, words_of
-from torchrbd.report.words import tied
+from torchrbd.report.templates import environment
 
 VERDICTS = {"changed": "≠ changed", "unchanged": "= as it was", "open": "? cannot tell"}
 # Inertial parameters that are shown; comparison.json has all.
@@ -19,16 +16,10 @@ MOST_INERTIAL, LIKELY = 8, 0.5
 
 def write_changes_report(result: Comparison, path: Path) -> None:
     """Write one HTML file that needs nothing else: no scripts, no external style, font or picture."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"measure": measure, "unit": unit, "tied": tied, "certainty": certainty, "signed": signed}
-    environment.globals |= {"shown": shown, "title": title, "verdicts": VERDICTS}
-    text = environment.get_template("changes.html.j2").render(result=result)
+    templates = environment()
+    templates.filters |= {"certainty": certainty, "signed": signed}
+    templates.globals |= {"shown": shown, "title": title, "verdicts": VERDICTS}
+    text = templates.get_template("changes.html.j2").render(result=result)
     Path(path).write_text(text, encoding="utf-8")
 
 

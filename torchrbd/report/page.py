@@ -7,10 +7,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from torchrbd.diagnosis.numbers import measure, number, plain, unit, with_unit
 from torchrbd.diagnosis.results import Diagnosis, Finding, Proof
 from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.report.cards import Card, PlainRow, finding_cards, plain_rows, plain_titles, unexplained_cards
@@ -19,7 +17,8 @@ from torchrbd.report.excerpt import informative_stretch
 from torchrbd.report.inline import page_style
 from torchrbd.report.pictures import Pictures
 from torchrbd.report.springs import spring_figure
-from torchrbd.report.words import badge, change, headline, model_words, part_left, percent, tied
+from torchrbd.report.templates import environment
+from torchrbd.report.words import badge, headline, model_words, part_left
 
 LEFTOVERS = {
     "rigid_body": "What the re-fitted rigid body with friction leaves",
@@ -36,19 +35,10 @@ def write_report(result: Identification | Diagnosis, path: Path) -> None:
         path: the file to write.
     """
     page = Page(result)
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"number": number, "measure": measure, "percent": percent, "change": change}
-    environment.filters |= {"plain": plain, "unit": unit, "with_unit": with_unit, "tied": tied}
-    environment.filters |= {"part_left": part_left}
-    environment.filters |= {"signal_words": page.pictures.words_of}
+    templates = environment()
+    templates.filters |= {"part_left": part_left, "signal_words": page.pictures.words_of}
     with page_style():
-        text = environment.get_template("report.html.j2").render(page=page)
+        text = templates.get_template("report.html.j2").render(page=page)
     Path(path).write_text(text, encoding="utf-8")
 
 

@@ -7,40 +7,55 @@ from pathlib import Path
 
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference.settings import Settings
-from torchrbd.recordings import Recording, open_recording, read_mapping
+from torchrbd.recordings import (
+    Data,
+    InMemory,
+    NamedSource,
+    Recording,
+    RecordingSource,
+    listed_sources,
+    open_recording,
+    read_mapping,
+)
 from torchrbd.robot import RobotModel
 
 
 def open_all(
-    robot: RobotModel, recordings: Sequence[str | Path | Recording], settings: Settings
+    robot: RobotModel, recordings: Sequence[RecordingSource | InMemory], settings: Settings
 ) -> tuple[Recording, ...]:
     """Open recordings with the robot's joints in its order, cut to the time that the settings ask for.
 
     Args:
         robot: the robot.
-        recordings: files or opened recordings to fit.
+        recordings: files, opened recordings or data in memory to fit.
         settings: say which others to hold out, how to read columns, and which part of the time counts.
 
     Returns:
         those to fit in the order given, then those held out.
 
     Raises:
-        RecordingError: a file that cannot be used, or two recordings of one name.
-        OptionError: nothing to fit, or a file both fitted and held out.
+        RecordingError: a file or data that cannot be used, or two recordings of one name.
+        OptionError: nothing to fit, or the same both fitted and held out.
     """
     mapping = read_mapping(settings.mapping) if settings.mapping else None
 
-    def opened(source: str | Path | Recording) -> Recording:
+    def opened(source: NamedSource) -> Recording:
         if isinstance(source, Recording):
             return source.of_joints(robot.joint_names, settings.time)
-        return open_recording(source, robot.joint_names, mapping=mapping, time=settings.time)
+        data, name = _named(source)
+        return open_recording(data, robot.joint_names, mapping=mapping, time=settings.time, name=name)
 
-    if not recordings:
+    fitted = listed_sources(recordings)
+    if not fitted:
         raise OptionError("no recording to fit; give at least one")
-    both = set(map(_file, recordings)) & set(map(_file, settings.holdout))
+    both = {_same(source): _words(source) for source in settings.holdout if _same(source) in map(_same, fitted)}
     if both:
-        raise OptionError(f"{', '.join(sorted(both))} is both fitted and held out; leave it out of one list")
-    found = [*map(opened, recordings), *map(opened, settings.holdout)]
+        raise OptionError(f"{', '.join(sorted(both.values()))} is both fitted and held out; leave it out of one list")
+    for k, source in enumerate(fitted):
+        for other in fitted[:k]:
+            if isinstance(source, InMemory) and _same(source) == _same(other):
+                raise RecordingError(f"{_words(other)} and {_words(source)} are the same data; give them once")
+    found = [*map(opened, fitted), *map(opened, settings.holdout)]
     names = [r.name for r in found]
     for k, name in enumerate(names):
         if name in names[:k]:
@@ -67,19 +82,32 @@ def open_simulated(robot: RobotModel, settings: Settings, recordings: Sequence[R
             f"({', '.join(r.name for r in recordings)}); give one for each, those of held-out recordings last"
         )
 
-    def opened(source: Path | Recording) -> Recording:
+    def opened(source: NamedSource) -> Recording:
         if isinstance(source, Recording):
             return source.of_joints(robot.joint_names)
+        data, name = _named(source)
         try:
-            return open_recording(source, robot.joint_names)
+            return open_recording(data, robot.joint_names, name=name)
         except RecordingError:
             if settings.mapping is None:
                 raise
-            return open_recording(source, robot.joint_names, mapping=read_mapping(settings.mapping))
+            return open_recording(data, robot.joint_names, mapping=read_mapping(settings.mapping), name=name)
 
     return tuple(map(opened, given))
 
 
-def _file(source: str | Path | Recording) -> str:
-    """Return what tells a recording from others: its file, or the name of one that has none."""
-    return str(source.path or source.name) if isinstance(source, Recording) else str(source)
+def _named(source: Path | InMemory) -> tuple[Path | Data, str | None]:
+    """Return what to open, and its name if it has one that is not its file's."""
+    return (source.data, source.name) if isinstance(source, InMemory) else (source, None)
+
+
+def _same(source: NamedSource) -> str | int:
+    """Return what tells a recording from others: its file, its data, or the name of one that has been opened."""
+    return id(source.data) if isinstance(source, InMemory) else _words(source)
+
+
+def _words(source: NamedSource) -> str:
+    """Return what a person calls a recording."""
+    if isinstance(source, Recording):
+        return str(source.path or source.name)
+    return source.name if isinstance(source, InMemory) else str(source)

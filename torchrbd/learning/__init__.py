@@ -1,0 +1,5 @@
+"""Models for learning pipelines."""
+
+from torchrbd.learning.dynamics_regressor import DynamicsRegressor
+
+__all__ = ["DynamicsRegressor"]

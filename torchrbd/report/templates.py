@@ -1,0 +1,24 @@
+"""The templates of pages and cards; every name that they show is escaped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from torchrbd.diagnosis.numbers import measure, number, plain, unit, with_unit
+from torchrbd.report.words import change, percent, tied
+
+
+def environment() -> Environment:
+    """Return where templates are found, with filters for numbers and sentences."""
+    found = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    found.filters |= {"number": number, "measure": measure, "percent": percent, "change": change}
+    found.filters |= {"plain": plain, "unit": unit, "with_unit": with_unit, "tied": tied}
+    return found
