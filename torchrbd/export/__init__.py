@@ -1,7 +1,18 @@
-"""Results as files: URDF, safetensors, JSON."""
+"""Results as files: URDF, MJCF, safetensors, JSON."""
 
 from torchrbd.export.json_files import write_changes, write_diagnosis, write_parameters
+from torchrbd.export.mjcf import to_mjcf
 from torchrbd.export.model_file import load_model, save_model
+from torchrbd.export.simulators import unsaid
 from torchrbd.export.urdf import to_urdf
 
-__all__ = ["load_model", "save_model", "to_urdf", "write_changes", "write_diagnosis", "write_parameters"]
+__all__ = [
+    "load_model",
+    "save_model",
+    "to_mjcf",
+    "to_urdf",
+    "unsaid",
+    "write_changes",
+    "write_diagnosis",
+    "write_parameters",
+]
