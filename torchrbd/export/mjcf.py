@@ -211,5 +211,5 @@ def _further(robot: RobotModel, found: Gathered) -> list[str]:
     if half:
         said.append(f"limits of {', '.join(half)}, which are on one side only")
     if bool(torch.isfinite(robot.velocity).any()):
-        said.append("limits of velocity")
-    return [*said, "shapes: geoms that are added do not change masses"]
+        said.append("velocity limits: MJCF has none")
+    return [*said, "shapes to be seen and touched: geoms that are added do not change the masses"]
