@@ -41,7 +41,8 @@ ROTOR = term("rotor_inertia", Site(0), rotor_inertia=0.4)
 
 
 def test_mjcf_has_the_models_torque() -> None:
-    found = checked("mjcf", VISCOUS, ROTOR)
+    gain, offset = term("torque_scale", Site(2), gain=1.2), term("torque_offset", Site(2), offset=0.4)
+    found = checked("mjcf", VISCOUS, ROTOR, gain, offset)
     assert [one.joint for one in found.joints] == list(ROBOT.joint_names)
     assert [one.unit for one in found.joints] == ["N" if slides else "N m" for slides in ROBOT.prismatic.tolist()]
     assert all(one.part < 1e-9 for one in found.joints)

@@ -16,6 +16,7 @@ import torchrbd
 from torchrbd import RigidBodyDynamics, RobotModel
 from torchrbd.errors import OptionError, PhysicalError
 from torchrbd.physics import Site, Term, effect, effects
+from torchrbd.robot import PARAMETERS
 
 mujoco = pytest.importorskip("mujoco")
 URDF = random_urdf(5, 4, massless=0.0)
@@ -109,6 +110,24 @@ def test_dry_friction_in_motion(seed: int) -> None:
     )
     assert_same(model, seed=seed)
     assert any(sentence.startswith("dry friction near rest, of joint1, joint2") for sentence in torchrbd.unsaid(model))
+
+
+def test_in_fast_motion_friction_that_is_there_in_part_is_whole() -> None:
+    """Far above the Stribeck speed, and after bristles have slipped."""
+    stribeck = term("stribeck_friction", Site(0), coulomb=0.8, static=1.5, stribeck_speed=0.05)
+    bristles = term("presliding_hysteresis", Site(1), coulomb=0.5, distance=0.01)
+    dry = [term("coulomb_friction", Site(j), coulomb=c) for j, c in ((0, 0.8), (1, 0.5))]
+    given = states(arm())
+    tau = arm(*dry)(*map(torch.from_numpy, given)).detach().numpy()
+    np.testing.assert_allclose(by_mujoco(arm(stribeck, bristles), *given, ARM), tau, rtol=0, atol=1e-9)
+    told = torchrbd.unsaid(arm(stribeck, bristles))
+    assert any("frictionloss is friction in motion" in s for s in told)
+    assert any('MJCF: <dcmotor lugre="50.0 0.0 0.5 0.5 1.0">' in s for s in told)
+
+
+def test_a_payload_that_is_always_there_is_part_of_its_link() -> None:
+    inertia = dict(zip(PARAMETERS[4:], (0.22, 0.03, 0.18, -0.04, 0.09, 0.1), strict=True))
+    assert_same(arm(term("payload", Site(body=2), mass=1.5, x=0.1, y=-0.2, z=0.3, **inertia)))
 
 
 def test_friction_is_that_of_a_torque_with_another_gain() -> None:

@@ -1,5 +1,6 @@
-"""Results as files: URDF, MJCF, safetensors, JSON."""
+"""Results as files: URDF, MJCF, TorchScript, safetensors, JSON."""
 
+from torchrbd.export.actuator_net import to_actuator_net
 from torchrbd.export.json_files import write_changes, write_diagnosis, write_parameters
 from torchrbd.export.mjcf import to_mjcf
 from torchrbd.export.model_file import load_model, save_model
@@ -9,6 +10,7 @@ from torchrbd.export.urdf import to_urdf
 __all__ = [
     "load_model",
     "save_model",
+    "to_actuator_net",
     "to_mjcf",
     "to_urdf",
     "unsaid",
