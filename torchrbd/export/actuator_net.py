@@ -29,8 +29,8 @@ _ROWS = 6
 def to_actuator_net(network: nn.Module, path: str | Path, *, n_history: int) -> None:
     """Write a network as TorchScript, for ``ActuatorNetMLPCfg(network_file=path, ...)``.
 
-    What is written is a copy in float32, in evaluation mode and without gradients. Its rows are joints: what it says of one must not depend
-    on the others.
+    What is written is a copy in float32, in evaluation mode and without gradients. Its rows are joints: what it says
+    of one must not depend on the others.
 
     Args:
         network: (rows, 2 n_history) to (rows, 1) or (rows,): errors and velocities in the configuration's
