@@ -102,5 +102,27 @@ def test_bad_input() -> None:
     with pytest.raises(OptionError, match="there is no format 'sdf'"):
         check_file(RigidBodyDynamics(ROBOT), "sdf", [recorded()])
     still = np.zeros((1, 3))
-    with pytest.raises(InputError, match=r"MuJoCo [0-9.]+ does not take the file: .*unrecognized"):
+    with pytest.raises(InputError, match=r"MuJoCo [0-9.]+ does not take the file \(.*unrecognized"):
         replayed(b"<mujoco><nonsense/></mujoco>", ROBOT, still, still, still)
+    odd = URDF.format(base="1", tool="3")
+    with pytest.raises(InputError, match=r"A \+ B >= C.*; correct the link in the URDF, or write MJCF"):
+        replayed(odd.encode(), RobotModel.from_urdf(odd), *np.zeros((3, 1, 1)))
+
+
+URDF = """<robot name="bar"><link name="base"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="{base}" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="bar"><inertial><mass value="9"/><inertia ixx="9" iyy="9" izz="9" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="tool"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="{tool}" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="turn" type="continuous"><parent link="base"/><child link="bar"/><axis xyz="0 1 0"/></joint>
+<joint name="bolt" type="fixed"><parent link="bar"/><child link="tool"/><origin xyz="0 0 1"/></joint></robot>
+"""
+
+
+def test_odd_inertias_of_what_stands_still_do_not_matter_nor_does_what_is_fixed_in_mjcf() -> None:
+    for base, tool, formats in (("3", "1", ("urdf", "mjcf")), ("1", "3", ("mjcf",))):
+        model = RigidBodyDynamics.from_urdf(URDF.format(base=base, tool=tool))
+        tau = model(*torch.ones(3, 1, 1, dtype=torch.float64)).detach().numpy()
+        for to in formats:
+            file = torchrbd.to_mjcf(model) if to == "mjcf" else torchrbd.to_urdf(model)
+            np.testing.assert_allclose(replayed(file, model.robot, *np.ones((3, 1, 1))), tau, rtol=1e-9)

@@ -197,7 +197,8 @@ def _further(robot: RobotModel, found: Gathered) -> list[str]:
     rubbing = [name for name, drive in zip(names, found.drives, strict=True) if drive.frictionloss]
     if rubbing:
         said.append(
-            f"dry friction near rest, of {', '.join(rubbing)}: MuJoCo's is a constraint, which holds the joint still"
+            f"dry friction near rest, of {', '.join(rubbing)}: MuJoCo's is a constraint that holds the joint still, "
+            "and yields the more the lighter what the joint moves"
         )
     if late := [name for name, drive in zip(names, found.drives, strict=True) if drive.delay or drive.late]:
         said.append(

@@ -36,7 +36,7 @@ def replayed(file: bytes, robot: RobotModel, q: np.ndarray, qd: np.ndarray, qdd:
         InputError: MuJoCo does not take the file.
     """
     mujoco = _mujoco()
-    machine = _compiled(mujoco, file)
+    machine = _compiled(mujoco, file, robot)
     machine.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
     tree, data = build_tree(robot.description), mujoco.MjData(machine)
     at = [machine.jnt_dofadr[machine.joint(joint.name).id] for joint in tree.moving]
@@ -63,14 +63,21 @@ def _mujoco() -> ModuleType:
     return mujoco
 
 
-def _compiled(mujoco: ModuleType, file: bytes) -> Any:
+def _compiled(mujoco: ModuleType, file: bytes, robot: RobotModel) -> Any:
     """Return MuJoCo's model of a file."""
-    root = etree.fromstring(file)
+    root, remedy = etree.fromstring(file), ""
     if root.tag == "robot":
-        # Their meshes would be searched for, and shapes are no part of the dynamics.
+        # Meshes would be searched for, and what stands still weighs on no joint, however odd its inertia.
         etree.strip_elements(root, "visual", "collision", "mujoco", with_tail=False)
+        carried = {link.name for links in robot.folded.values() for link in links}
+        for inertial in root.findall("link/inertial"):
+            link = inertial.getparent()
+            if link is not None and link.get("name") not in carried:
+                link.remove(inertial)
         etree.SubElement(etree.SubElement(root, "mujoco"), "compiler", _COMPILER)
+        remedy = "; correct the link in the URDF, or write MJCF, in which a moving link has all that is fixed to it"
     try:
         return mujoco.MjModel.from_xml_string(etree.tostring(root, encoding="unicode"))
     except ValueError as error:
-        raise InputError(f"MuJoCo {mujoco.__version__} does not take the file: {error}") from None
+        words = " ".join(str(error).split())
+        raise InputError(f"MuJoCo {mujoco.__version__} does not take the file ({words}){remedy}") from None
