@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -126,3 +127,16 @@ def test_odd_inertias_of_what_stands_still_do_not_matter_nor_does_what_is_fixed_
         for to in formats:
             file = torchrbd.to_mjcf(model) if to == "mjcf" else torchrbd.to_urdf(model)
             np.testing.assert_allclose(replayed(file, model.robot, *np.ones((3, 1, 1))), tau, rtol=1e-9)
+
+
+def test_mujoco_leaves_no_log_in_the_users_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It writes one of limits that are equal, which a URDF that does not know them has."""
+    limit = '<limit lower="0" upper="0" effort="1" velocity="1"/></joint>\n<joint name="bolt"'
+    urdf = (
+        URDF.format(base="1", tool="1").replace("continuous", "revolute").replace('</joint>\n<joint name="bolt"', limit)
+    )
+    model = RigidBodyDynamics.from_urdf(urdf)
+    monkeypatch.chdir(tmp_path)
+    for file in (torchrbd.to_mjcf(model), torchrbd.to_urdf(model)):
+        replayed(file, model.robot, *np.ones((3, 1, 1)))
+    assert list(tmp_path.iterdir()) == []

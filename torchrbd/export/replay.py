@@ -67,8 +67,9 @@ def _compiled(mujoco: ModuleType, file: bytes, robot: RobotModel) -> Any:
     """Return MuJoCo's model of a file."""
     root, remedy = etree.fromstring(file), ""
     if root.tag == "robot":
-        # Meshes would be searched for, and what stands still weighs on no joint, however odd its inertia.
-        etree.strip_elements(root, "visual", "collision", "mujoco", with_tail=False)
+        # Meshes would be searched for, odd limits be written of to a log in the user's folder, and what stands still
+        # weighs on no joint, however odd its inertia.
+        etree.strip_elements(root, "visual", "collision", "limit", "mujoco", with_tail=False)
         carried = {link.name for links in robot.folded.values() for link in links}
         for inertial in root.findall("link/inertial"):
             link = inertial.getparent()
