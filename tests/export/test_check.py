@@ -131,10 +131,8 @@ def test_odd_inertias_of_what_stands_still_do_not_matter_nor_does_what_is_fixed_
 
 def test_mujoco_leaves_no_log_in_the_users_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It writes one of limits that are equal, which a URDF that does not know them has."""
-    limit = '<limit lower="0" upper="0" effort="1" velocity="1"/></joint>\n<joint name="bolt"'
-    urdf = (
-        URDF.format(base="1", tool="1").replace("continuous", "revolute").replace('</joint>\n<joint name="bolt"', limit)
-    )
+    limit = '<limit lower="0" upper="0" effort="1" velocity="1"/></joint>'
+    urdf = URDF.format(base="1", tool="1").replace("continuous", "revolute").replace("</joint>", limit, 1)
     model = RigidBodyDynamics.from_urdf(urdf)
     monkeypatch.chdir(tmp_path)
     for file in (torchrbd.to_mjcf(model), torchrbd.to_urdf(model)):
