@@ -39,6 +39,7 @@ def modules_after(code: str) -> set[str]:
                 ["identify", "--help"],
                 ["diagnose", "--help"],
                 ["compare-estimators", "--help"],
+                ["export", "--help"],
                 ["diagnose"],
             )
         ),

@@ -1,6 +1,6 @@
 from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare, diagnose, rank
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
-from torchrbd.export import load_model, save_model, to_urdf
+from torchrbd.export import load_model, save_model, to_actuator_net, to_mjcf, to_urdf, unsaid
 from torchrbd.inference import EstimatorComparison, Identification, Settings, compare_estimators, identify
 from torchrbd.learning import DynamicsRegressor
 from torchrbd.model import RigidBodyDynamics
@@ -40,6 +40,9 @@ __all__ = [
     "read_mapping",
     "register",
     "save_model",
+    "to_actuator_net",
+    "to_mjcf",
     "to_urdf",
+    "unsaid",
     "write_report",
 ]

@@ -13,6 +13,7 @@ from typing import TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from torchrbd.cli.exporting import export
 from torchrbd.cli.settings import settings_of
 from torchrbd.cli.tables import (
     print_changes,
@@ -107,6 +108,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "diagnose": partial(_run, diagnose, print_diagnosis),
     "compare": _compare,
     "compare-estimators": _compare_estimators,
+    "export": export,
     "effects": lambda _: print_effects(effects().values()),
     "demo": _demo,
 }

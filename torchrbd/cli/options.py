@@ -79,6 +79,8 @@ def parser() -> argparse.ArgumentParser:
         "noise matters and physical where not",
     )
     sub.epilog = _list_of(COMPARABLE)
+    sub = command("export", "Write a fitted model as a file for a simulator, and say what that file cannot hold.")
+    _add_export(sub)
     command("effects", "List the effects that can be missing: their names, what they are, and their torque.")
     sub = command("demo", "Diagnose a bundled case: a six-joint arm with a friction that its URDF does not hold.")
     sub.add_argument(
@@ -96,6 +98,33 @@ def _add_compare(sub: argparse.ArgumentParser) -> None:
             help=f"folder that 'diagnose -o' wrote, or its diagnosis.json: {words}",
         )
     sub.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder for comparison.json and comparison.html")
+
+
+def _add_export(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "model", type=Path, metavar="MODEL", help="model.safetensors, or the folder that 'identify' or 'diagnose' wrote"
+    )
+    sub.add_argument("--to", choices=("urdf", "mjcf"), required=True, help="format; mjcf is MuJoCo's own")
+    sub.add_argument(
+        "-o", "--output", dest="file", type=Path, metavar="FILE", help="(default: model.urdf or model.xml beside MODEL)"
+    )
+    sub.add_argument(
+        "--check",
+        nargs="+",
+        action="extend",
+        default=[],
+        type=Path,
+        metavar="RECORDING",
+        help="compare the torques of the file in MuJoCo with the model's on the motion of these recordings",
+    )
+    sub.add_argument("--mapping", type=Path, metavar="YAML", help="column names and units of these recordings")
+    sub.add_argument(
+        "--cutoff",
+        dest="cutoff_hz",
+        type=float,
+        metavar="HZ",
+        help="band limit of their motion (default: chosen from the data)",
+    )
 
 
 def _list_of(estimators: Iterable[str]) -> str:

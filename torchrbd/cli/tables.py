@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from textwrap import wrap
 
 from rich.console import Console
@@ -13,8 +14,10 @@ from rich.text import Text
 from torchrbd.diagnosis import Comparison, Diagnosis
 from torchrbd.diagnosis.changes.words import certainty, signed
 from torchrbd.diagnosis.numbers import number, unit
+from torchrbd.diagnosis.numbers import percent as exact_percent
 from torchrbd.diagnosis.results import Where
 from torchrbd.diagnosis.words import guessed, place, values, when
+from torchrbd.export.check import FileCheck
 from torchrbd.inference import Identification
 from torchrbd.inference.comparison import EstimatorComparison
 from torchrbd.physics import Effect
@@ -201,6 +204,28 @@ def print_comparison(result: EstimatorComparison) -> None:
         if row.note:
             out.print(f"{row.name}: {row.note}" if row.raw else f"{row.name} is left out: {row.note}", markup=False)
     _print_notes(result.notes, out)
+
+
+def print_export(file: Path, lacking: Sequence[str], found: FileCheck | None) -> None:
+    """Print how far a file for a simulator and its model are apart, if that was looked at, and what the file lacks."""
+    out = Console(highlight=False)
+    if found is not None:
+        out.print(
+            f"The file in MuJoCo beside the model, RMS torque over {found.samples} states, motion band-limited at "
+            f"{found.cutoff_hz:.3g} Hz:",
+            markup=False,
+        )
+        table = Table(_whole("joint"), *map(_right, ("torque", "file less model", "in per cent")))
+        for one in found.joints:
+            torques = (f"{number(value)} {one.unit}" for value in (one.torque, one.difference))
+            table.add_row(Text(one.joint), *torques, exact_percent(one.part))
+        out.print(table)
+        _print_notes(found.notes, out)
+    if lacking:
+        out.print("What the file lacks, or has otherwise:")
+    for sentence in lacking:
+        out.print(f"- {sentence}", markup=False)
+    out.print(f"wrote {file}", markup=False, soft_wrap=True)
 
 
 def print_effects(known: Iterable[Effect]) -> None:

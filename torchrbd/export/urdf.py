@@ -7,6 +7,7 @@ from lxml import etree
 from torch import Tensor
 
 from torchrbd.errors import RobotError
+from torchrbd.export.xml_text import comment, element_text
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 from torchrbd.physics import Term
@@ -81,14 +82,12 @@ def _write_dynamics(joint: etree._Element, model: RigidBodyDynamics, index: int)
 
 
 def _comment(term: Term) -> etree._Element:
-    words = [f"torchrbd: {term.extra_repr()}", "URDF has no word for it"]
-    for element, attributes in term.effect.mjcf(term.parameters_by_name()).items():
-        named = " ".join(f'{name}="{_numbers(value)}"' for name, value in attributes.items())
-        words.append(f"MJCF: <{element} {named}>")
+    written = term.effect.mjcf(term.parameters_by_name())
+    words = [
+        f"torchrbd: {term.extra_repr()}",
+        "URDF has no word for it",
+        *(element_text(*one) for one in written.items()),
+    ]
     if term.effect.export_note:
         words.append(term.effect.export_note)
-    return etree.Comment(f" {'; '.join(words).replace('--', '- -')} ")
-
-
-def _numbers(value: float | tuple[float, ...] | str) -> str:
-    return value if isinstance(value, str) else " ".join(map(repr, value if isinstance(value, tuple) else (value,)))
+    return comment("; ".join(words))

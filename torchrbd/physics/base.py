@@ -95,6 +95,7 @@ class Effect(ABC):
         first_order: the shape at which it is linear in its size, where that is small; None where shapes are free.
         needs: what a recording must hold beside positions and torques, in words.
         export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
+        exported_in_part: True if what ``mjcf`` writes makes a part of the torque only; ``export_note`` says which.
     """
 
     id: ClassVar[str]
@@ -113,6 +114,7 @@ class Effect(ABC):
     first_order: ClassVar[Shape | None] = None
     needs: ClassVar[str] = ""
     export_note: ClassVar[str] = ""
+    exported_in_part: ClassVar[bool] = False
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         """Return where on a robot the effect may sit; ``windows`` are stretches of time in which it may act."""

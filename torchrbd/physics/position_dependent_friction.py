@@ -34,6 +34,7 @@ class PositionDependentFriction(JointEffect):
     drawn_over = "q"
     prior = CoefficientPrior("It resists motion; the region may be sticky or worn smooth.", positive=(0,))
     export_note = "frictionloss is that outside of the region; MJCF has no friction that depends on position"
+    exported_in_part = True
     # Widths in parts of the range (wider, it is curvature over all of it) and distances of centres in widths.
     _WIDTHS, _STEP = (0.08, 0.18, 0.4), 0.7
 

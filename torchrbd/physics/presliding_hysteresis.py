@@ -43,6 +43,7 @@ class PreslidingHysteresis(JointEffect):
     export_note = (
         "<dcmotor> needs its other constants too; frictionloss of the same size is without the lag at reversals"
     )
+    exported_in_part = True
     # Parts of the range of motion. Shorter, it is Coulomb friction; longer, a spring that hardly slides.
     _SHORTEST, _LONGEST, _GRID_POINTS = 2e-3, 0.1, 4
 

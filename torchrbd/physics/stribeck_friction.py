@@ -31,6 +31,7 @@ class StribeckFriction(JointEffect):
     dissipative = True
     prior = CoefficientPrior("It resists motion, and more at rest than in motion.", positive=(0, 1))
     export_note = "frictionloss is friction in motion; what it is more at rest, only <dcmotor lugre> has a word for"
+    exported_in_part = True
     # Slower, the bump hides in the softened sign; faster, it is curvature of the whole range.
     _SLOWEST_IN_REST_WIDTHS, _FASTEST_IN_SPEED_RANGE, _GRID_POINTS = 4.0, 0.4, 6
 

@@ -34,6 +34,7 @@ class TimeVaryingFriction(JointEffect):
     drawn_over = "t"
     prior = CoefficientPrior("It resists motion; with time it may rise or fall.", positive=(0,))
     export_note = "frictionloss is what friction settles to; MJCF has no word for time"
+    exported_in_part = True
     # Parts of the longest recording: a grease film that settles to a joint that warms through. Slower, it is a straight
     # line in time, and all slower ones are alike.
     _FASTEST, _SLOWEST, _GRID_POINTS, _PLAUSIBLE = 0.03, 1.0, 4, 10.0

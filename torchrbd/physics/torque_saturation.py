@@ -34,6 +34,7 @@ class TorqueSaturation(JointEffect):
     drawn_over = "load"
     prior = CoefficientPrior("From a clipped reading to an actuator that gives half of what is asked.", std=(1.0,))
     export_note = "a hard limit in place of a gradual one: of the actuator, or of the reading if the slope is negative"
+    exported_in_part = True
     # In parts of the largest load. Lower, it is a gain of the torque; higher, hardly ever met.
     _LOWEST, _HIGHEST, _GRID_POINTS = 0.35, 0.88, 4
     # A clipped reading is at the bound: its estimate lies beyond as often as not.

@@ -1,0 +1,50 @@
+"""What ``torchrbd export`` does: read a model, check what it becomes, write it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from torchrbd.cli.tables import print_export
+from torchrbd.errors import InputError, OptionError
+from torchrbd.export import load_model, unsaid
+from torchrbd.export.check import check_file
+from torchrbd.export.simulators import written
+
+_MODEL = "model.safetensors"
+_SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml"}
+
+
+def export(options: argparse.Namespace) -> None:
+    """Write a model as a file for a simulator; with recordings to check on, compare the two before.
+
+    Raises:
+        InputError: no model there, or a recording or mapping that cannot be used.
+        OptionError: a file that cannot be written, or options that are for the check without one.
+    """
+    if not options.check and (options.mapping or options.cutoff_hz is not None):
+        raise OptionError("--mapping and --cutoff are of the recordings that --check names; name some")
+    source = _source(options.model)
+    file = options.file or source.with_suffix(_SUFFIXES[options.to])
+    if file.is_dir():
+        raise OptionError(f"output '{file}' is a folder; name a file, e.g. {file / source.stem}{_SUFFIXES[options.to]}")
+    model = load_model(source)
+    content, lacking = written(model, options.to), unsaid(model, options.to)
+    found = None
+    if options.check:
+        found = check_file(model, options.to, options.check, mapping=options.mapping, cutoff_hz=options.cutoff_hz)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(content)
+    print_export(file, lacking, found)
+
+
+def _source(given: Path) -> Path:
+    """Return the file of a model that is given by itself or by its folder."""
+    if not given.is_dir():
+        return given
+    if not (given / _MODEL).is_file():
+        raise InputError(
+            f"{given}: holds no {_MODEL}; give the folder that 'torchrbd identify -o' or 'diagnose -o' wrote, "
+            "or the file itself"
+        )
+    return given / _MODEL

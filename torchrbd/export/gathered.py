@@ -1,0 +1,200 @@
+"""What a model's terms are in MJCF, all terms together, and what MJCF cannot hold, in sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from torchrbd.export.drive import Drive
+from torchrbd.export.xml_text import Value, element_text
+from torchrbd.model import RigidBodyDynamics
+from torchrbd.physics import Mjcf, Site, Term
+from torchrbd.robot import RobotModel
+
+_SAME = 1e-9
+# Attributes that only actuators and sensors have.
+_IN_TIME = {"dyntype", "dynprm", "delay"}
+# Attributes of actuators and sensors alone.
+_IN_TIME = {"dyntype", "dynprm", "delay"}
+# Of more numbers a sentence tells none.
+_MOST_NUMBERS = 6
+
+
+@dataclass(frozen=True)
+class Tendon:
+    """A fixed tendon: ``stiffness`` and ``damping`` act on its length, the sum of coef times joint position."""
+
+    joints: tuple[int, ...]
+    coef: tuple[float, ...]
+    stiffness: float = 0.0
+    damping: float = 0.0
+    springlength: Value = 0.0
+
+
+@dataclass
+class Gathered:
+    """All of it.
+
+    Attributes:
+        drives: one for each driving joint.
+        tendons: over which joints.
+        added: what to add to a body's inertial parameters (10,), by index.
+        shifts: how far the origins of joints move in their parents' axes (3,) [m], by index.
+        turns: quaternions (w, x, y, z) that turn a joint's origin, one after the other; under None those of the base.
+        unsaid: what MJCF does not hold, in sentences.
+        in_time: terms that are all in how actuators act in time, which inverse dynamics does not meet.
+    """
+
+    drives: list[Drive]
+    tendons: list[Tendon] = field(default_factory=list)
+    added: dict[int, Tensor] = field(default_factory=dict)
+    shifts: dict[int, Tensor] = field(default_factory=dict)
+    turns: dict[int | None, list[tuple[float, ...]]] = field(default_factory=dict)
+    unsaid: list[str] = field(default_factory=list)
+    in_time: list[Term] = field(default_factory=list)
+
+
+def gather(model: RigidBodyDynamics) -> Gathered:
+    """Return what the terms of a model are in MJCF."""
+    robot = model.robot
+    found = Gathered([Drive() for _ in range(robot.n_dof)])
+    couplings: list[Tendon] = []
+    for term in model.terms:
+        written = term.effect.mjcf(term.parameters_by_name())
+        if not term.site.always:
+            found.unsaid.append(f"{named(term, robot)}: does not act always, and the file is of one condition")
+        elif not _finite(written):
+            found.unsaid.append(f"{named(term, robot)}: has numbers that are not finite")
+        else:
+            _add(found, couplings, term, written, robot)
+    gains = [drive.gain for drive in found.drives]
+    for drive, joint in zip(found.drives, robot.joint_names, strict=True):
+        drive.act()
+        if drive.frictionloss < 0:
+            found.unsaid.append(f"dry friction of {joint} is negative ({drive.frictionloss:.4g}), which MuJoCo lacks")
+            drive.frictionloss = 0.0
+    for one in (t for t in couplings if len(t.joints) == 1):
+        found.tendons.append(Tendon(one.joints, one.coef, one.stiffness / gains[one.joints[0]], 0.0, one.springlength))
+    for kind in ("stiffness", "damping"):
+        _couple(found, kind, [t for t in couplings if len(t.joints) == 2 and getattr(t, kind)], gains, robot)
+    return found
+
+
+def named(term: Term, robot: RobotModel) -> str:
+    """Return what a term is called in a sentence: effect, place and values."""
+    site, values = term.site, term.parameters_by_name()
+    prismatic = site.joint is not None and bool(robot.prismatic[site.joint])
+    told = ", ".join(
+        f"{name} {value:.4g} {term.effect.unit(name, prismatic=prismatic)}".removesuffix(" 1")
+        for name, value in values.items()
+    )
+    return f"{term.effect.words} at {site.name(robot)}" + (f" ({told})" if len(values) <= _MOST_NUMBERS else "")
+
+
+def _finite(written: Mjcf) -> bool:
+    values = [v for attributes in written.values() for v in attributes.values() if not isinstance(v, str)]
+    return all(math.isfinite(x) for v in values for x in (v if isinstance(v, tuple) else (v,)))
+
+
+def _add(found: Gathered, couplings: list[Tendon], term: Term, written: Mjcf, robot: RobotModel) -> None:
+    """Add one term's elements; what cannot be written becomes a sentence, with the elements to write by hand."""
+    by_hand = {e: a for e, a in written.items() if not _add_element(found, couplings, term.site, e, a, robot)}
+    if not written or by_hand or term.effect.exported_in_part:
+        why = [term.effect.export_note or "MJCF has no word for it", *(element_text(e, a) for e, a in by_hand.items())]
+        found.unsaid.append(f"{named(term, robot)}: {'; '.join(why)}")
+    elif all(attributes.keys() <= _IN_TIME for attributes in written.values()):
+        found.in_time.append(term)
+
+
+def _add_element(
+    found: Gathered, couplings: list[Tendon], site: Site, element: str, given: Mapping[str, Value], robot: RobotModel
+) -> bool:
+    """Add one element; say whether it could be."""
+    drives = found.drives if site.joint is None else [found.drives[site.joint]]
+    if element == "general":
+        return all([drive.add_actuator(given) for drive in drives])
+    if element == "actuatorfrc":
+        return all([drive.add_reading(given) for drive in drives])
+    if element == "body":
+        return _add_body(found, site.joint, given, robot)
+    if element == "inertial" and site.body is not None:
+        added = found.added.get(site.body, torch.zeros(10, dtype=torch.float64))
+        found.added[site.body] = added + _about_origin(given)
+        return True
+    if element == "joint" and site.joint is not None:
+        return drives[0].add_joint(given)
+    if element == "fixed" and site.joint is not None:
+        couplings.append(_tendon(site.joint, site.other, given))
+        return True
+    if element == "dcmotor" and "lugre" in given and site.joint is not None:
+        # Without the motor's other constants there is no bristle; what is left of it is friction in motion.
+        drives[0].frictionloss += _several(given["lugre"])[2]
+    return False
+
+
+def _several(value: Value) -> tuple[float, ...]:
+    assert not isinstance(value, str)
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _tendon(joint: int, other: int | None, given: Mapping[str, Value]) -> Tendon:
+    coef = _several(given.get("coef", 1.0))
+    joints = (joint,) if other is None else (joint, other)
+    stiffness, damping = (_several(given.get(name, 0.0))[0] for name in ("stiffness", "damping"))
+    return Tendon(joints, coef, stiffness, damping, given.get("springlength", 0.0))
+
+
+def _add_body(found: Gathered, joint: int | None, given: Mapping[str, Value], robot: RobotModel) -> bool:
+    """Shift and turn a joint's origin, or turn the base."""
+    if "pos" in given and joint is not None:
+        shift = torch.tensor(_several(given["pos"]), dtype=torch.float64)
+        found.shifts[joint] = found.shifts.get(joint, torch.zeros_like(shift)) + shift
+    if "quat" in given:
+        w, *axis = _several(given["quat"])
+        if joint is None:
+            # A base is tilted about the two axes after that of gravity.
+            axis = [axis[(k - int(robot.gravity.abs().argmax()) - 1) % 3] for k in range(3)]
+        found.turns.setdefault(joint, []).append((w, *axis))
+    return given.keys() <= {"pos", "quat"} and (joint is not None or "pos" not in given)
+
+
+def _about_origin(given: Mapping[str, Value]) -> Tensor:
+    """Return the inertial parameters (10,) of an <inertial>, about the origin of its body."""
+    m, (x, y, z) = _several(given["mass"])[0], _several(given["pos"])
+    xx, yy, zz, xy, xz, yz = _several(given["fullinertia"])
+    central = (xx, xy, yy, xz, yz, zz)
+    steiner = (y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
+    about = (i + m * s for i, s in zip(central, steiner, strict=True))
+    return torch.tensor([m, m * x, m * y, m * z, *about], dtype=torch.float64)
+
+
+def _couple(found: Gathered, kind: str, couplings: list[Tendon], gains: list[float], robot: RobotModel) -> None:
+    """Write what couples pairs of joints as tendons.
+
+    A tendon acts on both joints, and beside the coupling on each joint by its own motion: that is taken from the
+    joint's own stiffness or damping. Two terms that say the same from both sides are one tendon.
+    """
+    crossed: dict[tuple[int, int], float] = {}
+    for one in couplings:
+        (joint, other), (own, cross), size = one.joints, one.coef, getattr(one, kind) / gains[one.joints[0]]
+        crossed[joint, other] = crossed.get((joint, other), 0.0) + size * own * cross
+        if kind == "stiffness":
+            found.drives[joint].at_zero -= size * own * _several(one.springlength)[0]
+    for (joint, other), forth in crossed.items():
+        back = crossed.get((other, joint))
+        if back is not None and other < joint:
+            continue
+        k = forth if back is None else 0.5 * (forth + back)
+        for drive in (found.drives[joint], found.drives[other]):
+            setattr(drive, kind, getattr(drive, kind) - abs(k))
+        found.tendons.append(Tendon((joint, other), (1.0, math.copysign(1.0, k)), **{kind: abs(k)}))
+        if back is None or abs(forth - back) > _SAME * abs(k):
+            names = robot.joint_names[joint], robot.joint_names[other]
+            found.unsaid.append(
+                f"coupling of {names[0]} and {names[1]}: a tendon acts on both alike, with {kind} {k:.4g}; the model "
+                f"has {forth:.4g} at {names[0]} and {0.0 if back is None else back:.4g} at {names[1]}"
+            )

@@ -1,0 +1,216 @@
+"""A model as MJCF, MuJoCo's own format: tree, inertias, joints, friction, springs, couplings and actuators."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from lxml import etree
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from torchrbd.export.drive import Drive
+from torchrbd.export.gathered import Gathered, gather
+from torchrbd.export.inertials import inertial
+from torchrbd.export.xml_text import comment, text
+from torchrbd.model import RigidBodyDynamics
+from torchrbd.parameters import PARAMETERS_PER_BODY
+from torchrbd.robot import RobotModel
+from torchrbd.robot.description import Joint
+
+# As hard as MuJoCo's default time step of 2 ms allows.
+_HARD = {"solref": "0.004 1", "solimp": "0.999 0.999 0.001 0.5 2"}
+# The shortest time step for which delays have their history [s].
+_SHORTEST_STEP = 5e-4
+
+
+def to_mjcf(model: RigidBodyDynamics) -> bytes:
+    """Write a model as an MJCF file.
+
+    Links are bodies and keep their names; a moving link has the inertia of all that is fixed to it. Numbers that
+    several terms give add. A joint's actuator takes the torque that a recording has. What MJCF cannot hold stands in
+    comments at the head of the file, see ``unsaid``. MuJoCo is not needed.
+
+        mj_inverse = model(q, qd, qdd)    where the file holds the model, dry friction in motion
+
+    Returns:
+        the file, UTF-8.
+
+    Raises:
+        PhysicalError: a link's inertial parameters are those of no rigid body.
+    """
+    return _write(model)[0]
+
+
+def mjcf_unsaid(model: RigidBodyDynamics) -> tuple[str, ...]:
+    """Return what ``to_mjcf`` cannot write, in sentences.
+
+    Raises:
+        PhysicalError: a link's inertial parameters are those of no rigid body.
+    """
+    return _write(model)[1]
+
+
+def _write(model: RigidBodyDynamics) -> tuple[bytes, tuple[str, ...]]:
+    """Return the file and what it does not hold."""
+    robot, found = model.robot, gather(model)
+    unsaid = list(found.unsaid)
+    root = etree.Element("mujoco", model=robot.name)
+    world = etree.Element("worldbody")
+    upright = torch.eye(4, dtype=torch.float64)
+    base = etree.SubElement(world, "body", {"name": _base_name(robot)} | _place(upright, found, None))
+    _write_links(base, model, found, unsaid)
+    unsaid += _further(robot, found)
+    root.extend(comment(words) for words in ("torchrbd: what this file lacks, or has otherwise:", *unsaid))
+    etree.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
+    etree.SubElement(root, "option", gravity=text(robot.gravity.tolist()))
+    if any(drive.frictionloss for drive in found.drives):
+        hard = {f"{name}friction": value for name, value in _HARD.items()}
+        etree.SubElement(etree.SubElement(root, "default"), "joint", hard)
+    root.append(world)
+    root.extend(part for part in (_equality(robot), _tendons(robot, found), *_actuators(robot, found)) if len(part))
+    etree.indent(root)
+    return etree.tostring(root, xml_declaration=True, encoding="utf-8", pretty_print=True), tuple(unsaid)
+
+
+def _base_name(robot: RobotModel) -> str:
+    """Return the root link's name; MuJoCo keeps "world" for itself."""
+    name, taken = robot.description.root(), {link.name for link in robot.description.links}
+    while name == "world" or (name != robot.description.root() and name in taken):
+        name += "_link"
+    return name
+
+
+def _place(pose: Tensor, found: Gathered, joint: int | None) -> dict[str, str]:
+    """Return position and orientation of a joint's body or, for None, of the base, with what terms say of them."""
+    pose = pose.clone()
+    if joint in found.shifts:
+        pose[:3, 3] += found.shifts[joint]
+    for w, *axis in found.turns.get(joint, ()):
+        pose[:3, :3] = torch.from_numpy(Rotation.from_quat([*axis, w]).as_matrix()) @ pose[:3, :3]
+    return _pose(pose)
+
+
+def _pose(pose: Tensor) -> dict[str, str]:
+    p = pose[:3, 3]
+    *axis, w = Rotation.from_matrix(pose[:3, :3].numpy()).as_quat().tolist()
+    place = {"pos": text(p.tolist())} if bool(p.any()) else {}
+    return place | ({"quat": text((w, *axis))} if any(axis) else {})
+
+
+def _write_links(base: etree._Element, model: RigidBodyDynamics, found: Gathered, unsaid: list[str]) -> None:
+    """Write what hangs on the base, depth-first in the robot's order."""
+    robot = model.robot
+    bodies = dict(zip(robot.body_names, model.pi.detach().cpu().reshape(-1, PARAMETERS_PER_BODY), strict=True))
+    for index, added in found.added.items():
+        bodies[robot.body_names[index]] = bodies[robot.body_names[index]] + added
+    below: dict[str, list[Joint]] = {link.name: [] for link in robot.description.links}
+    for joint in robot.description.joints:
+        below[joint.parent].append(joint)
+    stack = [(joint, base) for joint in reversed(below[robot.description.root()])]
+    while stack:
+        joint, parent = stack.pop()
+        driven = robot.joint_names.index(joint.name) if joint.name in robot.joint_names else None
+        place = _place(joint.pose, found, driven) if driven is not None else _pose(joint.pose)
+        body = etree.SubElement(parent, "body", {"name": joint.child} | place)
+        if joint.kind != "fixed":
+            etree.SubElement(body, "joint", _joint(joint, None if driven is None else found.drives[driven]))
+            attributes, words = inertial(bodies[joint.child], joint.child)
+            etree.SubElement(body, "inertial", attributes)
+            unsaid += [words] if words else []
+        stack.extend((child, body) for child in reversed(below[joint.child]))
+
+
+def _joint(joint: Joint, drive: Drive | None) -> dict[str, str]:
+    """Return a joint's attributes; one that mimics another has no drive."""
+    written = {
+        "name": joint.name,
+        "type": "slide" if joint.kind == "prismatic" else "hinge",
+        "axis": text(joint.axis.tolist()),
+    }
+    if math.isfinite(joint.lower) and math.isfinite(joint.upper) and joint.lower < joint.upper:
+        written["range"] = text((joint.lower, joint.upper))
+    if drive is None:
+        return written
+    if math.isfinite(joint.effort) and joint.effort > 0:
+        written["actuatorfrcrange"] = text((-joint.effort, joint.effort))
+    values = {name: getattr(drive, name) for name in ("frictionloss", "armature", "stiffness", "ref")}
+    if drive.stiffness:
+        values["springref"] = -drive.at_zero / drive.stiffness
+    if drive.drag:
+        values["damping"] = (drive.damping, drive.drag, 0.0)
+    else:
+        values["damping"] = drive.damping
+    return written | {name: text(value) for name, value in values.items() if value}
+
+
+def _equality(robot: RobotModel) -> etree._Element:
+    """Hold mimic joints to the joints that they follow."""
+    part = etree.Element("equality")
+    for joint in robot.description.joints:
+        if joint.mimic is not None and joint.kind != "fixed":
+            line = text((joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0))
+            held = {"joint1": joint.name, "joint2": joint.mimic.joint, "polycoef": line}
+            etree.SubElement(part, "joint", held | _HARD)
+    return part
+
+
+def _tendons(robot: RobotModel, found: Gathered) -> etree._Element:
+    part = etree.Element("tendon")
+    for one in found.tendons:
+        values = {name: text(getattr(one, name)) for name in ("stiffness", "damping") if getattr(one, name)}
+        tendon = etree.SubElement(part, "fixed", {"springlength": text(one.springlength)} | values)
+        for joint, coef in zip(one.joints, one.coef, strict=True):
+            etree.SubElement(tendon, "joint", joint=robot.joint_names[joint], coef=text(coef))
+    return part
+
+
+def _actuators(robot: RobotModel, found: Gathered) -> tuple[etree._Element, etree._Element]:
+    """Return actuators, whose control is the torque that is recorded, and sensors of what is read of it."""
+    actuators, sensors = etree.Element("actuator"), etree.Element("sensor")
+    for name, drive in zip(robot.joint_names, found.drives, strict=True):
+        written: dict[str, float | tuple[float, ...] | str] = {"name": name, "joint": name}
+        # A spring without stiffness is a constant torque.
+        constant = drive.offset + (0.0 if drive.stiffness else drive.at_zero)
+        if drive.gain != 1.0:
+            written["gainprm"] = 1.0 / drive.gain
+        if constant:
+            written |= {"biastype": "affine", "biasprm": (-constant, 0.0, 0.0)}
+        if drive.lag:
+            written |= {"dyntype": "filterexact", "dynprm": drive.lag}
+        if math.isfinite(drive.limit):
+            written["forcerange"] = (-drive.limit, drive.limit)
+        etree.SubElement(actuators, "general", {k: text(v) for k, v in written.items()} | _history(drive.delay))
+        reading = _history(drive.late) | ({"cutoff": text(drive.clipped)} if math.isfinite(drive.clipped) else {})
+        if reading:
+            etree.SubElement(sensors, "actuatorfrc", {"name": f"{name}_torque", "actuator": name} | reading)
+    return actuators, sensors
+
+
+def _history(delay: float) -> dict[str, str]:
+    return {"delay": text(delay), "nsample": str(math.ceil(delay / _SHORTEST_STEP) + 1)} if delay else {}
+
+
+def _further(robot: RobotModel, found: Gathered) -> list[str]:
+    """Return what is to be known of any such file."""
+    said, names = [], robot.joint_names
+    rubbing = [name for name, drive in zip(names, found.drives, strict=True) if drive.frictionloss]
+    if rubbing:
+        said.append(
+            f"dry friction near rest, of {', '.join(rubbing)}: MuJoCo's is a constraint that holds the joint still, "
+            "and yields the more the lighter what the joint moves"
+        )
+    if late := [name for name, drive in zip(names, found.drives, strict=True) if drive.delay or drive.late]:
+        said.append(
+            f"delays of {', '.join(late)} need a MuJoCo that knows them, and steps of {_SHORTEST_STEP:g} s or more"
+        )
+    if drag := [name for name, drive in zip(names, found.drives, strict=True) if drive.drag]:
+        said.append(f"damping of {', '.join(drag)} has three numbers, which an older MuJoCo does not read")
+    if followers := [joint.name for joint in robot.description.joints if joint.mimic is not None]:
+        said.append(f"{', '.join(followers)} follow by constraints, which yield a little in motion")
+    half = [j.name for j in robot.description.joints if math.isfinite(j.lower) != math.isfinite(j.upper)]
+    if half:
+        said.append(f"limits of {', '.join(half)}, which are on one side only")
+    if bool(torch.isfinite(robot.velocity).any()):
+        said.append("velocity limits: MJCF has none")
+    return [*said, "shapes to be seen and touched: geoms that are added do not change the masses"]
