@@ -2,7 +2,7 @@ from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare,
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.export import load_model, save_model, to_actuator_net, to_mjcf, to_urdf, unsaid
 from torchrbd.inference import EstimatorComparison, Identification, Settings, compare_estimators, identify
-from torchrbd.learning import DynamicsRegressor
+from torchrbd.learning import BayesianDynamics, DynamicsRegressor
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import effects, register
 from torchrbd.recordings import Recording, open_recording, read_mapping
@@ -12,6 +12,7 @@ from torchrbd.robot import RobotModel
 __version__: str
 
 __all__ = [
+    "BayesianDynamics",
     "Comparison",
     "Diagnosis",
     "DynamicsRegressor",

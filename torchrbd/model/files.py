@@ -21,6 +21,8 @@ from torchrbd.robot import RobotModel
 
 NAME = "model.safetensors"
 """Of the file in a folder of results."""
+POSTERIOR = "posterior."
+"""Before the names of tensors that say how well the model is known."""
 _FORMAT = "torchrbd-model-2"
 
 

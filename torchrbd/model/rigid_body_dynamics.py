@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from torchrbd.errors import InputError
-from torchrbd.model.files import read_model, write_model
+from torchrbd.model.files import POSTERIOR, read_model, write_model
 from torchrbd.model.starting import REST_WIDTH, starting_terms, urdf_friction
 from torchrbd.model.stepping import implicit_velocity, runge_kutta
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, is_physical, to_log_cholesky
@@ -122,7 +122,7 @@ class RigidBodyDynamics(nn.Module):
         """
         robot, pi, terms, state = read_model(path)
         model = cls(robot, pi, terms)
-        model.load_state_dict(state)
+        model.load_state_dict({name: v for name, v in state.items() if not name.startswith(POSTERIOR)})
         return model
 
     def save(self, path: str | Path) -> None:
