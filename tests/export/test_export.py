@@ -89,9 +89,78 @@ def test_friction_becomes_dynamics_and_other_terms_a_comment() -> None:
     text = to_urdf(RigidBodyDynamics(robot, terms=terms))
     again = RobotModel.from_urdf(text)
     assert (float(again.damping[0]), float(again.friction[0])) == (pytest.approx(0.4), pytest.approx(0.7))
-    assert b"rotor_inertia=0.2" in text
+    assert b"rotor inertia (armature) at swing (rotor_inertia 0.2 N m s^2/rad): URDF has no word for it" in text
     assert b'MJCF: <joint armature="0.2">' in text
-    assert b"tilt_x=0.02" in text
+    assert b"tilt_x 0.02 rad" in text
+
+
+PARTLY = [
+    ("asymmetric_coulomb_friction", {"coulomb_plus": 0.9, "coulomb_minus": 0.4}, 0.65, "mean of both directions"),
+    ("stribeck_friction", {"coulomb": 0.5, "static": 0.8, "stribeck_speed": 0.1}, 0.5, "in fast motion"),
+    ("presliding_hysteresis", {"coulomb": 0.5, "distance": 0.01}, 0.5, "of sliding"),
+    ("time_varying_friction", {"coulomb_end": 0.5, "coulomb_start": 0.8, "time_constant": 9.0}, 0.5, "settles to"),
+    (
+        "position_dependent_friction",
+        {"centre": 0.1, "width": 0.2, "coulomb": 0.5, "coulomb_at_centre": 0.7},
+        0.5,
+        "outside of the region",
+    ),
+]
+
+
+def told(name: str, given: dict[str, float]) -> Term:
+    w, shape = effect(name).coefficients(given)
+    return Term(effect(name), Site(0), torch.tensor(w, dtype=torch.float64), shape)
+
+
+@pytest.mark.parametrize(("name", "given", "friction", "words"), PARTLY, ids=[one[0] for one in PARTLY])
+def test_coulomb_friction_that_another_law_contains(
+    name: str, given: dict[str, float], friction: float, words: str
+) -> None:
+    """It adds to the rest of the joint's, and what is left out is told in the file and beside it."""
+    terms = [told(name, given), told("coulomb_friction", {"coulomb": 0.1})]
+    model = RigidBodyDynamics(RobotModel.from_urdf(URDF), terms=terms)
+    text = to_urdf(model)
+    assert float(RobotModel.from_urdf(text).friction[0]) == pytest.approx(friction + 0.1)
+    (sentence,) = torchrbd.unsaid(model, "urdf")
+    assert sentence.startswith(f"{effect(name).words} at swing")
+    assert words in sentence
+    (comment,) = etree.fromstring(text).iter(etree.Comment)
+    assert comment.text.strip().startswith(f"torchrbd: {sentence}; MJCF: <")
+
+
+def test_friction_that_the_model_has_no_more_does_not_remain() -> None:
+    """Neither a value, nor an empty tag, nor that of a joint that follows; what else the tag says stays."""
+    mimic = """<link name="finger"><inertial><mass value="1"/>
+    <inertia ixx="0.02" iyy="0.03" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <joint name="follow" type="revolute"><parent link="upper"/><child link="finger"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="5" velocity="2"/><mimic joint="swing"/>
+    <dynamics damping="3" friction="4"/></joint></robot>"""
+    had = URDF.replace('damping="0.1"', 'damping="0.1" friction="0.6" spring_stiffness="2"').replace("</robot>", mimic)
+    robot = RobotModel.from_urdf(had)
+    swing, follow = (f"joint[@name='{name}']/dynamics" for name in ("swing", "follow"))
+    bare = etree.fromstring(to_urdf(RigidBodyDynamics(robot)))
+    assert dict(bare.find(swing).attrib) == {"spring_stiffness": "2"}
+    assert bare.find(follow) is None
+    dry = etree.fromstring(to_urdf(RigidBodyDynamics(robot, terms=[told("coulomb_friction", {"coulomb": 0.2})])))
+    assert dict(dry.find(swing).attrib) == {"spring_stiffness": "2", "friction": "0.2"}
+
+
+def test_dry_friction_that_is_negative_is_told_and_not_written() -> None:
+    terms = [told("coulomb_friction", {"coulomb": -0.2}), told("viscous_friction", {"viscous": 0.4})]
+    model = RigidBodyDynamics(RobotModel.from_urdf(URDF), terms=terms)
+    assert dict(etree.fromstring(to_urdf(model)).find("joint/dynamics").attrib) == {"damping": "0.4"}
+    assert torchrbd.unsaid(model, "urdf") == ("dry friction of swing is negative (-0.2), which simulators lack",)
+
+
+def test_friction_of_some_recordings_is_not_in_the_file() -> None:
+    one = effect("coulomb_friction")
+    cold = Term(one, Site(0, recordings=("cold.csv",)), torch.ones(1, dtype=torch.float64), {})
+    model = RigidBodyDynamics(RobotModel.from_urdf(URDF), terms=[cold])
+    assert etree.fromstring(to_urdf(model)).find("joint/dynamics") is None
+    (sentence,) = torchrbd.unsaid(model, "urdf")
+    assert sentence.startswith("Coulomb friction at swing in cold.csv")
+    assert sentence.endswith("does not act always, and the file is of one condition")
 
 
 def test_safetensors_round_trip(tmp_path: Path) -> None:

@@ -245,9 +245,18 @@ class TestEveryEffect:
             assert (w.grad != 0).any()
 
     def test_urdf_tags(self, effect: Effect) -> None:
-        added = effect.urdf_dynamics(sizes(effect))
+        """What <dynamics> hold is the torque, or a part of it, and the note says which."""
+        added, term, at = effect.urdf_dynamics(sizes(effect)), term_of(effect), signals(*states(50))
         assert set(added) <= URDF_TAGS
         assert all(value > 0 for value in added.values())
+        if added:
+            state = at.joint(term.site.joint)
+            written = added.get("damping", 0.0) * state.qd + added.get("friction", 0.0) * state.direction()
+            left = (term(at) - written).detach()
+            assert bool((left.abs() > 1e-9).any()) == bool(effect.urdf_note)
+            assert left.abs().mean() < term(at).abs().mean()
+        else:
+            assert not effect.urdf_note
 
 
 DISSIPATIVE = {name: effect for name, effect in ALL.items() if effect.dissipative}

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from torchrbd.errors import OptionError
-from torchrbd.export.gathered import named
 from torchrbd.export.mjcf import mjcf_unsaid, to_mjcf
-from torchrbd.export.urdf import to_urdf
+from torchrbd.export.urdf import to_urdf, urdf_unsaid
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.robot import STANDARD_GRAVITY
 
 FORMATS = {"urdf": to_urdf, "mjcf": to_mjcf}
 """What writes them."""
@@ -37,15 +35,4 @@ def unsaid(model: RigidBodyDynamics, to: str = "mjcf") -> tuple[str, ...]:
     """
     if to not in FORMATS:
         raise OptionError(f"there is no format '{to}'; expected {' or '.join(FORMATS)}")
-    if to == "mjcf":
-        return mjcf_unsaid(model)
-    sentences = []
-    for term in model.terms:
-        if not term.site.always:
-            sentences.append(f"{named(term, model.robot)}: does not act always, and the file is of one condition")
-        elif not term.effect.urdf_dynamics(term.parameters_by_name()):
-            sentences.append(f"{named(term, model.robot)}: URDF has no word for it")
-    if bool((model.robot.gravity != model.robot.gravity.new_tensor(STANDARD_GRAVITY)).any()):
-        x, y, z = (f"{v:.4g}" for v in model.robot.gravity.tolist())
-        sentences.append(f"gravity, which is {x} {y} {z} m/s^2 in the base's axes: tell the simulator")
-    return tuple(sentences)
+    return mjcf_unsaid(model) if to == "mjcf" else urdf_unsaid(model)

@@ -7,19 +7,23 @@ from lxml import etree
 from torch import Tensor
 
 from torchrbd.errors import RobotError
+from torchrbd.export.gathered import named
 from torchrbd.export.xml_text import comment, element_text
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 from torchrbd.physics import Term
-from torchrbd.robot import FoldedLink, inertia_matrix, transform_inertia
+from torchrbd.robot import STANDARD_GRAVITY, FoldedLink, RobotModel, inertia_matrix, transform_inertia
+
+_FRICTION = "damping", "friction"
 
 
 def to_urdf(model: RigidBodyDynamics) -> bytes:
     """Write a model's inertial parameters and friction into the URDF that it came from.
 
     Links fixed to a moving link keep their own inertia; the moving link takes the rest. If the rest is no physical
-    body, the moving link takes all and the fixed ones lose theirs. Terms that URDF has no word for are named in a
-    comment at their joint, or at the end if they sit at none, with what they are in MJCF.
+    body, the moving link takes all and the fixed ones lose theirs. <dynamics> hold the model's friction and no other:
+    what the URDF had and the model has not goes. What URDF cannot hold, see ``unsaid``, stands in comments at its
+    joint, or at the end if it is at none, with what it is in MJCF.
 
     Raises:
         RobotError: the robot was not made from a URDF.
@@ -33,11 +37,28 @@ def to_urdf(model: RigidBodyDynamics) -> bytes:
         for name, own in _shared_out(pi, robot.folded[body]):
             _write_inertial(links[name], own)
     for joint in root.findall("joint"):
-        if joint.get("name") in robot.joint_names:
-            _write_dynamics(joint, model, robot.joint_names.index(joint.get("name")))
-    root.extend(_comment(term) for term in model.terms if term.site.joint is None)
+        # Friction of a joint that follows another is no part of the model.
+        index = robot.joint_names.index(joint.get("name")) if joint.get("name") in robot.joint_names else None
+        _write_dynamics(joint, {} if index is None else _dynamics(model, index))
+        if index is not None:
+            joint.extend(_comment(term, robot) for term in _left_out(model) if term.site.joint == index)
+    root.extend(_comment(term, robot) for term in _left_out(model) if term.site.joint is None)
     etree.indent(root)
     return etree.tostring(root.getroottree(), xml_declaration=True, encoding="utf-8", pretty_print=True)
+
+
+def urdf_unsaid(model: RigidBodyDynamics) -> tuple[str, ...]:
+    """Return what ``to_urdf`` cannot write, in sentences."""
+    robot = model.robot
+    sentences = [_sentence(term, robot) for term in _left_out(model)]
+    for index, joint in enumerate(robot.joint_names):
+        friction = _sums(model, index).get("friction", 0.0)
+        if friction < 0:
+            sentences.append(f"dry friction of {joint} is negative ({friction:.4g}), which simulators lack")
+    if bool((robot.gravity != robot.gravity.new_tensor(STANDARD_GRAVITY)).any()):
+        x, y, z = (f"{v:.4g}" for v in robot.gravity.tolist())
+        sentences.append(f"gravity, which is {x} {y} {z} m/s^2 in the base's axes: tell the simulator")
+    return tuple(sentences)
 
 
 def _shared_out(pi: Tensor, folded: tuple[FoldedLink, ...]) -> list[tuple[str, Tensor]]:
@@ -64,30 +85,55 @@ def _write_inertial(link: etree._Element, pi: Tensor) -> None:
     link.insert(0, inertial)
 
 
-def _write_dynamics(joint: etree._Element, model: RigidBodyDynamics, index: int) -> None:
-    values: dict[str, float] = {}
+def _dynamics_of(term: Term) -> dict[str, float]:
+    """Return what a term adds to <dynamics>; a URDF is of a robot in one condition, so nothing for a time."""
+    return term.effect.urdf_dynamics(term.parameters_by_name()) if term.site.always else {}
+
+
+def _sums(model: RigidBodyDynamics, joint: int) -> dict[str, float]:
+    """Return what the terms at a joint add up to, by attribute of <dynamics>."""
+    sums: dict[str, float] = {}
     for term in model.terms:
-        if term.site.joint == index:
-            # A URDF is of a robot in one condition: what acts in some recordings only is told beside it.
-            written = term.effect.urdf_dynamics(term.parameters_by_name()) if term.site.always else {}
-            for name, value in written.items():
-                values[name] = values.get(name, 0.0) + value
-            if not written:
-                joint.append(_comment(term))
+        if term.site.joint == joint:
+            for name, value in _dynamics_of(term).items():
+                sums[name] = sums.get(name, 0.0) + value
+    return sums
+
+
+def _dynamics(model: RigidBodyDynamics, joint: int) -> dict[str, float]:
+    """Return the attributes of <dynamics>; dry friction that is negative is none."""
+    return {name: v for name, v in _sums(model, joint).items() if v and (name != "friction" or v > 0)}
+
+
+def _write_dynamics(joint: etree._Element, values: dict[str, float]) -> None:
+    """Give a joint the friction that is told and no other."""
+    for old in joint.findall("dynamics"):
+        for name in _FRICTION:
+            old.attrib.pop(name, None)
+        if not old.attrib:
+            joint.remove(old)
     if values:
         dynamics = joint.find("dynamics")
         dynamics = etree.SubElement(joint, "dynamics") if dynamics is None else dynamics
-        for name, value in values.items():
-            dynamics.set(name, repr(value))
+        dynamics.attrib.update({name: repr(value) for name, value in values.items()})
 
 
-def _comment(term: Term) -> etree._Element:
+def _left_out(model: RigidBodyDynamics) -> list[Term]:
+    """Return the terms that a URDF does not hold, or not all of."""
+    return [term for term in model.terms if term.effect.urdf_note or not _dynamics_of(term)]
+
+
+def _sentence(term: Term, robot: RobotModel) -> str:
+    """Say what of a term is left out."""
+    why = term.effect.urdf_note if _dynamics_of(term) else "URDF has no word for it"
+    if not term.site.always:
+        why = "does not act always, and the file is of one condition"
+    return f"{named(term, robot)}: {why}"
+
+
+def _comment(term: Term, robot: RobotModel) -> etree._Element:
     written = term.effect.mjcf(term.parameters_by_name())
-    words = [
-        f"torchrbd: {term.extra_repr()}",
-        "URDF has no word for it",
-        *(element_text(*one) for one in written.items()),
-    ]
+    words = [f"torchrbd: {_sentence(term, robot)}", *(element_text(*one) for one in written.items())]
     if term.effect.export_note:
         words.append(term.effect.export_note)
     return comment("; ".join(words))

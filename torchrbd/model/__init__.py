@@ -1,8 +1,22 @@
 """The one model: fitted, extended, exported, simulated, trained."""
 
+from __future__ import annotations
+
+from pathlib import Path
+
 from torchrbd.model.rigid_body_dynamics import RigidBodyDynamics
 from torchrbd.model.starting import REST_WIDTH, urdf_friction
 
-load_model, save_model = RigidBodyDynamics.load, RigidBodyDynamics.save
+load_model = RigidBodyDynamics.load
+
+
+def save_model(model: RigidBodyDynamics, path: str | Path) -> None:
+    """Write a model to a safetensors file, as ``model.save(path)``: numbers, URDF and terms, no code.
+
+    Raises:
+        RobotError: the robot was not made from a URDF.
+    """
+    model.save(path)
+
 
 __all__ = ["REST_WIDTH", "RigidBodyDynamics", "load_model", "save_model", "urdf_friction"]

@@ -96,6 +96,7 @@ class Effect(ABC):
         needs: what a recording must hold beside positions and torques, in words.
         export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
         exported_in_part: True if what ``mjcf`` writes makes a part of the torque only; ``export_note`` says which.
+        urdf_note: which part of the torque ``urdf_dynamics`` writes and which it leaves out; empty if it is all there.
     """
 
     id: ClassVar[str]
@@ -115,6 +116,7 @@ class Effect(ABC):
     needs: ClassVar[str] = ""
     export_note: ClassVar[str] = ""
     exported_in_part: ClassVar[bool] = False
+    urdf_note: ClassVar[str] = ""
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         """Return where on a robot the effect may sit; ``windows`` are stretches of time in which it may act."""
@@ -157,7 +159,10 @@ class Effect(ABC):
         return None
 
     def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
-        """Return what the term adds to the attributes of the URDF's <dynamics>; empty if URDF has no word for it."""
+        """Return what the term adds to the attributes of the URDF's <dynamics>; empty if URDF has no word for it.
+
+        "damping" is viscous friction, "friction" Coulomb friction.
+        """
         return {}
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:

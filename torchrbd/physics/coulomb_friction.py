@@ -64,6 +64,7 @@ class AsymmetricCoulombFriction(JointEffect):
     comes_and_goes = True
     dissipative = True
     export_note = "frictionloss is the mean of both directions; half their difference is a torque of the actuator"
+    urdf_note = "friction is the mean of both directions; the difference between them is left out"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         direction = state.direction()
@@ -79,6 +80,9 @@ class AsymmetricCoulombFriction(JointEffect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["coulomb_plus"] >= 0 and parameters["coulomb_minus"] >= 0
+
+    def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        return {"friction": 0.5 * (parameters["coulomb_plus"] + parameters["coulomb_minus"])}
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         plus, minus = parameters["coulomb_plus"], parameters["coulomb_minus"]

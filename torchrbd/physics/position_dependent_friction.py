@@ -35,6 +35,7 @@ class PositionDependentFriction(JointEffect):
     prior = CoefficientPrior("It resists motion; the region may be sticky or worn smooth.", positive=(0,))
     export_note = "frictionloss is that outside of the region; MJCF has no friction that depends on position"
     exported_in_part = True
+    urdf_note = "friction is that outside of the region; what is else in it is left out"
     # Widths in parts of the range (wider, it is curvature over all of it) and distances of centres in widths.
     _WIDTHS, _STEP = (0.08, 0.18, 0.4), 0.7
 
@@ -73,6 +74,9 @@ class PositionDependentFriction(JointEffect):
             and scale.q_low <= parameters["centre"] <= scale.q_high
             and 0 < parameters["width"] <= scale.q_high - scale.q_low
         )
+
+    def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        return {"friction": parameters["coulomb"]}
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         return {"joint": {"frictionloss": parameters["coulomb"]}}

@@ -44,6 +44,7 @@ class PreslidingHysteresis(JointEffect):
         "<dcmotor> needs its other constants too; frictionloss of the same size is without the lag at reversals"
     )
     exported_in_part = True
+    urdf_note = "friction is that of sliding; how it builds up after a reversal is left out"
     # Parts of the range of motion. Shorter, it is Coulomb friction; longer, a spring that hardly slides.
     _SHORTEST, _LONGEST, _GRID_POINTS = 2e-3, 0.1, 4
 
@@ -71,6 +72,9 @@ class PreslidingHysteresis(JointEffect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["coulomb"] >= 0 and parameters["distance"] > 0
+
+    def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        return {"friction": parameters["coulomb"]}
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         coulomb, bristle = parameters["coulomb"], parameters["coulomb"] / parameters["distance"]

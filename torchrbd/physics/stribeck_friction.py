@@ -32,6 +32,7 @@ class StribeckFriction(JointEffect):
     prior = CoefficientPrior("It resists motion, and more at rest than in motion.", positive=(0, 1))
     export_note = "frictionloss is friction in motion; what it is more at rest, only <dcmotor lugre> has a word for"
     exported_in_part = True
+    urdf_note = "friction is that in fast motion; what it is more at low speed is left out"
     # Slower, the bump hides in the softened sign; faster, it is curvature of the whole range.
     _SLOWEST_IN_REST_WIDTHS, _FASTEST_IN_SPEED_RANGE, _GRID_POINTS = 4.0, 0.4, 6
 
@@ -60,6 +61,9 @@ class StribeckFriction(JointEffect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return parameters["static"] >= parameters["coulomb"] >= 0
+
+    def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        return {"friction": parameters["coulomb"]}
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         return {"joint": {"frictionloss": parameters["coulomb"]}}

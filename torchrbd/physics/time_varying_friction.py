@@ -35,6 +35,7 @@ class TimeVaryingFriction(JointEffect):
     prior = CoefficientPrior("It resists motion; with time it may rise or fall.", positive=(0,))
     export_note = "frictionloss is what friction settles to; MJCF has no word for time"
     exported_in_part = True
+    urdf_note = "friction is what it settles to; its change with time is left out"
     # Parts of the longest recording: a grease film that settles to a joint that warms through. Slower, it is a straight
     # line in time, and all slower ones are alike.
     _FASTEST, _SLOWEST, _GRID_POINTS, _PLAUSIBLE = 0.03, 1.0, 4, 10.0
@@ -63,6 +64,9 @@ class TimeVaryingFriction(JointEffect):
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         friction, slowest = (parameters["coulomb_end"], parameters["coulomb_start"]), self._PLAUSIBLE * scale.duration_s
         return min(friction) >= 0 and 0 < parameters["time_constant"] <= slowest
+
+    def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        return {"friction": parameters["coulomb_end"]}
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         return {"joint": {"frictionloss": parameters["coulomb_end"]}}
