@@ -1,7 +1,14 @@
 from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare, diagnose, rank
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.export import load_model, save_model, to_urdf
-from torchrbd.inference import EstimatorComparison, Identification, Settings, compare_estimators, identify
+from torchrbd.inference import (
+    EstimatorComparison,
+    Identification,
+    Settings,
+    compare_estimators,
+    identify,
+    identify_many,
+)
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import effects, register
 from torchrbd.recordings import Recording, open_recording, read_mapping
@@ -32,6 +39,7 @@ __all__ = [
     "diagnose",
     "effects",
     "identify",
+    "identify_many",
     "load_model",
     "open_recording",
     "rank",
