@@ -71,6 +71,12 @@ def ends_in_helper(parent: int, folder: Path, task: int) -> int:
     return task
 
 
+def hangs_in_helper(parent: int, folder: Path, task: int) -> None:
+    together(folder, task)
+    if os.getpid() != parent:
+        time.sleep(LONG_S)
+
+
 def function_in_helper(parent: int, folder: Path, task: int):
     together(folder, task)
     return task if os.getpid() == parent else (lambda: task)
@@ -156,8 +162,10 @@ def test_what_is_raised_while_told_ends_all(error: type[BaseException], tmp_path
     def stop(_: Attempt) -> None:
         raise error
 
+    start = time.monotonic()
     with pytest.raises(error):
-        side_by_side(partial(together, tmp_path), [1.0] * 50, jobs=2, told=stop)
+        side_by_side(partial(hangs_in_helper, os.getpid(), tmp_path), [1, 2, 3], jobs=2, told=stop)
+    assert time.monotonic() - start < LONG_S / 2
     (helper,) = helpers_in(tmp_path)
     assert not lives(helper)
 
@@ -199,8 +207,11 @@ def test_no_helper_outlives_its_parent(how: signal.Signals, tmp_path: Path) -> N
     process = script(tmp_path, tasks=10**6)
     met = tmp_path / "met"
     assert until(lambda: met.exists() and len(list(met.iterdir())) == 2)
+    (helper,) = (int(path.name) for path in met.iterdir() if path.name != str(process.pid))
+    # A terminal sends Ctrl-C to all in a session.
+    assert os.getsid(helper) == helper
     process.send_signal(how)
     told = process.communicate()[1]
     assert process.returncode == -how
     assert told.count("Traceback") == (how == signal.SIGINT)
-    assert until(lambda: not any(lives(int(path.name)) for path in met.iterdir()))
+    assert until(lambda: not lives(helper))

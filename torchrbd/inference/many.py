@@ -71,7 +71,7 @@ def identify_many(
         robots: a robot or its URDF, or one for each entry of ``recordings``.
         recordings: for each identification a recording, or a list of several; files or opened recordings.
         jobs: processes in all. Default: one for each core that this process may use; give it where a container has
-            fewer, or where memory is short: each takes half a gigabyte.
+            fewer, or where memory is short: each takes 0.5 to 1 GB.
         progress: told how many have been identified, in this thread; an error that it raises ends the work.
         **options: as for ``identify``, the same for all.
 
