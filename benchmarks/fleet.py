@@ -4,8 +4,9 @@
 
 A six-joint arm with friction, 30 s at 125 Hz in a Parquet file each. The loop runs half before and half after
 identify_many, so that a machine whose speed varies is about as fast for both; imports and the first run of this
-process do not count, those of its helpers do. Beside the ratio stands the largest difference of any parameter between
-the two, in parts of its standard deviation. Needs the test extra.
+process do not count, those of its helpers do. Where other programs keep the cores busy the ratio is theirs too; the
+seconds of processor time are less so: their sum over the cores is what a free machine would take. "apart" is the
+largest difference of any parameter between the two, in parts of its standard deviation. Needs the test extra.
 """
 
 from __future__ import annotations
@@ -47,20 +48,26 @@ def write(urdf: str, seed: int, folder: Path, seconds: float, rate_hz: float) ->
     return path
 
 
-def compared(robot: torchrbd.RobotModel, recordings: Sequence[Path], jobs: int | None) -> tuple[float, float, float]:
-    """Return the seconds of the loop and of identify_many, and how far apart their parameters are."""
+def clocks() -> np.ndarray:
+    """Return seconds that have passed, and those that processors spent on this process and on helpers that ended."""
+    return np.array([time.perf_counter(), sum(os.times()[:4])])
+
+
+def compared(robot: torchrbd.RobotModel, recordings: Sequence[Path], jobs: int | None) -> tuple[float, ...]:
+    """Return seconds and processor seconds of the loop, those of identify_many, and how far their parameters are
+    apart."""
     half = (len(recordings) + 1) // 2
-    loop, seconds = [], 0.0
+    loop, spent, many_spent = [], np.zeros(2), np.zeros(2)
     for part in (recordings[:half], None, recordings[half:]):
-        start = time.perf_counter()
+        start = clocks()
         if part is None:
             many = [one.result().parameters for one in torchrbd.identify_many(robot, recordings, jobs=jobs)]
-            spent = time.perf_counter() - start
+            many_spent = clocks() - start
         else:
             loop += [torchrbd.identify(robot, recording).parameters for recording in part]
-            seconds += time.perf_counter() - start
+            spent += clocks() - start
     pairs = [(a, b) for one, other in zip(loop, many, strict=True) for a, b in zip(one, other, strict=True)]
-    return seconds, spent, max(abs(a.value - b.value) / a.std for a, b in pairs if a.std > 0)
+    return *spent, *many_spent, max(abs(a.value - b.value) / a.std for a, b in pairs if a.std > 0)
 
 
 def main() -> None:
@@ -73,17 +80,20 @@ def main() -> None:
     given = options.parse_args()
     urdf = (files("torchrbd") / "demo" / "arm.urdf").read_text()
     robot = torchrbd.RobotModel.from_urdf(with_wrong_inertials(urdf, 3).encode())
-    console, table = Console(), Table("recordings", "loop, s", "identify_many, s", "ratio (runs)", "apart, std")
+    titles = "recordings", "loop\ns", "many\ns", "ratio", "runs", "loop\nCPU s", "many\nCPU s", "apart\nstd"
+    console, table = Console(), Table(*titles)
     with TemporaryDirectory() as folder:
         written = [write(urdf, k, Path(folder), given.seconds, given.rate) for k in range(max(given.counts))]
         torchrbd.identify(robot, written[0])
         for count in given.counts:
             runs = [compared(robot, written[:count], given.jobs) for _ in range(5 if count == 1 else 1 + 20 // count)]
-            loop, many, apart = (median(column) for column in zip(*runs, strict=True))
-            ratios = sorted(a / b for a, b, _ in runs)
-            told = f"{median(ratios):.2f} ({ratios[0]:.2f} to {ratios[-1]:.2f}, {len(runs)})"
-            console.print(f"{count}: {told}")
-            table.add_row(str(count), f"{loop:.1f}", f"{many:.1f}", told, f"{apart:.1e}")
+            loop, loop_cpu, many, many_cpu, apart = (median(column) for column in zip(*runs, strict=True))
+            ratios = sorted(run[0] / run[2] for run in runs)
+            spread = f"{len(runs)}, {ratios[0]:.2f} to {ratios[-1]:.2f}"
+            numbers = (f"{x:.1f}" for x in (loop_cpu, many_cpu))
+            row = f"{count}", f"{loop:.1f}", f"{many:.1f}", f"{median(ratios):.2f}", spread, *numbers, f"{apart:.0e}"
+            table.add_row(*row)
+            console.print(*row)
     console.print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end")
     console.print(table)
 
