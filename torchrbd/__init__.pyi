@@ -1,7 +1,14 @@
 from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare, diagnose, rank
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.export import load_model, save_model, to_actuator_net, to_mjcf, to_urdf, unsaid
-from torchrbd.inference import EstimatorComparison, Identification, Settings, compare_estimators, identify
+from torchrbd.inference import (
+    EstimatorComparison,
+    Identification,
+    Settings,
+    compare_estimators,
+    identify,
+    identify_many,
+)
 from torchrbd.learning import BayesianDynamics, DynamicsRegressor
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import effects, register
@@ -35,6 +42,7 @@ __all__ = [
     "diagnose",
     "effects",
     "identify",
+    "identify_many",
     "load_model",
     "open_recording",
     "rank",

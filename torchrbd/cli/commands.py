@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TypeVar
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from torchrbd.cli.each import identify_each
 from torchrbd.cli.exporting import export
+from torchrbd.cli.files import REPORT, write_results
+from torchrbd.cli.progress import progress_bar
 from torchrbd.cli.settings import settings_of
 from torchrbd.cli.tables import (
     print_changes,
@@ -23,11 +24,11 @@ from torchrbd.cli.tables import (
     print_identification,
 )
 from torchrbd.diagnosis import Diagnosis, compare, diagnose
-from torchrbd.export import save_model, to_urdf, write_changes, write_diagnosis, write_parameters
-from torchrbd.export.json_files import write_comparison
+from torchrbd.errors import OptionError
+from torchrbd.export import write_changes
 from torchrbd.inference import EstimatorComparison, Identification, compare_estimators, identify
 from torchrbd.physics import effects
-from torchrbd.report import write_changes_report, write_report
+from torchrbd.report import write_changes_report
 
 Result = TypeVar("Result", Identification, Diagnosis, EstimatorComparison)
 
@@ -35,10 +36,20 @@ Result = TypeVar("Result", Identification, Diagnosis, EstimatorComparison)
 def _run(work: Callable[..., Result], show: Callable[[Result], None], options: argparse.Namespace) -> None:
     """Do the work on what the user gave, show the result and write it."""
     settings = settings_of(options)
-    with _progress() as progress:
+    with progress_bar() as progress:
         result = work(options.robot, options.recordings, progress=progress, **settings)
     show(result)
     _write(result, options.output)
+
+
+def _identify(options: argparse.Namespace) -> None:
+    """Identify one robot from all recordings, or from each on its own."""
+    if options.each:
+        identify_each(options)
+        return
+    if options.jobs is not None:
+        raise OptionError("-j is for --each, which identifies each recording on its own; add it or leave -j out")
+    _run(identify, print_identification, options)
 
 
 def _demo(options: argparse.Namespace) -> None:
@@ -66,45 +77,19 @@ def _compare_estimators(options: argparse.Namespace) -> None:
     _run(partial(compare_estimators, estimators=options.estimators), print_comparison, options)
 
 
-@contextmanager
-def _progress() -> Iterator[Callable[[str, float], None]]:
-    """Show one bar on a terminal, and nothing where the output is not one."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("reading", total=None)
-
-        def report(stage: str, part: float) -> None:
-            bar.update(task, description=stage, total=1.0 if part else None, completed=part)
-
-        yield report
-
-
 def _write(result: Identification | Diagnosis | EstimatorComparison, folder: Path | None) -> None:
     """Write every result file and name them."""
     if folder is None:
         return
-    out = Console(highlight=False, soft_wrap=True)
-    folder.mkdir(parents=True, exist_ok=True)
-    if isinstance(result, EstimatorComparison):
-        write_comparison(result, folder / "estimators.json")
-        out.print(f"wrote estimators.json to {folder}", markup=False)
-        return
-    identification = result.identification if isinstance(result, Diagnosis) else result
-    write_parameters(identification, folder / "parameters.json")
-    (folder / "identified.urdf").write_bytes(to_urdf(identification.model))
-    save_model(identification.model, folder / "model.safetensors")
-    names = ["parameters.json", "identified.urdf", "model.safetensors"]
-    if isinstance(result, Diagnosis):
-        write_diagnosis(result, folder / "diagnosis.json")
-        names.append("diagnosis.json")
-    write_report(result, folder / "report.html")
-    out.print(f"wrote {', '.join(names)} to {folder}", markup=False)
-    out.print(f"report: {(folder / 'report.html').resolve()}", style="bold", markup=False)
+    names = write_results(result, folder)
+    _say(f"wrote {', '.join(names)} to {folder}")
+    if not isinstance(result, EstimatorComparison):
+        report = f"report: {(folder / REPORT).resolve()}"
+        Console(highlight=False, soft_wrap=True).print(report, style="bold", markup=False)
 
 
 COMMANDS: Mapping[str, Callable[[argparse.Namespace], None]] = {
-    "identify": partial(_run, identify, print_identification),
+    "identify": _identify,
     "diagnose": partial(_run, diagnose, print_diagnosis),
     "compare": _compare,
     "compare-estimators": _compare_estimators,

@@ -50,6 +50,13 @@ def parser() -> argparse.ArgumentParser:
     sub = command("identify", "Fit the inertial parameters of a URDF to recordings; always physically valid.")
     _add_shared(sub, _FITTED_EFFECTS.format(_FRICTION))
     sub.add_argument("--estimator", metavar="NAME", help="how parameters are found, see below (default: auto)")
+    sub.add_argument(
+        "--each",
+        action="store_true",
+        help="identify each RECORDING on its own, into DIR/<its name without ending>, instead of one robot from all; "
+        "one that cannot be used does not stop the others",
+    )
+    sub.add_argument("-j", "--jobs", type=int, metavar="N", help="processes that work on --each (default: one a core)")
     sub.epilog = _list_of(ESTIMATORS)
     sub = command("diagnose", "Find, name and model what the URDF leaves out.")
     _add_shared(sub, "effects that the search may use (default: all)")

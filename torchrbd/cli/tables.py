@@ -88,6 +88,15 @@ def print_identification(result: Identification) -> None:
     _print_fits(result, _headed(result))
 
 
+def print_each(rows: Iterable[tuple[str, str, float, float, float]]) -> None:
+    """Print rows of a recording's name, its verdict, mean nmse of the URDF and of the last model, NaN if there is none,
+    and seconds."""
+    table = Table(_whole("recording"), "verdict", *map(_right, ("nmse, URDF", "nmse, fitted", "time")))
+    for name, verdict, before, after, seconds in rows:
+        table.add_row(Text(name), verdict, number(before), number(after), f"{seconds:.1f} s")
+    Console(highlight=False).print(table)
+
+
 def _headed(result: Identification | Diagnosis) -> Console:
     """Print the verdict and its sentence as the report has them, and return where to print the rest."""
     out = Console(highlight=False)

@@ -3,6 +3,7 @@
 from torchrbd.inference.comparison import EstimatorComparison, compare_estimators
 from torchrbd.inference.data.payload import Payload
 from torchrbd.inference.identify import identify
+from torchrbd.inference.many import Outcome, identify_many
 from torchrbd.inference.results import Identification, ParameterEstimate, TorqueSeries
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.torque_error import Fit
@@ -11,10 +12,12 @@ __all__ = [
     "EstimatorComparison",
     "Fit",
     "Identification",
+    "Outcome",
     "ParameterEstimate",
     "Payload",
     "Settings",
     "TorqueSeries",
     "compare_estimators",
     "identify",
+    "identify_many",
 ]

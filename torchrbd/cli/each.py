@@ -1,0 +1,84 @@
+"""Identify each recording on its own, into a folder of its own."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from functools import partial
+from math import nan
+from pathlib import Path
+
+from rich.console import Console
+
+from torchrbd.cli.files import IDENTIFIED, REPORT, write_results
+from torchrbd.cli.progress import progress_bar
+from torchrbd.cli.settings import settings_of
+from torchrbd.cli.tables import print_each
+from torchrbd.errors import InputError, OptionError, TorchRBDError
+from torchrbd.inference import Identification
+from torchrbd.inference.many import identify_and
+
+
+@dataclass(frozen=True)
+class Brief:
+    """What the table says of an identification: its verdict, and the mean nmse of the URDF and of the last model."""
+
+    verdict: str
+    before: float
+    after: float
+
+
+_FAILED = Brief("failed", nan, nan)
+
+
+def identify_each(options: argparse.Namespace) -> None:
+    """Identify each recording, write its results, and show all in a table.
+
+    Raises:
+        OptionError: two recordings for one folder.
+        InputError: some could not be identified; it says which and why, the others are done.
+    """
+    _check_stems(options.recordings)
+    into, settings = partial(_write_brief, options.output), settings_of(options)
+    with progress_bar() as progress:
+        found = identify_and(
+            into, options.robot, options.recordings, "identify", jobs=options.jobs, progress=progress, **settings
+        )
+    pairs = list(zip(options.recordings, found, strict=True))
+    print_each((file.name, *astuple(one.value or _FAILED), one.seconds) for file, one in pairs)
+    failed = [(file, one.error) for file, one in pairs if one.error is not None]
+    if len(failed) < len(found):
+        words = f"wrote {', '.join(IDENTIFIED)} and {REPORT} to {options.output}/<recording>"
+        Console(highlight=False, soft_wrap=True).print(words, markup=False)
+    if failed:
+        reasons = "".join(f"\n  {_reason(file, error)}" for file, error in failed)
+        raise InputError(f"{len(failed)} of {len(found)} recordings could not be identified{reasons}")
+
+
+def _check_stems(recordings: Sequence[Path]) -> None:
+    """Refuse recordings whose results would lie in one folder.
+
+    Raises:
+        OptionError: two have the same name without its ending; both are named.
+    """
+    seen: dict[str, Path] = {}
+    for file in recordings:
+        other = seen.setdefault(file.stem.casefold(), file)
+        if other is not file:
+            raise OptionError(
+                f"the results of '{other}' and '{file}' would both be written to the folder '{file.stem}'; "
+                "rename one or give it in another call with another -o"
+            )
+
+
+def _write_brief(folder: Path, result: Identification, recording: Path) -> Brief:
+    write_results(result, folder / recording.stem)
+    before, *_, after = (fit.mean_nmse for fit in result.fits.values())
+    return Brief(result.verdict, before, after)
+
+
+def _reason(file: Path, error: Exception) -> str:
+    """Say why a recording failed; an error that was foreseen says it in its own words, most name the file."""
+    words = str(error) if isinstance(error, TorchRBDError | OSError) else f"{type(error).__name__}: {error}"
+    return words if str(file) in words else f"{file}: {words}"

@@ -1,0 +1,34 @@
+"""The files that a result leaves in its folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from torchrbd.diagnosis import Diagnosis
+from torchrbd.export import save_model, to_urdf, write_diagnosis, write_parameters
+from torchrbd.export.json_files import write_comparison
+from torchrbd.inference import EstimatorComparison, Identification
+from torchrbd.report import write_report
+
+REPORT = "report.html"
+IDENTIFIED = ("parameters.json", "identified.urdf", "model.safetensors")
+"""What an identification leaves beside the report."""
+
+
+def write_results(result: Identification | Diagnosis | EstimatorComparison, folder: Path) -> tuple[str, ...]:
+    """Write every result file into a folder, which is made; return the names of those that other tools read."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if isinstance(result, EstimatorComparison):
+        write_comparison(result, folder / "estimators.json")
+        return ("estimators.json",)
+    identification = result.identification if isinstance(result, Diagnosis) else result
+    parameters, urdf, model = (folder / name for name in IDENTIFIED)
+    write_parameters(identification, parameters)
+    urdf.write_bytes(to_urdf(identification.model))
+    save_model(identification.model, model)
+    names = IDENTIFIED
+    if isinstance(result, Diagnosis):
+        write_diagnosis(result, folder / "diagnosis.json")
+        names = (*names, "diagnosis.json")
+    write_report(result, folder / REPORT)
+    return names

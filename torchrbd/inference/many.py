@@ -1,0 +1,170 @@
+"""Identify many robots, each from its own recordings, on every core.
+
+What an identification spends its time on (noise, clocks and friction's signs, learnt in turns until they settle, each
+robot with its own number of turns) is not work that can be stacked over robots; it is shared out to processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from torchrbd.errors import OptionError
+from torchrbd.inference.identify import Source, identify, read_arguments
+from torchrbd.inference.ordinary import with_friction
+from torchrbd.inference.results import Identification
+from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.reading import Progress
+from torchrbd.physics import Effect, effects, register
+from torchrbd.processes import Attempt, side_by_side
+from torchrbd.recordings import Recording
+from torchrbd.robot import RobotModel
+
+Robot = RobotModel | str | Path | bytes
+Value = TypeVar("Value")
+Sources = TypeVar("Sources", bound=Source | Sequence[Source])
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one of many identifications.
+
+    Attributes:
+        name: of its recording; of several, with commas between.
+        identification: None if it failed.
+        error: why it failed, as ``identify`` raises it; None if it did not.
+        seconds: that it took.
+    """
+
+    name: str
+    identification: Identification | None
+    error: Exception | None
+    seconds: float
+
+    def result(self) -> Identification:
+        """Return the identification, or raise the error."""
+        if self.identification is None:
+            raise self.error or RuntimeError(f"{self.name}: nothing was identified")
+        return self.identification
+
+
+def identify_many(
+    robots: Robot | Sequence[Robot],
+    recordings: Iterable[Source | Sequence[Source]] | Source,
+    *,
+    jobs: int | None = None,
+    progress: Progress = lambda *_: None,
+    **options: Any,
+) -> list[Outcome]:
+    """Identify many robots, or one robot many times, as ``identify(robot, recording, **options)`` does each.
+
+    The work is shared out to processes, one a core; one recording is identified in this one alone. What cannot be used
+    does not stop the others:
+
+        outcomes = torchrbd.identify_many("robot.urdf", files)
+        models = {one.name: one.identification.model for one in outcomes if one.identification}
+        reasons = {one.name: one.error for one in outcomes if one.error}
+
+    Args:
+        robots: a robot or its URDF, or one for each entry of ``recordings``.
+        recordings: for each identification a recording, or a list of several; files or opened recordings.
+        jobs: processes in all. Default: one for each core that this process may use; give it where a container has
+            fewer, or where memory is short: each takes 0.5 to 1 GB.
+        progress: told how many have been identified, in this thread; an error that it raises ends the work.
+        **options: as for ``identify``, the same for all.
+
+    Returns:
+        outcomes in the order of ``recordings``.
+
+    Raises:
+        OptionError, RobotError: an option, or a robot that is the same for all, that cannot be used; or another number
+            of robots than of recordings.
+    """
+    several = [recordings] if isinstance(recordings, Source) else list(recordings)
+    names = [_name(sources, k) for k, sources in enumerate(several)]
+    found = identify_and(_itself, robots, several, "identify_many", jobs=jobs, progress=progress, **options)
+    return [Outcome(name, one.value, one.error, one.seconds) for name, one in zip(names, found, strict=True)]
+
+
+def identify_and(
+    then: Callable[[Identification, Sources], Value],
+    robots: Robot | Sequence[Robot],
+    recordings: Sequence[Sources],
+    place: str,
+    *,
+    jobs: int | None = None,
+    progress: Progress = lambda *_: None,
+    **options: Any,
+) -> list[Attempt[Value]]:
+    """Identify many, and in the same process do with each what is wanted of it.
+
+    Args:
+        then: does it; what it returns is all that comes back.
+        place: is named in errors.
+        robots, recordings, jobs, progress, options: as for ``identify_many``.
+    """
+    if isinstance(robots, Robot):
+        robot, _, settings = read_arguments(robots, (), options, place)
+        _check(settings, robot)
+        options = {name: value for name, value in options.items() if name != "gravity"}
+        each: list[Robot] = [robot] * len(recordings)
+    else:
+        each = list(robots)
+        Settings.from_mapping(options, place)
+        if len(each) != len(recordings):
+            raise OptionError(
+                f"{place}: {len(each)} robots for {len(recordings)} recordings; give one for all, or one for each"
+            )
+    counted = {"identified": 0, "failed": 0}
+
+    def told(attempt: Attempt[Value]) -> None:
+        counted["identified" if attempt.error is None else "failed"] += 1
+        tell()
+
+    def tell() -> None:
+        failed = f", {counted['failed']} failed" if counted["failed"] else ""
+        words = f"identified {counted['identified']} of {len(recordings)}{failed}"
+        progress(words, sum(counted.values()) / max(1, len(recordings)))
+
+    tell()
+    work = _Work(then, options, tuple(effects().values()))
+    return side_by_side(work, list(zip(each, recordings, strict=True)), jobs=jobs, told=told)
+
+
+@dataclass(frozen=True)
+class _Work(Generic[Sources, Value]):
+    """One identification and what follows, in any process; all know the same effects."""
+
+    then: Callable[[Identification, Sources], Value]
+    options: dict[str, Any]
+    known: tuple[Effect, ...]
+
+    def __call__(self, task: tuple[Robot, Sources]) -> Value:
+        for one in self.known:
+            register(one)
+        robot, sources = task
+        return self.then(identify(robot, sources, **self.options), sources)
+
+
+def _itself(identification: Identification, _: object) -> Identification:
+    return identification
+
+
+def _check(settings: Settings, robot: RobotModel) -> None:
+    """Refuse at once what would be refused for every recording."""
+    settings.used_joints(robot)
+    settings.held_bodies(robot)
+    settings.known_encoder_noise(robot)
+    with_friction(settings)
+
+
+def _name(sources: Source | Sequence[Source], k: int) -> str:
+    several = [sources] if isinstance(sources, Source) else sources
+    if not (isinstance(several, Sequence) and all(isinstance(one, Source) for one in several)):
+        raise OptionError(
+            f"identify_many: entry {k} of recordings is {type(sources).__name__} {sources!r}; expected a file, a "
+            "Recording, or a list of them"
+        )
+    return ", ".join(one.name if isinstance(one, Recording) else Path(one).name for one in several)

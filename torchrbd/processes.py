@@ -1,0 +1,233 @@
+"""Work on many tasks on every core: this process and helpers beside it, so that nobody waits until those have started.
+
+Helpers are new Pythons that talk through pipes. They are not forked, since torch may hold threads and devices, and do
+not run the caller's script anew, which then needs no ``if __name__ == "__main__"``.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+import time
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from queue import SimpleQueue
+from threading import Thread
+from typing import IO, Any, Generic, TypeVar
+
+from torchrbd.errors import OptionError
+
+Task = TypeVar("Task")
+Value = TypeVar("Value")
+
+_HELPER = "import sys; sys.path[:] = sys.argv[1:]; from torchrbd.processes import help_parent; help_parent()"
+
+
+@dataclass(frozen=True)
+class Attempt(Generic[Value]):
+    """What came of one task.
+
+    Attributes:
+        value: what the work returned, None if it failed.
+        error: what it raised, without a traceback; None if it succeeded.
+        seconds: that it took.
+    """
+
+    value: Value | None
+    error: Exception | None
+    seconds: float
+
+
+def side_by_side(
+    work: Callable[[Task], Value],
+    tasks: Sequence[Task],
+    *,
+    jobs: int | None = None,
+    told: Callable[[Attempt[Value]], None] = lambda _: None,
+) -> list[Attempt[Value]]:
+    """Do the work on each task; an error of one does not stop the others.
+
+    A helper takes a task when it has started, which takes as long as the imports of ``work``; this process works from
+    the beginning. Tasks and values that cannot be pickled are done here. So is everything, with a warning, if ``work``
+    cannot be pickled.
+
+    Args:
+        work: done on one task.
+        tasks: any number of them; one alone has no helpers.
+        jobs: processes in all. Default: one for each core that this process may use.
+        told: of each attempt, in this thread, between the tasks that are done here.
+
+    Returns:
+        attempts in the order of the tasks.
+
+    Raises:
+        OptionError: ``jobs`` is not a whole number above 0.
+        Exception: what ``told`` raises, and KeyboardInterrupt; helpers are then ended.
+    """
+    waiting, done = deque(enumerate(tasks)), SimpleQueue[tuple[int, Attempt[Value] | None]]()
+    found: dict[int, Attempt[Value]] = {}
+    problems: list[str] = []
+    with _helpers(work, min(_processes(jobs), len(tasks)) - 1, waiting, done, problems):
+        while len(found) < len(tasks):
+            k, attempt = _next(waiting, done)
+            found[k] = _attempt(work, tasks[k]) if attempt is None else attempt
+            told(found[k])
+    if problems:
+        warnings.warn(f"all was done in one process; helpers cannot be used: {problems[0]}", stacklevel=2)
+    return [found[k] for k in range(len(tasks))]
+
+
+def help_parent() -> None:
+    """Work for the process that started this one as long as it asks: what a helper runs.
+
+    The first message is the work, and its answer what is wrong with it, empty if nothing is; the others are tasks, and
+    their answers attempts, empty for what cannot be pickled.
+    """
+    asked, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    # What is printed would stand between the answers.
+    os.dup2(2, 1)
+    with suppress(EOFError, BrokenPipeError):
+        message, problem, work = _receive(asked), "", None
+        try:
+            work = pickle.loads(message)
+        except Exception as error:
+            problem = _words(error)
+        _send(answers, problem.encode())
+        while work is not None:
+            message = _receive(asked)
+            try:
+                answer = pickle.dumps(_attempt(work, pickle.loads(message)))
+            except Exception:
+                answer = b""
+            _send(answers, answer)
+
+
+def _processes(jobs: int | None) -> int:
+    if jobs is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
+        raise OptionError(f"jobs is {jobs!r}; expected a whole number of processes above 0")
+    return jobs
+
+
+def _next(waiting: deque[Any], done: SimpleQueue[Any]) -> tuple[int, Attempt[Any] | None]:
+    """Return what helpers have done, else a task to do here, else what they are still doing."""
+    if done.empty():
+        with suppress(IndexError):
+            return waiting.popleft()[0], None
+    return done.get()
+
+
+@contextmanager
+def _helpers(
+    work: Callable[..., Any], count: int, waiting: deque[Any], done: SimpleQueue[Any], problems: list[str]
+) -> Iterator[None]:
+    """Start helpers, each with a thread that hands it what is waiting; end them all."""
+    message = b""
+    # The executable of a frozen program is not Python but the program.
+    if count < 1 or getattr(sys, "frozen", False):
+        count = 0
+    else:
+        try:
+            message = pickle.dumps(work)
+        except Exception as error:
+            problems.append(_words(error))
+            count = 0
+    processes: list[subprocess.Popen[bytes]] = []
+    threads: list[Thread] = []
+    try:
+        for _ in range(count):
+            processes.append(_start())
+            given = processes[-1], message, waiting, done, problems
+            threads.append(Thread(target=_hand_over, args=given, daemon=True))
+            threads[-1].start()
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+        for thread in threads:
+            thread.join()
+        for process in processes:
+            process.communicate()
+
+
+def _start() -> subprocess.Popen[bytes]:
+    """Start a helper that finds the same modules; Ctrl-C is answered by this process alone."""
+    return subprocess.Popen(
+        [sys.executable, "-c", _HELPER, *sys.path],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+        creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+    )
+
+
+def _hand_over(
+    process: subprocess.Popen[bytes], work: bytes, waiting: deque[Any], done: SimpleQueue[Any], problems: list[str]
+) -> None:
+    """Give a helper one task after another as long as there are some and it lives."""
+    asked, answers = process.stdin, process.stdout
+    assert asked is not None
+    assert answers is not None
+    try:
+        _send(asked, work)
+        problem = _receive(answers).decode()
+    except (EOFError, OSError):
+        return
+    if problem:
+        problems.append(problem)
+        return
+    with suppress(IndexError):
+        while process.poll() is None:
+            k, task = waiting.popleft()
+            done.put((k, _asked(process, asked, answers, task)))
+
+
+def _asked(process: subprocess.Popen[bytes], asked: IO[bytes], answers: IO[bytes], task: Any) -> Attempt[Any] | None:
+    """Return what a helper makes of a task; None for what cannot be pickled."""
+    start = time.perf_counter()
+    try:
+        _send(asked, pickle.dumps(task))
+        answer = _receive(answers)
+        return pickle.loads(answer) if answer else None
+    except (EOFError, OSError):
+        words = f"its process ended with code {process.wait()}; where memory is short, use fewer jobs"
+        return Attempt(None, RuntimeError(words), time.perf_counter() - start)
+    except Exception:
+        return None
+
+
+def _send(pipe: IO[bytes], message: bytes) -> None:
+    # Bytes in a pickle are read as a whole, whatever they hold.
+    pickle.dump(message, pipe)
+    pipe.flush()
+
+
+def _receive(pipe: IO[bytes]) -> bytes:
+    return pickle.load(pipe)
+
+
+def _attempt(work: Callable[[Task], Value], task: Task) -> Attempt[Value]:
+    start, value, error = time.perf_counter(), None, None
+    try:
+        value = work(task)
+    except Exception as raised:
+        error = _portable(raised)
+    return Attempt(value, error, time.perf_counter() - start)
+
+
+def _portable(error: Exception) -> Exception:
+    """Return an error as another process would hand it over: its traceback, which holds what was in memory, is gone."""
+    try:
+        return pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(_words(error))
+
+
+def _words(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
