@@ -133,8 +133,20 @@ BAD: dict[str, tuple[object, object, dict[str, object], type[Exception], str]] =
     "effect": (GIVEN, ["a.csv"], {"effects": ["friction"]}, OptionError, "unknown effect 'friction'"),
     "gravity": (ROBOT, ["a.csv"], {"gravity": (0, 0, -9.81)}, OptionError, "identify_many: a RobotModel has its own"),
     "jobs": (GIVEN, ["a.csv"], {"jobs": 0}, OptionError, "jobs is 0"),
-    "entry": (GIVEN, ["a.csv", 5], {}, OptionError, "entry 1 of recordings is int 5; expected a file"),
-    "entry of entry": (GIVEN, [["a.csv", None]], {}, OptionError, "entry 0 of recordings is list"),
+    "entry": (
+        GIVEN,
+        ["a.csv", 5],
+        {},
+        OptionError,
+        "recording 1 is of type int; expected a file",
+    ),
+    "entry of entry": (
+        GIVEN,
+        [["a.csv", None]],
+        {},
+        OptionError,
+        "entry 0 of .*2 is of type NoneType",
+    ),
 }
 
 

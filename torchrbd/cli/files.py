@@ -8,6 +8,7 @@ from torchrbd.diagnosis import Diagnosis
 from torchrbd.export import save_model, to_urdf, write_diagnosis, write_parameters
 from torchrbd.export.json_files import write_comparison
 from torchrbd.inference import EstimatorComparison, Identification
+from torchrbd.learning import BayesianDynamics
 from torchrbd.report import write_report
 
 REPORT = "report.html"
@@ -25,7 +26,10 @@ def write_results(result: Identification | Diagnosis | EstimatorComparison, fold
     parameters, urdf, model = (folder / name for name in IDENTIFIED)
     write_parameters(identification, parameters)
     urdf.write_bytes(to_urdf(identification.model))
-    save_model(identification.model, model)
+    if identification.posterior is None:
+        save_model(identification.model, model)
+    else:
+        BayesianDynamics.from_diagnosis(result).save(model)
     names = IDENTIFIED
     if isinstance(result, Diagnosis):
         write_diagnosis(result, folder / "diagnosis.json")

@@ -9,22 +9,23 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
-from torchrbd.errors import OptionError
-from torchrbd.inference.identify import Source, identify, read_arguments
+from torchrbd.errors import OptionError, RecordingError
+from torchrbd.inference.identify import identify, read_arguments
 from torchrbd.inference.ordinary import with_friction
 from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.reading import Progress
 from torchrbd.physics import Effect, effects, register
 from torchrbd.processes import Attempt, side_by_side
-from torchrbd.recordings import Recording
+from torchrbd.recordings import InMemory, NamedSource, Recording, RecordingSource, listed_sources
+from torchrbd.recordings.memory import is_data
 from torchrbd.robot import RobotModel
 
 Robot = RobotModel | str | Path | bytes
 Value = TypeVar("Value")
-Sources = TypeVar("Sources", bound=Source | Sequence[Source])
+Sources = TypeVar("Sources")
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Outcome:
 
 def identify_many(
     robots: Robot | Sequence[Robot],
-    recordings: Iterable[Source | Sequence[Source]] | Source,
+    recordings: Iterable[RecordingSource | Sequence[RecordingSource]] | RecordingSource,
     *,
     jobs: int | None = None,
     progress: Progress = lambda *_: None,
@@ -69,7 +70,8 @@ def identify_many(
 
     Args:
         robots: a robot or its URDF, or one for each entry of ``recordings``.
-        recordings: for each identification a recording, or a list of several; files or opened recordings.
+        recordings: for each identification a recording, or a list of several; whatever ``identify``
+            takes.
         jobs: processes in all. Default: one for each core that this process may use; give it where a container has
             fewer, or where memory is short: each takes 0.5 to 1 GB.
         progress: told how many have been identified, in this thread; an error that it raises ends the work.
@@ -82,8 +84,10 @@ def identify_many(
         OptionError, RobotError: an option, or a robot that is the same for all, that cannot be used; or another number
             of robots than of recordings.
     """
-    several = [recordings] if isinstance(recordings, Source) else list(recordings)
-    names = [_name(sources, k) for k, sources in enumerate(several)]
+    single = isinstance(recordings, (str, Path, Recording)) or is_data(recordings)
+    entries: Any = [recordings] if single else recordings
+    several = [_named(sources, k) for k, sources in enumerate(entries)]
+    names = [", ".join(one.name for one in sources) for sources in several]
     found = identify_and(_itself, robots, several, "identify_many", jobs=jobs, progress=progress, **options)
     return [Outcome(name, one.value, one.error, one.seconds) for name, one in zip(names, found, strict=True)]
 
@@ -144,7 +148,7 @@ class _Work(Generic[Sources, Value]):
     def __call__(self, task: tuple[Robot, Sources]) -> Value:
         for one in self.known:
             register(one)
-        robot, sources = task
+        robot, sources = task[0], cast(Any, task[1])
         return self.then(identify(robot, sources, **self.options), sources)
 
 
@@ -160,11 +164,12 @@ def _check(settings: Settings, robot: RobotModel) -> None:
     with_friction(settings)
 
 
-def _name(sources: Source | Sequence[Source], k: int) -> str:
-    several = [sources] if isinstance(sources, Source) else sources
-    if not (isinstance(several, Sequence) and all(isinstance(one, Source) for one in several)):
-        raise OptionError(
-            f"identify_many: entry {k} of recordings is {type(sources).__name__} {sources!r}; expected a file, a "
-            "Recording, or a list of them"
-        )
-    return ", ".join(one.name if isinstance(one, Recording) else Path(one).name for one in several)
+def _named(sources: Any, k: int) -> list[NamedSource]:
+    """Return an entry's recordings; one in memory is called by the entry's place, "recording 3"."""
+    try:
+        found = listed_sources(sources)
+    except RecordingError as error:
+        raise OptionError(f"identify_many: entry {k} of recordings: {error}") from None
+    if len(found) == 1 and isinstance(found[0], InMemory):
+        return [InMemory(f"recording {k + 1}", found[0].data)]
+    return found

@@ -1,18 +1,20 @@
 """The posterior of a robot as a module: torques with their uncertainty, robots to train with, and a loss.
 
-A Gaussian q over theta, the log-Cholesky coordinates of the bodies and the coefficients of the terms,
+The mean is a physical robot, trained in log-Cholesky coordinates and coefficients theta; around it the inertial
+parameters and coefficients x = (pi, w), in which the torque is linear, are Gaussian:
 
-    theta = theta_0 + W u,   u ~ N(m, T T')
+    theta = theta_0 + W m,   x ~ N(x(theta), R R'),   R = V T
 
-is fitted by autograd to the evidence lower bound of independent samples,
+m, T and the noise sigma are fitted by autograd to the evidence lower bound of independent samples,
 
-    ELBO = sum_ij E_q log N(tau_ij | tau_j(x_i; theta), sigma_j^2) - KL(q | p)
-    E_q (tau - tau(theta))^2 = (tau - tau(mean))^2 + A Cov A',       A = dtau / dtheta at the mean
+    ELBO = sum_ij E log N(tau_ij | tau_j(x), sigma_j^2) - KL
+    E (tau - tau(x))^2 = (tau - tau(theta))^2 + A R R' A',   A = dtau/dx = [Y, phi]
+    KL = kappa sum_bodies (D + tr(D'' R R') / 2) + that of the coefficients - log det T + const
 
-which is exact where the torque is linear in what is free. The prior p(theta) ~ exp(-kappa D(J(theta) | J_URDF)) has the
-entropic divergence that ``identify`` has, so that where data are many the mean is the convex fit's.
+with D the entropic divergence from the URDF's bodies, the prior of ``identify``, to second order. Where data are many
+the mean is therefore the convex fit's, and where bodies are known all of it is the closed form's.
 
-Sources: Ting, Mistry, Peters, Schaal, Nakanishi, "A Bayesian Approach to Nonlinear Parameter Identification for Rigid
+Source: Ting, Mistry, Peters, Schaal, Nakanishi, "A Bayesian Approach to Nonlinear Parameter Identification for Rigid
     Body Dynamics", RSS 2006, for variational inference of these parameters (of inputs without noise here).
 """
 
@@ -22,61 +24,26 @@ import copy
 import math
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
-from scipy.stats import norm
 from torch import Tensor, nn
 
 from torchrbd.errors import InputError
 from torchrbd.inference.posterior.posterior import Posterior
-from torchrbd.learning.body_prior import curvature, expected_divergence
-from torchrbd.learning.coordinates import flatten, in_log_cholesky, positions, rows, unflatten
+from torchrbd.inference.posterior.sampling import sample_around
+from torchrbd.learning.body_prior import curvature, divergence, spread_divergence
+from torchrbd.learning.coordinates import flatten, linear_positions, rows, slopes, unflatten
 from torchrbd.learning.many_robots import ManyRobots
-from torchrbd.likelihood.urdf_prior import KAPPA, TERM_WIDTH, Prior
+from torchrbd.learning.predictions import ExternalTorque, Prediction
+from torchrbd.likelihood.urdf_prior import KAPPA, TERM_WIDTH, Prior, divergence_hessian
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.model.files import POSTERIOR, read_model, write_model
-from torchrbd.parameters import PARAMETERS_PER_BODY, to_log_cholesky
+from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, to_log_cholesky
+from torchrbd.robot import pseudo_inertia
 
 # Of a fit; it has settled where a round gains less than so many nats.
-_MOST_ROUNDS, _STEPS, _SETTLED = 30, 15, 0.01
-
-
-class Prediction(NamedTuple):
-    """A torque and how sure it is, [N m] or [N].
-
-    Attributes:
-        mean: (*batch, n_dof).
-        parameter_std: (*batch, n_dof) from what is not known of the parameters.
-        noise_std: (n_dof,) of what the model does not explain of a measured torque.
-    """
-
-    mean: Tensor
-    parameter_std: Tensor
-    noise_std: Tensor
-
-    @property
-    def std(self) -> Tensor:
-        """Of a torque that is measured, (*batch, n_dof)."""
-        return (self.parameter_std.square() + self.noise_std.square()).sqrt()
-
-    def interval(self, probability: float = 0.95) -> tuple[Tensor, Tensor]:
-        """Return the ends of an interval that holds a measured torque with this probability."""
-        width = float(norm.ppf(0.5 + 0.5 * probability)) * self.std
-        return self.mean - width, self.mean + width
-
-
-class ExternalTorque(NamedTuple):
-    """What a measured torque has beyond the model's, [N m] or [N].
-
-    Attributes:
-        torque, std: (*batch, n_dof), and its standard deviation where nothing touches the robot.
-        touched: (*batch, n_dof) whether it is out of the band of that.
-    """
-
-    torque: Tensor
-    std: Tensor
-    touched: Tensor
+_MOST_ROUNDS, _STEPS, _SETTLED = 30, 15, 0.1
 
 
 class BayesianDynamics(nn.Module):
@@ -90,27 +57,33 @@ class BayesianDynamics(nn.Module):
 
         bayes = BayesianDynamics(RigidBodyDynamics.from_urdf("robot.urdf", effects=["viscous_friction"]))
         bayes.whiten(q, qd, qdd, tau)                 # coordinates in which all directions are as steep
-        loss = -bayes.elbo(q, qd, qdd, tau)
+        loss = -bayes.elbo(q, qd, qdd, tau) / len(q)
+
+    States and torques are taken as exact and samples as independent; ``torchrbd.identify`` knows better of recordings.
 
     Args:
         physics: where it starts, around which the prior is, and whose bodies and terms are free; copied.
         kappa: weight of the prior's divergence from the bodies of ``physics``.
         term_std: prior standard deviation of every coefficient around its start, in its own unit; ``whiten`` tells it
-            from torques, before that it is 1.
-        noise_std: (n_dof,) standard deviations of the torque to start from [N m, N].
+            from torques.
+        noise_std: (n_dof,) standard deviations of the torque to start from [N m, N]; 1 if None.
         trust: bodies that are known, by name.
 
     Attributes:
         mean: m (n_free,).
-        raw_factor: (n_free, n_free) lower triangle of T, its diagonal as logarithm.
+        raw_factor: (n_spread, n_spread) lower triangle of T, its diagonal as logarithm.
         raw_noise: (n_dof,) logarithm of sigma.
-        centre: theta_0 (n,). whitening: W (n, n_free).
+        centre: theta_0 (n,). whitening: W (n_free, n_free). spread: V (n_free, n_spread).
     """
 
     centre: Tensor
     whitening: Tensor
+    spread: Tensor
     prior_mean: Tensor
     prior_std: Tensor
+    free_bodies: Tensor
+    free: Tensor
+    linear: Tensor
 
     def __init__(
         self,
@@ -126,25 +99,24 @@ class BayesianDynamics(nn.Module):
         if unknown := [name for name in trust if name not in robot.body_names]:
             raise InputError(f"trust: '{unknown[0]}' is no body of robot '{robot.name}': {', '.join(robot.body_names)}")
         self.physics, self.kappa = copy.deepcopy(physics).requires_grad_(False), kappa
-        start, n_bodies = flatten(self.physics), len(self.physics.raw_inertia)
-        n_inertial = n_bodies * PARAMETERS_PER_BODY
-        names = [
-            name for name, physical in zip(robot.body_names, self.physics.physical.tolist(), strict=True) if physical
-        ]
-        self._free_bodies = tuple(k for k, name in enumerate(names) if name not in trust)
+        start, n_inertial = flatten(self.physics), physics.raw_inertia.numel()
+        bodies = physics.physical.nonzero().flatten().tolist()
+        told = [k for k, b in enumerate(bodies) if robot.body_names[b] not in trust]
         self.register_buffer("centre", start.clone())
         self.register_buffer("prior_mean", start.clone())
-        # Of bodies it is the divergence's curvature that counts.
-        std = torch.cat((start.new_ones(n_inertial), start.new_ones(len(start) - n_inertial) * term_std))
-        self.register_buffer("prior_std", std)
-        wide = torch.linalg.inv(torch.linalg.cholesky(self._prior_precision())).mT
-        whitening = start.new_zeros(len(start), len(wide))
-        whitening[self._free()] = wide
-        self.register_buffer("whitening", whitening)
-        self.mean = nn.Parameter(start.new_zeros(wide.shape[1]))
-        self.raw_factor = nn.Parameter(start.new_zeros(wide.shape[1], wide.shape[1]))
+        self.register_buffer("prior_std", start.new_ones(len(start) - n_inertial) * term_std)
+        # Which of the physical bodies are free; where free coordinates are in theta and in x.
+        ten = torch.arange(PARAMETERS_PER_BODY)
+        terms = torch.arange(len(start) - n_inertial)
+        self.register_buffer("free_bodies", torch.tensor(told, dtype=torch.long))
+        in_theta = [PARAMETERS_PER_BODY * k + ten for k in told]
+        self.register_buffer("free", torch.cat((*in_theta, n_inertial + terms)))
+        in_x = [PARAMETERS_PER_BODY * bodies[k] + ten for k in told]
+        self.register_buffer("linear", torch.cat((*in_x, robot.n_params + terms)))
         noise = start.new_ones(robot.n_dof) if noise_std is None else noise_std.to(start)
         self.raw_noise = nn.Parameter(noise.log())
+        prior = self._prior_precision()
+        self._start_from(_root(prior), slopes(self.physics, self._parameters_at(start), self.free) @ _root(prior))
 
     @classmethod
     def from_diagnosis(cls, result: Any) -> BayesianDynamics:
@@ -155,21 +127,30 @@ class BayesianDynamics(nn.Module):
         """
         if isinstance(result, (str, Path)):
             return cls.load(result)
-        found = getattr(result, "identification", result)
-        posterior, model = getattr(found, "posterior", None), RigidBodyDynamics.from_diagnosis(result)
+        posterior = getattr(getattr(result, "identification", result), "posterior", None)
+        model = RigidBodyDynamics.from_diagnosis(result)
         if not isinstance(posterior, Posterior):
             raise InputError(
-                "this result has no posterior: its estimator gives no intervals; identify with the default"
+                "this result has no posterior: its estimator gives no intervals; identify with the default one"
             )
         fit, prior = posterior.model, posterior.prior
-        noise, index = fit.noise_variance.sqrt(), positions(model, fit)
+        noise, n_inertial = fit.noise_variance.sqrt(), model.raw_inertia.numel()
         held = [name for b, name in enumerate(model.robot.body_names) if b not in prior.bodies]
-        known = torch.where(noise.isfinite(), noise, 1.0)
-        bayes = cls(model, kappa=prior.kappa, noise_std=known, trust=held)
-        bayes._believe(prior, index)
-        values, axes = torch.linalg.eigh(in_log_cholesky(model, fit, index))
-        kept = values > 1e-14 * values.max()
-        bayes._start_from(axes[:, kept] * values[kept].sqrt())
+        bayes = cls(model, kappa=prior.kappa, noise_std=torch.where(noise.isfinite(), noise, 1.0), trust=held)
+        for k, b in zip(bayes.free_bodies.tolist(), prior.bodies, strict=True):
+            own = slice(PARAMETERS_PER_BODY * b, PARAMETERS_PER_BODY * (b + 1))
+            bayes.prior_mean[_of_body(k)] = to_log_cholesky(prior.mean[own])
+        at = linear_positions(model, fit)
+        told = torch.nonzero(at >= 0).flatten()
+        bayes.prior_mean[n_inertial + told] = prior.mean[at[told]]
+        bayes.prior_std[told] = prior.scale.diagonal()[at[told]]
+        # The last row and column, where -1 points, are of what was not fitted, and zero.
+        covariance = torch.zeros(fit.columns.n + 1, fit.columns.n + 1, dtype=torch.float64)
+        covariance[fit.free.unsqueeze(1), fit.free] = fit.covariance
+        index = torch.cat((prior.inertial, at))
+        values, axes = torch.linalg.eigh(covariance[index.unsqueeze(1), index])
+        kept = values > 0
+        bayes._start_from(bayes.whitening, axes[:, kept] * values[kept].sqrt())
         return bayes
 
     @classmethod
@@ -185,10 +166,11 @@ class BayesianDynamics(nn.Module):
             raise InputError(f"{path}: holds a model without a posterior; RigidBodyDynamics.load reads it")
         physics = RigidBodyDynamics(robot, pi, terms)
         physics.load_state_dict({k: v for k, v in state.items() if not k.startswith(POSTERIOR)})
-        bayes = cls(physics, kappa=float(own.pop("kappa")))
-        bayes._start_from(own["whitening"])
-        own |= {f"physics.{k}": v for k, v in physics.state_dict().items()}
-        bayes.load_state_dict(own)
+        bodies, told = physics.physical.nonzero().flatten().tolist(), own["free_bodies"].tolist()
+        trust = [robot.body_names[b] for k, b in enumerate(bodies) if k not in told]
+        bayes = cls(physics, kappa=float(own.pop("kappa")), trust=trust)
+        bayes._start_from(own["whitening"], own["spread"])
+        bayes.load_state_dict(own | {f"physics.{k}": v for k, v in physics.state_dict().items()})
         return bayes
 
     def save(self, path: str | Path) -> None:
@@ -198,9 +180,10 @@ class BayesianDynamics(nn.Module):
             RobotError: the robot was not made from a URDF.
         """
         own = {k: v for k, v in self.state_dict().items() if not k.startswith("physics.")}
-        posterior = {POSTERIOR + k: v for k, v in own.items()} | {f"{POSTERIOR}kappa": torch.tensor(self.kappa)}
+        own["kappa"] = torch.tensor(self.kappa, dtype=torch.float64)
         robot = self.robot()
-        write_model(path, robot.robot, robot.terms, robot.state_dict() | posterior)
+        state = robot.state_dict() | {POSTERIOR + k: v for k, v in own.items()}
+        write_model(path, robot.robot, robot.terms, state)
 
     @property
     def noise_std(self) -> Tensor:
@@ -210,29 +193,31 @@ class BayesianDynamics(nn.Module):
     @property
     def theta(self) -> Tensor:
         """Mean of log-Cholesky coordinates and coefficients (n,)."""
-        return self.centre + self.whitening @ self.mean
+        return self.centre.index_add(0, self.free, self.whitening @ self.mean)
 
     @property
     def root(self) -> Tensor:
-        """Their covariance's root (n, n_free): theta ~ N(mean, root root')."""
-        factor = self.raw_factor.tril(-1) + torch.diag(self.raw_factor.diagonal().exp())
-        return self.whitening @ factor
+        """R (n_free, n_spread): the free entries of x have the covariance R R'."""
+        return self.spread @ (self.raw_factor.tril(-1) + torch.diag(self.raw_factor.diagonal().exp()))
+
+    def _parameters_at(self, theta: Tensor) -> dict[str, Tensor]:
+        """Return the parameters of ``physics`` at theta (*batch, n), by name."""
+        return unflatten(self.physics, theta)
 
     def robot(self) -> RigidBodyDynamics:
         """Return a copy of the model at the mean."""
         model = copy.deepcopy(self.physics)
-        model.load_state_dict(unflatten(model, self.theta.detach()), strict=False)
+        model.load_state_dict(self._parameters_at(self.theta.detach()), strict=False)
         return model.requires_grad_(True)
 
     def forward(self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None = None) -> Tensor:
         """Return the torque at the mean (*batch, n_dof); arguments as of ``RigidBodyDynamics``."""
-        return torch.func.functional_call(self.physics, unflatten(self.physics, self.theta), (q, qd, qdd, t))
+        return torch.func.functional_call(self.physics, self._parameters_at(self.theta), (q, qd, qdd, t))
 
     def predict(self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None = None) -> Prediction:
         """Return the torque with its uncertainty, that of the parameters and that of the noise apart."""
-        with torch.autocast(q.device.type, enabled=False):
-            mean, spread = self._spread(q, qd, qdd, t)
-        return Prediction(mean, spread.square().sum(-1).sqrt(), self.noise_std.to(mean))
+        spread = self._spread(q, qd, qdd, t).square().sum(-1).sqrt()
+        return Prediction(self(q, qd, qdd, t), spread, self.noise_std.to(spread))
 
     def tau_ext(
         self, q: Tensor, qd: Tensor, qdd: Tensor, tau: Tensor, t: Tensor | None = None, *, probability: float = 0.999
@@ -266,54 +251,51 @@ class BayesianDynamics(nn.Module):
             n_samples: how many independent samples the batch stands for: all of the data where it is a minibatch,
                 fewer than there are where noise is correlated; its own number by default.
         """
-        mean, spread = self._spread(q, qd, qdd, t)
+        mean = self(q, qd, qdd, t)
         variance = self.noise_std.square().to(mean)
-        square = (tau - mean).square() + spread.square().sum(-1)
+        square = (tau - mean).square() + self._spread(q, qd, qdd, t).square().sum(-1)
         likelihood = -0.5 * (square / variance + variance.log() + math.log(2.0 * math.pi)).sum()
-        count = max(1, mean[..., 0].numel())
-        scale = 1.0 if n_samples is None else n_samples / count
+        scale = 1.0 if n_samples is None else n_samples / max(1, mean[..., 0].numel())
         return scale * likelihood - self.divergence()
 
     def divergence(self) -> Tensor:
         """Return KL(q | p) up to the prior's constant [nats]."""
-        theta, root = self.theta, self.root
-        n = self.physics.raw_inertia.numel()
-        energy = theta.new_zeros(())
-        for k in self._free_bodies:
-            own = _of_body(k)
-            energy = energy + expected_divergence(theta[own], root[own], self.prior_mean[own])
-        std = self.prior_std[n:]
-        spread = (theta[n:] - self.prior_mean[n:]).square() + root[n:].square().sum(-1)
-        energy = self.kappa * energy + 0.5 * (spread / std.square()).sum()
-        return energy - self.raw_factor.diagonal().sum()
+        theta, root, energy = self.theta, self.root, self.centre.new_zeros(())
+        for place, k in enumerate(self.free_bodies.tolist()):
+            own = theta[_of_body(k)]
+            energy = energy + divergence(own, self.prior_mean[_of_body(k)])
+            energy = energy + spread_divergence(own, root[_of_body(place)])
+        n_terms = len(self.prior_std)
+        far = theta[len(theta) - n_terms :] - self.prior_mean[len(theta) - n_terms :]
+        square = far.square() + root[len(root) - n_terms :].square().sum(-1)
+        return self.kappa * energy + 0.5 * (square / self.prior_std.square()).sum() - self.raw_factor.diagonal().sum()
 
     def whiten(self, q: Tensor, qd: Tensor, qdd: Tensor, tau: Tensor, t: Tensor | None = None) -> None:
         """Choose coordinates in which the loss of a sample is as steep in all directions, around the mean.
 
-            W W' = N (sum_i A_i' A_i / sigma^2 + prior curvature)^-1,   T = 1 / sqrt(N)
+            W W' = N (J'(sum_i A_i' A_i / sigma^2) J + prior curvature)^-1,   V V' = (the same in x)^-1,   J = dx/dtheta
 
         so that a plain gradient step on -ELBO / N is a Gauss-Newton step. Noise starts from what is left of the torque,
-        and the prior of coefficients is as wide as ten times the joint's torque would make it. Curvature is that of the
-        mean: where the mean has gone far, whiten again, and give an optimiser the new parameters.
+        and the prior of coefficients is as wide as ten times the joint's torque would make it. Where the mean has gone
+        far, whiten again, and give an optimiser the new parameters.
 
         Args:
             q, qd, qdd, tau: (*batch, n_dof), all of the data or some thousands of samples.
             t: as of ``forward``.
         """
         with torch.no_grad():
-            A = rows(self.physics, unflatten(self.physics, self.theta), q, qd, qdd, t).flatten(0, -3).to(self.centre)
-            n, free = self.physics.raw_inertia.numel(), self._free()
-            torque = tau.reshape(-1, tau.shape[-1]).to(self.centre)
-            felt = (A[..., n:].square().mean(0).sqrt() / torque.square().mean(0).sqrt().unsqueeze(-1)).amax(0)
-            self.prior_std[n:] = torch.where(felt > 0, TERM_WIDTH / felt, 1.0)
+            parameters = self._parameters_at(self.theta)
+            A = rows(self.physics, parameters, q, qd, qdd, t).flatten(0, -3).to(self.centre)[..., self.linear]
+            torque, n_terms = tau.reshape(-1, tau.shape[-1]).to(self.centre), len(self.prior_std)
+            size = A[..., A.shape[-1] - n_terms :].square().mean(0).sqrt()
+            felt = (size / torque.square().mean(0).sqrt().unsqueeze(-1)).amax(0) if n_terms else self.prior_std
+            self.prior_std.copy_(torch.where(felt > 0, TERM_WIDTH / felt, 1.0))
             std = (torque - self(q, qd, qdd, t).reshape(torque.shape)).square().mean(0).sqrt()
             self.raw_noise.copy_(std.log())
-            weighed = A[..., free] / std.unsqueeze(-1)
-            precision = torch.einsum("bdk,bdl->kl", weighed, weighed) + self._prior_precision()
-            values, axes = torch.linalg.eigh(precision / len(A))
-            whitening = self.centre.new_zeros(len(self.centre), len(free))
-            whitening[free] = axes / values.sqrt()
-            self._start_from(whitening, len(A) ** -0.5)
+            A = A / std.unsqueeze(-1)
+            H, J = torch.einsum("bdk,bdl->kl", A, A), slopes(self.physics, parameters, self.free)
+            whitening = _root(J.T @ H @ J + self._prior_precision()) * len(A) ** 0.5
+            self._start_from(whitening, _root(H + self._spread_precision()))
 
     def fit(
         self,
@@ -333,9 +315,8 @@ class BayesianDynamics(nn.Module):
         before = -math.inf
         for _ in range(_MOST_ROUNDS):
             self.whiten(q, qd, qdd, tau, t)
-            optimiser = torch.optim.LBFGS(
-                [p for p in self.parameters() if p.requires_grad], max_iter=_STEPS, line_search_fn="strong_wolfe"
-            )
+            free = [p for p in self.parameters() if p.requires_grad]
+            optimiser = torch.optim.LBFGS(free, max_iter=_STEPS, line_search_fn="strong_wolfe")
 
             def loss() -> float:
                 optimiser.zero_grad()  # noqa: B023
@@ -344,13 +325,15 @@ class BayesianDynamics(nn.Module):
                 return float(found.detach())
 
             optimiser.step(loss)
-            now = float(self.elbo(q, qd, qdd, tau, t, n_samples=n_samples).detach())
+            now = -loss() * len(q)
             if now - before < _SETTLED:
                 return
             before = now
 
     def sample_robots(self, n: int, seed: int = 0) -> ManyRobots:
         """Draw robots as probable as the posterior says, all of them physical, as one module.
+
+        The likelihood is Gaussian in x, the prior the entropic one itself, so that no body is without mass.
 
         Args:
             n: how many.
@@ -359,49 +342,67 @@ class BayesianDynamics(nn.Module):
         Raises:
             InputError: n is not positive.
         """
-        if n < 1:
-            raise InputError(f"n is {n}, expected at least 1")
-        generator = torch.Generator().manual_seed(seed)
-        e = torch.randn(n, len(self.mean), generator=generator, dtype=torch.float64).to(self.centre)
-        theta = (self.theta + e @ self.root.T).detach()
-        return ManyRobots(self.robot(), unflatten(self.physics, theta))
+        with torch.no_grad():
+            parameters, root = self._parameters_at(self.theta), self.root.cpu()
+            x = self._linear(self.theta).cpu()
+            drawn = sample_around(self._prior(), x, self.linear.cpu(), root @ root.T, n, seed).x.to(self.centre)
+        theta = self.theta.detach().repeat(n, 1)
+        theta[:, self.free] = drawn[:, self.linear]
+        for place, k in enumerate(self.free_bodies.tolist()):
+            theta[:, _of_body(k)] = to_log_cholesky(drawn[:, self.linear[_of_body(place)]])
+        return ManyRobots(self.robot(), {k: v for k, v in self._parameters_at(theta).items() if k in parameters})
 
-    def _spread(self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Return the torque at the mean, and A root (*batch, n_dof, n_free)."""
-        parameters = unflatten(self.physics, self.theta)
-        mean = torch.func.functional_call(self.physics, parameters, (q, qd, qdd, t))
-        return mean, rows(self.physics, parameters, q, qd, qdd, t) @ self.root.to(mean)
+    def _linear(self, theta: Tensor) -> Tensor:
+        """Return x (n_params + n_terms,), of theta."""
+        model = copy.deepcopy(self.physics)
+        model.load_state_dict(self._parameters_at(theta), strict=False)
+        return torch.cat((model.pi, theta[model.raw_inertia.numel() :]))
 
-    def _believe(self, prior: Prior, index: Tensor) -> None:
-        """Take the prior of a fit, whose coefficients stand at ``index`` in theta; what it has not fitted is known."""
-        n = self.physics.raw_inertia.numel()
-        for k in self._free_bodies:
-            self.prior_mean[_of_body(k)] = to_log_cholesky(prior.mean[index[_of_body(k)]])
-        told = torch.nonzero(index[n:] >= 0).flatten()
-        self.prior_mean[n + told] = prior.mean[index[n + told]]
-        self.prior_std[n + told] = prior.scale.diagonal()[index[n + told]]
+    def _prior(self) -> Prior:
+        """Return the prior as fits have it."""
+        mean, n = self._linear(self.prior_mean).cpu(), self.physics.robot.n_params
+        bodies = tuple(self.linear[: PARAMETERS_PER_BODY * len(self.free_bodies) : PARAMETERS_PER_BODY].tolist())
+        scale = torch.zeros(len(mean), len(mean), dtype=mean.dtype)
+        scale[n:, n:] = torch.diag(self.prior_std.cpu())
+        J = pseudo_inertia(mean[:n].reshape(-1, PARAMETERS_PER_BODY)[[b // PARAMETERS_PER_BODY for b in bodies]])
+        inverse = torch.linalg.inv(J)
+        for b, one in zip(bodies, inverse, strict=True):
+            own = slice(b, b + PARAMETERS_PER_BODY)
+            scale[own, own] = _root(self.kappa * divergence_hessian(one))
+        return Prior(mean, mean, tuple(b // PARAMETERS_PER_BODY for b in bodies), inverse, self.kappa, scale)
 
-    def _start_from(self, whitening: Tensor, size: float = 1.0) -> None:
-        """Take the mean for the centre and ``size`` W for its root."""
-        self.centre = self.theta.detach().clone()
-        self.whitening = whitening.to(self.centre)
-        n = whitening.shape[1]
-        self.mean = nn.Parameter(self.centre.new_zeros(n))
-        self.raw_factor = nn.Parameter(torch.diag(self.centre.new_full((n,), math.log(size))))
+    def _spread(self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None) -> Tensor:
+        """Return A R (*batch, n_dof, n_spread)."""
+        with torch.autocast(q.device.type, enabled=False):
+            A = rows(self.physics, self._parameters_at(self.theta), q, qd, qdd, t)
+            return A[..., self.linear] @ self.root.to(A)
 
-    def _free(self) -> Tensor:
-        """Return where in theta the free coordinates are: those of the bodies, then all coefficients."""
-        n, own = self.physics.raw_inertia.numel(), torch.arange(PARAMETERS_PER_BODY)
-        bodies = [PARAMETERS_PER_BODY * k + own for k in self._free_bodies]
-        return torch.cat((*bodies, torch.arange(n, len(self.centre))))
+    def _start_from(self, whitening: Tensor, spread: Tensor) -> None:
+        """Take the mean for the centre, other coordinates around it, and R = V."""
+        self.register_buffer("centre", self.theta.detach().clone() if "mean" in self._parameters else self.centre)
+        self.register_buffer("whitening", whitening.to(self.centre))
+        self.register_buffer("spread", spread.to(self.centre))
+        self.mean = nn.Parameter(self.centre.new_zeros(whitening.shape[1]))
+        self.raw_factor = nn.Parameter(self.centre.new_zeros(spread.shape[1], spread.shape[1]))
 
     def _prior_precision(self) -> Tensor:
-        """Return the prior's curvature in the free coordinates, at its mode."""
-        n = self.physics.raw_inertia.numel()
-        bodies = [self.kappa * curvature(self.prior_mean[_of_body(k)]) for k in self._free_bodies]
-        return torch.block_diag(*bodies, torch.diag(self.prior_std[n:] ** -2.0))
+        """Return the prior's curvature in the free entries of theta, at its mode."""
+        bodies = [self.kappa * curvature(self.prior_mean[_of_body(k)]) for k in self.free_bodies.tolist()]
+        return torch.block_diag(*bodies, torch.diag(self.prior_std**-2.0))
+
+    def _spread_precision(self) -> Tensor:
+        """Return the prior's curvature in the free entries of x, at the mean."""
+        J = pseudo_inertia(from_log_cholesky(torch.stack([self.theta[_of_body(k)] for k in self.free_bodies.tolist()])))
+        bodies = self.kappa * divergence_hessian(torch.linalg.inv(J))
+        return torch.block_diag(*bodies, torch.diag(self.prior_std**-2.0))
 
 
 def _of_body(k: int) -> slice:
-    """Return where the coordinates of a physical body are in theta."""
+    """Return where the ten numbers of body k are."""
     return slice(PARAMETERS_PER_BODY * k, PARAMETERS_PER_BODY * (k + 1))
+
+
+def _root(precision: Tensor) -> Tensor:
+    """Return X with X X' = precision^-1."""
+    values, axes = torch.linalg.eigh(precision)
+    return axes / values.sqrt()

@@ -6,16 +6,15 @@
 Its mode is the body of the URDF, as that of the convex fit's prior.
 
 Source: Lee, Wensing, Park, "Geometric Robot Dynamic Identification: A Convex Programming Approach", IEEE T-RO 2020,
-    eq. (25); Arasaratnam, Haykin, "Cubature Kalman Filters", IEEE TAC 2009, eq. (23), (24), for expectations.
+    eq. (25), (31).
 """
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
+from torchrbd.likelihood.urdf_prior import divergence_hessian
 from torchrbd.parameters import from_log_cholesky
 from torchrbd.robot import pseudo_inertia
 
@@ -34,13 +33,10 @@ def curvature(start: Tensor) -> Tensor:
     return 0.5 * (hessian + hessian.T)
 
 
-def expected_divergence(theta: Tensor, root: Tensor, start: Tensor) -> Tensor:
-    """Return the mean of D over coordinates of mean theta (10,) and covariance root root', root (10, K).
+def spread_divergence(theta: Tensor, root: Tensor) -> Tensor:
+    """Return what D grows by, to second order, where pi has the covariance root root', root (10, K), around pi(theta).
 
-    By points of degree three, at sqrt(10) standard deviations to both sides: exact for cubic functions.
+    tr(D'' root root') / 2,   D''_kl = tr(J^-1 E_k J^-1 E_l)
     """
-    covariance, n = root @ root.T, len(theta)
-    jitter = 1e-12 * covariance.diagonal().amax()
-    axes = torch.linalg.cholesky(covariance + jitter * torch.eye(n, dtype=theta.dtype, device=theta.device))
-    steps = math.sqrt(n) * torch.cat((axes.T, -axes.T))
-    return torch.vmap(lambda step: divergence(theta + step, start))(steps).mean()
+    inverse = torch.linalg.inv(pseudo_inertia(from_log_cholesky(theta)))
+    return 0.5 * (divergence_hessian(inverse) @ root * root).sum()

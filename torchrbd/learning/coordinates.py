@@ -1,8 +1,11 @@
-"""All that can be trained of a model as one vector: log-Cholesky coordinates of the bodies, then coefficients of terms.
+"""All that can be trained of a model as one vector, and what the torque is linear in.
 
-    tau(theta) ~ tau(theta_0) + A (theta - theta_0),   A = [Y dpi/dtheta, phi]
+theta are log-Cholesky coordinates of the bodies, then coefficients of terms; x = (pi, w) are inertial parameters of all
+bodies, then the same coefficients:
 
-``rows`` returns A. Features that depend on the load are those at the model's own parameters, as in a fit.
+    tau = A x,   A = [Y, phi]
+
+Features that depend on the load are those at the model's own parameters, as in a fit.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from torch import Tensor
 
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky
+from torchrbd.parameters import from_log_cholesky
 from torchrbd.physics import Signals
 from torchrbd.physics.plain_friction import plain_friction
 
@@ -31,6 +34,13 @@ def unflatten(model: RigidBodyDynamics, theta: Tensor) -> dict[str, Tensor]:
     return {k: v.unflatten(-1, p.shape) if p.ndim > 1 else v for (k, p), v in zip(named.items(), parts, strict=True)}
 
 
+def slopes(model: RigidBodyDynamics, parameters: Mapping[str, Tensor], free: Tensor) -> Tensor:
+    """Return dx/dtheta (n_free, n_free) of the free entries of theta, and of those of x that are the same ones."""
+    bodies = torch.vmap(torch.func.jacrev(from_log_cholesky))(parameters["raw_inertia"])
+    one = bodies.new_ones(sum(w.numel() for name, w in parameters.items() if name != "raw_inertia"))
+    return torch.block_diag(*bodies, torch.diag(one))[free.unsqueeze(1), free]
+
+
 def rows(
     model: RigidBodyDynamics,
     parameters: Mapping[str, Tensor],
@@ -39,34 +49,38 @@ def rows(
     qdd: Tensor,
     t: Tensor | None = None,
 ) -> Tensor:
-    """Return A, the derivatives of the torques by theta.
+    """Return A, (*batch, n_dof, n_params + n_terms).
 
     Args:
         model: whose terms and bodies count.
         parameters: by name, see ``unflatten``.
         q, qd, qdd: (*batch, n_dof).
         t: times of the last batch dimension, where terms need them.
-
-    Returns:
-        (*batch, n_dof, n).
     """
-    robot, raw = model.robot, parameters["raw_inertia"]
-    bodies = model.physical.nonzero().flatten()
-    slopes = torch.func.vmap(torch.func.jacrev(from_log_cholesky))(raw).to(q)
-    Y = robot.regressor(q, qd, qdd).unflatten(-1, (-1, PARAMETERS_PER_BODY))[..., bodies, :]
-    inertial = torch.einsum("...dbk,bkl->...dbl", Y, slopes).flatten(-2)
-    pi = torch.func.functional_call(_Inertia(model), {f"model.{k}": v for k, v in parameters.items()})
+    robot, pi = model.robot, torch.func.functional_call(_Inertia(model), _inside(parameters))
     coefficients = [parameters[f"_terms.{k}.coefficients"] for k in range(len(model.terms))]
     plain = [(m.effect.id, m.site.joint, w) for m, w in zip(model.terms, coefficients, strict=True) if m.site.always]
-    friction = plain_friction(robot.n_dof, plain)
+    friction, Y = plain_friction(robot.n_dof, plain), robot.regressor(q, qd, qdd)
     q, qd, qdd = (x.movedim(-1, 0) for x in torch.broadcast_tensors(q, qd, qdd))
     signals = Signals(robot, q, qd, qdd, model.rest_width, pi, t, friction=friction)
-    columns = [inertial]
+    columns = [Y]
     for term in model.terms:
         for phi in term.effect.features_at(signals, term.site, term.shape).values():
             own = phi if term.effect.whole_robot else _at(phi, term.site.joint, robot.n_dof)
             columns.append(own.movedim(0, -1).unsqueeze(-1))
     return torch.cat(columns, -1)
+
+
+def linear_positions(model: RigidBodyDynamics, fit: FittedModel) -> Tensor:
+    """Return where in x of a fit the coefficients of its module's terms stand, (n_terms,); -1 if not fitted."""
+    known = {(c.effect.id, c.site): fit.columns.of(c) for c in fit.proper_terms}
+    where, taken = list[int](), set[int]()
+    for term in model.terms:
+        own = known.get((term.effect.id, term.site), [-1] * len(term.coefficients))
+        # A column that two terms share belongs to the first.
+        where += [-1 if k in taken else k for k in own]
+        taken.update(own)
+    return torch.tensor(where, dtype=torch.long)
 
 
 class _Inertia(torch.nn.Module):
@@ -85,29 +99,5 @@ def _at(phi: Tensor, joint: int | None, n_dof: int) -> Tensor:
     return torch.stack([phi if j == joint else torch.zeros_like(phi) for j in range(n_dof)])
 
 
-def positions(model: RigidBodyDynamics, fit: FittedModel) -> Tensor:
-    """Return where in x of a fit the entries of its module's theta stand, (n,); those that were not fitted are at -1.
-
-    Bodies are there as their inertial parameters, ten for ten coordinates.
-    """
-    bodies = model.physical.nonzero().flatten().tolist()
-    where = [list(range(PARAMETERS_PER_BODY * b, PARAMETERS_PER_BODY * (b + 1))) for b in bodies]
-    known = {(c.effect.id, c.site): fit.columns.of(c) for c in fit.proper_terms}
-    taken: set[int] = set()
-    for term in model.terms:
-        own = known.get((term.effect.id, term.site), [])
-        # A column that two terms share belongs to the first.
-        where.append([-1 if k in taken else k for k in own] or [-1] * len(term.coefficients))
-        taken.update(own)
-    return torch.tensor([k for own in where for k in own])
-
-
-def in_log_cholesky(model: RigidBodyDynamics, fit: FittedModel, index: Tensor) -> Tensor:
-    """Return the covariance (n, n) of a fit in its module's coordinates theta; zero of what was not fitted."""
-    # The last row and column, where -1 points, are zero.
-    x = torch.zeros(fit.columns.n + 1, fit.columns.n + 1, dtype=torch.float64)
-    x[fit.free.unsqueeze(1), fit.free] = fit.covariance
-    slopes = torch.vmap(torch.func.jacrev(from_log_cholesky))(model.raw_inertia.detach())
-    n_terms = len(index) - model.raw_inertia.numel()
-    to_theta = torch.block_diag(*torch.linalg.inv(slopes), torch.eye(n_terms, dtype=torch.float64))
-    return to_theta @ x[index.unsqueeze(1), index] @ to_theta.T
+def _inside(parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {f"model.{name}": value for name, value in parameters.items()}

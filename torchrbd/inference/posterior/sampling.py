@@ -92,34 +92,52 @@ def sample_robots(
     Raises:
         InputError: n_samples is not positive.
     """
+    covariance = model.covariance if widened else model.laplace
+    return sample_around(prior, model.x, model.free, covariance, n_samples, seed)
+
+
+def sample_around(prior: Prior, x: Tensor, free: Tensor, covariance: Tensor, n_samples: int, seed: int) -> RobotSamples:
+    """Draw robots around a mode, whose curvature is told by a covariance.
+
+    Args:
+        prior: around which the robots are physical.
+        x: (n,) the mode.
+        free: (n_free,) what may differ from it: the inertial parameters of the prior's bodies, then others.
+        covariance: (n_free, n_free) there.
+        n_samples: how many.
+        seed: of the random numbers.
+
+    Raises:
+        InputError: n_samples is not positive.
+    """
     if n_samples < 1:
         raise InputError(f"n_samples is {n_samples}, expected at least 1")
-    density = _density(prior, model, model.covariance if widened else model.laplace)
-    found = sample(density, len(model.free), n_samples, seed)
-    x = density.mode.repeat(n_samples, 1)
-    x[:, model.free] += found.e @ density.root.T
-    return RobotSamples(x, found.thinning, found.autocorrelation)
+    density = _density(prior, x, free, covariance)
+    found = sample(density, len(free), n_samples, seed)
+    drawn = density.mode.repeat(n_samples, 1)
+    drawn[:, free] += found.e @ density.root.T
+    return RobotSamples(drawn, found.thinning, found.autocorrelation)
 
 
-def _density(prior: Prior, model: FittedModel, covariance: Tensor) -> _Density:
+def _density(prior: Prior, x: Tensor, free: Tensor, covariance: Tensor) -> _Density:
     """Find the Gaussian that proposes: the physical fit under a prior whose mode is the Wishart's mean."""
-    free, inertial, n = model.free, prior.inertial, len(prior.inertial)
-    T = _coordinates(prior, model.x, free)
+    inertial, n = prior.inertial, len(prior.inertial)
+    T = _coordinates(prior, x, free)
     inverse = _inverse(T)
     c, axes = torch.linalg.eigh(inverse @ covariance @ inverse.T)
     information = axes * (1.0 / c.clamp(_LEAST, 1.0) - 1.0)
     H = inverse.T @ information @ axes.T @ inverse
-    pi = model.x[inertial].reshape(-1, PARAMETERS_PER_BODY)
+    pi = x[inertial].reshape(-1, PARAMETERS_PER_BODY)
     slope = prior.inverse_inertia - torch.linalg.inv(pseudo_inertia(pi))
     pull = torch.cat((prior.kappa * torch.einsum("bij,kij->bk", slope, BASIS).flatten(), torch.zeros(len(free) - n)))
     scale = prior.scale[free[n:], free[n:]]
-    pull[n:] = torch.where(scale > 0, (model.x - prior.mean)[free[n:]] / scale.square(), 0.0)
+    pull[n:] = torch.where(scale > 0, (x - prior.mean)[free[n:]] / scale.square(), 0.0)
     size = (prior.kappa + _WISHART) / prior.kappa
     mean, S = prior.mean.clone(), prior.scale.clone()
     mean[inertial] *= size
     S[inertial.unsqueeze(1), inertial] *= size**0.5
     wishart = replace(prior, mean=mean, inverse_inertia=prior.inverse_inertia / size, kappa=prior.kappa * size, scale=S)
-    h = H @ (model.x - mean)[free] + pull
+    h = H @ (x - mean)[free] + pull
     scaled = torch.zeros(len(mean), len(mean), dtype=torch.float64)
     own = S[free.unsqueeze(1), free]
     scaled[free.unsqueeze(1), free] = own.T @ H @ own
