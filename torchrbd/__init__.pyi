@@ -2,7 +2,7 @@ from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare,
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.export import load_model, save_model, to_actuator_net, to_mjcf, to_urdf, unsaid
 from torchrbd.inference import EstimatorComparison, Identification, Settings, compare_estimators, identify
-from torchrbd.learning import DynamicsRegressor
+from torchrbd.learning import DynamicsRegressor, ResidualDynamics, residual_dataset
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import effects, register
 from torchrbd.recordings import Recording, open_recording, read_mapping
@@ -24,6 +24,7 @@ __all__ = [
     "Ranking",
     "Recording",
     "RecordingError",
+    "ResidualDynamics",
     "RigidBodyDynamics",
     "RobotError",
     "RobotModel",
@@ -39,6 +40,7 @@ __all__ = [
     "rank",
     "read_mapping",
     "register",
+    "residual_dataset",
     "save_model",
     "to_actuator_net",
     "to_mjcf",
