@@ -19,7 +19,7 @@ _NAMES = {
     "errors": ("InputError", "OptionError", "PhysicalError", "RecordingError", "RobotError", "TorchRBDError"),
     "export": ("load_model", "save_model", "to_actuator_net", "to_mjcf", "to_urdf", "unsaid"),
     "inference": ("EstimatorComparison", "Identification", "Settings", "compare_estimators", "identify"),
-    "learning": ("DynamicsRegressor", "ResidualDynamics", "residual_dataset"),
+    "learning": ("DynamicsRegressor", "ResidualDynamics", "fit_residual", "residual_dataset"),
     "model": ("RigidBodyDynamics",),
     "parameters": (),
     "physics": ("effects", "register"),

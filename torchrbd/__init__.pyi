@@ -2,7 +2,7 @@ from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare,
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.export import load_model, save_model, to_actuator_net, to_mjcf, to_urdf, unsaid
 from torchrbd.inference import EstimatorComparison, Identification, Settings, compare_estimators, identify
-from torchrbd.learning import DynamicsRegressor, ResidualDynamics, residual_dataset
+from torchrbd.learning import DynamicsRegressor, ResidualDynamics, fit_residual, residual_dataset
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import effects, register
 from torchrbd.recordings import Recording, open_recording, read_mapping
@@ -34,6 +34,7 @@ __all__ = [
     "compare_estimators",
     "diagnose",
     "effects",
+    "fit_residual",
     "identify",
     "load_model",
     "open_recording",
