@@ -130,11 +130,13 @@ def test_noise_is_not_learned() -> None:
     def noise(x: Tensor) -> Tensor:
         return torch.randn(len(x), N, generator=torch.Generator().manual_seed(int(1e6 * x[0, 0].abs())))
 
-    model = fresh()
-    training = fit_residual(model, made(noise), validation=made(noise, 1), epochs=30, batch_size=64, lr=5e-3)
-    new = made(noise, 2)
-    assert model.left(new).square().mean() < 1.02 * new.residual.square().mean()
-    assert training.validation[-1] > 1.05 * training.validation[0]
+    new, found = made(noise, 2), []
+    for validation in (made(noise, 1), None):
+        model = fresh()
+        fit_residual(model, made(noise), validation=validation, epochs=30, batch_size=64, lr=5e-3)
+        found.append(float(model.left(new).square().mean() / new.residual.square().mean()))
+    assert found[0] < 1.02
+    assert found[1] > 1.1
 
 
 def test_outside_it_is_no_worse_than_the_physics_on_a_recording() -> None:

@@ -119,8 +119,7 @@ def test_far_from_the_data_it_is_the_physics() -> None:
     fade, distance = model.region.fade(model.encoder(way)), model.distance(way)
     assert fade[distance <= 1.0].amin() == 1
     assert fade[distance >= EDGE].amax() == 0
-    beyond = distance > 1.0
-    assert (fade[beyond].diff() <= 1e-12).all()
+    assert (fade[distance.argsort()].diff() <= 1e-9).all()
 
 
 def test_distance_is_that_of_the_nearest_point() -> None:

@@ -25,6 +25,8 @@ from torchrbd.learning.residual_dynamics import ResidualDynamics
 
 # Seconds after which a bar is shown.
 _PATIENCE_S = 2.0
+# Of time, over which a part that is borne out scatters.
+_STRETCHES = 8
 # Of the network's rate: the physics' parameters are in place, and only to be set right.
 _PHYSICS_RATE = 0.1
 
@@ -35,8 +37,8 @@ class Training:
 
     Attributes:
         loss: per epoch, what was minimised.
-        validation: per epoch, the mean squared torque error on data to choose by, in units of noise; the first is the
-            physics alone. Empty without such data.
+        validation: per epoch, the mean squared torque error on data to choose by, in units of noise, of what would be
+            kept; the first is the physics alone. Empty without such data.
         best_epoch: whose model was kept, 0 for the physics alone; the last one without data to choose by.
     """
 
@@ -99,9 +101,9 @@ def fit_residual(
     Args:
         model: on any device; normalisation and region are taken from the data.
         dataset: what to learn from, the same in all processes.
-        validation: what to choose by: of the models after each epoch and the physics alone, the best there is kept, and
-            the network's torque scaled by the part that these data bear out, joint by joint. Without it nothing keeps
-            the network from learning noise: give it, or few epochs.
+        validation: what to choose by. The network's torque is scaled by the part that these data surely bear out, joint
+            by joint, and of the models after each epoch, scaled so, and the physics alone, the best is kept. Without
+            such data nothing keeps the network from learning noise: give them, or few epochs.
         epochs: in all, those of a checkpoint among them.
         batch_size: samples a step, of all processes together.
         lr: AdamW's rate for the network; the physics learns at a tenth of it.
@@ -131,7 +133,7 @@ def fit_residual(
         best, content = read_checkpoint(checkpoint, model, optimiser)
         done = Training(**content)
     elif validation is not None:
-        done.validation.append(_error(model, validation, silent=True))
+        done.validation.append(float((validation.weight * validation.residual.square()).mean()))
     parallel = DistributedDataParallel(objective, broadcast_buffers=False) if _size() > 1 else objective
     for epoch in _shown(len(done.loss), epochs, progress and _rank() == 0):
         model.train()
@@ -139,7 +141,7 @@ def fit_residual(
             done.loss.append(_epoch(model, parallel, optimiser, dataset, batch_size, amp, seed, epoch))
         model.eval()
         if validation is not None:
-            done.validation.append(_error(model, validation))
+            done.validation.append(_borne_out(model, validation)[1])
             if done.validation[-1] < min(done.validation[:-1]):
                 best, done.best_epoch = {k: v.detach().clone() for k, v in model.state_dict().items()}, epoch + 1
         else:
@@ -163,7 +165,7 @@ def _settle(
     elif validation is not None:
         model.silence(dataset.physics)
     if best is not None and validation is not None:
-        _shrink(model, validation)
+        model.correction.scale.mul_(_borne_out(model, validation)[0].to(model.correction.scale))
     judged = dataset if validation is None else validation
     left, there = model.left(judged).double(), judged.weight > 0
     std = (torch.where(there, left, 0.0).square().sum(0) / there.sum(0)).sqrt()
@@ -171,16 +173,25 @@ def _settle(
 
 
 @torch.no_grad()
-def _shrink(model: ResidualDynamics, validation: ResidualDataset) -> None:
-    """Scale the network's torque, joint by joint, by the part of it, 0 to 1, that new data bear out: where a joint's
-    residual is noise, the network had better say nothing."""
+def _borne_out(model: ResidualDynamics, validation: ResidualDataset) -> tuple[Tensor, float]:
+    """Return the part (n,) of the network's torque, 0 to 1, that new data surely bear out, and the error with it.
+
+    The part is the slope of the missing torque on the network's, less its standard error over stretches of time: where
+    a joint's residual is noise, or the network helps here and harms there, it had better say nothing. The error is the
+    mean square in units of noise.
+    """
     said = model.network_torque(validation.features.to(model.left_std.device)).cpu()
     missing, weight = model.left(validation) + said, validation.weight.double()
-    moment, power = ((weight * x * said).sum(0) for x in (missing, said))
+    products = torch.stack([weight * x * said for x in (missing, said)])
     if model.kind == "lagrangian":
-        moment, power = (x.sum().expand_as(x) for x in (moment, power))
-    part = torch.where(power > 0, moment / power, 0.0).clamp(0.0, 1.0)
-    model.correction.scale.mul_(part.to(model.correction.scale))
+        # One part for all joints: a potential's torques are its slopes.
+        products = products.sum(-1, keepdim=True).expand_as(products)
+    stretches = [x.sum(1) for x in products.tensor_split(min(_STRETCHES, len(validation)), dim=1)]
+    moment, power = torch.stack(stretches, 1)
+    slope = moment.sum(0) / power.sum(0)
+    error = (moment - slope * power).square().sum(0).sqrt() / power.sum(0)
+    part = torch.nan_to_num(slope - error).clamp(0.0, 1.0)
+    return part, float((weight * (missing - part * said).square()).mean())
 
 
 def _optimiser(model: ResidualDynamics, lr: float, weight_decay: float) -> torch.optim.Optimizer:
@@ -226,13 +237,6 @@ def _batches(n: int, batch_size: int, seed: int, epoch: int) -> list[list[int]]:
     order = torch.randperm(n, generator=torch.Generator().manual_seed(seed * 1_000_003 + epoch))
     parts = [batch[: len(batch) // _size() * _size()][_rank() :: _size()] for batch in order.split(batch_size)]
     return [part.tolist() for part in parts if len(part)]
-
-
-@torch.no_grad()
-def _error(model: ResidualDynamics, data: ResidualDataset, *, silent: bool = False) -> float:
-    """Return the mean squared error in units of noise; that of the physics alone if ``silent``."""
-    left = data.residual if silent else model.left(data)
-    return float((data.weight * left.square()).mean())
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Where the data have been: the distance to the nearest of some points that cover them.
 
-The unit of distance is how far nine tenths of a stretch of the data are from all other stretches: what a new motion of
+The unit of distance is how far, in the median, a stretch of the data is from all other stretches: what a new motion of
 the same kind may be off. The region ends at twice that.
 """
 
@@ -12,7 +12,7 @@ from torch import Tensor, nn
 EDGE = 2.0
 """Distance at which the region ends."""
 
-_POINTS, _LOOKED_AT, _STRETCHES, _QUANTILE = 512, 8192, 8, 0.9
+_POINTS, _LOOKED_AT, _STRETCHES, _COVERED = 512, 8192, 8, 0.95
 
 
 class Region(nn.Module):
@@ -53,9 +53,9 @@ class Region(nn.Module):
         apart = torch.cdist(z, z[chosen])
         covered = apart.amin(1)
         others = apart.masked_fill(stretch.unsqueeze(1) == stretch[chosen], torch.inf).amin(1)
-        both = torch.stack((covered, torch.where(torch.isfinite(others), others, covered)))
-        self.centres = z[chosen].to(self.centres)
-        self.reach = both.quantile(_QUANTILE, dim=1).amax().clamp_min(1e-6).to(self.reach)
+        others = torch.where(torch.isfinite(others), others, covered)
+        reach = torch.maximum(covered.quantile(_COVERED), others.median())
+        self.centres, self.reach = z[chosen].to(self.centres), reach.clamp_min(1e-6).to(self.reach)
 
     def _squared(self, z: Tensor) -> Tensor:
         if not len(self.centres):

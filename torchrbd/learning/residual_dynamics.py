@@ -185,7 +185,7 @@ class ResidualDynamics(nn.Module):
         """Return how far features are from the training data, (*batch).
 
         In the space of network inputs, to the nearest of up to 512 points that cover the data; 1 is how far a new
-        stretch of the same motion may be (nine tenths of each stretch of the data, from all others).
+        stretch of the same motion is: each stretch of the data from all others, in the median.
         """
         return self.region(self.encoder(features))
 
