@@ -38,6 +38,7 @@ def test_torques_add_and_batches_are_loops(kind: str, options: dict) -> None:
     assert model.network_torque(x).abs().amin() > 0
     torch.testing.assert_close(tau, model.physics(q, qd, qdd) + model.network_torque(x))
     torch.testing.assert_close(tau, torch.stack([model(*one) for one in zip(q, qd, qdd, strict=True)]))
+    torch.testing.assert_close(tau, torch.func.vmap(model)(q, qd, qdd))
     shaped = model(*(s.reshape(2, 3, N) for s in (q, qd, qdd)))
     torch.testing.assert_close(tau.reshape(2, 3, N), shaped)
 

@@ -4,9 +4,8 @@ The physics' torque moves with its inertial parameters pi and its terms' coeffic
 a torque at many samples, each joint weighed by its noise, the part in the span of these columns is physics' own; a
 network beside it should say the rest only.
 
-Source: orthogonal projection as a regulariser of grey-box models: Gyorok et al., "Orthogonal projection-based
-regularization for efficient model augmentation", L4DC 2025; here with inertial parameters as the columns, and noise
-weights.
+Source: Györök et al., "Orthogonal projection-based regularization for efficient model augmentation", L4DC 2025, for
+state-space models; here the columns are those of inverse dynamics, each joint weighed by its noise.
 """
 
 from __future__ import annotations

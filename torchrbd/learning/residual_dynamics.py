@@ -55,9 +55,11 @@ class ResidualDynamics(nn.Module):
         tau = physics(q, qd, qdd) + fade(x) network(x)
 
         identified = torchrbd.identify("robot.urdf", recordings)
-        data = torchrbd.residual_dataset(identified, recordings, split="train")
+        train, validation = (
+            torchrbd.residual_dataset(identified, recordings, split=part) for part in ("train", "validation")
+        )
         model = torchrbd.ResidualDynamics(identified.model)
-        torchrbd.fit_residual(model, data)
+        torchrbd.fit_residual(model, train, validation=validation)
         tau = model(q, qd, qdd)
 
     Fit the physics first. The network is then fitted to the rest, and penalised for torque that the physics could say
@@ -81,7 +83,7 @@ class ResidualDynamics(nn.Module):
             ``n_inputs`` and ``n_outputs`` of ``model.correction`` say what it must take and give.
         mode: "frozen", the network learns alone; "joint", both learn; "alternating", they take turns by epoch.
         kind: "free"; "dissipative", tau_network . qd >= 0 by construction; "lagrangian", the network is a potential
-            V(q), its torque dV/dq.
+            V(q), its torque dV/dq. All compose with ``torch.func``; torch.export cannot trace the last one's slopes.
         kinetic: of the kind "lagrangian", add kinetic energy too.
         history: steps of history among the features, the present one among them; of the clock of the data.
         fade: whether the network is silent far from the data. Without it there is no promise outside.

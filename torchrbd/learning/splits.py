@@ -2,7 +2,7 @@
 
 Samples near in time are alike: were they split at random, a network would be judged on what it has seen. The time of
 all recordings, one after the other, is cut into equal rounds, each of which is first learned from, then chosen by, then
-judged by. Between two parts, and between recordings, as much is left out as the filters reach.
+judged by. Between two parts as much is left out as the filters reach.
 """
 
 from __future__ import annotations
