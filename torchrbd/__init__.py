@@ -26,7 +26,7 @@ _NAMES = {
         "identify",
         "identify_many",
     ),
-    "learning": ("BayesianDynamics", "DynamicsRegressor"),
+    "learning": ("BayesianDynamics", "DynamicsRegressor", "ResidualDynamics", "fit_residual", "residual_dataset"),
     "model": ("RigidBodyDynamics",),
     "parameters": (),
     "physics": ("effects", "register"),

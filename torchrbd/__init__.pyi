@@ -9,7 +9,13 @@ from torchrbd.inference import (
     identify,
     identify_many,
 )
-from torchrbd.learning import BayesianDynamics, DynamicsRegressor
+from torchrbd.learning import (
+    BayesianDynamics,
+    DynamicsRegressor,
+    ResidualDynamics,
+    fit_residual,
+    residual_dataset,
+)
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import effects, register
 from torchrbd.recordings import Recording, open_recording, read_mapping
@@ -32,6 +38,7 @@ __all__ = [
     "Ranking",
     "Recording",
     "RecordingError",
+    "ResidualDynamics",
     "RigidBodyDynamics",
     "RobotError",
     "RobotModel",
@@ -41,6 +48,7 @@ __all__ = [
     "compare_estimators",
     "diagnose",
     "effects",
+    "fit_residual",
     "identify",
     "identify_many",
     "load_model",
@@ -48,6 +56,7 @@ __all__ = [
     "rank",
     "read_mapping",
     "register",
+    "residual_dataset",
     "save_model",
     "to_actuator_net",
     "to_mjcf",

@@ -3,13 +3,31 @@
 from typing import TYPE_CHECKING
 
 from torchrbd.learning.bayesian_dynamics import BayesianDynamics
+from torchrbd.learning.fit_residual import Training, fit_residual
 from torchrbd.learning.many_robots import ManyRobots
+from torchrbd.learning.physics_metric import PhysicsMetric, physics_columns
 from torchrbd.learning.predictions import ExternalTorque, Prediction
+from torchrbd.learning.residual_data import ResidualDataset, residual_dataset
+from torchrbd.learning.residual_dynamics import ResidualDynamics, TorqueShares
 
 if TYPE_CHECKING:
     from torchrbd.learning.dynamics_regressor import DynamicsRegressor
 
-__all__ = ["BayesianDynamics", "DynamicsRegressor", "ExternalTorque", "ManyRobots", "Prediction"]
+__all__ = [
+    "BayesianDynamics",
+    "DynamicsRegressor",
+    "ExternalTorque",
+    "ManyRobots",
+    "PhysicsMetric",
+    "Prediction",
+    "ResidualDataset",
+    "ResidualDynamics",
+    "TorqueShares",
+    "Training",
+    "fit_residual",
+    "physics_columns",
+    "residual_dataset",
+]
 
 
 def __getattr__(name: str) -> object:
