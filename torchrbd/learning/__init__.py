@@ -3,9 +3,10 @@
 from typing import TYPE_CHECKING
 
 from torchrbd.learning.bayesian_dynamics import BayesianDynamics
+from torchrbd.learning.coordinates import physics_columns
 from torchrbd.learning.fit_residual import Training, fit_residual
 from torchrbd.learning.many_robots import ManyRobots
-from torchrbd.learning.physics_metric import PhysicsMetric, physics_columns
+from torchrbd.learning.physics_metric import PhysicsMetric
 from torchrbd.learning.predictions import ExternalTorque, Prediction
 from torchrbd.learning.residual_data import ResidualDataset, residual_dataset
 from torchrbd.learning.residual_dynamics import ResidualDynamics, TorqueShares

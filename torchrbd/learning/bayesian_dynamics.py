@@ -33,7 +33,7 @@ from torchrbd.errors import InputError
 from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.posterior.sampling import sample_around
 from torchrbd.learning.body_prior import curvature, divergence, spread_divergence
-from torchrbd.learning.coordinates import flatten, linear_positions, rows, slopes, unflatten
+from torchrbd.learning.coordinates import flatten, linear_positions, physics_columns, slopes, unflatten
 from torchrbd.learning.many_robots import ManyRobots
 from torchrbd.learning.predictions import ExternalTorque, Prediction
 from torchrbd.likelihood.urdf_prior import KAPPA, TERM_WIDTH, Prior, divergence_hessian
@@ -285,7 +285,11 @@ class BayesianDynamics(nn.Module):
         """
         with torch.no_grad():
             parameters = self._parameters_at(self.theta)
-            A = rows(self.physics, parameters, q, qd, qdd, t).flatten(0, -3).to(self.centre)[..., self.linear]
+            A = (
+                physics_columns(self.physics, q, qd, qdd, t, parameters=parameters)
+                .flatten(0, -3)
+                .to(self.centre)[..., self.linear]
+            )
             torque, n_terms = tau.reshape(-1, tau.shape[-1]).to(self.centre), len(self.prior_std)
             size = A[..., A.shape[-1] - n_terms :].square().mean(0).sqrt()
             felt = (size / torque.square().mean(0).sqrt().unsqueeze(-1)).amax(0) if n_terms else self.prior_std
@@ -374,7 +378,7 @@ class BayesianDynamics(nn.Module):
     def _spread(self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None) -> Tensor:
         """Return A R (*batch, n_dof, n_spread)."""
         with torch.autocast(q.device.type, enabled=False):
-            A = rows(self.physics, self._parameters_at(self.theta), q, qd, qdd, t)
+            A = physics_columns(self.physics, q, qd, qdd, t, parameters=self._parameters_at(self.theta))
             return A[..., self.linear] @ self.root.to(A)
 
     def _start_from(self, whitening: Tensor, spread: Tensor) -> None:

@@ -41,28 +41,33 @@ def slopes(model: RigidBodyDynamics, parameters: Mapping[str, Tensor], free: Ten
     return torch.block_diag(*bodies, torch.diag(one))[free.unsqueeze(1), free]
 
 
-def rows(
+def physics_columns(
     model: RigidBodyDynamics,
-    parameters: Mapping[str, Tensor],
     q: Tensor,
     qd: Tensor,
     qdd: Tensor,
     t: Tensor | None = None,
+    temperature: Tensor | None = None,
+    recording: str | None = None,
+    *,
+    parameters: Mapping[str, Tensor] | None = None,
 ) -> Tensor:
-    """Return A, (*batch, n_dof, n_params + n_terms).
+    """Return A, (*batch, n_dof, n_params + n_terms): what multiplies inertial parameters and coefficients.
 
     Args:
-        model: whose terms and bodies count.
-        parameters: by name, see ``unflatten``.
-        q, qd, qdd: (*batch, n_dof).
-        t: times of the last batch dimension, where terms need them.
+        model: whose bodies and terms count.
+        q, qd, qdd, t, temperature, recording: as of ``RigidBodyDynamics.forward``.
+        parameters: at which features that depend on the load are taken; the model's own if None.
     """
-    robot, pi = model.robot, torch.func.functional_call(_Inertia(model), _inside(parameters))
+    robot = model.robot
+    parameters = dict(model.named_parameters()) if parameters is None else parameters
+    pi = torch.func.functional_call(_Inertia(model), {f"model.{name}": value for name, value in parameters.items()})
     coefficients = [parameters[f"_terms.{k}.coefficients"] for k in range(len(model.terms))]
     plain = [(m.effect.id, m.site.joint, w) for m, w in zip(model.terms, coefficients, strict=True) if m.site.always]
     friction, Y = plain_friction(robot.n_dof, plain), robot.regressor(q, qd, qdd)
     q, qd, qdd = (x.movedim(-1, 0) for x in torch.broadcast_tensors(q, qd, qdd))
-    signals = Signals(robot, q, qd, qdd, model.rest_width, pi, t, friction=friction)
+    warm = None if temperature is None else temperature.movedim(-1, 0)
+    signals = Signals(robot, q, qd, qdd, model.rest_width, pi, t, recording, warm, friction)
     columns = [Y]
     for term in model.terms:
         for phi in term.effect.features_at(signals, term.site, term.shape).values():
@@ -97,7 +102,3 @@ class _Inertia(torch.nn.Module):
 def _at(phi: Tensor, joint: int | None, n_dof: int) -> Tensor:
     """Return a feature of one joint as that of all, (n_dof, *batch)."""
     return torch.stack([phi if j == joint else torch.zeros_like(phi) for j in range(n_dof)])
-
-
-def _inside(parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    return {f"model.{name}": value for name, value in parameters.items()}

@@ -11,52 +11,12 @@ state-space models; here the columns are those of inverse dynamics, each joint w
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
-from torch import Tensor, nn
-from torch.func import functional_call, vjp
-
-from torchrbd.model import RigidBodyDynamics
+from torch import Tensor
 
 # Of the longest column; what is shorter is zero but for rounding. And, at one length each, of the largest direction.
 _LEAST_LENGTH, _LEAST_SINGULAR = 1e-7, 1e-5
-
-
-class _Terms(nn.Module):
-    """The terms' torque as a module's call, which ``functional_call`` needs."""
-
-    def __init__(self, physics: RigidBodyDynamics) -> None:
-        super().__init__()
-        self.physics = physics
-
-    def forward(self, q: Tensor, qd: Tensor, qdd: Tensor, **conditions: Any) -> Tensor:
-        return self.physics.term_torque(q, qd, qdd, **conditions)
-
-
-def physics_columns(physics: RigidBodyDynamics, q: Tensor, qd: Tensor, qdd: Tensor, **conditions: Any) -> Tensor:
-    """Return d tau / d (pi, w), (N, n_dof, n_params + n_coefficients).
-
-    Args:
-        physics: rigid body and terms.
-        q, qd, qdd: (N, n_dof), [rad, m] and per second, per second squared.
-        **conditions: t, temperature and recording, as the physics' call takes them.
-    """
-    parts, terms = [physics.robot.regressor(q, qd, qdd)], _Terms(physics)
-    w = {name: p.detach() for name, p in terms.named_parameters() if name.endswith(".coefficients")}
-    if w:
-        sizes = [len(one) for one in w.values()]
-
-        def torque(flat: Tensor) -> Tensor:
-            own = dict(zip(w, flat.split(sizes), strict=True))
-            return functional_call(terms, own, (q, qd, qdd), conditions)
-
-        # What is linear in u has J's columns for slopes: d/du (e_k . J' u).
-        _, pull, *_ = vjp(torque, torch.cat(list(w.values())))
-        _, push, *_ = vjp(lambda u: pull(u)[0], torch.zeros_like(q))
-        units = torch.eye(sum(sizes), dtype=physics.pi.dtype, device=q.device)
-        parts.append(torch.vmap(lambda unit: push(unit)[0], out_dims=-1)(units).to(q))
-    return torch.cat(parts, -1).detach()
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ from torch.utils.data import Dataset
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference import Identification, Settings
 from torchrbd.inference.preparation import read
-from torchrbd.learning.physics_metric import PhysicsMetric, physics_columns
+from torchrbd.learning.coordinates import physics_columns
+from torchrbd.learning.physics_metric import PhysicsMetric
 from torchrbd.learning.splits import FRACTIONS, SPLITS, Split, check_fractions, split_rows
 from torchrbd.likelihood.reading import Reading
 from torchrbd.model import RigidBodyDynamics
@@ -266,7 +267,7 @@ def _conditions(states: States, recording: str) -> dict[str, Any]:
 def _columns_at(physics: RigidBodyDynamics, states: States, recording: str, at: Tensor) -> Tensor:
     """Return the physics' columns (S, n, P), filtered as the torque is, at some of a tile's outputs."""
     columns = physics_columns(physics, states.q.T, states.qd.T, states.qdd.T, **_conditions(states, recording))
-    return states.decimate(columns.permute(1, 2, 0))[..., at].permute(2, 0, 1)
+    return states.decimate(columns.detach().permute(1, 2, 0))[..., at].permute(2, 0, 1)
 
 
 def _errors(states: States) -> Tensor:
