@@ -33,7 +33,7 @@ check: .venv/dev
 	touch $@
 
 .venv/test: .venv/base
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test,examples]'
 	touch $@
 
 .venv/benchmark: .venv/test
