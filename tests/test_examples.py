@@ -43,7 +43,8 @@ def friction_in(line: str) -> float:
 
 
 def test_each_example_has_its_test() -> None:
-    tested = {"torch_loop", "ensemble", "computed_torque", "gymnasium_env", "lightning_fit"}
+    tested = {"torch_loop", "ensemble", "computed_torque", "contact_detection", "gymnasium_env", "lightning_fit"}
+    tested.add("residual_network")
     assert {path.stem for path in FOLDER.glob("*.py")} == tested
 
 
@@ -65,6 +66,18 @@ def test_robots_of_an_ensemble_agree_on_what_the_recording_tells(capsys: pytest.
 
 def test_friction_in_the_controller_tracks_better(capsys: pytest.CaptureFixture[str]) -> None:
     assert example("computed_torque").main() < 0.2
+    assert len(lines(capsys)) == 2
+
+
+def test_contact_is_seen_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
+    seen, false = example("contact_detection").main()
+    assert seen > 0.95
+    assert false < 0.02
+    assert len(lines(capsys)) == 2
+
+
+def test_a_network_learns_what_physics_lacks(capsys: pytest.CaptureFixture[str]) -> None:
+    assert example("residual_network").main() < 0.8
     assert len(lines(capsys)) == 2
 
 
