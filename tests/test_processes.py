@@ -171,7 +171,9 @@ def test_what_is_raised_while_told_ends_all(error: type[BaseException], tmp_path
 
 
 SCRIPT = """
-import sys
+import signal, sys
+# What a shell starts in the background ignores Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from functools import partial
 from pathlib import Path
 from test_processes import together

@@ -112,6 +112,19 @@ def test_plain_gradients_learn_in_whitened_coordinates() -> None:
     assert is_physical(bayes.robot().pi.detach().reshape(-1, 10)).all()
 
 
+def test_terms_alone_are_fitted_where_bodies_are_known() -> None:
+    """Least squares has the same coefficients, where data are many."""
+    truth = arm()
+    x = samples(truth, 2000)
+    start = RigidBodyDynamics(truth.robot, terms=[term("viscous_friction", j, 0.0) for j in range(3)])
+    bayes = BayesianDynamics(start, trust=truth.robot.body_names)
+    bayes.fit(*x)
+    residual = x[3] - truth.robot.inverse_dynamics(*x[:3])
+    expected = (residual * x[1]).sum(0) / x[1].square().sum(0)
+    torch.testing.assert_close(bayes.theta[-3:].detach(), expected, rtol=1e-3, atol=1e-3)
+    assert torch.equal(bayes.robot().pi, start.pi)
+
+
 def test_minibatches_stand_for_all_samples() -> None:
     bayes = BayesianDynamics(arm())
     x = samples(arm(), 60)

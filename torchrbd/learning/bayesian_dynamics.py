@@ -383,7 +383,8 @@ class BayesianDynamics(nn.Module):
 
     def _start_from(self, whitening: Tensor, spread: Tensor) -> None:
         """Take the mean for the centre, other coordinates around it, and R = V."""
-        self.register_buffer("centre", self.theta.detach().clone() if "mean" in self._parameters else self.centre)
+        if hasattr(self, "mean"):
+            self.centre = self.theta.detach().clone()
         self.register_buffer("whitening", whitening.to(self.centre))
         self.register_buffer("spread", spread.to(self.centre))
         self.mean = nn.Parameter(self.centre.new_zeros(whitening.shape[1]))
@@ -396,8 +397,8 @@ class BayesianDynamics(nn.Module):
 
     def _spread_precision(self) -> Tensor:
         """Return the prior's curvature in the free entries of x, at the mean."""
-        J = pseudo_inertia(from_log_cholesky(torch.stack([self.theta[_of_body(k)] for k in self.free_bodies.tolist()])))
-        bodies = self.kappa * divergence_hessian(torch.linalg.inv(J))
+        theta = self.theta[: self.physics.raw_inertia.numel()].reshape(-1, PARAMETERS_PER_BODY)[self.free_bodies]
+        bodies = self.kappa * divergence_hessian(torch.linalg.inv(pseudo_inertia(from_log_cholesky(theta))))
         return torch.block_diag(*bodies, torch.diag(self.prior_std**-2.0))
 
 
