@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torchrbd.learning import BayesianDynamics
 from torchrbd.model import RigidBodyDynamics
 
-MOST, BATCH, STEPS = 200, 128, 15
+MOST, BATCH, STEPS = 100, 128, 15
 RATES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 
 
