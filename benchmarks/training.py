@@ -57,7 +57,7 @@ def by_lbfgs(model: nn.Module, loss: Loss, whiten: Callable[[], list[nn.Paramete
             value = loss(model)
             value.backward()
             found.append(min([float(value.detach()), *found[-1:]]))
-            return found[-1] if len(found) == 1 else float(value.detach())
+            return float(value.detach())
 
         optimiser.step(evaluated)
     return found

@@ -12,6 +12,7 @@ from robot.test_robot_mujoco import compile_urdf
 from torch import Tensor
 from torch.autograd import gradcheck
 
+from torchrbd.errors import OptionError, PhysicalError
 from torchrbd.model import REST_WIDTH, RigidBodyDynamics
 from torchrbd.robot import RobotModel
 
@@ -113,3 +114,14 @@ def test_runge_kutta_is_of_fourth_order() -> None:
     np.testing.assert_allclose(
         np.concatenate((data.qpos[order], data.qvel[order])), ends[2].numpy(), rtol=1e-8, atol=1e-8
     )
+
+
+def test_an_unknown_method_is_told_and_so_is_a_body_without_mass() -> None:
+    model = arm()
+    x = (v[0] for v in states(model.robot, 1))
+    with pytest.raises(OptionError, match="method is 'rk4'; expected one of semi_implicit, runge_kutta"):
+        model.step(*x, 1e-3, method="rk4")  # type: ignore[arg-type]
+    nothing = RigidBodyDynamics(model.robot, torch.zeros_like(model.robot.pi))
+    for method in ("semi_implicit", "runge_kutta"):
+        with pytest.raises(PhysicalError, match="mass matrix is not positive definite"):
+            nothing.step(*(v[0] for v in states(model.robot, 1)), 1e-3, method=method)

@@ -32,18 +32,25 @@ from torch import Tensor, nn
 from torchrbd.errors import InputError
 from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.posterior.sampling import sample_around
-from torchrbd.learning.body_prior import curvature, divergence, spread_divergence
-from torchrbd.learning.coordinates import flatten, linear_positions, physics_columns, slopes, unflatten
+from torchrbd.learning.body_prior import as_prior, curvature, divergence
+from torchrbd.learning.coordinates import (
+    fitted_covariance,
+    flatten,
+    linear,
+    linear_positions,
+    physics_columns,
+    slopes,
+    unflatten,
+)
 from torchrbd.learning.many_robots import ManyRobots
 from torchrbd.learning.predictions import ExternalTorque, Prediction
-from torchrbd.likelihood.urdf_prior import KAPPA, TERM_WIDTH, Prior, divergence_hessian
+from torchrbd.likelihood.urdf_prior import KAPPA, TERM_WIDTH, inverse_root
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.model.files import POSTERIOR, read_model, write_model
-from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, to_log_cholesky
-from torchrbd.robot import pseudo_inertia
+from torchrbd.model.files import read_model, write_model
+from torchrbd.parameters import PARAMETERS_PER_BODY, to_log_cholesky
 
 # Of a fit; it has settled where a round gains less than so many nats.
-_MOST_ROUNDS, _STEPS, _SETTLED = 30, 15, 0.1
+_MOST_ROUNDS, _STEPS, _SETTLED = 30, 15, 0.01
 
 
 class BayesianDynamics(nn.Module):
@@ -115,8 +122,9 @@ class BayesianDynamics(nn.Module):
         self.register_buffer("linear", torch.cat((*in_x, robot.n_params + terms)))
         noise = start.new_ones(robot.n_dof) if noise_std is None else noise_std.to(start)
         self.raw_noise = nn.Parameter(noise.log())
-        prior = self._prior_precision()
-        self._start_from(_root(prior), slopes(self.physics, self._parameters_at(start), self.free) @ _root(prior))
+        self._start_from(
+            inverse_root(self._prior_precision_of_theta()), inverse_root(self._prior_precision(self.prior_mean))
+        )
 
     @classmethod
     def from_diagnosis(cls, result: Any) -> BayesianDynamics:
@@ -144,11 +152,7 @@ class BayesianDynamics(nn.Module):
         told = torch.nonzero(at >= 0).flatten()
         bayes.prior_mean[n_inertial + told] = prior.mean[at[told]]
         bayes.prior_std[told] = prior.scale.diagonal()[at[told]]
-        # The last row and column, where -1 points, are of what was not fitted, and zero.
-        covariance = torch.zeros(fit.columns.n + 1, fit.columns.n + 1, dtype=torch.float64)
-        covariance[fit.free.unsqueeze(1), fit.free] = fit.covariance
-        index = torch.cat((prior.inertial, at))
-        values, axes = torch.linalg.eigh(covariance[index.unsqueeze(1), index])
+        values, axes = torch.linalg.eigh(fitted_covariance(fit, torch.cat((prior.inertial, at))))
         kept = values > 0
         bayes._start_from(bayes.whitening, axes[:, kept] * values[kept].sqrt())
         return bayes
@@ -160,14 +164,11 @@ class BayesianDynamics(nn.Module):
         Raises:
             InputError: no such file, none of ours, or a model without a posterior.
         """
-        robot, pi, terms, state = read_model(path)
-        own = {k.removeprefix(POSTERIOR): v for k, v in state.items() if k.startswith(POSTERIOR)}
+        physics, own = RigidBodyDynamics.load(path), read_model(path).posterior
         if not own:
             raise InputError(f"{path}: holds a model without a posterior; RigidBodyDynamics.load reads it")
-        physics = RigidBodyDynamics(robot, pi, terms)
-        physics.load_state_dict({k: v for k, v in state.items() if not k.startswith(POSTERIOR)})
         bodies, told = physics.physical.nonzero().flatten().tolist(), own["free_bodies"].tolist()
-        trust = [robot.body_names[b] for k, b in enumerate(bodies) if k not in told]
+        trust = [physics.robot.body_names[b] for k, b in enumerate(bodies) if k not in told]
         bayes = cls(physics, kappa=float(own.pop("kappa")), trust=trust)
         bayes._start_from(own["whitening"], own["spread"])
         bayes.load_state_dict(own | {f"physics.{k}": v for k, v in physics.state_dict().items()})
@@ -182,8 +183,7 @@ class BayesianDynamics(nn.Module):
         own = {k: v for k, v in self.state_dict().items() if not k.startswith("physics.")}
         own["kappa"] = torch.tensor(self.kappa, dtype=torch.float64)
         robot = self.robot()
-        state = robot.state_dict() | {POSTERIOR + k: v for k, v in own.items()}
-        write_model(path, robot.robot, robot.terms, state)
+        write_model(path, robot.robot, robot.terms, robot.state_dict(), own)
 
     @property
     def noise_std(self) -> Tensor:
@@ -260,15 +260,14 @@ class BayesianDynamics(nn.Module):
 
     def divergence(self) -> Tensor:
         """Return KL(q | p) up to the prior's constant [nats]."""
-        theta, root, energy = self.theta, self.root, self.centre.new_zeros(())
-        for place, k in enumerate(self.free_bodies.tolist()):
-            own = theta[_of_body(k)]
-            energy = energy + divergence(own, self.prior_mean[_of_body(k)])
-            energy = energy + spread_divergence(own, root[_of_body(place)])
-        n_terms = len(self.prior_std)
-        far = theta[len(theta) - n_terms :] - self.prior_mean[len(theta) - n_terms :]
-        square = far.square() + root[len(root) - n_terms :].square().sum(-1)
-        return self.kappa * energy + 0.5 * (square / self.prior_std.square()).sum() - self.raw_factor.diagonal().sum()
+        theta, root, n = self.theta, self.root, self.physics.raw_inertia.numel()
+        bodies = self._bodies(theta)
+        # Of the spread the curvature counts, tr(D'' R R') / 2.
+        spread = root[: bodies.numel()].unflatten(0, (-1, PARAMETERS_PER_BODY))
+        wide = (curvature(bodies) @ spread * spread).sum()
+        energy = self.kappa * (divergence(bodies, self._bodies(self.prior_mean)).sum() + 0.5 * wide)
+        square = (theta[n:] - self.prior_mean[n:]).square() + root[bodies.numel() :].square().sum(-1)
+        return energy + 0.5 * (square / self.prior_std.square()).sum() - self.raw_factor.diagonal().sum()
 
     def whiten(self, q: Tensor, qd: Tensor, qdd: Tensor, tau: Tensor, t: Tensor | None = None) -> None:
         """Choose coordinates in which the loss of a sample is as steep in all directions, around the mean.
@@ -284,12 +283,7 @@ class BayesianDynamics(nn.Module):
             t: as of ``forward``.
         """
         with torch.no_grad():
-            parameters = self._parameters_at(self.theta)
-            A = (
-                physics_columns(self.physics, q, qd, qdd, t, parameters=parameters)
-                .flatten(0, -3)
-                .to(self.centre)[..., self.linear]
-            )
+            A = self._columns(q, qd, qdd, t).flatten(0, -3).to(self.centre)
             torque, n_terms = tau.reshape(-1, tau.shape[-1]).to(self.centre), len(self.prior_std)
             size = A[..., A.shape[-1] - n_terms :].square().mean(0).sqrt()
             felt = (size / torque.square().mean(0).sqrt().unsqueeze(-1)).amax(0) if n_terms else self.prior_std
@@ -297,9 +291,9 @@ class BayesianDynamics(nn.Module):
             std = (torque - self(q, qd, qdd, t).reshape(torque.shape)).square().mean(0).sqrt()
             self.raw_noise.copy_(std.log())
             A = A / std.unsqueeze(-1)
-            H, J = torch.einsum("bdk,bdl->kl", A, A), slopes(self.physics, parameters, self.free)
-            whitening = _root(J.T @ H @ J + self._prior_precision()) * len(A) ** 0.5
-            self._start_from(whitening, _root(H + self._spread_precision()))
+            H, J = torch.einsum("bdk,bdl->kl", A, A), slopes(self.physics, self._parameters_at(self.theta), self.free)
+            whitening = len(A) ** 0.5 * inverse_root(J.T @ H @ J + self._prior_precision_of_theta())
+            self._start_from(whitening, inverse_root(H + self._prior_precision(self.theta)))
 
     def fit(
         self,
@@ -347,39 +341,28 @@ class BayesianDynamics(nn.Module):
             InputError: n is not positive.
         """
         with torch.no_grad():
-            parameters, root = self._parameters_at(self.theta), self.root.cpu()
-            x = self._linear(self.theta).cpu()
-            drawn = sample_around(self._prior(), x, self.linear.cpu(), root @ root.T, n, seed).x.to(self.centre)
-        theta = self.theta.detach().repeat(n, 1)
-        theta[:, self.free] = drawn[:, self.linear]
-        for place, k in enumerate(self.free_bodies.tolist()):
-            theta[:, _of_body(k)] = to_log_cholesky(drawn[:, self.linear[_of_body(place)]])
-        return ManyRobots(self.robot(), {k: v for k, v in self._parameters_at(theta).items() if k in parameters})
+            theta, root = self.theta, self.root.cpu()
+            x = linear(self.physics, theta).cpu()
+            mean, precision = linear(self.physics, self.prior_mean), self._prior_precision(self.prior_mean)
+            prior = as_prior(mean.cpu(), self.linear.cpu(), precision.cpu(), len(self.free_bodies), self.kappa)
+            drawn = sample_around(prior, x, self.linear.cpu(), root @ root.T, n, seed).x.to(theta)
+            found = theta.repeat(n, 1)
+            found[:, self.free] = drawn[:, self.linear]
+            for place, k in enumerate(self.free_bodies.tolist()):
+                found[:, _of_body(k)] = to_log_cholesky(drawn[:, self.linear[_of_body(place)]])
+            return ManyRobots(self.robot(), self._parameters_at(found))
 
-    def _linear(self, theta: Tensor) -> Tensor:
-        """Return x (n_params + n_terms,), of theta."""
-        model = copy.deepcopy(self.physics)
-        model.load_state_dict(self._parameters_at(theta), strict=False)
-        return torch.cat((model.pi, theta[model.raw_inertia.numel() :]))
-
-    def _prior(self) -> Prior:
-        """Return the prior as fits have it."""
-        mean, n = self._linear(self.prior_mean).cpu(), self.physics.robot.n_params
-        bodies = tuple(self.linear[: PARAMETERS_PER_BODY * len(self.free_bodies) : PARAMETERS_PER_BODY].tolist())
-        scale = torch.zeros(len(mean), len(mean), dtype=mean.dtype)
-        scale[n:, n:] = torch.diag(self.prior_std.cpu())
-        J = pseudo_inertia(mean[:n].reshape(-1, PARAMETERS_PER_BODY)[[b // PARAMETERS_PER_BODY for b in bodies]])
-        inverse = torch.linalg.inv(J)
-        for b, one in zip(bodies, inverse, strict=True):
-            own = slice(b, b + PARAMETERS_PER_BODY)
-            scale[own, own] = _root(self.kappa * divergence_hessian(one))
-        return Prior(mean, mean, tuple(b // PARAMETERS_PER_BODY for b in bodies), inverse, self.kappa, scale)
+    def _columns(self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None) -> Tensor:
+        """Return A (*batch, n_dof, n_free) of the free entries of x, at the mean."""
+        with torch.autocast(q.device.type, enabled=False):
+            A = physics_columns(self.physics, q, qd, qdd, t, parameters=self._parameters_at(self.theta))
+            return A[..., self.linear]
 
     def _spread(self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None) -> Tensor:
         """Return A R (*batch, n_dof, n_spread)."""
+        A = self._columns(q, qd, qdd, t)
         with torch.autocast(q.device.type, enabled=False):
-            A = physics_columns(self.physics, q, qd, qdd, t, parameters=self._parameters_at(self.theta))
-            return A[..., self.linear] @ self.root.to(A)
+            return A @ self.root.to(A)
 
     def _start_from(self, whitening: Tensor, spread: Tensor) -> None:
         """Take the mean for the centre, other coordinates around it, and R = V."""
@@ -390,24 +373,21 @@ class BayesianDynamics(nn.Module):
         self.mean = nn.Parameter(self.centre.new_zeros(whitening.shape[1]))
         self.raw_factor = nn.Parameter(self.centre.new_zeros(spread.shape[1], spread.shape[1]))
 
-    def _prior_precision(self) -> Tensor:
-        """Return the prior's curvature in the free entries of theta, at its mode."""
-        bodies = [self.kappa * curvature(self.prior_mean[_of_body(k)]) for k in self.free_bodies.tolist()]
+    def _bodies(self, theta: Tensor) -> Tensor:
+        """Return the coordinates of the free bodies, (n_bodies, 10)."""
+        return theta[: self.physics.raw_inertia.numel()].reshape(-1, PARAMETERS_PER_BODY)[self.free_bodies]
+
+    def _prior_precision(self, theta: Tensor) -> Tensor:
+        """Return the prior's curvature in the free entries of x, at theta (n,)."""
+        bodies = self.kappa * curvature(self._bodies(theta))
         return torch.block_diag(*bodies, torch.diag(self.prior_std**-2.0))
 
-    def _spread_precision(self) -> Tensor:
-        """Return the prior's curvature in the free entries of x, at the mean."""
-        theta = self.theta[: self.physics.raw_inertia.numel()].reshape(-1, PARAMETERS_PER_BODY)[self.free_bodies]
-        bodies = self.kappa * divergence_hessian(torch.linalg.inv(pseudo_inertia(from_log_cholesky(theta))))
-        return torch.block_diag(*bodies, torch.diag(self.prior_std**-2.0))
+    def _prior_precision_of_theta(self) -> Tensor:
+        """Return the same in the free entries of theta, at the prior's mode, where D has no slope."""
+        J = slopes(self.physics, self._parameters_at(self.prior_mean), self.free)
+        return J.T @ self._prior_precision(self.prior_mean) @ J
 
 
 def _of_body(k: int) -> slice:
     """Return where the ten numbers of body k are."""
     return slice(PARAMETERS_PER_BODY * k, PARAMETERS_PER_BODY * (k + 1))
-
-
-def _root(precision: Tensor) -> Tensor:
-    """Return X with X X' = precision^-1."""
-    values, axes = torch.linalg.eigh(precision)
-    return axes / values.sqrt()

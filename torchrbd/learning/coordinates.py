@@ -61,7 +61,7 @@ def physics_columns(
     """
     robot = model.robot
     parameters = dict(model.named_parameters()) if parameters is None else parameters
-    pi = torch.func.functional_call(_Inertia(model), {f"model.{name}": value for name, value in parameters.items()})
+    pi = _pi(model, parameters)
     coefficients = [parameters[f"_terms.{k}.coefficients"] for k in range(len(model.terms))]
     plain = [(m.effect.id, m.site.joint, w) for m, w in zip(model.terms, coefficients, strict=True) if m.site.always]
     friction, Y = plain_friction(robot.n_dof, plain), robot.regressor(q, qd, qdd)
@@ -76,6 +76,20 @@ def physics_columns(
     return torch.cat(columns, -1)
 
 
+def linear(model: RigidBodyDynamics, theta: Tensor) -> Tensor:
+    """Return x (n_params + n_terms,) at theta (n,)."""
+    pi = _pi(model, unflatten(model, theta))
+    return torch.cat((pi, theta[model.raw_inertia.numel() :]))
+
+
+def fitted_covariance(fit: FittedModel, index: Tensor) -> Tensor:
+    """Return the covariance of entries of a fit's x; zero for those at -1 and what was not fitted."""
+    # The last row and column, where -1 points.
+    whole = torch.zeros(fit.columns.n + 1, fit.columns.n + 1, dtype=torch.float64)
+    whole[fit.free.unsqueeze(1), fit.free] = fit.covariance
+    return whole[index.unsqueeze(1), index]
+
+
 def linear_positions(model: RigidBodyDynamics, fit: FittedModel) -> Tensor:
     """Return where in x of a fit the coefficients of its module's terms stand, (n_terms,); -1 if not fitted."""
     known = {(c.effect.id, c.site): fit.columns.of(c) for c in fit.proper_terms}
@@ -86,6 +100,10 @@ def linear_positions(model: RigidBodyDynamics, fit: FittedModel) -> Tensor:
         where += [-1 if k in taken else k for k in own]
         taken.update(own)
     return torch.tensor(where, dtype=torch.long)
+
+
+def _pi(model: RigidBodyDynamics, parameters: Mapping[str, Tensor]) -> Tensor:
+    return torch.func.functional_call(_Inertia(model), {f"model.{name}": value for name, value in parameters.items()})
 
 
 class _Inertia(torch.nn.Module):

@@ -92,7 +92,7 @@ def urdf_prior(
     for b, own, metric in zip(bodies, pi0, divergence_hessian(inverse), strict=True):
         here = slice(PARAMETERS_PER_BODY * b, PARAMETERS_PER_BODY * (b + 1))
         mean[here] = own
-        scale[here, here] = _inverse_root(kappa * metric)
+        scale[here, here] = inverse_root(kappa * metric)
     for joint in range(robot.n_dof):
         for k in columns.of_joint[joint].tolist():
             if k >= robot.n_params:
@@ -124,7 +124,7 @@ def _feature_rms(statistics: BlockStatistics) -> Tensor:
     return power.sqrt()
 
 
-def _inverse_root(A: Tensor) -> Tensor:
+def inverse_root(A: Tensor) -> Tensor:
     """Return S with S S' = A^-1. The matrix is balanced first: its entries differ by the square of the body's size."""
     d = A.diagonal().rsqrt()
     return d.unsqueeze(1) * torch.linalg.inv(torch.linalg.cholesky(d.unsqueeze(1) * A * d)).mT

@@ -21,8 +21,8 @@ from torchrbd.robot import RobotModel
 
 NAME = "model.safetensors"
 """Of the file in a folder of results."""
-POSTERIOR = "posterior."
-"""Before the names of tensors that say how well the model is known."""
+# Before the names of tensors that say how well the model is known.
+_POSTERIOR = "posterior."
 _FORMAT = "torchrbd-model-2"
 
 
@@ -32,16 +32,24 @@ class Parts(NamedTuple):
     Attributes:
         pi: (n_params,) inertial parameters.
         state: of the module.
+        posterior: how well it is known, tensors by name; empty where the file does not say.
     """
 
     robot: RobotModel
     pi: Tensor
     terms: list[Term]
     state: dict[str, Tensor]
+    posterior: dict[str, Tensor]
 
 
-def write_model(path: str | Path, robot: RobotModel, terms: Sequence[Term], state: Mapping[str, Tensor]) -> None:
-    """Write a model to a safetensors file.
+def write_model(
+    path: str | Path,
+    robot: RobotModel,
+    terms: Sequence[Term],
+    state: Mapping[str, Tensor],
+    posterior: Mapping[str, Tensor] | None = None,
+) -> None:
+    """Write a model to a safetensors file; arguments as of ``Parts``.
 
     Raises:
         RobotError: the robot was not made from a URDF.
@@ -54,8 +62,9 @@ def write_model(path: str | Path, robot: RobotModel, terms: Sequence[Term], stat
         "gravity": json.dumps(robot.gravity.tolist()),
         "terms": json.dumps([{"effect": t.effect.id, "site": asdict(t.site), "shape": t.shape} for t in terms]),
     }
+    tensors = {**state, **{_POSTERIOR + name: value for name, value in (posterior or {}).items()}}
     # By Python, whose files have the permissions that the user's others have; safetensors' own are for the owner alone.
-    Path(path).write_bytes(save({name: value.contiguous() for name, value in state.items()}, metadata))
+    Path(path).write_bytes(save({name: value.contiguous() for name, value in tensors.items()}, metadata))
 
 
 def read_model(path: str | Path) -> Parts:
@@ -68,7 +77,7 @@ def read_model(path: str | Path) -> Parts:
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (OSError, SafetensorError) as error:
         raise InputError(f"{path}: cannot be read as a model ({error})") from None
     if metadata.get("format") != _FORMAT:
@@ -76,13 +85,15 @@ def read_model(path: str | Path) -> Parts:
             f"{path}: is no model of torchrbd; expected format '{_FORMAT}', got '{metadata.get('format')}'"
         )
     robot = RobotModel.from_urdf(metadata["urdf"].encode(), gravity=json.loads(metadata["gravity"]))
+    state = {name: value for name, value in tensors.items() if not name.startswith(_POSTERIOR)}
     terms = [
         Term(effect(t["effect"]), _site(t["site"]), state[f"_terms.{k}.coefficients"], t["shape"])
         for k, t in enumerate(json.loads(metadata["terms"]))
     ]
     pi = state["constant_pi"].clone()
     pi[state["physical"]] += from_log_cholesky(state["raw_inertia"])
-    return Parts(robot, pi.flatten().to(torch.float64), terms, state)
+    posterior = {name.removeprefix(_POSTERIOR): tensors[name] for name in tensors.keys() - state.keys()}
+    return Parts(robot, pi.flatten().to(torch.float64), terms, state, posterior)
 
 
 def _site(content: dict[str, Any]) -> Site:

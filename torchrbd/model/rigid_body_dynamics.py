@@ -15,14 +15,17 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from torchrbd.errors import InputError
-from torchrbd.model.files import POSTERIOR, read_model, write_model
+from torchrbd.errors import InputError, OptionError
+from torchrbd.model.files import read_model, write_model
 from torchrbd.model.starting import REST_WIDTH, starting_terms, urdf_friction
 from torchrbd.model.stepping import implicit_velocity, runge_kutta
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, is_physical, to_log_cholesky
 from torchrbd.physics import Signals, Term
 from torchrbd.physics.plain_friction import plain_friction
 from torchrbd.robot import STANDARD_GRAVITY, RobotModel
+
+METHODS = ("semi_implicit", "runge_kutta")
+"""Of a step."""
 
 
 class RigidBodyDynamics(nn.Module):
@@ -120,9 +123,9 @@ class RigidBodyDynamics(nn.Module):
         Raises:
             InputError: no such file, or none of ours.
         """
-        robot, pi, terms, state = read_model(path)
-        model = cls(robot, pi, terms)
-        model.load_state_dict({name: v for name, v in state.items() if not name.startswith(POSTERIOR)})
+        found = read_model(path)
+        model = cls(found.robot, found.pi, found.terms)
+        model.load_state_dict(found.state)
         return model
 
     def save(self, path: str | Path) -> None:
@@ -256,8 +259,8 @@ class RigidBodyDynamics(nn.Module):
             PhysicalError: the mass matrix is not positive definite (a moving body without mass or rotor inertia).
         """
         self.robot.check(q, qd, tau)
-        mass, rest = self._at_rest(q, qd, t, temperature, recording)
-        return self.robot.accelerate(mass, tau - rest)
+        mass, rigid, added = self._at_rest(q, qd, t, temperature, recording)
+        return self.robot.accelerate(mass, tau - rigid - added)
 
     def step(
         self,
@@ -284,31 +287,34 @@ class RigidBodyDynamics(nn.Module):
 
         Raises:
             InputError: a term has memory: its torque is not one of the present state.
+            OptionError: an unknown method.
             PhysicalError: the mass matrix is not positive definite.
         """
         self.robot.check(q, qd, tau)
+        if method not in METHODS:
+            raise OptionError(f"method is '{method}'; expected one of {', '.join(METHODS)}")
         if method == "runge_kutta":
             return runge_kutta(lambda q, qd: self.forward_dynamics(q, qd, tau, t, temperature, recording), q, qd, dt)
         q, qd, tau = torch.broadcast_tensors(q, qd, tau)
         still, instants = torch.zeros_like(q), _instants(t)
+
+        def added(v: Tensor) -> Tensor:
+            return self._term_torque(q, v, still, instants, temperature, recording)
+
         with torch.autocast(q.device.type, enabled=False):
-            mass, _ = self._at_rest(q, qd, t, temperature, recording)
-            rigid = self.robot.inverse_dynamics(q, qd, still, self.pi.to(q))
-            v = implicit_velocity(
-                mass,
-                rigid,
-                lambda v: self._term_torque(q, v, still, instants, temperature, recording),
-                qd,
-                tau,
-                dt,
-                self.rest_width,
-            )
+            mass, rigid, _ = self._at_rest(q, qd, t, temperature, recording)
+            try:
+                v = implicit_velocity(mass, rigid, added, qd, tau, dt, self.rest_width)
+            except torch.linalg.LinAlgError:  # pyright: ignore[reportPrivateImportUsage]
+                # Says at which joint.
+                self.robot.accelerate(mass, tau)
+                raise
         return q + dt * v, v
 
     def _at_rest(
         self, q: Tensor, qd: Tensor, t: Tensor | None, temperature: Tensor | None, recording: str | None
-    ) -> tuple[Tensor, Tensor]:
-        """Return the mass matrix with that of the terms, and the torque of no acceleration."""
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the mass matrix, the terms' in it, and the torques of rigid body and terms at no acceleration."""
         self.robot.check(q, qd)
         q, qd = torch.broadcast_tensors(q, qd)
         with torch.autocast(q.device.type, enabled=False):
@@ -317,7 +323,7 @@ class RigidBodyDynamics(nn.Module):
             tries = torch.cat((torch.zeros_like(unit[:1]), unit)).reshape(-1, *[1] * (q.ndim - 1), len(unit))
             still, *moved = self._term_torque(q, qd, tries, _instants(t), temperature, recording)
             mass = self.robot.mass_matrix(q, self.pi.to(q)) + torch.stack([one - still for one in moved], -1)
-            return mass, self.robot.inverse_dynamics(q, qd, torch.zeros_like(q), self.pi.to(q)) + still
+            return mass, self.robot.inverse_dynamics(q, qd, torch.zeros_like(q), self.pi.to(q)), still
 
 
 def _instants(t: Tensor | None) -> Tensor | None:
