@@ -123,6 +123,8 @@ def test_traced_in_one_graph(model: RigidBodyDynamics) -> None:
     torch.testing.assert_close(accelerated(q, qd, tau), model.forward_dynamics(q, qd, tau), rtol=1e-12, atol=1e-12)
 
 
+# torch's inductor uses names of torch that are to go.
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 @pytest.mark.slow
 def test_compiled_by_inductor(model: RigidBodyDynamics) -> None:
     torch.compiler.reset()
