@@ -12,8 +12,10 @@ from torchrbd.inference import (
 from torchrbd.learning import (
     BayesianDynamics,
     DynamicsRegressor,
+    NaturalGradient,
     ResidualDynamics,
     fit_residual,
+    parameter_groups,
     residual_dataset,
 )
 from torchrbd.model import RigidBodyDynamics
@@ -33,6 +35,7 @@ __all__ = [
     "Finding",
     "Identification",
     "InputError",
+    "NaturalGradient",
     "OptionError",
     "PhysicalError",
     "Ranking",
@@ -53,6 +56,7 @@ __all__ = [
     "identify_many",
     "load_model",
     "open_recording",
+    "parameter_groups",
     "rank",
     "read_mapping",
     "register",

@@ -1,6 +1,6 @@
 """Effects hidden in real recordings: real noise, real friction, real unknowns, and one thing more that is known.
 
-    TORCHRBD_DATA=/path/to/recordings python -m benchmarks.concealed.real --count 12 --seed 0 -o DIR
+    TORCHRBD_DATA=/path/to/recordings python -m benchmarks.concealed.real --count 12 --sizes .15 .08 --seed 0 -o DIR
 
 The torque that an effect adds along the measured, smoothed motion is added to the *measured* torque; what sensors do
 is done to what they measured. Each data set also makes an untouched case: what a diagnosis of it finds is there anyway,
@@ -125,7 +125,7 @@ def write_case(folder: Path, robot: Robot, recordings: Sequence[Taken], effect: 
         parquet.write_table(pa.table(table), folder / taken.motion.file)
 
 
-def generate(data: Path, out: Path, count: int, seed: int) -> None:
+def generate(data: Path, out: Path, count: int, seed: int, sizes: Sequence[float] = SIZES) -> None:
     """Write the untouched case and ``count`` cases with an effect for each data set.
 
     Args:
@@ -133,6 +133,7 @@ def generate(data: Path, out: Path, count: int, seed: int) -> None:
         out: folder for ``cases`` and ``truth``.
         count: for each data set; kinds, then sizes, take turns.
         seed: of all draws.
+        sizes: of the effects, in turns.
     """
     (out / "truth").mkdir(parents=True, exist_ok=True)
     for number, (name, one) in enumerate(DATA_SETS.items()):
@@ -140,7 +141,8 @@ def generate(data: Path, out: Path, count: int, seed: int) -> None:
         robot = RealRobot(name, (folder / one.urdf).read_text(encoding="utf-8"))
         names = [f"fit_{k + 1}.parquet" for k in range(len(one.fit))]
         fitted = [take(robot, folder / file, new) for file, new in zip(one.fit, names, strict=True)]
-        recordings = [*fitted, take(robot, folder / one.holdout, "holdout.parquet")]
+        left_out = [take(robot, folder / one.holdout, "holdout.parquet")] if one.holdout else []
+        recordings = [*fitted, *left_out]
         rng, yardstick = np.random.default_rng([seed, number]), RealYardstick(fitted)
         turns = max(float(np.ptp(r.motion.q)) for r in fitted) > 2 * np.pi
         kinds = [k for k in HIDDEN if (robot.n > 1 or "coupling" not in k) and not (turns and k in OF_ANGLES)]
@@ -148,7 +150,7 @@ def generate(data: Path, out: Path, count: int, seed: int) -> None:
         baseline = _identifier(rng)
         _write(out, robot, recordings, baseline, None, {"tier": "untouched", "effects": []})
         for k in track(range(count), name):
-            kind, target = order[k % len(order)], SIZES[k % len(SIZES)]
+            kind, target = order[k % len(order)], sizes[k % len(sizes)]
             try:
                 effect = draw_hidden(rng, kind, target, yardstick)
             except Refused as refusal:
@@ -177,13 +179,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=12, help="cases for each data set")
     parser.add_argument("--seed", type=int, default=0, help="of all draws; the final set's is another one")
+    parser.add_argument("--sizes", type=float, nargs="+", default=SIZES, help="parts of the joint's torque, in turns")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for cases and truth")
     options = parser.parse_args(arguments)
     data = os.environ.get("TORCHRBD_DATA")
     if not data or not Path(data).is_dir():
         print("TORCHRBD_DATA names no folder of real recordings; see examples/real_recordings.py for their sources")
         return 2
-    generate(Path(data), options.output, options.count, options.seed)
+    generate(Path(data), options.output, options.count, options.seed, options.sizes)
     return 0
 
 

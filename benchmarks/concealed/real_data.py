@@ -21,12 +21,12 @@ SMOOTH_HZ = 8.0
 
 @dataclass(frozen=True)
 class DataSet:
-    """Recordings of one robot: files to fit and one to judge on."""
+    """Recordings of one robot: files to fit and one to judge on; without it, blocks of those to fit."""
 
     folder: str
     urdf: str
     fit: tuple[str, ...]
-    holdout: str
+    holdout: str | None = None
 
 
 DATA_SETS = {
@@ -38,6 +38,8 @@ DATA_SETS = {
         "A_20220812_060329.csv",
     ),
     "pendulum": DataSet("dfki_pendulum", "robot.urdf", ("energy_shaping.csv", "sac.csv"), "ilqr.csv"),
+    "emps": DataSet("emps", "robot.urdf", ("train.csv",), "pulses.csv"),
+    "panda": DataSet("panda", "robot.urdf", ("exciting_traj.csv",)),
 }
 
 

@@ -6,6 +6,8 @@ from torchrbd.learning.bayesian_dynamics import BayesianDynamics
 from torchrbd.learning.coordinates import physics_columns
 from torchrbd.learning.fit_residual import Training, fit_residual
 from torchrbd.learning.many_robots import ManyRobots
+from torchrbd.learning.natural_gradient import NaturalGradient
+from torchrbd.learning.parameter_groups import parameter_groups
 from torchrbd.learning.physics_metric import PhysicsMetric
 from torchrbd.learning.predictions import ExternalTorque, Prediction
 from torchrbd.learning.residual_data import ResidualDataset, residual_dataset
@@ -19,6 +21,7 @@ __all__ = [
     "DynamicsRegressor",
     "ExternalTorque",
     "ManyRobots",
+    "NaturalGradient",
     "PhysicsMetric",
     "Prediction",
     "ResidualDataset",
@@ -26,6 +29,7 @@ __all__ = [
     "TorqueShares",
     "Training",
     "fit_residual",
+    "parameter_groups",
     "physics_columns",
     "residual_dataset",
 ]

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.parameters import from_log_cholesky
+from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky
 from torchrbd.physics import Signals
 from torchrbd.physics.plain_friction import plain_friction
 
@@ -32,6 +32,15 @@ def unflatten(model: RigidBodyDynamics, theta: Tensor) -> dict[str, Tensor]:
     named = dict(model.named_parameters())
     parts = theta.split([p.numel() for p in named.values()], -1)
     return {k: v.unflatten(-1, p.shape) if p.ndim > 1 else v for (k, p), v in zip(named.items(), parts, strict=True)}
+
+
+def linear_entries(model: RigidBodyDynamics) -> Tensor:
+    """Return where in x the entries of theta stand, (n,): those of physical bodies, then the coefficients."""
+    bodies = PARAMETERS_PER_BODY * model.physical.nonzero() + torch.arange(
+        PARAMETERS_PER_BODY, device=model.physical.device
+    )
+    n_terms = sum(len(term.coefficients) for term in model.terms)
+    return torch.cat((bodies.flatten(), model.robot.n_params + torch.arange(n_terms, device=bodies.device)))
 
 
 def slopes(model: RigidBodyDynamics, parameters: Mapping[str, Tensor], free: Tensor) -> Tensor:
