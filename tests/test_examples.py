@@ -44,7 +44,7 @@ def friction_in(line: str) -> float:
 
 def test_each_example_has_its_test() -> None:
     tested = {"torch_loop", "ensemble", "computed_torque", "contact_detection", "gymnasium_env", "lightning_fit"}
-    tested.add("residual_network")
+    tested |= {"residual_network", "actuator_network"}
     assert {path.stem for path in FOLDER.glob("*.py")} == tested
 
 
@@ -78,6 +78,12 @@ def test_contact_is_seen_and_nothing_else(capsys: pytest.CaptureFixture[str]) ->
 
 def test_a_network_learns_what_physics_lacks(capsys: pytest.CaptureFixture[str]) -> None:
     assert example("residual_network").main() < 0.8
+    assert len(lines(capsys)) == 2
+
+
+@pytest.mark.filterwarnings("ignore:.*torch.jit.load:DeprecationWarning")  # what Isaac Lab calls
+def test_a_drive_is_learnt_for_mujoco(capsys: pytest.CaptureFixture[str]) -> None:
+    assert example("actuator_network", "mujoco").main() < 0.3
     assert len(lines(capsys)) == 2
 
 
