@@ -26,7 +26,8 @@ URDF = """<robot name="leg"><link name="base"/>
   <limit lower="-3" upper="3" effort="40" velocity="20"/></joint>
 <link name="thigh"><inertial><origin xyz="0 0 -0.15"/><mass value="2.0"/>
   <inertia ixx="0.02" iyy="0.02" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="knee" type="revolute"><origin xyz="0 0 -0.3"/><parent link="thigh"/><child link="shank"/><axis xyz="0 1 0"/>
+<joint name="knee" type="revolute"><origin xyz="0 0 -0.3"/><parent link="thigh"/>
+  <child link="shank"/><axis xyz="0 1 0"/>
   <limit lower="-3" upper="3" effort="40" velocity="20"/></joint>
 <link name="shank"><inertial><origin xyz="0 0 -0.12"/><mass value="1.0"/>
   <inertia ixx="0.008" iyy="0.008" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
