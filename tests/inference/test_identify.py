@@ -288,3 +288,22 @@ def test_friction_that_the_urdf_lacks_is_fitted_unless_told_otherwise(recording:
     assert set(rigid.fits) == {"urdf", "rigid_body"}
     one = identify(URDF, recording, exclude=["asymmetric_coulomb_friction"])
     assert {p.name.split("_joint")[0] for p in one.parameters if p.status == "term"} == {"viscous_friction"}
+
+
+def test_a_known_payload_tells_the_gain_of_a_torque_sensor() -> None:
+    """Masses known to a third do not tell a gain; a load that is known, in one of two recordings, does."""
+    urdf = urdf_of(4, 4, fixed=1.0)
+    robot = RobotModel.from_urdf(urdf)
+    link = robot.body_names[-1]
+    joint, gain = 1, 0.8
+    both = []
+    for name, real in (("empty.csv", urdf), ("load.csv", loaded(urdf, link))):
+        (chunk,) = record(real, 6, name=name).chunks(10**7)
+        tau = chunk.tau.copy()
+        tau[:, joint] *= gain
+        both.append(Recording.from_arrays(name, robot.joint_names, chunk.t, chunk.q, tau))
+    wrong = with_wrong_inertials(urdf, 2, size=0.3)
+    at = f"torque_scale@{robot.joint_names[joint]}"
+    found = identify(wrong, both, payload=f"load.csv=1.5,0.1,-0.05,0.2@{link}", effects=[at])
+    (term,) = (t for t in found.model.terms if t.effect.id == "torque_scale")
+    assert term.parameters_by_name()["gain"] == pytest.approx(gain, abs=0.01)

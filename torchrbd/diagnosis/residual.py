@@ -7,7 +7,7 @@ is paid for.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,8 +30,13 @@ _SLOWEST_HZ, _AROUND_HZ = 1.0, 1.5
 
 def curves(fit: Likelihood, rows: Rows) -> list[Hypothesis]:
     """Return functions of each signal, and a tone, at every joint that has a torque, beside a fit."""
-    found = [averaged(fit, rows, [candidate]) for candidate in _candidates(rows)]
-    return [h for h in (*found, *_tones(fit, rows)) if h is not None]
+    return [*curves_at(fit, rows, range(rows.n_dof)), *(h for h in _tones(fit, rows) if h is not None)]
+
+
+def curves_at(fit: Likelihood, rows: Rows, joints: Collection[int]) -> list[Hypothesis]:
+    """Return functions of each signal at some joints beside a fit."""
+    found = (averaged(fit, rows, [c]) for c in _candidates(rows) if c.site.joint in joints)
+    return [h for h in found if h is not None]
 
 
 def _tones(fit: Likelihood, rows: Rows) -> Iterator[Hypothesis | None]:

@@ -206,8 +206,10 @@ class Columns:
         return stick_weight(unknown, self.stick_levels)
 
     def signals(self, states: States) -> Signals:
-        """Return the signals of a tile, time last."""
+        """Return the signals of a tile, time last; their load is that of the robot and of what it is known to carry."""
         signals = self.signals_at(states.q, states.qd, states.qdd)
+        if states.loaded is not None:
+            signals = replace(signals, pi=states.loaded + (self.robot.pi if self.pi is None else self.pi))
         signals = replace(signals, t=states.t, recording=states.recording, turned=states.turned)
         return replace(signals, temperature=states.temperature)
 

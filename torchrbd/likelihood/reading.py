@@ -66,7 +66,7 @@ class Reading:
                 states = self.smoothed[k](states)
             if load is not None:
                 known = self.robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, load).T
-                states = replace(states, tau=states.tau - known)
+                states = replace(states, tau=states.tau - known, loaded=load)
             yield self.simulated[k].taken_off(states) if self.simulated else states
 
     @property

@@ -43,6 +43,7 @@ class States:
         temperature: (n, N) of the joints [deg C], low-passed as q is, NaN for joints without; None where not recorded.
         turned: per joint, where the segment began and where the joint has turned since, before this piece (R_j,), the
             last ones, oldest first [rad or m]; empty in a segment's first piece.
+        loaded: (n_params,) inertial parameters of a known load, whose torque is taken off ``tau``; None without one.
     """
 
     segment: int
@@ -60,6 +61,7 @@ class States:
     q_link: torch.Tensor | None = None
     temperature: torch.Tensor | None = None
     turned: tuple[torch.Tensor, ...] = ()
+    loaded: torch.Tensor | None = None
 
     @property
     def dt_out(self) -> float:
