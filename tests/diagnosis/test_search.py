@@ -88,6 +88,17 @@ def test_torque_without_a_law_is_not_given_one_that_is_somewhat_like_it() -> Non
     assert {t.own.name for t in found.terms} == {("smooth_torque_over_q", Site(0))}
 
 
+def test_a_curve_takes_what_a_law_lacks_and_not_its_place() -> None:
+    """A curve over the acceleration could be all of a rotor's torque, and of what else depends on it."""
+
+    def torque(m: Any) -> Any:
+        qdd = m.qdd[:, 1]
+        return 0.05 * qdd + 0.15 * np.exp(-(((qdd - np.quantile(qdd, 0.8)) / (0.2 * qdd.std())) ** 2))
+
+    found, _ = searched(at_joint(1, torque), ["rotor_inertia", "quadratic_drag"])
+    assert {t.own.name for t in found.terms} == {("rotor_inertia", Site(1)), ("smooth_torque_over_qdd", Site(1))}
+
+
 def test_nothing_may_be_there_and_nothing_is() -> None:
     found, told = searched(None, ())
     assert (found.terms, found.first, found.considered, told) == ((), [], 0, [])
@@ -151,6 +162,7 @@ def settled(
         return None if evidence is None else replace(h, log_evidence=evidence)
 
     monkeypatch.setattr(search, "again", again)
+    monkeypatch.setattr(search, "curves_at", lambda *_: [])
     for learnt in ("at_a_glance", "with_own_noise"):
         monkeypatch.setattr(search, learnt, lambda fit, rows, h: h)
 
@@ -252,6 +264,7 @@ def test_a_term_that_is_swapped_for_another_time_is_that_of_the_model(rows: Rows
         return replace(h, log_evidence=30.0 if h.candidate == early.candidate else 60.0)
 
     monkeypatch.setattr(search, "again", again)
+    monkeypatch.setattr(search, "curves_at", lambda *_: [])
     for learnt in ("at_a_glance", "with_own_noise"):
         monkeypatch.setattr(search, learnt, lambda fit, rows, h: h)
     monkeypatch.setattr(Table, "with_terms", lambda self, base, chosen: [h.candidate for h in chosen])

@@ -16,7 +16,7 @@ import numpy as np
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, support
 from torchrbd.diagnosis.posterior import log_odds
-from torchrbd.diagnosis.residual import curves, curves_at
+from torchrbd.diagnosis.residual import curves, curves_at, is_curve
 from torchrbd.diagnosis.screening import refined, screened
 from torchrbd.likelihood.gaussian import truncated
 from torchrbd.likelihood.likelihood import Likelihood
@@ -293,25 +293,36 @@ class _Search:
         """Judge each term and its rivals beside all others; swap and drop until nothing changes."""
         terms: list[Term] = []
         for _ in range(_SWEEPS):
-            before, terms, changed = chosen, [], False
-            for own in before:
-                k = len(terms)
+            terms, changed = [], False
+            while (k := len(terms)) < len(chosen):
                 term = self._judged_again(base, chosen, k, seen[k])
-                best = term.best(self.rows)
-                changed |= best is not term.own or log_odds(best, self.rows) <= 0.0
+                own, best = term.own, term.best(self.rows)
+                changed |= best is not own or log_odds(best, self.rows) <= 0.0
                 if log_odds(best, self.rows) <= 0.0:
                     chosen, seen = [*chosen[:k], *chosen[k + 1 :]], [*seen[:k], *seen[k + 1 :]]
                     continue
-                if best is not term.own:
-                    others = [h for h in (own, *seen[k]) if h.candidate != best.candidate]
+                if best is not own and self._beside_a_curve(base, chosen, own, best):
+                    chosen, seen = [*chosen, best], [*seen, [own]]
+                    term = Term(own, tuple(h for h in term.rivals if h is not best))
+                elif best is not own:
+                    others = [h for h in (chosen[k], *seen[k]) if h.candidate != best.candidate]
                     chosen, seen = [*chosen[:k], best, *chosen[k + 1 :]], [*seen[:k], others, *seen[k + 1 :]]
-                    term = Term(best, tuple(self.ordered([h for h in (term.own, *term.rivals) if h is not best])))
+                    term = Term(best, tuple(self.ordered([h for h in (own, *term.rivals) if h is not best])))
                 terms.append(term)
             if not changed:
                 return fit, tuple(terms), last
             fit = self.with_terms(base, chosen)
             last = self.leading(fit, chosen)
         return fit, tuple(terms), last
+
+    def _beside_a_curve(
+        self, base: Likelihood, chosen: Sequence[Hypothesis], own: Hypothesis, best: Hypothesis
+    ) -> bool:
+        """Say whether a law that a curve would replace is needed beside it: then the curve is what the law lacks."""
+        if not is_curve(best.candidate) or is_curve(own.candidate) or len(chosen) >= MOST_TERMS:
+            return False
+        others = [h for h in chosen if h.candidate != own.candidate]
+        return self._still(self.with_terms(base, [*others, best]), own) is not None
 
     def _judged_again(self, base: Likelihood, chosen: Sequence[Hypothesis], k: int, seen: Sequence[Hypothesis]) -> Term:
         """Return a term and its rivals beside all other terms; curves of its joint are among them."""

@@ -14,7 +14,7 @@ from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.residual import depends_on, is_curve
 from torchrbd.diagnosis.results import Finding, Proof, Region, Unexplained, Where
 from torchrbd.diagnosis.search import Explanation
-from torchrbd.diagnosis.words import joined, number, percent, torque_unit
+from torchrbd.diagnosis.words import NO_CHANGE, joined, number, percent, torque_unit
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.physics.smooth_torque import HUM
@@ -42,6 +42,8 @@ def unexplained(
     nameless = [
         _tone(found, one.own) if term.effect is HUM else _curve(extended, term) for term, one in pairs if is_curve(term)
     ]
+    # What held-out time does not show is in the model, and told with all that was considered.
+    nameless = [one for one in nameless if one.share >= NO_CHANGE or one.where.recordings is not None]
     named = {j for f in findings for j in f.joints} | {j for u in nameless for j in u.joints}
     return (*nameless, *(one for one in _silent(extended, proofs) if one.joints[0] not in named))
 
