@@ -129,6 +129,7 @@ SITES = {
     "D": ("rotor_inertia", Site(1)),
     "E": ("quadratic_drag", Site(1)),
     "F": ("quadratic_drag", Site(0)),
+    "S": ("smooth_torque_over_q", Site(0)),
 }
 LETTERS = {place: letter for letter, place in SITES.items()}
 
@@ -153,7 +154,7 @@ def rows() -> Rows:
 
 
 def settled(
-    rows: Rows, monkeypatch: pytest.MonkeyPatch, worth: Any, chosen: str, seen: Sequence[str]
+    rows: Rows, monkeypatch: pytest.MonkeyPatch, worth: Any, chosen: str, seen: Sequence[str], curve: str = ""
 ) -> tuple[frozenset[str], tuple[Term, ...]]:
     """Return the model and terms of a search in which ``worth(name, beside)`` is the evidence."""
 
@@ -162,12 +163,13 @@ def settled(
         return None if evidence is None else replace(h, log_evidence=evidence)
 
     monkeypatch.setattr(search, "again", again)
-    monkeypatch.setattr(search, "curves_at", lambda *_: [])
+    monkeypatch.setattr(search, "curves_at", lambda fit, *_: [made(c) for c in curve if c not in fit])
     for learnt in ("at_a_glance", "with_own_noise"):
         monkeypatch.setattr(search, learnt, lambda fit, rows, h: h)
 
     def made(name: str) -> Hypothesis:
-        c = candidate(rows, *SITES[name])
+        shape = {"low": -1.0, "high": 1.0} if name == "S" else {}
+        c = candidate(rows, *SITES[name], **shape)
         return Hypothesis(c, 99.0, np.zeros(len(c.labels)), np.ones(len(c.labels)), 1.0, 1)
 
     at = Table(rows, (), lambda _: None)
@@ -197,6 +199,20 @@ def test_a_term_that_is_worse_than_a_rival_beside_all_others_is_replaced(rows: R
     assert names(terms) == "BC"
     assert [letter(h) for h in terms[0].rivals] == ["A"]
     assert (terms[0].own.log_evidence, terms[0].rivals[0].log_evidence) == (40.0, 10.0)
+
+
+@pytest.mark.parametrize(("beside_it", "stands"), [(30.0, "AS"), (-5.0, "S")], ids=["needed", "not needed"])
+def test_a_curve_takes_the_place_of_a_law_that_is_not_needed_beside_it(
+    rows: Rows, monkeypatch: pytest.MonkeyPatch, beside_it: float, stands: str
+) -> None:
+    def worth(name: str, beside: frozenset[str]) -> float:
+        if name == "A":
+            return beside_it if "S" in beside else 40.0
+        return 60.0
+
+    fit, terms = settled(rows, monkeypatch, worth, "A", [""], curve="S")
+    assert names(terms) == stands
+    assert fit == set(stands)
 
 
 def test_a_term_that_nothing_asks_for_beside_all_others_is_dropped(rows: Rows, monkeypatch) -> None:
