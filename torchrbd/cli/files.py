@@ -10,6 +10,7 @@ from torchrbd.export.json_files import write_comparison
 from torchrbd.inference import EstimatorComparison, Identification
 from torchrbd.learning import BayesianDynamics
 from torchrbd.report import write_report
+from torchrbd.report.words import suspicion_comments
 
 REPORT = "report.html"
 IDENTIFIED = ("parameters.json", "identified.urdf", "model.safetensors")
@@ -25,7 +26,7 @@ def write_results(result: Identification | Diagnosis | EstimatorComparison, fold
     identification = result.identification if isinstance(result, Diagnosis) else result
     parameters, urdf, model = (folder / name for name in IDENTIFIED)
     write_parameters(identification, parameters)
-    urdf.write_bytes(to_urdf(identification.model))
+    urdf.write_bytes(to_urdf(identification.model, suspicion_comments(identification)))
     if identification.posterior is None:
         save_model(identification.model, model)
     else:

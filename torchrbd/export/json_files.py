@@ -159,7 +159,14 @@ def write_changes(result: Comparison, path: Path) -> None:
 
 
 def _head(result: Identification) -> dict[str, Any]:
-    """Return what both files begin with; ``notes`` holds the ``doubts`` too."""
+    """Return what both files begin with.
+
+    notes: holds the ``doubts`` too, and these the ``suspicions`` in words.
+    suspicions: what the recordings seem to mean instead of what they say: list of kind, joints, log_odds, times (by
+        which the held-out squared error falls, or null), statement, remedy (option or mapping entry), settles (whether
+        nothing can be told before it is settled), alternatives.
+    suspicions_tested: what was looked for.
+    """
     return {
         "schema": SCHEMA,
         "robot": result.robot.name,
@@ -169,6 +176,8 @@ def _head(result: Identification) -> dict[str, Any]:
         "cutoff_hz": result.cutoff_hz,
         "fit": {name: asdict(fit) for name, fit in result.fits.items()},
         "doubts": list(result.doubts),
+        "suspicions": [asdict(one) for one in result.suspicions.found],
+        "suspicions_tested": list(result.suspicions.tested),
         "notes": [*result.doubts, *result.notes],
     }
 

@@ -135,6 +135,15 @@ class Recording:
             _sources=sources,
         )
 
+    def source(self, signal: str, joint: str) -> Source | None:
+        """Return where a joint's signal comes from, e.g. ("tau", "joint3"), time where the signal is "t"; or None."""
+        found = self._sources.get(signal, ())
+        if signal == "t":
+            return found[0]
+        there = {"tau": self.measured, "q_link": self.linked, "temperature": self.thermal}.get(signal)
+        names = self.joints if there is None else tuple(compress(self.joints, there))
+        return dict(zip(names, found, strict=False)).get(joint)
+
     def chunks(self, rows: int = 16384) -> Iterator[Chunk]:
         """Yield the rows in pieces of at most about `rows`.
 
