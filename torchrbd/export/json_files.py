@@ -11,6 +11,7 @@ from typing import Any
 
 from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranked, Ranking
 from torchrbd.inference import EstimatorComparison, Identification
+from torchrbd.outputs import write_whole
 
 SCHEMA = 1
 # A list of numbers that json.dumps has spread over lines; text has no line breaks in JSON.
@@ -185,7 +186,7 @@ def _head(result: Identification) -> dict[str, Any]:
 def _write(path: Path, content: dict[str, Any]) -> None:
     text = json.dumps(_finite(content), indent=1, ensure_ascii=False)
     text = _NUMBERS.sub(lambda row: " ".join(row[0].split()), text)
-    path.write_text(text + "\n", encoding="utf-8")
+    write_whole(path, f"{text}\n".encode())
 
 
 def _finite(value: Any) -> Any:

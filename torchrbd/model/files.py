@@ -15,6 +15,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from torchrbd.errors import InputError, RobotError
+from torchrbd.outputs import write_whole
 from torchrbd.parameters import from_log_cholesky
 from torchrbd.physics import Site, Term, Window, effect
 from torchrbd.robot import RobotModel
@@ -64,7 +65,7 @@ def write_model(
     }
     tensors = {**state, **{_POSTERIOR + name: value for name, value in (posterior or {}).items()}}
     # By Python, whose files have the permissions that the user's others have; safetensors' own are for the owner alone.
-    Path(path).write_bytes(save({name: value.contiguous() for name, value in tensors.items()}, metadata))
+    write_whole(path, save({name: value.contiguous() for name, value in tensors.items()}, metadata))
 
 
 def read_model(path: str | Path) -> Parts:

@@ -15,6 +15,9 @@ from torchrbd.recordings.mapping import Mapping, Source
 from torchrbd.recordings.matching import OPTIONAL_SIGNALS, PARTIAL_SIGNALS, match
 from torchrbd.recordings.memory import Data, memory_table
 
+# Beyond it squares of sums would be no numbers; times of ns since 1970 are far below.
+_LARGEST = 1e20
+
 
 @dataclass(frozen=True)
 class Chunk:
@@ -190,6 +193,15 @@ class Recording:
             raise RecordingError(
                 f"{self.path or self.name}: column '{columns[column]}', data row {first_row + row}: infinite value; "
                 f"leave a missing cell empty or write nan"
+            )
+        with np.errstate(invalid="ignore"):
+            beyond = np.abs(block) > _LARGEST
+        if beyond.any():
+            row, column = np.argwhere(beyond.T)[0]
+            raise RecordingError(
+                f"{self.path or self.name}: column '{columns[column]}', data row {first_row + row}: "
+                f"{block.T[row, column]:.3g} is more than any sensor gives; correct the column, or its scale and unit "
+                "in the mapping"
             )
 
     def _check_order(self, t: np.ndarray, latest: float, first_row: int) -> None:
