@@ -38,7 +38,9 @@ def write_whole(path: str | Path, content: bytes) -> None:
         return
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        part.write_bytes(content)
+        part.unlink(missing_ok=True)
+        with part.open("xb") as file:
+            file.write(content)
         os.replace(part, target)
     except BaseException:
         with suppress(OSError):
@@ -112,7 +114,9 @@ class OutputFolder:
         """Take the folder's lock, which ends with its process however that ends."""
         path = self.folder / _LOCK
         while True:
-            lock = path.open("a+")
+            # Not through a link that somebody else has put there.
+            handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+            lock = os.fdopen(handle, "r+")
             try:
                 _hold(lock)
             except OSError as error:
@@ -131,7 +135,8 @@ class OutputFolder:
                     break
             lock.close()
         self._lock = lock
-        lock.truncate(0)
+        lock.seek(0)
+        lock.truncate()
         lock.write(str(os.getpid()))
         lock.flush()
 

@@ -85,6 +85,18 @@ def read_model(path: str | Path) -> Parts:
         raise InputError(
             f"{path}: is no model of torchrbd; expected format '{_FORMAT}', got '{metadata.get('format')}'"
         )
+    try:
+        return _parts(metadata, tensors)
+    except (KeyError, TypeError, ValueError, RuntimeError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"{path}: is damaged ({type(error).__name__}: {error}); write it again with 'torchrbd identify' or "
+            "'save_model'"
+        ) from None
+
+
+def _parts(metadata: Mapping[str, str], tensors: dict[str, Tensor]) -> Parts:
     robot = RobotModel.from_urdf(metadata["urdf"].encode(), gravity=json.loads(metadata["gravity"]))
     state = {name: value for name, value in tensors.items() if not name.startswith(_POSTERIOR)}
     terms = [

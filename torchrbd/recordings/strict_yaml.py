@@ -41,4 +41,7 @@ def strict_yaml(text: str) -> Any:
     """
     if len(text) > _LARGEST:
         raise yaml.YAMLError(f"is {len(text)} characters long; expected a short file, at most {_LARGEST}")
-    return yaml.load(text, _Loader)
+    try:
+        return yaml.load(text, _Loader)
+    except RecursionError:
+        raise yaml.YAMLError("is nested too deeply") from None

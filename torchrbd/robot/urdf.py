@@ -112,9 +112,11 @@ def _check_link(where: str, link: etree._Element) -> None:
             raise RobotError(f"{place}: <{tag}> lacks {', '.join(missing)}; give all of {', '.join(names)}")
         for name in names:
             value = _numbers(place, element, name, 1)[0]
-            if name == "value" and (value < 0 or 0 < value < _LEAST_MASS):
+            if name == "value" and value < 0:
+                raise RobotError(f"{place}: mass is {value:g}, expected 0 or more; correct <mass value>")
+            if name == "value" and 0 < value < _LEAST_MASS:
                 raise RobotError(
-                    f"{place}: mass is {value:g}, expected 0 or at least {_LEAST_MASS:g} kg; correct <mass value>"
+                    f"{place}: mass is {value:g}, less than {_LEAST_MASS:g} kg; correct <mass value> or give 0"
                 )
 
 

@@ -175,7 +175,7 @@ def _read(file: Path) -> dict[str, Any]:
             f"{file}: cannot be read ({error.strerror}); give the folder that 'torchrbd diagnose -o' wrote, "
             f"or the {_FILE} in it"
         ) from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{file}: is not JSON ({error}); diagnose the recordings again") from None
     if not isinstance(content, dict):
         raise InputError(f"{file}: expected what 'torchrbd diagnose' writes, a mapping; got a {type(content).__name__}")
