@@ -26,6 +26,8 @@ else:
 Value = TypeVar("Value")
 
 _LOCK, _WRITING, _READY = ".torchrbd.lock", ".torchrbd-writing", ".torchrbd-ready"
+# Some network drives have no locks.
+_UNLOCKABLE = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)
 # Room that is kept free for the results while the work is done [bytes]; those of a robot are a few million.
 _ROOM, _ROOM_FILE, _PIECE = 32 << 20, "room", bytes(1 << 20)
 
@@ -120,6 +122,8 @@ class OutputFolder:
             try:
                 _hold(lock)
             except OSError as error:
+                if error.errno in _UNLOCKABLE:
+                    break
                 lock.seek(0)
                 owner = lock.read().strip()
                 lock.close()
