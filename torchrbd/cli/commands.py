@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -23,10 +24,11 @@ from torchrbd.cli.tables import (
     print_effects,
     print_identification,
 )
-from torchrbd.diagnosis import Diagnosis, compare, diagnose
+from torchrbd.diagnosis import Comparison, Diagnosis, compare, diagnose
 from torchrbd.errors import OptionError
 from torchrbd.export import write_changes
 from torchrbd.inference import EstimatorComparison, Identification, compare_estimators, identify
+from torchrbd.outputs import OutputFolder
 from torchrbd.physics import effects
 from torchrbd.report import write_changes_report
 
@@ -35,11 +37,14 @@ Result = TypeVar("Result", Identification, Diagnosis, EstimatorComparison)
 
 def _run(work: Callable[..., Result], show: Callable[[Result], None], options: argparse.Namespace) -> None:
     """Do the work on what the user gave, show the result and write it."""
-    settings = settings_of(options)
-    with progress_bar() as progress:
-        result = work(options.robot, options.recordings, progress=progress, **settings)
+    settings, into = settings_of(options), options.output
+    with nullcontext() if into is None else OutputFolder(into) as folder:
+        with progress_bar() as progress:
+            result = work(options.robot, options.recordings, progress=progress, **settings)
+        names = () if folder is None else folder.fill(partial(write_results, result))
     show(result)
-    _write(result, options.output)
+    if into is not None:
+        _tell(result, names, into)
 
 
 def _identify(options: argparse.Namespace) -> None:
@@ -60,13 +65,18 @@ def _demo(options: argparse.Namespace) -> None:
 
 def _compare(options: argparse.Namespace) -> None:
     """Say what changed between two diagnoses, and write it if a folder is given."""
-    result, folder = compare(options.before, options.after), options.output
+    with nullcontext() if options.output is None else OutputFolder(options.output) as folder:
+        result = compare(options.before, options.after)
+        if folder is not None:
+            folder.fill(partial(_write_changes, result))
     print_changes(result)
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_changes(result, folder / "comparison.json")
-        write_changes_report(result, folder / "comparison.html")
-        _say(f"wrote comparison.json and comparison.html to {folder}")
+    if options.output is not None:
+        _say(f"wrote comparison.json and comparison.html to {options.output}")
+
+
+def _write_changes(result: Comparison, folder: Path) -> None:
+    write_changes(result, folder / "comparison.json")
+    write_changes_report(result, folder / "comparison.html")
 
 
 def _say(words: str) -> None:
@@ -77,11 +87,8 @@ def _compare_estimators(options: argparse.Namespace) -> None:
     _run(partial(compare_estimators, estimators=options.estimators), print_comparison, options)
 
 
-def _write(result: Identification | Diagnosis | EstimatorComparison, folder: Path | None) -> None:
-    """Write every result file and name them."""
-    if folder is None:
-        return
-    names = write_results(result, folder)
+def _tell(result: Identification | Diagnosis | EstimatorComparison, names: Sequence[str], folder: Path) -> None:
+    """Name the files that were written."""
     _say(f"wrote {', '.join(names)} to {folder}")
     if not isinstance(result, EstimatorComparison):
         report = f"report: {(folder / REPORT).resolve()}"

@@ -18,6 +18,7 @@ from torchrbd.cli.tables import print_each
 from torchrbd.errors import InputError, OptionError, TorchRBDError
 from torchrbd.inference import Identification
 from torchrbd.inference.many import identify_and
+from torchrbd.outputs import OutputFolder
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ def identify_each(options: argparse.Namespace) -> None:
     """
     _check_stems(options.recordings)
     into, settings = partial(_write_brief, options.output), settings_of(options)
-    with progress_bar() as progress:
+    with OutputFolder(options.output), progress_bar() as progress:
         found = identify_and(
             into, options.robot, options.recordings, "identify", jobs=options.jobs, progress=progress, **settings
         )
@@ -73,7 +74,8 @@ def _check_stems(recordings: Sequence[Path]) -> None:
 
 
 def _write_brief(folder: Path, result: Identification, recording: Path) -> Brief:
-    write_results(result, folder / recording.stem)
+    with OutputFolder(folder / recording.stem) as into:
+        into.fill(partial(write_results, result))
     before, *_, after = (fit.mean_nmse for fit in result.fits.values())
     return Brief(result.verdict, before, after)
 

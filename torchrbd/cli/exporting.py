@@ -10,6 +10,7 @@ from torchrbd.errors import InputError, OptionError
 from torchrbd.export import load_model, unsaid
 from torchrbd.export.check import check_file
 from torchrbd.export.simulators import written
+from torchrbd.outputs import write_whole
 
 _MODEL = "model.safetensors"
 _SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml"}
@@ -34,7 +35,7 @@ def export(options: argparse.Namespace) -> None:
     if options.check:
         found = check_file(model, options.to, options.check, mapping=options.mapping, cutoff_hz=options.cutoff_hz)
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_bytes(content)
+    write_whole(file, content)
     print_export(file, lacking, found)
 
 

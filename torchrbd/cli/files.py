@@ -9,7 +9,9 @@ from torchrbd.export import save_model, to_urdf, write_diagnosis, write_paramete
 from torchrbd.export.json_files import write_comparison
 from torchrbd.inference import EstimatorComparison, Identification
 from torchrbd.learning import BayesianDynamics
+from torchrbd.outputs import write_whole
 from torchrbd.report import write_report
+from torchrbd.report.words import suspicion_comments
 
 REPORT = "report.html"
 IDENTIFIED = ("parameters.json", "identified.urdf", "model.safetensors")
@@ -17,15 +19,14 @@ IDENTIFIED = ("parameters.json", "identified.urdf", "model.safetensors")
 
 
 def write_results(result: Identification | Diagnosis | EstimatorComparison, folder: Path) -> tuple[str, ...]:
-    """Write every result file into a folder, which is made; return the names of those that other tools read."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write every result file into a folder; return the names of those that other tools read."""
     if isinstance(result, EstimatorComparison):
         write_comparison(result, folder / "estimators.json")
         return ("estimators.json",)
     identification = result.identification if isinstance(result, Diagnosis) else result
     parameters, urdf, model = (folder / name for name in IDENTIFIED)
     write_parameters(identification, parameters)
-    urdf.write_bytes(to_urdf(identification.model))
+    write_whole(urdf, to_urdf(identification.model, suspicion_comments(identification)))
     if identification.posterior is None:
         save_model(identification.model, model)
     else:

@@ -10,6 +10,7 @@ import yaml
 
 from torchrbd.errors import OptionError
 from torchrbd.inference import Settings
+from torchrbd.recordings.strict_yaml import strict_yaml
 
 # Options that name files.
 _FILES = {"holdout", "simulated", "mapping"}
@@ -24,9 +25,9 @@ def settings_of(options: argparse.Namespace) -> dict[str, Any]:
 
 def _read_config(path: Path) -> dict[str, Any]:
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = strict_yaml(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise OptionError(f"{path}: is not YAML in UTF-8 ({error})") from None
+        raise OptionError(f"{path}: is not YAML in UTF-8 ({' '.join(str(error).split())})") from None
     except OSError as error:
         raise OptionError(f"{path}: cannot be read ({error.strerror}); check --config") from None
     if not isinstance(content, dict):

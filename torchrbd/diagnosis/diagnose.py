@@ -19,6 +19,7 @@ from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.springs import with_springs
+from torchrbd.diagnosis.suspect import suspect, tells_nothing
 from torchrbd.diagnosis.unexplained import unexplained
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.errors import OptionError
@@ -26,6 +27,7 @@ from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.identify import read_arguments, summarise
 from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.preparation import Prepared, prepare
+from torchrbd.inference.suspicions import suspicions
 from torchrbd.likelihood.reading import Progress
 from torchrbd.physics import Site, effect
 from torchrbd.physics.registry import PLAIN
@@ -60,13 +62,19 @@ def diagnose(
             f"use {', '.join(WITH_INTERVALS)}, or identify"
         )
     prepared = prepare(robot, sources, settings, (), progress)
+    progress("looking for wrong units and columns", 0.0)
+    suspected = suspicions(prepared)
+    if suspected.settles:
+        return suspect(prepared, settings, progress, suspected)
     ranked = ranking(prepared.reading, settings, prepared.kept_back, progress)
     found, may = ranked.explanation, [e.id for e in settings.chosen_effects()]
-    prepared = with_machine(prepared, settings, with_friction(settings), progress, ranked.clocks)
+    asked, prepared = prepared, with_machine(prepared, settings, with_friction(settings), progress, ranked.clocks)
     progress("fitting what was found", 0.0)
     model = extended(prepared, found, may, progress)
+    if tells_nothing(model.prepared, model.model):
+        return suspect(asked, settings, progress, suspected, ranked)
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
-    identification = summarise(model.prepared, models, settings, progress)
+    identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = deflections(model.prepared, model.model)
     findings, trifling = explain(found, model)
     findings = with_springs(findings, springs)

@@ -281,14 +281,16 @@ class Diagnosis(Displayed):
 
     ``findings`` come strongest first: those that are likelier than not, then the others, by gain in both.
 
-    ``verdict`` is "consistent" (the URDF as given explains the data), "parameters" (a rigid body with other parameters
-    does), "missing_physics" (named effects are needed) or "unexplained" (something is left that no known effect
-    explains). ``locations`` say where models and robot differ, named or not; ``maps`` draw the same. ``limits`` say how
-    large what was not found could be, ``deflections`` what encoders behind the gears show. ``simulated`` names the
-    recordings of a simulator that stood for the URDF. ``proofs`` say what the extended model is worth on
-    torque that was held out. ``trifling`` are effects that are as likely as findings and that held-out time does not
-    show: they carry next to no torque, or other inertial parameters than the URDF's do as well. ``ranking`` has all
-    that was considered, by its evidence.
+    ``verdict`` is "consistent" (the URDF as given explains the data), "parameters" (a rigid body with other
+    parameters does), "missing_physics" (named effects are needed), "unexplained" (something is left that no known
+    effect explains) or "suspect" (the recordings do not mean what they say, or no model predicts better than a
+    constant: there are no findings; ``identification.suspicions`` has what is suspected and what was tested).
+    ``locations`` say where models and robot differ, named or not; ``maps`` draw the same. ``limits`` say how large
+    what was not found could be, ``deflections`` what encoders behind the gears show. ``simulated`` names the
+    recordings of a simulator that stood for the URDF. ``proofs`` say what the extended model is worth on torque
+    that was held out. ``trifling`` are effects that are as likely as findings and that held-out time does not show:
+    they carry next to no torque, or other inertial parameters than the URDF's do as well. ``ranking`` has all that
+    was considered, by its evidence.
     """
 
     identification: Identification

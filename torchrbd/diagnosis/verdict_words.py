@@ -9,6 +9,7 @@ from torchrbd.diagnosis.numbers import joined, percent
 from torchrbd.diagnosis.posterior import LIKELY
 from torchrbd.diagnosis.results import Finding, Unexplained, Where
 from torchrbd.diagnosis.words import alternatives, at, named, when, words_of
+from torchrbd.inference.suspicions.results import Suspicions
 from torchrbd.inference.torque_error import Fit
 from torchrbd.physics.registry import PLAIN
 
@@ -54,6 +55,24 @@ def verdict_statement(
     return (
         f"The {model} {first}.{second} The unpredicted part of the torque variance on held-out time is {urdf} with the "
         f"{model}, {rigid} with a re-fitted rigid body and {extended} with what was found.{open_end}"
+    )
+
+
+def suspect_statement(suspected: Suspicions) -> str:
+    """Say that the input is not to be trusted, why, and what was tested."""
+    told = [one for one in suspected.found if one.settles]
+    tested = f"Tested were {joined(suspected.tested)}" if suspected.tested else ""
+    if told:
+        reasons = "; ".join(one.statement for one in told)
+        return (
+            f"The recordings do not mean what they say, or are not of this robot: {reasons}. Nothing is told of the "
+            f"robot before that is settled. {tested}."
+        )
+    none = "; none of them explains the torques far better." if suspected.tested else ""
+    return (
+        "The model with what was found predicts held-out torque no better than a constant, so that there is nothing to "
+        "tell: the recordings are not what they say, are not of this robot, or move too little. "
+        f"{tested}{none}"
     )
 
 

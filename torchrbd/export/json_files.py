@@ -11,6 +11,7 @@ from typing import Any
 
 from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranked, Ranking
 from torchrbd.inference import EstimatorComparison, Identification
+from torchrbd.outputs import write_whole
 
 SCHEMA = 1
 # A list of numbers that json.dumps has spread over lines; text has no line breaks in JSON.
@@ -159,7 +160,14 @@ def write_changes(result: Comparison, path: Path) -> None:
 
 
 def _head(result: Identification) -> dict[str, Any]:
-    """Return what both files begin with; ``notes`` holds the ``doubts`` too."""
+    """Return what both files begin with.
+
+    notes: holds the ``doubts`` too, and these the ``suspicions`` in words.
+    suspicions: what the recordings seem to mean instead of what they say: list of kind, joints, log_odds, times (by
+        which the held-out squared error falls, or null), statement, remedy (option or mapping entry), settles (whether
+        nothing can be told before it is settled), alternatives.
+    suspicions_tested: what was looked for.
+    """
     return {
         "schema": SCHEMA,
         "robot": result.robot.name,
@@ -169,6 +177,8 @@ def _head(result: Identification) -> dict[str, Any]:
         "cutoff_hz": result.cutoff_hz,
         "fit": {name: asdict(fit) for name, fit in result.fits.items()},
         "doubts": list(result.doubts),
+        "suspicions": [asdict(one) for one in result.suspicions.found],
+        "suspicions_tested": list(result.suspicions.tested),
         "notes": [*result.doubts, *result.notes],
     }
 
@@ -176,7 +186,7 @@ def _head(result: Identification) -> dict[str, Any]:
 def _write(path: Path, content: dict[str, Any]) -> None:
     text = json.dumps(_finite(content), indent=1, ensure_ascii=False)
     text = _NUMBERS.sub(lambda row: " ".join(row[0].split()), text)
-    path.write_text(text + "\n", encoding="utf-8")
+    write_whole(path, f"{text}\n".encode())
 
 
 def _finite(value: Any) -> Any:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 from lxml import etree
 from torch import Tensor
@@ -17,13 +19,17 @@ from torchrbd.robot import STANDARD_GRAVITY, FoldedLink, RobotModel, inertia_mat
 _FRICTION = "damping", "friction"
 
 
-def to_urdf(model: RigidBodyDynamics) -> bytes:
+def to_urdf(model: RigidBodyDynamics, warnings: Iterable[str] = ()) -> bytes:
     """Write a model's inertial parameters and friction into the URDF that it came from.
 
     Links fixed to a moving link keep their own inertia; the moving link takes the rest. If the rest is no physical
     body, the moving link takes all and the fixed ones lose theirs. <dynamics> hold the model's friction and no other:
     what the URDF had and the model has not goes. What URDF cannot hold, see ``unsaid``, stands in comments at its
     joint, or at the end if it is at none, with what it is in MJCF.
+
+    Args:
+        model: the model.
+        warnings: what a reader of the file has to know first; comments at its head.
 
     Raises:
         RobotError: the robot was not made from a URDF.
@@ -43,6 +49,7 @@ def to_urdf(model: RigidBodyDynamics) -> bytes:
         if index is not None:
             joint.extend(_comment(term, robot) for term in _left_out(model) if term.site.joint == index)
     root.extend(_comment(term, robot) for term in _left_out(model) if term.site.joint is None)
+    root[:0] = [comment(f"torchrbd: WARNING: {words}") for words in warnings]
     etree.indent(root)
     return etree.tostring(root.getroottree(), xml_declaration=True, encoding="utf-8", pretty_print=True)
 

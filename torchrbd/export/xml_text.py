@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 from lxml import etree
+
+_HYPHENS = re.compile("-(?=-)")
 
 Value = float | tuple[float, ...] | str
 
@@ -24,4 +27,4 @@ def element_text(element: str, attributes: Mapping[str, Value]) -> str:
 
 def comment(words: str) -> etree._Element:
     """Return a comment; XML allows no two hyphens in one."""
-    return etree.Comment(f" {words.replace('--', '- -')} ")
+    return etree.Comment(f" {_HYPHENS.sub('- ', words)} ")

@@ -30,6 +30,7 @@ from torchrbd.inference.results import (
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.places import check_seen
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined
+from torchrbd.inference.suspicions import NO_SUSPICIONS, Suspicions, suspicions
 from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, verdict_of
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.simulated import motion_doubts
@@ -74,7 +75,10 @@ def identify(
     """
     robot, sources, settings = read_arguments(robot, recordings, options, "identify")
     effects = with_friction(settings)
-    prepared = with_machine(prepare(robot, sources, settings, effects, progress), settings, effects, progress)
+    prepared = prepare(robot, sources, settings, effects, progress)
+    progress("looking for wrong units and columns", 0.0)
+    suspected = suspicions(prepared)
+    prepared = with_machine(prepared, settings, effects, progress)
     terms = term_candidates(prepared.columns, [e.id for e in effects])
     check_seen(settings.told_effects(), prepared.columns)
     prepared, terms = refined(prepared, terms, progress)
@@ -85,7 +89,7 @@ def identify(
         models["extended"] = fit_with_shapes(prepared, terms) if sure else prepared.fit(terms)
     if settings.estimator not in WITH_INTERVALS:
         prepared, models = _estimated(prepared, settings.estimator, models)
-    return summarise(prepared, models, settings, progress)
+    return summarise(prepared, models, settings, progress, suspected)
 
 
 def read_arguments(
@@ -122,7 +126,11 @@ def _estimated(
 
 
 def summarise(
-    prepared: Prepared, models: dict[str, FittedModel], settings: Settings, progress: Progress
+    prepared: Prepared,
+    models: dict[str, FittedModel],
+    settings: Settings,
+    progress: Progress,
+    suspected: Suspicions = NO_SUSPICIONS,
 ) -> Identification:
     """Judge the URDF and fitted models on the blocks kept back; the last model is the one whose parameters are
     reported.
@@ -132,6 +140,7 @@ def summarise(
         models: fitted ones by name, "rigid_body" first.
         settings: what the user asked for.
         progress: told how far the work is.
+        suspected: of the recordings.
     """
     coefficients = {"urdf": prepared.prior.reference, **{name: model.x for name, model in models.items()}}
     final = list(models.values())[-1]
@@ -142,6 +151,7 @@ def summarise(
     regime = regime_of(prepared, settings.estimator)
     biased = prepared.input_noise.matters and prepared.states is None
     doubts = (
+        *(one.words for one in suspected.found),
         *doubts_of(prepared, final, fits),
         *motion_doubts(prepared.reading.simulated),
         *encoder_doubts(prepared, settings),
@@ -171,6 +181,7 @@ def summarise(
         posterior=Posterior(prepared.prior, final) if sure else None,
         doubts=doubts,
         notes=prepared.notes,
+        suspicions=suspected,
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from torchrbd.display import Displayed
 from torchrbd.inference.posterior.posterior import Posterior
+from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicions
 from torchrbd.inference.torque_error import Fit
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.robot import RobotModel
@@ -134,8 +135,9 @@ class Identification(Displayed):
         series: torques against time.
         model: the fitted module.
         posterior: draws robots, and tells the variance of predicted torques; None for an estimator without intervals.
-        doubts: what looks wrong with input or result, and what to do about it.
+        doubts: what looks wrong with input or result, and what to do about it; suspicions first.
         notes: what else the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
+        suspicions: what the recordings may mean instead of what they say, and what was tested.
     """
 
     robot: RobotModel
@@ -158,6 +160,7 @@ class Identification(Displayed):
     posterior: Posterior | None
     doubts: tuple[str, ...] = field(default=())
     notes: tuple[str, ...] = field(default=())
+    suspicions: Suspicions = NO_SUSPICIONS
 
     def __repr__(self) -> str:
         errors = {name: float(f"{fit.mean_nmse:.3g}") for name, fit in self.fits.items()}

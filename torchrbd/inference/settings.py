@@ -20,6 +20,9 @@ from torchrbd.physics.told import ToldEffect
 from torchrbd.recordings import NamedSource, listed_sources
 from torchrbd.robot import RobotModel
 
+# A larger position noise is no noise [rad, m]; a lower band is that of no robot.
+_LARGEST_NOISE, _LEAST_CUTOFF_HZ = 1.0, 1e-3
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -76,9 +79,16 @@ class Settings:
             raise OptionError(f"kappa is {self.kappa:g}; expected a number above 0")
         check_estimators([self.estimator], tuple(ESTIMATORS))
         for joint, std in self._encoder_noise().items():
-            if not 0.0 < std < math.inf:
+            if not 0.0 < std <= _LARGEST_NOISE:
                 place = f" of {joint}" if joint else ""
-                raise OptionError(f"encoder_noise{place} is {std:g}; expected a standard deviation above 0 in rad or m")
+                raise OptionError(
+                    f"encoder_noise{place} is {std:g}; expected a standard deviation above 0 in rad or m, at most "
+                    f"{_LARGEST_NOISE:g}"
+                )
+        if self.cutoff_hz is not None and not self.cutoff_hz >= _LEAST_CUTOFF_HZ:
+            raise OptionError(f"cutoff is {self.cutoff_hz:g} Hz; expected at least {_LEAST_CUTOFF_HZ:g} Hz")
+        if self.seed < 0:
+            raise OptionError(f"seed is {self.seed}; expected a whole number that is not negative")
 
     @classmethod
     def names(cls) -> frozenset[str]:
@@ -198,6 +208,8 @@ def _noise(value: Any, place: str) -> float | dict[str, float]:
 
 
 def _number(value: Any, kind: type[int] | type[float], key: str, place: str) -> int | float:
+    if isinstance(value, bool):
+        raise OptionError(f"{place}: {key} is {str(value).lower()}; expected a number")
     try:
         number = kind(value)
     except (TypeError, ValueError, OverflowError):
@@ -226,6 +238,8 @@ def _listed(value: Any) -> list[Any]:
 def _interval(value: Any, place: str) -> tuple[float, float]:
     try:
         start, end = value.split(":") if isinstance(value, str) else value
+        if isinstance(start, bool) or isinstance(end, bool):
+            raise TypeError
         low, high = float(start or 0.0), float(end) if end not in ("", None) else math.inf
     except (ValueError, TypeError):
         raise OptionError(f"{place}: time '{value}': expected FROM:TO in seconds, e.g. '2:30' (quoted)") from None

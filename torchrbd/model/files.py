@@ -15,6 +15,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from torchrbd.errors import InputError, RobotError
+from torchrbd.outputs import write_whole
 from torchrbd.parameters import from_log_cholesky
 from torchrbd.physics import Site, Term, Window, effect
 from torchrbd.robot import RobotModel
@@ -64,7 +65,7 @@ def write_model(
     }
     tensors = {**state, **{_POSTERIOR + name: value for name, value in (posterior or {}).items()}}
     # By Python, whose files have the permissions that the user's others have; safetensors' own are for the owner alone.
-    Path(path).write_bytes(save({name: value.contiguous() for name, value in tensors.items()}, metadata))
+    write_whole(path, save({name: value.contiguous() for name, value in tensors.items()}, metadata))
 
 
 def read_model(path: str | Path) -> Parts:
@@ -84,6 +85,18 @@ def read_model(path: str | Path) -> Parts:
         raise InputError(
             f"{path}: is no model of torchrbd; expected format '{_FORMAT}', got '{metadata.get('format')}'"
         )
+    try:
+        return _parts(metadata, tensors)
+    except (KeyError, TypeError, ValueError, RuntimeError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"{path}: is damaged ({type(error).__name__}: {error}); write it again with 'torchrbd identify' or "
+            "'save_model'"
+        ) from None
+
+
+def _parts(metadata: Mapping[str, str], tensors: dict[str, Tensor]) -> Parts:
     robot = RobotModel.from_urdf(metadata["urdf"].encode(), gravity=json.loads(metadata["gravity"]))
     state = {name: value for name, value in tensors.items() if not name.startswith(_POSTERIOR)}
     terms = [

@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from torchrbd.errors import RecordingError
+from torchrbd.recordings.strict_yaml import strict_yaml
 
 SIGNALS = ("q", "qd", "qdd", "tau", "q_ref", "q_link", "temperature")
 _EVERY_JOINT = "*"
@@ -92,7 +93,7 @@ def read_mapping(path: str | Path) -> Mapping:
     """
     path = Path(path)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = strict_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise RecordingError(f"{path}: cannot read the mapping: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:

@@ -12,6 +12,8 @@ import numpy as np
 
 from torchrbd.errors import RecordingError
 
+# Names of joints [bytes]; numbers are streamed and may take any.
+_LARGEST_NAMES = 1 << 22
 NPZ_SIGNALS = ("q", "tau", "qd", "qdd", "q_ref", "q_link", "temperature")
 
 
@@ -42,6 +44,10 @@ class NpzTable:
                             self._arrays[name] = _Array(members[name], _read_npy_header(stream, path, name)[0])
             if "joints" not in members:
                 raise RecordingError(f"{path}: the array 'joints' with the joints' names is missing")
+            with zipfile.ZipFile(path) as archive:
+                size = archive.getinfo(members["joints"]).file_size
+            if size > _LARGEST_NAMES:
+                raise RecordingError(f"{path}: the array 'joints' takes {size} bytes; expected the joints' names")
             with np.load(path, allow_pickle=False) as arrays:
                 joints = [str(name) for name in np.atleast_1d(arrays["joints"])]
         except (zipfile.BadZipFile, ValueError, EOFError) as error:

@@ -15,6 +15,9 @@ from torchrbd.recordings.mapping import Mapping, Source
 from torchrbd.recordings.matching import OPTIONAL_SIGNALS, PARTIAL_SIGNALS, match
 from torchrbd.recordings.memory import Data, memory_table
 
+# Beyond it squares of sums would be no numbers; times of ns since 1970 are far below.
+_LARGEST = 1e20
+
 
 @dataclass(frozen=True)
 class Chunk:
@@ -135,6 +138,15 @@ class Recording:
             _sources=sources,
         )
 
+    def source(self, signal: str, joint: str) -> Source | None:
+        """Return where a joint's signal comes from, e.g. ("tau", "joint3"), time where the signal is "t"; or None."""
+        found = self._sources.get(signal, ())
+        if signal == "t":
+            return found[0]
+        there = {"tau": self.measured, "q_link": self.linked, "temperature": self.thermal}.get(signal)
+        names = self.joints if there is None else tuple(compress(self.joints, there))
+        return dict(zip(names, found, strict=False)).get(joint)
+
     def chunks(self, rows: int = 16384) -> Iterator[Chunk]:
         """Yield the rows in pieces of at most about `rows`.
 
@@ -181,6 +193,15 @@ class Recording:
             raise RecordingError(
                 f"{self.path or self.name}: column '{columns[column]}', data row {first_row + row}: infinite value; "
                 f"leave a missing cell empty or write nan"
+            )
+        with np.errstate(invalid="ignore"):
+            beyond = np.abs(block) > _LARGEST
+        if beyond.any():
+            row, column = np.argwhere(beyond.T)[0]
+            raise RecordingError(
+                f"{self.path or self.name}: column '{columns[column]}', data row {first_row + row}: "
+                f"{block.T[row, column]:.3g} is more than any sensor gives; correct the column, or its scale and unit "
+                "in the mapping"
             )
 
     def _check_order(self, t: np.ndarray, latest: float, first_row: int) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from torchrbd.diagnosis.changes.results import Change, Comparison, Difference
 from torchrbd.diagnosis.changes.words import certainty, signed
 from torchrbd.diagnosis.words import at, words_of
+from torchrbd.outputs import write_whole
 from torchrbd.report.templates import environment
 
 VERDICTS = {"changed": "≠ changed", "unchanged": "= as it was", "open": "? cannot tell"}
@@ -20,7 +21,7 @@ def write_changes_report(result: Comparison, path: Path) -> None:
     templates.filters |= {"certainty": certainty, "signed": signed}
     templates.globals |= {"shown": shown, "title": title, "verdicts": VERDICTS}
     text = templates.get_template("changes.html.j2").render(result=result)
-    Path(path).write_text(text, encoding="utf-8")
+    write_whole(path, text.encode())
 
 
 def title(change: Change) -> str:

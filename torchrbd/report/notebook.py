@@ -20,6 +20,7 @@ TONES = {
     "doubtful": "#9a6200",
     "missing_physics": "#c24f00",
     "worse": "#b3261e",
+    "suspect": "#b3261e",
     "unexplained": "#a8578a",
 }
 MODELS = {"urdf": "URDF", "rigid_body": "re-fitted", "extended": "extended"}

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from torchrbd.diagnosis.results import Diagnosis, Finding, Proof
 from torchrbd.inference.results import Identification, ParameterEstimate
+from torchrbd.outputs import write_whole
 from torchrbd.report.cards import Card, PlainRow, finding_cards, plain_rows, plain_titles, unexplained_cards
 from torchrbd.report.considered import BAR_END, Considered, considered
 from torchrbd.report.excerpt import informative_stretch
@@ -39,7 +40,7 @@ def write_report(result: Identification | Diagnosis, path: Path) -> None:
     templates.filters |= {"part_left": part_left, "signal_words": page.pictures.words_of}
     with page_style():
         text = templates.get_template("report.html.j2").render(page=page)
-    Path(path).write_text(text, encoding="utf-8")
+    write_whole(path, text.encode())
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ VERDICTS = {
     "identified": "✓ Identified",
     "doubtful": "! Identified, with doubts",
     "worse": "✗ Worse than the URDF",
+    "suspect": "✗ Suspect input",
 }
 """What a verdict is called, after a sign that tells it without colour."""
 # Joints that one line names.
@@ -48,6 +49,13 @@ def headline(result: Identification | Diagnosis) -> tuple[str, str]:
         verb = "raises" if result.verdict == "worse" else "does not lower"
         return f"{subject} {verb} the held-out torque error of {name}: {numbers}.", rest
     return f"{subject} lowers the held-out torque error of {name} by {percent(1 - after / before)}: {numbers}.", rest
+
+
+def suspicion_comments(result: Identification) -> list[str]:
+    """Return what a reader of the identified URDF has to know first, if the input is suspected."""
+    return [
+        f"the recordings are suspect, and these numbers with them: {one.statement}" for one in result.suspicions.found
+    ]
 
 
 def percent(share: float) -> str:

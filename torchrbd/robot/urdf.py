@@ -18,6 +18,10 @@ from torchrbd.robot.description import Description, Joint, Link, Mimic
 from torchrbd.robot.inertia import transform_inertia
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+# Masses [kg], lengths [m] and inertias [kg m^2] of what may be a robot; the size of its file [bytes].
+_LARGEST, _LEAST_MASS, _LARGEST_FILE = 1e9, 1e-9, 64 << 20
+# Entities are not replaced, nothing is fetched, and no text may be so large as to fill the memory.
+_SAFELY: dict[str, Any] = {"resolve_entities": False, "no_network": True, "load_dtd": False, "huge_tree": False}
 KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
 JOINT_NUMBERS = {
     "dynamics": ("damping", "friction"),
@@ -61,6 +65,8 @@ def _load(source: str | Path | bytes) -> tuple[str, bytes]:
         # The text is decoded already: a header that claims another encoding would be believed.
         return "URDF text", re.sub(r"^\s*<\?xml[^>]*\?>", "", source).encode()
     try:
+        if (size := Path(source).stat().st_size) > _LARGEST_FILE:
+            raise RobotError(f"{source}: is {size >> 20} MB large; expected a URDF, at most {_LARGEST_FILE >> 20} MB")
         return str(source), Path(source).read_bytes()
     except OSError as error:
         raise RobotError(f"{source}: cannot read the URDF file ({error.strerror}); check the path") from error
@@ -69,9 +75,11 @@ def _load(source: str | Path | bytes) -> tuple[str, bytes]:
 def _parse(where: str, text: bytes) -> etree._Element:
     """Return the <robot> element of plain, well-formed URDF."""
     try:
-        root = etree.fromstring(text.strip(), etree.XMLParser(remove_comments=True, remove_pis=True))
+        root = etree.fromstring(text.strip(), etree.XMLParser(remove_comments=True, remove_pis=True, **_SAFELY))
     except etree.XMLSyntaxError as error:
         raise RobotError(f"{where}: not well-formed XML: {error.msg}") from error
+    if root.getroottree().docinfo.doctype or any(isinstance(one, etree._Entity) for one in root.iter()):
+        raise RobotError(f"{where}: declares a document type or entities, which no URDF needs; remove <!DOCTYPE ...>")
     for element in root.iter():
         if "xacro" in (element.prefix or "") or "xacro" in (etree.QName(element).namespace or ""):
             raise RobotError(
@@ -106,6 +114,10 @@ def _check_link(where: str, link: etree._Element) -> None:
             value = _numbers(place, element, name, 1)[0]
             if name == "value" and value < 0:
                 raise RobotError(f"{place}: mass is {value:g}, expected 0 or more; correct <mass value>")
+            if name == "value" and 0 < value < _LEAST_MASS:
+                raise RobotError(
+                    f"{place}: mass is {value:g}, less than {_LEAST_MASS:g} kg; correct <mass value> or give 0"
+                )
 
 
 def _check_joint(where: str, joint: etree._Element) -> None:
@@ -150,6 +162,10 @@ def _numbers(place: str, element: etree._Element, name: str, count: int, finite:
     if len(values) != count or any(math.isnan(v) or (finite and math.isinf(v)) for v in values):
         expected = "a number" if count == 1 else f"{count} numbers"
         raise RobotError(f'{place}: <{element.tag} {name}="{text}">: expected {expected}; correct it')
+    if finite and any(abs(v) > _LARGEST for v in values):
+        raise RobotError(
+            f'{place}: <{element.tag} {name}="{text}">: more than any robot has, {_LARGEST:g} in SI units; correct it'
+        )
     return values
 
 

@@ -70,11 +70,17 @@ def side_of(source: Diagnosis | str | Path, name: str) -> Side:
         name: what to call a diagnosis that has no path.
 
     Raises:
-        InputError: no such file, or none of ours.
+        InputError: no such file, or none of ours; or its recordings are suspect, so that it tells of no robot.
     """
     if isinstance(source, Diagnosis):
+        _check_verdict(name, source.verdict, source.statement)
         return _of_diagnosis(source, name)
     return _of_file(Path(source))
+
+
+def _check_verdict(name: str, verdict: object, statement: object) -> None:
+    if verdict == "suspect":
+        raise InputError(f"{name}: its input is suspect, there is nothing to compare. {statement}")
 
 
 def _of_diagnosis(result: Diagnosis, name: str) -> Side:
@@ -110,6 +116,7 @@ def _of_diagnosis(result: Diagnosis, name: str) -> Side:
 def _of_file(path: Path) -> Side:
     file = path / _FILE if path.is_dir() else path
     content = _read(file)
+    _check_verdict(str(path), content.get("verdict"), content.get("statement", ""))
     try:
         known: dict[str, Any] = {
             key: rebuilt(kind, content.get(key, ()))
@@ -168,7 +175,7 @@ def _read(file: Path) -> dict[str, Any]:
             f"{file}: cannot be read ({error.strerror}); give the folder that 'torchrbd diagnose -o' wrote, "
             f"or the {_FILE} in it"
         ) from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{file}: is not JSON ({error}); diagnose the recordings again") from None
     if not isinstance(content, dict):
         raise InputError(f"{file}: expected what 'torchrbd diagnose' writes, a mapping; got a {type(content).__name__}")

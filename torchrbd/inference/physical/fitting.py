@@ -214,6 +214,24 @@ def judge(statistics: BlockStatistics, x: Tensor) -> Fit:
     )
 
 
+def beside_constant(fitted: BlockStatistics, judged: BlockStatistics, x: Tensor) -> Tensor:
+    """Return squared errors on blocks over those of a constant, the mean of other blocks' torque, (n_dof,).
+
+    Unlike nmse it does not ask a model to know the mean of a short stretch. NaN where either has no torque.
+
+    Args:
+        fitted: blocks that have the mean.
+        judged: blocks to predict.
+        x: coefficients (n,).
+    """
+    count, total, _ = fitted.torque.sum(0).unbind(-1)
+    mean = total / count.clamp_min(1e-300)
+    n, first, second = judged.torque.sum(0).unbind(-1)
+    constant = second - 2.0 * mean * first + mean.square() * n
+    told = (count > 0) & (constant > _LEAST_VARIANCE * second)
+    return torch.where(told, judged.squared_error(x).sum(0) / constant.clamp_min(1e-300), torch.nan)
+
+
 def predict(columns: Columns, x: Tensor, states: States) -> Tensor:
     """Return the torque (n_dof, N) that coefficients x predict for a tile, at its full rate."""
     rigid = columns.robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, x[: columns.robot.n_params]).T

@@ -1,0 +1,199 @@
+"""Nothing is lost: results are written whole, as a set, by one process at a time, and what stops that is told first."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from torchrbd.cli import main
+from torchrbd.errors import OptionError
+from torchrbd.outputs import OutputFolder, write_whole
+
+NAMES = ("a.json", "b.urdf", "c.safetensors", "d.html")
+SIZE = 200_000
+
+
+def write_set(folder: Path, letter: str) -> None:
+    for name in NAMES:
+        (folder / name).write_text(letter * SIZE)
+
+
+def letters(folder: Path) -> set[str]:
+    """The letters of which the set in a folder is made; one, unless it is a mixture."""
+    texts = [(folder / name).read_text() for name in NAMES]
+    assert {len(text) for text in texts} == {SIZE}
+    return {letter for text in texts for letter in set(text)}
+
+
+def fill(folder: Path, letter: str) -> None:
+    with OutputFolder(folder) as out:
+        out.fill(lambda into: write_set(into, letter))
+
+
+def python(code: str, *arguments: str | Path, **more) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parent, **more,
+    )  # fmt: skip
+
+
+def test_a_set_is_written_and_nothing_else_is_left(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    for letter in "ox":
+        fill(tmp_path, letter)
+        assert letters(tmp_path) == {letter}
+    assert sorted(os.listdir(tmp_path)) == sorted((*NAMES, "notes.txt"))
+
+
+def test_a_failed_run_leaves_what_was_there(tmp_path: Path) -> None:
+    fill(tmp_path / "out", "o")
+
+    def fail(into: Path) -> None:
+        (into / NAMES[0]).write_text("x")
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match="No space"), OutputFolder(tmp_path / "out") as out:
+        out.fill(fail)
+    assert letters(tmp_path / "out") == {"o"}
+    assert sorted(os.listdir(tmp_path / "out")) == sorted(NAMES)
+
+
+def test_a_folder_that_was_made_for_nothing_is_removed(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no"), OutputFolder(tmp_path / "new" / "deep"):
+        raise ValueError("no")
+    assert os.listdir(tmp_path) == []
+
+
+REWRITING = """
+    import sys
+    from pathlib import Path
+    from test_outputs import fill
+    print("ready", flush=True)
+    while True:
+        for letter in "ox":
+            fill(Path(sys.argv[1]), letter)
+"""
+
+
+def test_killed_at_twenty_moments_a_set_is_whole(tmp_path: Path) -> None:
+    """What a kill has left is, once the next run has looked, one set or the other."""
+    rng = np.random.default_rng(27)
+    fill(tmp_path, "o")
+    seen: set[str] = set()
+    for _ in range(20):
+        writer = python(REWRITING, tmp_path)
+        assert writer.stdout is not None
+        writer.stdout.readline()
+        time.sleep(rng.uniform(0.0, 0.1))
+        writer.send_signal(signal.SIGKILL)
+        writer.communicate()
+        if (tmp_path / ".torchrbd-ready").exists():
+            with OutputFolder(tmp_path):
+                pass
+        found = letters(tmp_path)
+        assert len(found) == 1
+        seen |= found
+    assert seen == {"o", "x"}
+    fill(tmp_path, "x")
+    assert letters(tmp_path) == {"x"}
+    assert sorted(os.listdir(tmp_path)) == sorted(NAMES)
+
+
+def test_what_was_ready_is_moved_by_the_next_run(tmp_path: Path) -> None:
+    """Killed between two of the moves: the set is a mixture until then."""
+    fill(tmp_path, "o")
+    (tmp_path / ".torchrbd-ready").mkdir()
+    write_set(tmp_path / ".torchrbd-ready", "x")
+    (tmp_path / ".torchrbd-ready" / NAMES[0]).rename(tmp_path / NAMES[0])
+    assert letters(tmp_path) == {"o", "x"}
+    with OutputFolder(tmp_path):
+        assert letters(tmp_path) == {"x"}
+
+
+def test_two_runs_into_one_folder_are_refused(tmp_path: Path) -> None:
+    with OutputFolder(tmp_path) as first:
+        with pytest.raises(OptionError, match=rf"another torchrbd \(process {os.getpid()}\) is writing into it; wait"):
+            OutputFolder(tmp_path).__enter__()
+        first.fill(lambda into: write_set(into, "o"))
+    with OutputFolder(tmp_path):
+        pass
+
+
+def test_the_lock_of_a_dead_process_is_none(tmp_path: Path) -> None:
+    holder = python(
+        """
+        import sys, time
+        from pathlib import Path
+        from torchrbd.outputs import OutputFolder
+        with OutputFolder(Path(sys.argv[1])):
+            print("held", flush=True)
+            time.sleep(60)
+        """,
+        tmp_path,
+    )
+    assert holder.stdout is not None
+    holder.stdout.readline()
+    with pytest.raises(OptionError, match=f"process {holder.pid}"):
+        OutputFolder(tmp_path).__enter__()
+    holder.kill()
+    holder.communicate()
+    fill(tmp_path, "x")
+    assert letters(tmp_path) == {"x"}
+
+
+def test_a_disk_without_room_is_told_before_the_work(tmp_path: Path) -> None:
+    """A process that may not write large files stands for a full disk."""
+    fill(tmp_path, "o")
+    run = python(
+        """
+        import sys
+        from torchrbd.cli import main
+        sys.exit(main(["identify", "no.urdf", "no.csv", "-o", sys.argv[1]]))
+        """,
+        tmp_path,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, 1 << 20)),
+    )
+    _, told = run.communicate()
+    assert run.returncode == 2
+    assert "cannot be written (File too large); make room or name another" in told
+    assert "no.urdf" not in told
+    assert letters(tmp_path) == {"o"}
+    assert sorted(os.listdir(tmp_path)) == sorted(NAMES)
+
+
+def test_an_output_that_is_no_folder_is_told_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "taken").write_text("")
+    for place in (tmp_path / "taken", tmp_path / "taken" / "deep", Path("/proc/torchrbd")):
+        assert main(["compare", "no", "no", "-o", str(place)]) == 2
+        told = capsys.readouterr().err
+        assert "name another" in told
+        assert "no:" not in told
+
+
+def test_a_single_file_is_whole_or_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_whole(tmp_path / "one", b"old")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(os, "replace", full)
+        with pytest.raises(OSError, match="No space"):
+            write_whole(tmp_path / "one", b"new")
+    assert (tmp_path / "one").read_bytes() == b"old"
+    (tmp_path / "link").symlink_to("one")
+    write_whole(tmp_path / "link", b"new")
+    assert (tmp_path / "one").read_bytes() == b"new"
+    assert sorted(os.listdir(tmp_path)) == ["link", "one"]
+    write_whole("/dev/null", b"anything")

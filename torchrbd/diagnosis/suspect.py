@@ -1,0 +1,46 @@
+"""The diagnosis of input that cannot be right: no findings, what is suspected instead, and what was tested."""
+
+from __future__ import annotations
+
+import torch
+
+from torchrbd.diagnosis.ranking import Ranking
+from torchrbd.diagnosis.results import Diagnosis
+from torchrbd.diagnosis.verdict_words import suspect_statement
+from torchrbd.inference.identify import summarise
+from torchrbd.inference.physical.fitting import FittedModel, beside_constant
+from torchrbd.inference.preparation import Prepared
+from torchrbd.inference.settings import Settings
+from torchrbd.inference.suspicions import Suspicions
+from torchrbd.likelihood.reading import Progress
+
+
+def suspect(
+    prepared: Prepared,
+    settings: Settings,
+    progress: Progress,
+    suspected: Suspicions,
+    ranked: Ranking | None = None,
+) -> Diagnosis:
+    """Return a diagnosis that tells of the input alone; its model is the rigid body with plain friction.
+
+    Args:
+        prepared: the data.
+        settings: the user's choices.
+        progress: told how far the work is.
+        suspected: of the recordings.
+        ranked: what was considered, if it came to that.
+    """
+    progress("fitting", 0.0)
+    friction = prepared.columns.urdf_friction
+    models = {"rigid_body": prepared.fit(), "extended": prepared.fit(friction)}
+    identification = summarise(prepared, models, settings, progress, suspected)
+    simulated = tuple(one.name for one in prepared.reading.simulated)
+    statement = suspect_statement(suspected)
+    return Diagnosis(identification, "suspect", statement, (), simulated=simulated, ranking=ranked)
+
+
+def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:
+    """Say whether a model predicts held-out torque no better than a constant, in the mean over the joints."""
+    error = beside_constant(prepared.training, prepared.judging, model.x)
+    return bool(error.isfinite().any()) and float(torch.nanmean(error)) > 1.0

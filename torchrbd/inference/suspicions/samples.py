@@ -1,0 +1,222 @@
+"""The samples of a table, and how well ordinary models explain what its columns would mean.
+
+Two models are tried. The shape alone, joint by joint, with the URDF's torque s_j and friction's features F_j,
+
+    tau_j = g_j s_j + F_j w_j,   g_j >= 0
+
+costs one recursion over the samples and tells which writings are worth the second: the rigid body re-fitted with the
+URDF's inertials as its prior, always physical, and friction that may differ by direction. Samples that are spread over
+all recordings stand for long ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchrbd.inference.physical.fitting import beside_constant, fit_model, term_candidates
+from torchrbd.inference.preparation import Prepared
+from torchrbd.inference.suspicions.writing import Writing
+from torchrbd.likelihood.block_statistics import Block, BlockStatistics
+from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.machine import ORDINARY_EFFECTS
+from torchrbd.likelihood.scales import covered_scales
+from torchrbd.likelihood.urdf_prior import Prior, data_prior
+from torchrbd.parameters import PARAMETERS_PER_BODY
+from torchrbd.physics import effect
+from torchrbd.recordings import States
+from torchrbd.robot import pseudo_inertia
+
+# Samples of states that are looked at, about, and how many a second, at least and for each Hz of the band.
+_MOST_STATES, _LEAST_RATE_HZ, _RATE_CYCLES = 30_000, 60.0, 10.0
+# A part of a torque's power that is none.
+_NOTHING = 1e-9
+_PARTS = (Block("fitted", 0.0, 0.0), Block("held out", 0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Explained:
+    """How well a re-fitted ordinary model explains a writing.
+
+    Attributes:
+        error: (n_dof,) squared error on held-out time over that of a constant, the mean of what was fitted; NaN for a
+            joint that is not judged.
+        divergence: D of the bodies from the URDF's, see ``urdf_prior``.
+    """
+
+    error: Tensor
+    divergence: float
+
+    @property
+    def known(self) -> Tensor:
+        """The error of the better of the model and the constant, (n_dof,)."""
+        return self.error.clamp(_NOTHING, 1.0)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What the URDF's torque of joint j explains of the torque in joint i's column, (n_dof, n_dof) each.
+
+    Attributes:
+        left: part of the torque's power that friction leaves.
+        share: part that the URDF's torque explains of it, negative where it does with the opposite sign.
+        gain: g, of either sign.
+    """
+
+    left: Tensor
+    share: Tensor
+    gain: Tensor
+
+    def error(self, writing: Writing) -> Tensor:
+        """Return the part of each torque that is left by a gain that is not negative, (n_dof,)."""
+        j, i = range(len(self.left)), list(writing.tau_order)
+        share = self.share[j, i] * self.share.new_tensor(writing.tau_scale).sign()
+        return (self.left[j, i] - share.clamp_min(0.0)).clamp_min(_NOTHING)
+
+    def likeness(self, writing: Writing) -> Tensor:
+        """Return by which factor the URDF's torque lowers the squared error that friction leaves, (n_dof,)."""
+        return self.left[range(len(self.left)), list(writing.tau_order)].clamp_min(_NOTHING) / self.error(writing)
+
+
+class Samples:
+    """Band-limited samples of all recordings.
+
+    Args:
+        prepared: the data.
+
+    Attributes:
+        robot: as the URDF gives it.
+        judged: (n_dof,) bool, joints with torque both where it is fitted and where it is held out.
+        blocks: of held-out time.
+        kappa: weight of the URDF's inertials.
+    """
+
+    def __init__(self, prepared: Prepared) -> None:
+        reading = prepared.reading
+        self.robot, self.kappa = reading.robot, prepared.prior.kappa
+        self._trusted = {name for b, name in enumerate(self.robot.body_names) if b not in prepared.prior.bodies}
+        effects = [effect(name) for name in ORDINARY_EFFECTS]
+        self._columns = Columns(self.robot, effects, covered_scales(reading.surveys, reading.filtering))
+        self._terms = term_candidates(self._columns, ORDINARY_EFFECTS)
+        self._tiles: list[States] = []
+        parts: list[tuple[Tensor, ...]] = []
+        features: list[list[Tensor]] = []
+        for k, states in _spread(prepared):
+            thin = states.thinned(_thinning(states, reading.filtering.cutoff_hz))
+            self._tiles.append(thin)
+            measured = reading.measured(k).unsqueeze(1)
+            weight = reading.filtering.effective_rate * states.dt_out * self._columns.weight(thin) * measured
+            held = prepared.kept_back(states.recording, states.t_out)
+            parts.append((states.decimate(torch.nan_to_num(states.tau)), weight, held.unsqueeze(0)))
+            features.append([thin.decimate(f) for f in self._columns.features(thin)])
+        self._tau, self._weight, held = (torch.cat(x, 1) for x in zip(*parts, strict=True))
+        self._held = held.flatten()
+        self._features = [torch.cat(x, 1) for x in zip(*features, strict=True)]
+        self._design: tuple[object, list[Tensor]] = None, []
+        fitted, judged = (self._varies(part) for part in (~self._held, self._held))
+        self.judged = fitted & judged
+        self.blocks = int(prepared.held_out.sum())
+
+    def _varies(self, part: Tensor) -> Tensor:
+        """Return the joints whose torque varies in a part of the samples, (n_dof,) bool."""
+        tau = torch.where(self._weight[:, part] > 0, self._tau[:, part], torch.nan)
+        return torch.tensor([bool(len(t := row[~row.isnan()]) > 1 and t.max() > t.min()) for row in tau])
+
+    def shape(self, writing: Writing) -> Shape:
+        """Try the shape alone on all samples, for the torque in every joint's column."""
+        gravity, parts = torch.tensor(writing.gravity, dtype=torch.float64), []
+        for s in self._tiles:
+            q, qd, qdd = (x.T for x in writing.moved(s.q, s.qd, s.qdd))
+            parts.append(s.decimate(self.robot.inverse_dynamics(q, qd, qdd, gravity=gravity).T))
+        modelled, n = torch.cat(parts, 1), self.robot.n_dof
+        left, share, gain = torch.zeros(3, n, n, dtype=torch.float64)
+        left += 1.0
+        for j, place in enumerate(writing.q_order):
+            for i in torch.nonzero(self.judged).flatten().tolist():
+                w = self._weight[i].sqrt()
+                F, _ = torch.linalg.qr((self._features[place] * w).T)
+                s, t = modelled[j] * w, self._tau[i] * w
+                power, torque = float(s @ s), float(t @ t)
+                s, t = s - F @ (F.T @ s), t - F @ (F.T @ t)
+                left[j, i], own = float(t @ t) / torque, float(s @ s)
+                if own > _NOTHING * power:
+                    gain[j, i] = float(s @ t) / own
+                    share[j, i] = gain[j, i] * abs(float(s @ t)) / torque
+        return Shape(left, share, gain)
+
+    def explained(self, writing: Writing, tightness: float = 1.0) -> Explained:
+        """Re-fit the ordinary model to a writing and judge it on held-out time.
+
+        Args:
+            writing: what the columns are to mean.
+            tightness: how many times the URDF's inertials weigh what the user lets them.
+        """
+        whole = self._statistics(writing)
+        fitted, held = (whole.select(torch.tensor(part)) for part in ((True, False), (False, True)))
+        prior = data_prior(fitted, self._trusted, tightness * self.kappa)
+        x = fit_model(fitted, prior, self._terms).x
+        error = beside_constant(fitted, held, x)
+        return Explained(torch.where(self.judged, error, torch.nan), _divergence(prior, x))
+
+    def _statistics(self, writing: Writing) -> BlockStatistics:
+        """Return the moments of what is fitted and of what is held out, one block each."""
+        tau, weight = writing.torque(self._tau), self._weight[list(writing.tau_order)]
+        parts = ~self._held, self._held
+        moments = []
+        for row, t, w in zip(self._rows(writing), tau, weight, strict=True):
+            a = torch.cat((row, t.unsqueeze(0)))
+            moments.append(torch.stack([(a[:, part] * w[part]) @ a[:, part].T for part in parts]))
+        powers = torch.stack((weight, weight * tau, weight * tau.square()), -1)
+        return BlockStatistics(
+            self._columns, _PARTS, tuple(moments), torch.stack([powers[:, part].sum(1) for part in parts])
+        )
+
+    def _rows(self, writing: Writing) -> list[Tensor]:
+        """Return the regressor and friction's features of each joint, (p_j, M); the last ones are remembered."""
+        if self._design[0] != writing.motion:
+            gravity = torch.tensor(writing.gravity, dtype=torch.float64)
+            parts: list[list[Tensor]] = [[] for _ in self._features]
+            for s in self._tiles:
+                Y = self.robot.regressor_batch_last(*writing.moved(s.q, s.qd, s.qdd), gravity)
+                for own, columns, Y_j in zip(parts, self._columns.inertial, Y, strict=True):
+                    own.append(s.decimate(Y_j[columns]))
+            # Friction's features span the same whatever the unit and the sign of the motion.
+            rows = [
+                torch.cat((torch.cat(own, 1), self._features[place]))
+                for own, place in zip(parts, writing.q_order, strict=True)
+            ]
+            self._design = writing.motion, rows
+        return self._design[1]
+
+
+def _divergence(prior: Prior, x: Tensor) -> float:
+    """Return sum_b tr(J0^-1 J) - logdet(J0^-1 J) - 4 of the bodies that are fitted."""
+    ratio = prior.inverse_inertia @ pseudo_inertia(x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY))
+    trace = ratio.diagonal(dim1=-2, dim2=-1).sum(-1)
+    return float((trace - torch.linalg.slogdet(ratio)[1] - 4.0).sum())
+
+
+def _spread(prepared: Prepared) -> Iterator[tuple[int, States]]:
+    """Yield every tile with its recording's number, or some that are spread over long recordings."""
+    reading = prepared.reading
+    total = sum(s.duration_s * min(s.rate_hz, _rate(reading.filtering.cutoff_hz)) for s in reading.surveys)
+    step, number = max(1, math.ceil(total / _MOST_STATES)), 0
+    for k in range(len(reading.recordings)):
+        for states in reading.tiles(k):
+            if number % step == 0:
+                yield k, states
+            number += 1
+
+
+def _rate(band_hz: float) -> float:
+    return max(_LEAST_RATE_HZ, _RATE_CYCLES * band_hz)
+
+
+def _thinning(states: States, band_hz: float) -> int:
+    """Return by how much a clock may be coarser that has the same outputs."""
+    most = max(1, math.floor(1.0 / (states.dt * _rate(band_hz)) + 1e-6))
+    return max(d for d in range(1, most + 1) if states.stride % d == 0)

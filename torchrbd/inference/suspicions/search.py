@@ -1,0 +1,177 @@
+"""Try what a table may mean instead of what it says, and tell what explains the recordings far better.
+
+A writing h of the table is likelier than another, 0, by
+
+    log odds = sum_j N/2 log(e_j0 / e_jh) + 3 sum_j log(l_j0 / l_jh)
+
+with e the squared error of the re-fitted ordinary model on held-out time, or that of a constant where it is less: a
+writing has to beat knowing nothing too. Each held-out block counts once, but no more than 8 of them: what a model
+leaves out it leaves out in all of them, so that more of the same does not tell more. l is max(1, how many times a joint
+goes beyond the URDF's limits of position and of speed), or the clock beyond those of robots, 5 Hz to 20 kHz. Limits are
+often wrong by a factor, rarely by ten: the probability to be x times beyond falls as x^-3.
+
+Torques in another unit are told by the bodies, whose divergence D from the URDF (``urdf_prior``) they raise alike,
+
+    log odds = kappa D_0 - 10 kappa D_h - 5 per gain + sum_j N/2 log(e_j0 / e_jh)
+
+both fitted at ten times the weight of the URDF: what is left of the divergence must be a tenth. A gain costs what it
+takes to choose it among many decades. That torques have the shape of the URDF's at all must have the same odds.
+
+A table is suspected from odds of 1000 on, whatever the hypothesis: that is how rare wrong tables are among those that
+look otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrbd.inference.preparation import Prepared
+from torchrbd.inference.suspicions import words
+from torchrbd.inference.suspicions.hypotheses import TESTED, Hypothesis, gains, hypotheses
+from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicion, Suspicions
+from torchrbd.inference.suspicions.samples import Explained, Samples
+from torchrbd.inference.suspicions.writing import Writing
+from torchrbd.recordings import Survey
+from torchrbd.robot import RobotModel
+
+BOUND = math.log(1000.0)
+"""Log odds from which on something is suspected."""
+_MOST_BLOCKS, _LIMIT_POWER = 8, 3.0
+_TIGHT, _GAIN_COST = 10.0, 5.0
+# A speed beyond the limit that no reading mends; peaks over the RMS that motions have.
+_FAR, _PEAK = 30.0, 5.0
+# Clocks of robots.
+_LEAST_RATE_HZ, _MOST_RATE_HZ = 5.0, 2e4
+# Joints at which single columns are doubted; hypotheses that are re-fitted; suspicions that are told.
+_MOST_JOINTS, _MOST_FITTED, _MOST_TOLD = 6, 8, 4
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A hypothesis and what the recordings say of it."""
+
+    hypothesis: Hypothesis
+    explained: Explained
+    log_odds: float
+    ratio: Tensor
+
+
+def suspicions(prepared: Prepared) -> Suspicions:
+    """Return what is suspected of the recordings; nothing where a simulation stands for the URDF."""
+    if prepared.reading.simulated:
+        return NO_SUSPICIONS
+    samples = Samples(prepared)
+    if not bool(samples.judged.any()):
+        return NO_SUSPICIONS
+    robot, surveys = prepared.robot, prepared.reading.surveys
+    now = Writing.as_it_stands(robot.n_dof, robot.gravity.tolist())
+    base = samples.explained(now)
+    found: list[Suspicion] = []
+    while len(found) < _MOST_TOLD:
+        tried = _tried(samples, prepared, now, base)
+        likely = [one for one in tried if one.log_odds > BOUND]
+        best, alike = (likely or [None])[0], [one for one in likely[1:] if one.log_odds > likely[0].log_odds - BOUND]
+        if best is None or (_is_swap(best) and any(_is_swap(o) and not _same_joints(o, best) for o in alike)):
+            break
+        found.append(words.told(best.hypothesis, [o.hypothesis for o in alike], best.log_odds, best.ratio, prepared))
+        now, base = best.hypothesis.writing, best.explained
+    gained = _other_unit(samples, now)
+    if gained is not None:
+        found.append(words.told(gained.hypothesis, (), gained.log_odds, None, prepared))
+    times = _speed(surveys, now) / robot.velocity.numpy()
+    far = {name: float(x) for name, x in zip(robot.joint_names, times, strict=True) if np.isfinite(x) and x > _FAR}
+    if far:
+        found.append(words.too_fast(far))
+    return Suspicions(tuple(found), TESTED)
+
+
+def _is_swap(one: _Tried) -> bool:
+    return one.hypothesis.kind.startswith("swapped")
+
+
+def _same_joints(one: _Tried, other: _Tried) -> bool:
+    return one.hypothesis.joints == other.hypothesis.joints
+
+
+def _other_unit(samples: Samples, now: Writing) -> _Tried | None:
+    """Return torques in another unit, if that explains why the bodies are far from the URDF's."""
+    number, shape = 0.5 * min(samples.blocks, _MOST_BLOCKS), samples.shape(now)
+    if number * float(shape.likeness(now)[samples.judged].log().sum()) < BOUND:
+        return None
+    base, gain = samples.explained(now, _TIGHT), shape.gain
+    signs = [math.copysign(1.0, x) for x in now.tau_scale]
+    told = [
+        sign * float(gain[j, i]) if bool(samples.judged[j]) else 0.0
+        for j, (i, sign) in enumerate(zip(now.tau_order, signs, strict=True))
+    ]
+    best = None
+    for h in gains(now, told):
+        one = samples.explained(h.writing, _TIGHT)
+        ratio = (base.known / one.known)[samples.judged].log().sum()
+        cost = _GAIN_COST * (1 if h.unit == "all" else len(h.joints))
+        odds = samples.kappa * (base.divergence - _TIGHT * one.divergence) - cost + number * float(ratio)
+        if odds > max(BOUND, best.log_odds if best else 0.0):
+            best = _Tried(h, one, odds, base.known / one.known)
+    return best
+
+
+def _tried(samples: Samples, prepared: Prepared, now: Writing, base: Explained) -> list[_Tried]:
+    """Return the hypotheses that explain the shape of the torques better than now, re-fitted, the likeliest first."""
+    robot, number = samples.robot, 0.5 * min(samples.blocks, _MOST_BLOCKS)
+    surveys, converted = prepared.reading.surveys, _converted(prepared)
+    shape, beyond = samples.shape(now), _beyond(robot, surveys, now)
+    own = shape.error(now)
+    worst = [j for j in torch.argsort(own, descending=True).tolist() if samples.judged[j]][:_MOST_JOINTS]
+    shapes = {now.motion: shape}
+    promising: list[tuple[float, Hypothesis]] = []
+    for h in hypotheses(robot, now, sorted(worst), converted):
+        if h.writing.motion not in shapes:
+            shapes[h.writing.motion] = samples.shape(h.writing)
+        ratio = own / shapes[h.writing.motion].error(h.writing)
+        limits = _LIMIT_POWER * (beyond - _beyond(robot, surveys, h.writing))
+        odds = number * float(ratio[samples.judged].log().sum()) + limits
+        if odds > 0:
+            promising.append((odds, h))
+    found = []
+    for _, h in sorted(promising, key=lambda pair: -pair[0])[:_MOST_FITTED]:
+        explained = samples.explained(h.writing)
+        ratio = base.known / explained.known
+        times = float(ratio[samples.judged].log().sum())
+        limits = _LIMIT_POWER * (beyond - _beyond(robot, surveys, h.writing))
+        found.append(_Tried(h, explained, number * times + limits, ratio))
+    return sorted(found, key=lambda one: -one.log_odds)
+
+
+def _converted(prepared: Prepared) -> set[str]:
+    """Return the signals whose unit a mapping converts, of "t" and "q"."""
+    sources = [(s, r.source(s, j)) for r in prepared.recordings for j in r.joints for s in ("t", "q")]
+    return {signal for signal, source in sources if source is not None and abs(source.scale) != 1.0}
+
+
+def _beyond(robot: RobotModel, surveys: Sequence[Survey], writing: Writing) -> float:
+    """Return the sum of log l: how far the recordings go beyond the URDF's limits of position and speed."""
+    low, high = np.min([s.q_min for s in surveys], axis=0), np.max([s.q_max for s in surveys], axis=0)
+    order, scale = list(writing.q_order), np.abs(writing.q_scale)
+    span, speed = scale * (high - low)[order], _speed(surveys, writing)
+    limits = (robot.upper - robot.lower).numpy(), robot.velocity.numpy()
+    rates = [s.rate_hz / writing.time for s in surveys]
+    found = sum(
+        max(0.0, math.log(_LEAST_RATE_HZ / rate), math.log(rate / _MOST_RATE_HZ)) for rate in [float(np.median(rates))]
+    )
+    for reached, limit in zip((span, speed), limits, strict=True):
+        told = np.isfinite(limit) & (limit > 0)
+        found += float(np.log(np.maximum(1.0, reached[told] / limit[told])).sum())
+    return found
+
+
+def _speed(surveys: Sequence[Survey], writing: Writing) -> np.ndarray:
+    """Return the speeds that joints reach (n_dof,) [rad/s, m/s], of single bad samples what their RMS tells."""
+    fast = [np.minimum(s.velocity_max, _PEAK * s.velocity_rms) for s in surveys]
+    reached = np.max(fast, axis=0)[list(writing.q_order)]
+    return np.abs(writing.q_scale) * reached / writing.time
