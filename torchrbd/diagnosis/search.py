@@ -16,7 +16,7 @@ import numpy as np
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, support
 from torchrbd.diagnosis.posterior import log_odds
-from torchrbd.diagnosis.residual import curves, curves_at, is_curve
+from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
 from torchrbd.diagnosis.screening import refined, screened
 from torchrbd.likelihood.gaussian import truncated
 from torchrbd.likelihood.likelihood import Likelihood
@@ -325,14 +325,18 @@ class _Search:
         return self._still(self.with_terms(base, [*others, best]), own) is not None
 
     def _judged_again(self, base: Likelihood, chosen: Sequence[Hypothesis], k: int, seen: Sequence[Hypothesis]) -> Term:
-        """Return a term and its rivals beside all other terms; curves of its joint are among them."""
+        """Return a term and its rivals beside all other terms.
+
+        Curves of its joint are among them, but not those that could pass for friction or inertia.
+        """
         others, place = [h for i, h in enumerate(chosen) if i != k], chosen[k].candidate.place
         rest = self.with_terms(base, others) if others else base
         own, *rivals = (again(rest, self.rows, h) for h in (chosen[k], *seen[:_RIVALS]))
         assert own is not None
         if place is not None:
             known = {h.name for h in (*chosen, *seen[:_RIVALS])}
-            rivals += [h for h in curves_at(rest, self.rows, [place]) if h.name not in known]
+            curves = curves_at(rest, self.rows, [place])
+            rivals += [h for h in curves if h.name not in known and not stands_in(h.candidate)]
         likeliest = self.ordered([h for h in rivals if h is not None])[:_JUDGED]
         own, *rivals = self.judged(rest, (own, *likeliest), reach=_TOLD)
         return Term(own, tuple(self.ordered(rivals)))
