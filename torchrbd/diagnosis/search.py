@@ -335,8 +335,8 @@ class _Search:
         assert own is not None
         if place is not None:
             known = {h.name for h in (*chosen, *seen[:_RIVALS])}
-            curves = curves_at(rest, self.rows, [place])
-            rivals += [h for h in curves if h.name not in known and not stands_in(h.candidate)]
+            functions = curves_at(rest, self.rows, [place])
+            rivals += [h for h in functions if h.name not in known and not stands_in(h.candidate)]
         likeliest = self.ordered([h for h in rivals if h is not None])[:_JUDGED]
         own, *rivals = self.judged(rest, (own, *likeliest), reach=_TOLD)
         return Term(own, tuple(self.ordered(rivals)))
