@@ -327,16 +327,16 @@ class _Search:
     def _judged_again(self, base: Likelihood, chosen: Sequence[Hypothesis], k: int, seen: Sequence[Hypothesis]) -> Term:
         """Return a term and its rivals beside all other terms.
 
-        Curves of its joint are among them, but not those that could pass for friction or inertia.
+        The likeliest curve of its joint is among them, but none that could pass for friction or inertia.
         """
         others, place = [h for i, h in enumerate(chosen) if i != k], chosen[k].candidate.place
         rest = self.with_terms(base, others) if others else base
-        own, *rivals = (again(rest, self.rows, h) for h in (chosen[k], *seen[:_RIVALS]))
+        own, *laws = (again(rest, self.rows, h) for h in (chosen[k], *seen[:_RIVALS]))
         assert own is not None
+        likeliest = self.ordered([h for h in laws if h is not None])[:_JUDGED]
         if place is not None:
-            known = {h.name for h in (*chosen, *seen[:_RIVALS])}
-            functions = curves_at(rest, self.rows, [place])
-            rivals += [h for h in functions if h.name not in known and not stands_in(h.candidate)]
-        likeliest = self.ordered([h for h in rivals if h is not None])[:_JUDGED]
+            known = {h.name for h in (*chosen, *likeliest)}
+            functions = [h for h in curves_at(rest, self.rows, [place]) if h.name not in known]
+            likeliest += self.ordered([h for h in functions if not stands_in(h.candidate)])[:1]
         own, *rivals = self.judged(rest, (own, *likeliest), reach=_TOLD)
         return Term(own, tuple(self.ordered(rivals)))
