@@ -1,0 +1,17 @@
+"""Compiled kernels of the rigid body: built by the machine's C compiler, where it has one; equal to `eager`."""
+
+from torchrbd.robot.compiled.kernel import INVERSE_DYNAMICS, MASS_MATRIX, REGRESSOR
+from torchrbd.robot.compiled.switch import call, call_torque_slopes, is_available, only_eager
+from torchrbd.robot.compiled.tables import Tables, build_tables
+
+__all__ = [
+    "INVERSE_DYNAMICS",
+    "MASS_MATRIX",
+    "REGRESSOR",
+    "Tables",
+    "build_tables",
+    "call",
+    "call_torque_slopes",
+    "is_available",
+    "only_eager",
+]
