@@ -28,7 +28,7 @@ SECONDS = 120.0
 """That a compiler may take before it is given up; a second is usual."""
 
 _LOG = logging.getLogger(__name__)
-_SOURCES = ("kernels.c", "lanes.h", "mass_matrix.h", "motion.h", "regressor.h", "torque.h", "work.h")
+_SOURCES = ("kernels.c", "lanes.h", "log_cholesky.h", "mass_matrix.h", "motion.h", "regressor.h", "torque.h", "work.h")
 _INTEGER, _ADDRESS = ctypes.c_int64, ctypes.c_void_p
 _TABLES = (_ADDRESS, _ADDRESS, _INTEGER)
 _SIGNATURES = {
@@ -39,6 +39,8 @@ _SIGNATURES = {
     "regressor_adjoint": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 9),
     "mass_matrix": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 3),
     "mass_matrix_adjoint": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 5),
+    "log_cholesky": (_INTEGER, *[_ADDRESS] * 2),
+    "log_cholesky_adjoint": (_INTEGER, *[_ADDRESS] * 3),
 }
 
 

@@ -113,6 +113,22 @@ def mass_matrix_adjoint(
     return found
 
 
+def log_cholesky(tables: Tables, theta: Tensor) -> Tensor:
+    """Return inertial parameters (*batch, 10) of log-Cholesky coordinates (*batch, 10); of no robot."""
+    theta = theta.contiguous()
+    pi = torch.empty_like(theta)
+    _kernels().log_cholesky(theta.numel() // 10, theta.data_ptr(), pi.data_ptr())
+    return pi
+
+
+def log_cholesky_adjoint(tables: Tables, theta: Tensor, weight: Tensor, wanted: object = None) -> tuple[Tensor]:
+    """Return the derivatives of `(weight * pi).sum()` by theta, (*batch, 10)."""
+    theta, weight = theta.contiguous(), weight.contiguous()
+    found = torch.empty_like(theta)
+    _kernels().log_cholesky_adjoint(theta.numel() // 10, theta.data_ptr(), weight.data_ptr(), found.data_ptr())
+    return (found,)
+
+
 def _kernels() -> ctypes.CDLL:
     loaded = library()
     assert loaded is not None

@@ -27,7 +27,7 @@ class Kernel:
         states: how many of them are states.
         value: (tables, *arguments) -> result.
         adjoint: (tables, *arguments, weight, wanted) -> derivatives of `(weight * result).sum()` by the arguments.
-        plain: (geometry, *arguments) -> result, in torch's own operations.
+        plain: (tables, *arguments) -> result, in torch's own operations.
     """
 
     name: str
@@ -40,13 +40,12 @@ class Kernel:
     def plain_adjoint(self, tables: Tables, *arguments: Tensor) -> tuple[Tensor, ...]:
         """Return what `adjoint` does, of (*arguments, weight), differentiable as often as anyone likes."""
         *x, weight = arguments
-        geometry = geometry_of(tables)
 
         def value(*x: Tensor) -> Tensor:
             if all(y.ndim == 1 for y, name in zip(x, self.arguments, strict=True) if name in SHARED):
-                return self.plain(geometry, *x)
+                return self.plain(tables, *x)
             flat = [y.reshape(-1, y.shape[-1]) for y in x]
-            found = torch.vmap(lambda *x: self.plain(geometry, *x))(*flat)
+            found = torch.vmap(lambda *x: self.plain(tables, *x))(*flat)
             return found.reshape(*x[0].shape[:-1], *found.shape[1:])
 
         return torch.func.vjp(value, *x)[1](weight)
@@ -93,12 +92,23 @@ def _with_batch(x: Tensor, dim: int | None, size: int) -> Tensor:
 
 
 def _kernel(name: str, *arguments: str) -> Kernel:
+    def plain(tables: Tables, *x: Tensor) -> Tensor:
+        return getattr(eager, name)(geometry_of(tables), *x)
+
     states = sum(x not in SHARED for x in arguments)
-    return Kernel(
-        name, arguments, states, getattr(calls, name), getattr(calls, f"{name}_adjoint"), getattr(eager, name)
-    )
+    return Kernel(name, arguments, states, getattr(calls, name), getattr(calls, f"{name}_adjoint"), plain)
 
 
 INVERSE_DYNAMICS = _kernel("inverse_dynamics", "q", "qd", "qdd", "pi", "gravity")
 REGRESSOR = _kernel("regressor", "q", "qd", "qdd", "gravity")
 MASS_MATRIX = _kernel("mass_matrix", "q", "pi")
+
+
+def log_cholesky_kernel(plain: Callable[[Tensor], Tensor]) -> Kernel:
+    """Return the kernel of inertial parameters (*batch, 10) by log-Cholesky coordinates, to call with `NO_ROBOT`.
+
+    Args:
+        plain: the same in torch's own operations.
+    """
+    functions = calls.log_cholesky, calls.log_cholesky_adjoint
+    return Kernel("log_cholesky", ("theta",), 1, *functions, lambda _, theta: plain(theta))

@@ -4,6 +4,7 @@
    - takes pi (10 bodies,) and gravity (3,), or (samples, 10 bodies) and (samples, 3) where `each`, and gives derivatives by
      them as sums over the samples, or of each sample;
    - returns 0, or 1 if there is no memory. */
+#include "log_cholesky.h"
 #include "work.h"
 
 #define ROBOT const int64_t *structure, const double *constants, int64_t samples
@@ -221,5 +222,23 @@ int mass_matrix_adjoint(ROBOT, int64_t batch_last, int64_t each, const double *q
     }
     if (!each) store_inertia(&w, by_pi, 0, 0);
     free(memory);
+    return 0;
+}
+
+/* pi (bodies, 10) of theta (bodies, 10). */
+int log_cholesky(int64_t bodies, const double *theta, double *pi) {
+    for (int64_t b = 0; b < bodies; b++) {
+        Factor factor = factor_of(theta + 10 * b);
+        inertia_of(&factor, pi + 10 * b);
+    }
+    return 0;
+}
+
+/* Derivatives of sum weight pi. */
+int log_cholesky_adjoint(int64_t bodies, const double *theta, const double *weight, double *by_theta) {
+    for (int64_t b = 0; b < bodies; b++) {
+        Factor factor = factor_of(theta + 10 * b);
+        differentiate_inertia(&factor, weight + 10 * b, by_theta + 10 * b);
+    }
     return 0;
 }

@@ -73,7 +73,7 @@ def _regressor(x: tuple[Tensor, ...], constants: Tensor) -> Tensor:
 
 
 OPERATORS = {
-    INVERSE_DYNAMICS: _register(INVERSE_DYNAMICS, lambda x, _: x[0].new_empty(x[0].shape)),
-    REGRESSOR: _register(REGRESSOR, _regressor),
-    MASS_MATRIX: _register(MASS_MATRIX, lambda x, _: x[0].new_empty((*x[0].shape, x[0].shape[-1]))),
+    "inverse_dynamics": _register(INVERSE_DYNAMICS, lambda x, _: x[0].new_empty(x[0].shape)),
+    "regressor": _register(REGRESSOR, _regressor),
+    "mass_matrix": _register(MASS_MATRIX, lambda x, _: x[0].new_empty((*x[0].shape, x[0].shape[-1]))),
 }

@@ -99,10 +99,12 @@ def _is_plainly_run() -> bool:
 
 
 def _in_graph(kernel: Kernel, tables: Tables, arguments: tuple[Tensor, ...]) -> Tensor | None:
-    # Operators do not know torch.func's derivatives.
-    if _refused or _exporting() or not _levels() <= {_BATCHES} or not _fits(kernel, arguments) or not is_available():
+    if kernel.name not in OPERATORS or _refused or _exporting() or not _fits(kernel, arguments) or not is_available():
         return None
-    return OPERATORS[kernel](*_exact(kernel, arguments), *tables).to(arguments[0].dtype)
+    # Operators do not know torch.func's derivatives.
+    if not _levels() <= {_BATCHES}:
+        return None
+    return OPERATORS[kernel.name](*_exact(kernel, arguments), *tables).to(arguments[0].dtype)
 
 
 def _transformed(kernel: Kernel, tables: Tables, arguments: tuple[Tensor, ...]) -> Tensor | None:

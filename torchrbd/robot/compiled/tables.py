@@ -23,6 +23,10 @@ class Tables(NamedTuple):
     constants: Tensor
 
 
+NO_ROBOT = Tables(torch.empty(0, dtype=torch.int64), torch.empty(0, dtype=torch.float64))
+"""For kernels that are of no robot."""
+
+
 def build_tables(geometry: Geometry) -> Tables:
     """Return the tables of a robot whose geometry is in float64 on the CPU."""
     n_bodies, n_dof = geometry.coupling.shape
