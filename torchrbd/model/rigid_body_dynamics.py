@@ -76,6 +76,7 @@ class RigidBodyDynamics(nn.Module):
         self._terms = nn.ModuleList(terms)
         # As numbers: indexing by a tensor would neither batch nor trace.
         self._trained = physical.nonzero().flatten().tolist()
+        self._all_trained = len(self._trained) == robot.n_bodies
 
     @classmethod
     def from_urdf(
@@ -146,7 +147,7 @@ class RigidBodyDynamics(nn.Module):
     def pi(self) -> Tensor:
         """Inertial parameters (n_params,), differentiable in ``raw_inertia``."""
         pi = from_log_cholesky(self.raw_inertia)
-        if len(self._trained) == len(self.constant_pi):
+        if self._all_trained:
             return pi.flatten()
         bodies, trained = list(self.constant_pi.unbind(0)), pi.unbind(0)
         for body, pi in zip(self._trained, trained, strict=True):
@@ -175,7 +176,7 @@ class RigidBodyDynamics(nn.Module):
             (*batch, n_dof), [N m] or [N].
         """
         with _full_precision(q):
-            rigid = self.robot.inverse_dynamics(q, qd, qdd, self.pi.to(q))
+            rigid = self.robot.inverse_dynamics(q, qd, qdd, self.pi)
             return rigid + self._term_torque(q, qd, qdd, t, temperature, recording) if self._terms else rigid
 
     inverse_dynamics = forward
@@ -235,7 +236,7 @@ class RigidBodyDynamics(nn.Module):
         """Return the torque (*batch, n_dof) that holds the rigid body against gravity."""
         still = torch.zeros_like(q)
         with _full_precision(q):
-            return self.robot.inverse_dynamics(q, still, still, self.pi.to(q))
+            return self.robot.inverse_dynamics(q, still, still, self.pi)
 
     def forward_dynamics(
         self,
@@ -325,8 +326,8 @@ class RigidBodyDynamics(nn.Module):
             unit = torch.eye(self.robot.n_dof, dtype=q.dtype, device=q.device)
             tries = torch.cat((torch.zeros_like(unit[:1]), unit)).reshape(-1, *[1] * (q.ndim - 1), len(unit))
             still, *moved = self._term_torque(q, qd, tries, _instants(t), temperature, recording)
-            mass = self.robot.mass_matrix(q, self.pi.to(q)) + torch.stack([one - still for one in moved], -1)
-            return mass, self.robot.inverse_dynamics(q, qd, torch.zeros_like(q), self.pi.to(q)), still
+            mass = self.robot.mass_matrix(q, self.pi) + torch.stack([one - still for one in moved], -1)
+            return mass, self.robot.inverse_dynamics(q, qd, torch.zeros_like(q), self.pi), still
 
 
 def _full_precision(q: Tensor) -> AbstractContextManager[object]:

@@ -118,17 +118,22 @@ int regressor(ROBOT, int64_t batch_last, int64_t each, STATES, const double *gra
     Work w;
     V *memory = begin(&w, structure, constants, COLUMNS);
     if (!memory) return 1;
-    int64_t down = each ? 3 : 0;
+    int64_t down = each ? 3 : 0, bodies = w.robot.bodies;
     Layout layout = layout_of(batch_last, w.robot.dofs, samples);
-    TILES(samples) {
-        int count = COUNT(samples);
-        int64_t at = first * layout.sample;
-        if (each || !first) place_base(w.motion, gravity + first * down, down, count);
-        place(&w.robot, w.motion, q + at, layout, count);
-        take_rates(&w, qd + at, qdd + at, layout, count);
-        move(&w.robot, w.motion);
-        for (int64_t b = 0; b < w.robot.bodies; b++) columns_of(w.motion + b + 1, w.columns + b);
-        fill(&w.robot, w.motion, w.columns, Y + first, samples, count);
+    for (int64_t start = 0; start < samples; start += TOGETHER * LANES) {
+        Work tile = w;
+        for (int64_t first = start; first < samples && first < start + TOGETHER * LANES; first += LANES) {
+            int count = COUNT(samples);
+            int64_t at = first * layout.sample;
+            place_base(tile.motion, gravity + first * down, down, count);
+            place(&w.robot, tile.motion, q + at, layout, count);
+            take_rates(&tile, qd + at, qdd + at, layout, count);
+            move(&w.robot, tile.motion);
+            for (int64_t b = 0; b < bodies; b++) columns_of(tile.motion + b + 1, tile.columns + b);
+            tile.motion += bodies + 1, tile.columns += bodies;
+        }
+        int64_t left = samples - start < TOGETHER * LANES ? samples - start : TOGETHER * LANES;
+        fill(&w.robot, w.motion, w.columns, Y + start, samples, left);
     }
     free(memory);
     return 0;

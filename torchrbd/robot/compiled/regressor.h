@@ -35,20 +35,27 @@ INLINE void entries(const Motion *joint, int prismatic, const Columns *columns, 
     for (int k = 0; k < 6; k++) row[k + 4] = prismatic ? splat(0) : dot(joint->z, columns->couple[k]);
 }
 
-/* Y (dofs, 10 bodies, samples), zero before: structural zeros are left alone. Mimic joints add to the row they follow. */
-static void fill(const Robot *robot, const Motion *motion, const Columns *columns, double *Y, int64_t samples, int count) {
+/* Y (dofs, 10 bodies, samples), zero before: structural zeros are left alone. Mimic joints add to the row they follow.
+   Takes `tiles` of lanes in one go, one after the other in motion and columns, so that what is written lies together. */
+static void fill(const Robot *robot, const Motion *motion, const Columns *columns, double *Y, int64_t samples, int64_t left) {
     int coupled = robot->dofs < robot->bodies;
+    int64_t tiles = (left + LANES - 1) / LANES;
     for (int64_t j = 0; j < robot->bodies; j++) {
         const Node *node = robot->nodes + j;
         double multiplier = robot->constants[j].multiplier;
-        for (int64_t b = j; b < node->end; b++) {
-            double *out = Y + (node->driver * robot->bodies + b) * 10 * samples;
-            V row[10];
-            if (node->prismatic) entries(motion + j + 1, 1, columns + b, row);
-            else entries(motion + j + 1, 0, columns + b, row);
-            for (int k = 0; k < 10; k++, out += samples)
-                store(out, 1, count, coupled ? load(out, 1, count) + multiplier * row[k] : row[k]);
-        }
+        for (int64_t b = j; b < node->end; b++)
+            for (int64_t tile = 0; tile < tiles; tile++) {
+                const Motion *joint = motion + tile * (robot->bodies + 1) + j + 1;
+                const Columns *body = columns + tile * robot->bodies + b;
+                int64_t rest = left - tile * LANES;
+                int count = rest < LANES ? (int)rest : LANES;
+                double *out = Y + (node->driver * robot->bodies + b) * 10 * samples + tile * LANES;
+                V row[10];
+                if (node->prismatic) entries(joint, 1, body, row);
+                else entries(joint, 0, body, row);
+                for (int k = 0; k < 10; k++, out += samples)
+                    store(out, 1, count, coupled ? load(out, 1, count) + multiplier * row[k] : row[k]);
+            }
     }
 }
 

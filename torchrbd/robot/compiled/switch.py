@@ -102,7 +102,7 @@ def _in_graph(kernel: Kernel, tables: Tables, arguments: tuple[Tensor, ...]) -> 
     if kernel.name not in OPERATORS or _refused or _exporting() or not _fits(kernel, arguments) or not is_available():
         return None
     # Operators do not know torch.func's derivatives.
-    if not _levels() <= {_BATCHES}:
+    if not _nothing_but_batches():
         return None
     return OPERATORS[kernel.name](*_exact(kernel, arguments), *tables).to(arguments[0].dtype)
 
@@ -132,6 +132,11 @@ def _exporting() -> bool:
     """Say whether a graph is made for others to run; before torch 2.7 nothing tells, so every graph counts as one."""
     told = getattr(torch.compiler, "is_exporting", None)
     return told is None or told()
+
+
+@torch.compiler.assume_constant_result
+def _nothing_but_batches() -> bool:
+    return _levels() <= {_BATCHES}
 
 
 def _levels() -> set[TransformType]:

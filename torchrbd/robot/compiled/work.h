@@ -21,6 +21,9 @@ typedef struct {
 
 enum { TORQUE = 1, ADJOINT = 2, COLUMNS = 4, MASS = 8 };
 
+/* Tiles whose regressors are written in one go: shorter pieces of rows cost more than the arithmetic. */
+enum { TOGETHER = 8 };
+
 /* Takes lanes for `count` objects of `size` from memory, where there is some, and counts them. */
 static void *part(V *memory, size_t *used, int64_t count, size_t size) {
     size_t first = *used;
@@ -31,7 +34,8 @@ static void *part(V *memory, size_t *used, int64_t count, size_t size) {
 static size_t lay_out(Work *w, V *memory, int needs) {
     int64_t n = w->robot.bodies, dofs = w->robot.dofs;
     size_t used = 0;
-    w->motion = part(memory, &used, n + 1, sizeof(Motion));
+    int64_t tiles = needs & COLUMNS ? TOGETHER : 1;
+    w->motion = part(memory, &used, (n + 1) * tiles, sizeof(Motion));
     w->weight = part(memory, &used, needs & MASS ? dofs * dofs : n, sizeof(V));
     w->inertia = part(memory, &used, n, sizeof(Inertia));
     if (needs & TORQUE) w->wrench = part(memory, &used, n + 1, sizeof(Wrench));
@@ -40,7 +44,7 @@ static size_t lay_out(Work *w, V *memory, int needs) {
         w->adjoint = part(memory, &used, n + 1, sizeof(Adjoint));
         w->by_state = part(memory, &used, dofs * 3, sizeof(V));
     }
-    if (needs & COLUMNS) w->columns = part(memory, &used, n, sizeof(Columns));
+    if (needs & COLUMNS) w->columns = part(memory, &used, n * tiles, sizeof(Columns));
     if (needs & MASS) w->screw = part(memory, &used, n, sizeof(Screw));
     return used;
 }
