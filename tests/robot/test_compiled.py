@@ -238,6 +238,14 @@ def test_jacobians(robot: RobotModel) -> None:
     close(by_forward, found[0])
 
 
+def test_many_weights_at_once(robot: RobotModel) -> None:
+    q, qd, qdd = states(robot, grad=True)
+    tau = robot.inverse_dynamics(q, qd, qdd)
+    found = torch.autograd.grad(tau, (q, qd, qdd), torch.eye(len(tau), dtype=tau.dtype), is_grads_batched=True)
+    with torch.no_grad():
+        close(torch.stack(found), robot.torque_slopes(q, qd, qdd))
+
+
 @pytest.mark.parametrize("name", ["inverse_dynamics", "regressor", "mass_matrix"])
 def test_traced_in_one_graph(robot: RobotModel, name: str) -> None:
     """As one operator, with its derivative."""

@@ -7,6 +7,7 @@ sample. Derivatives by them are of the same shape: sums over the batch in the fi
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Callable, Sequence
 
 import torch
@@ -15,6 +16,9 @@ from torch import Tensor
 from torchrbd.robot.batching import zeros
 from torchrbd.robot.compiled.building import library
 from torchrbd.robot.compiled.tables import Tables
+
+LARGE = 1 << 19
+"""Numbers from which on numpy asks for large pages."""
 
 
 def inverse_dynamics(tables: Tables, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor, gravity: Tensor) -> Tensor:
@@ -57,7 +61,7 @@ def inverse_dynamics_adjoint(
 def torque_slopes(tables: Tables, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor, gravity: Tensor) -> Tensor:
     """Return the derivatives of the torques by q, qd and qdd, (*batch, 3, n_dof, n_dof), of one robot."""
     (q, qd, qdd), last = _laid_out(q, qd, qdd)
-    slopes = q.new_empty((*q.shape[:-1], 3, q.shape[-1], q.shape[-1]))
+    slopes = _room(q, *q.shape[:-1], 3, q.shape[-1], q.shape[-1])
     _run(_kernels().torque_slopes, tables, q, (last,), q, qd, qdd, pi.contiguous(), gravity.contiguous(), slopes)
     return slopes
 
@@ -94,7 +98,7 @@ def regressor_adjoint(
 def mass_matrix(tables: Tables, q: Tensor, pi: Tensor) -> Tensor:
     """Return the mass matrices, (*batch, n_dof, n_dof)."""
     (q,), last = _laid_out(q)
-    M = q.new_empty((*q.shape, q.shape[-1]))
+    M = _room(q, *q.shape, q.shape[-1])
     _run(_kernels().mass_matrix, tables, q, (last, pi.ndim > 1), q, pi.contiguous(), M)
     return M
 
@@ -133,6 +137,11 @@ def _kernels() -> ctypes.CDLL:
     loaded = library()
     assert loaded is not None
     return loaded
+
+
+def _room(like: Tensor, *shape: int) -> Tensor:
+    """Return memory to write all over, in large pages where it is much."""
+    return like.new_empty(shape) if math.prod(shape) < LARGE else zeros(like, *shape)
 
 
 def _laid_out(*states: Tensor) -> tuple[Sequence[Tensor], int]:

@@ -12,7 +12,7 @@ from torch.autograd import forward_ad
 
 from torchrbd.robot.compiled.building import library
 from torchrbd.robot.compiled.calls import torque_slopes
-from torchrbd.robot.compiled.functions import TransformedValue, Value
+from torchrbd.robot.compiled.functions import TransformedValue, differentiable_value
 from torchrbd.robot.compiled.kernel import INVERSE_DYNAMICS, Kernel
 from torchrbd.robot.compiled.operators import OPERATORS
 from torchrbd.robot.compiled.tables import Tables
@@ -67,7 +67,7 @@ def call(kernel: Kernel, tables: Tables, *arguments: Tensor) -> Tensor | None:
             return None
         arguments = _exact(kernel, arguments)
     if tracked and torch.is_grad_enabled():
-        found = Value.apply(kernel, tables, *arguments)
+        found = differentiable_value(kernel, tables, *arguments)
     else:
         found = kernel.value(tables, *arguments)
     return found if exact else found.to(dtype)
