@@ -80,6 +80,19 @@ def test_done_without(
     assert not any(tmp_path.iterdir())
 
 
+@needs_compiler
+def test_a_cache_that_cannot_be_written_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Kernels are there for this process; nothing stays."""
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("TORCHRBD_CACHE", str(tmp_path / "file"))
+    with caplog.at_level(logging.DEBUG, "torchrbd"):
+        assert building.library.__wrapped__() is not None
+    assert "not kept, set TORCHRBD_CACHE" in caplog.text
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
 def test_a_robot_without_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     """Is computed by torch."""
     robot = RobotModel.from_urdf(random_urdf(3, 4))

@@ -61,7 +61,7 @@ def library() -> ctypes.CDLL | None:
         _LOG.debug("no compiled kernels: found no C compiler; set CC, or put cc, gcc or clang on the PATH")
         return None
     try:
-        loaded = ctypes.CDLL(str(build(compiler, cache_folder())))
+        loaded = _load(compiler)
     except (OSError, subprocess.SubprocessError) as error:
         told = getattr(error, "stderr", None) or str(error)
         _LOG.debug("no compiled kernels: %s: %s", shlex.join(compiler), told.strip())
@@ -70,6 +70,20 @@ def library() -> ctypes.CDLL | None:
         function = getattr(loaded, name)
         function.argtypes, function.restype = arguments, ctypes.c_int
     return loaded
+
+
+def _load(compiler: list[str]) -> ctypes.CDLL:
+    """Load the library from the cache folder; where nothing can be kept there, build it for this process alone.
+
+    Raises:
+        OSError, subprocess.SubprocessError: as of `build`.
+    """
+    try:
+        return ctypes.CDLL(str(build(compiler, cache_folder())))
+    except (OSError, RuntimeError) as error:
+        _LOG.debug("compiled kernels are not kept, set TORCHRBD_CACHE to a folder that can be written to: %s", error)
+    with tempfile.TemporaryDirectory() as folder:
+        return ctypes.CDLL(str(build(compiler, Path(folder))))
 
 
 def build(compiler: list[str], folder: Path) -> Path:
