@@ -9,6 +9,7 @@ It is what a fit returns, what findings extend, what is exported, and what a lea
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, Literal
 
@@ -75,6 +76,7 @@ class RigidBodyDynamics(nn.Module):
         self._terms = nn.ModuleList(terms)
         # As numbers: indexing by a tensor would neither batch nor trace.
         self._trained = physical.nonzero().flatten().tolist()
+        self._all_trained = len(self._trained) == robot.n_bodies
 
     @classmethod
     def from_urdf(
@@ -144,7 +146,10 @@ class RigidBodyDynamics(nn.Module):
     @property
     def pi(self) -> Tensor:
         """Inertial parameters (n_params,), differentiable in ``raw_inertia``."""
-        bodies, trained = list(self.constant_pi.unbind(0)), from_log_cholesky(self.raw_inertia).unbind(0)
+        pi = from_log_cholesky(self.raw_inertia)
+        if self._all_trained:
+            return pi.flatten()
+        bodies, trained = list(self.constant_pi.unbind(0)), pi.unbind(0)
         for body, pi in zip(self._trained, trained, strict=True):
             bodies[body] = pi
         return torch.cat(bodies)
@@ -170,10 +175,9 @@ class RigidBodyDynamics(nn.Module):
         Returns:
             (*batch, n_dof), [N m] or [N].
         """
-        # In full precision, whatever a network beside it is computed in.
-        with torch.autocast(q.device.type, enabled=False):
-            rigid = self.robot.inverse_dynamics(q, qd, qdd, self.pi.to(q))
-            return rigid + self._term_torque(q, qd, qdd, t, temperature, recording)
+        with _full_precision(q):
+            rigid = self.robot.inverse_dynamics(q, qd, qdd, self.pi)
+            return rigid + self._term_torque(q, qd, qdd, t, temperature, recording) if self._terms else rigid
 
     inverse_dynamics = forward
 
@@ -188,7 +192,7 @@ class RigidBodyDynamics(nn.Module):
     ) -> Tensor:
         """Return what the terms add, (*batch, n_dof); arguments as in ``forward``."""
         self.robot.check(q, qd, qdd)
-        with torch.autocast(q.device.type, enabled=False):
+        with _full_precision(q):
             return self._term_torque(q, qd, qdd, t, temperature, recording)
 
     def _term_torque(
@@ -231,8 +235,8 @@ class RigidBodyDynamics(nn.Module):
     def gravity(self, q: Tensor) -> Tensor:
         """Return the torque (*batch, n_dof) that holds the rigid body against gravity."""
         still = torch.zeros_like(q)
-        with torch.autocast(q.device.type, enabled=False):
-            return self.robot.inverse_dynamics(q, still, still, self.pi.to(q))
+        with _full_precision(q):
+            return self.robot.inverse_dynamics(q, still, still, self.pi)
 
     def forward_dynamics(
         self,
@@ -301,7 +305,7 @@ class RigidBodyDynamics(nn.Module):
         def added(v: Tensor) -> Tensor:
             return self._term_torque(q, v, still, instants, temperature, recording)
 
-        with torch.autocast(q.device.type, enabled=False):
+        with _full_precision(q):
             mass, rigid, _ = self._at_rest(q, qd, t, temperature, recording)
             try:
                 v = implicit_velocity(mass, rigid, added, qd, tau, dt, self.rest_width)
@@ -317,13 +321,18 @@ class RigidBodyDynamics(nn.Module):
         """Return the mass matrix, the terms' in it, and the torques of rigid body and terms at no acceleration."""
         self.robot.check(q, qd)
         q, qd = torch.broadcast_tensors(q, qd)
-        with torch.autocast(q.device.type, enabled=False):
+        with _full_precision(q):
             # At rest and with each unit acceleration.
             unit = torch.eye(self.robot.n_dof, dtype=q.dtype, device=q.device)
             tries = torch.cat((torch.zeros_like(unit[:1]), unit)).reshape(-1, *[1] * (q.ndim - 1), len(unit))
             still, *moved = self._term_torque(q, qd, tries, _instants(t), temperature, recording)
-            mass = self.robot.mass_matrix(q, self.pi.to(q)) + torch.stack([one - still for one in moved], -1)
-            return mass, self.robot.inverse_dynamics(q, qd, torch.zeros_like(q), self.pi.to(q)), still
+            mass = self.robot.mass_matrix(q, self.pi) + torch.stack([one - still for one in moved], -1)
+            return mass, self.robot.inverse_dynamics(q, qd, torch.zeros_like(q), self.pi), still
+
+
+def _full_precision(q: Tensor) -> AbstractContextManager[object]:
+    """Compute in full precision, whatever a network beside it is computed in; autocasts leave float64 alone."""
+    return nullcontext() if q.dtype is torch.float64 else torch.autocast(q.device.type, enabled=False)
 
 
 def _instants(t: Tensor | None) -> Tensor | None:

@@ -13,16 +13,25 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import PhysicalError
-from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
+from torchrbd.robot import compiled, from_pseudo_inertia, pseudo_inertia
 
 
 def from_log_cholesky(theta: Tensor) -> Tensor:
     """Return the inertial parameters pi (*batch, 10) of log-Cholesky coordinates theta (*batch, 10)."""
+    found = compiled.call(_KERNEL, compiled.NO_ROBOT, theta)
+    return _from_log_cholesky(theta) if found is None else found
+
+
+def _from_log_cholesky(theta: Tensor) -> Tensor:
+    """Return the same in torch's own operations."""
     alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 = theta.unbind(-1)
     zero, one = torch.zeros_like(alpha), torch.ones_like(alpha)
     rows = (d1.exp(), s12, s13, t1, zero, d2.exp(), s23, t2, zero, zero, d3.exp(), t3, zero, zero, zero, one)
     U = alpha.exp()[..., None, None] * torch.stack(rows, -1).unflatten(-1, (4, 4))
     return from_pseudo_inertia(U @ U.mT)
+
+
+_KERNEL = compiled.log_cholesky_kernel(_from_log_cholesky)
 
 
 def to_log_cholesky(pi: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError, PhysicalError
-from torchrbd.robot import dynamics, kinematics, slopes
-from torchrbd.robot.batching import batch_first, batch_last, tiled, tiles, zeros
+from torchrbd.robot import compiled, dynamics, eager, kinematics
+from torchrbd.robot.batching import batch_first, batch_last, tiled
 from torchrbd.robot.description import Description
 from torchrbd.robot.inertia import PARAMETERS
 from torchrbd.robot.tree import FoldedLink, build_tree
@@ -33,7 +33,8 @@ class RobotModel:
 
     A body is the child link of a moving joint with everything fixed to it; the torque `Y pi` is linear in the bodies'
     inertial parameters. Bodies and joints are numbered depth-first, in the description's order: refer to them by name.
-    Methods follow the dtype and device of their inputs and are differentiable, twice, in all of them.
+    Methods follow the dtype and device of their inputs and are differentiable, twice, in all of them. On the CPU, where
+    there is a C compiler, they run in kernels that it builds on first use.
 
     Attributes:
         name: the robot's name.
@@ -76,6 +77,7 @@ class RobotModel:
         geometry = kinematics.build_geometry(tree)
         single = torch.float32, EXACT[1]
         self._geometries = {EXACT: geometry, single: geometry.to(*single)}
+        self._tables = compiled.build_tables(geometry)
         self._chain: Chain | None = None
 
     @classmethod
@@ -167,8 +169,9 @@ class RobotModel:
             (*batch, n_dof, n_params), a permuted view: the samples are contiguous in memory.
         """
         self.check(q, qd, qdd)
-        (q, qd, qdd), batch = batch_last(q, qd, qdd)
-        return batch_first(self.regressor_batch_last(q, qd, qdd, gravity), batch)
+        gravity = self._gravity(gravity)
+        found = compiled.call(compiled.REGRESSOR, self._tables, q, qd, qdd, gravity)
+        return eager.regressor(self._geometry(q), q, qd, qdd, gravity.to(q)) if found is None else found
 
     def regressor_batch_last(self, q: Tensor, qd: Tensor, qdd: Tensor, gravity: Tensor | None = None) -> Tensor:
         """Return the regressor with the samples last, as it is computed: for loops that care about time.
@@ -181,14 +184,12 @@ class RobotModel:
             (n_dof, n_params, N).
         """
         self.check(q, qd, qdd, dimension=0)
+        gravity = self._gravity(gravity)
+        found = compiled.call(compiled.REGRESSOR, self._tables, q.mT, qd.mT, qdd.mT, gravity)
+        if found is not None:
+            return found.movedim(0, -1)
         q, qd, qdd = q.contiguous(), qd.contiguous(), qdd.contiguous()
-        geometry, gravity = self._constants(q, gravity)
-        if torch.is_grad_enabled() and any(x.requires_grad for x in (q, qd, qdd, gravity)):
-            return tiled(lambda q, qd, qdd: dynamics.regressor(geometry, q, qd, qdd, gravity), q, qd, qdd)
-        Y = zeros(q, self.n_dof, self.n_params, q.shape[-1])
-        for q_k, qd_k, qdd_k, Y_k in tiles(q, qd, qdd, Y):
-            dynamics.write_regressor(geometry, q_k, qd_k, qdd_k, gravity, out=Y_k)
-        return Y
+        return eager.regressor_batch_last(self._geometry(q), q, qd, qdd, gravity.to(q))
 
     def inverse_dynamics(
         self, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor | None = None, gravity: Tensor | None = None
@@ -204,11 +205,11 @@ class RobotModel:
             (*batch, n_dof) torque of revolute, force of prismatic joints [N m, N].
         """
         self.check(q, qd, qdd)
-        (q, qd, qdd), batch = batch_last(q, qd, qdd)
-        geometry, gravity = self._constants(q, gravity)
-        pi = self._parameters(q, pi)
-        tau = tiled(lambda q, qd, qdd: dynamics.inverse_dynamics(geometry, q, qd, qdd, pi, gravity), q, qd, qdd)
-        return batch_first(tau, batch)
+        pi, gravity = self._parameters(pi), self._gravity(gravity)
+        found = compiled.call(compiled.INVERSE_DYNAMICS, self._tables, q, qd, qdd, pi, gravity)
+        if found is not None:
+            return found
+        return eager.inverse_dynamics(self._geometry(q), q, qd, qdd, pi.to(q), gravity.to(q))
 
     def mass_matrix(self, q: Tensor, pi: Tensor | None = None) -> Tensor:
         """Return the joint-space mass matrix M: kinetic energy is `qd' M qd / 2`.
@@ -221,10 +222,9 @@ class RobotModel:
             (*batch, n_dof, n_dof), symmetric; positive definite if the bodies are physical.
         """
         self.check(q)
-        (q,), batch = batch_last(q)
-        geometry, _ = self._constants(q, None)
-        pi = self._parameters(q, pi)
-        return batch_first(tiled(lambda q: dynamics.mass_matrix(geometry, q, pi), q), batch)
+        pi = self._parameters(pi)
+        found = compiled.call(compiled.MASS_MATRIX, self._tables, q, pi)
+        return eager.mass_matrix(self._geometry(q), q, pi.to(q)) if found is None else found
 
     def forward_dynamics(
         self, q: Tensor, qd: Tensor, tau: Tensor, pi: Tensor | None = None, gravity: Tensor | None = None
@@ -281,8 +281,7 @@ class RobotModel:
         """
         self.check(q)
         (q,), batch = batch_last(q)
-        geometry, _ = self._constants(q, None)
-        pose = kinematics.body_poses(geometry, *kinematics.body_coordinates(geometry, q))
+        pose = kinematics.body_poses(self._geometry(q), *kinematics.body_coordinates(self._geometry(q), q))
         return batch_first(pose.R.transpose(0, 1), batch), batch_first(pose.p.transpose(0, 1), batch)
 
     def jacobian(self, q: Tensor, body: int) -> Tensor:
@@ -297,7 +296,7 @@ class RobotModel:
         """
         self.check(q)
         (q,), batch = batch_last(q)
-        geometry, _ = self._constants(q, None)
+        geometry = self._geometry(q)
         return batch_first(tiled(lambda q: dynamics.jacobian(geometry, q, body), q), batch)
 
     def torque_slopes(self, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor | None = None) -> Tensor:
@@ -310,7 +309,12 @@ class RobotModel:
         Returns:
             (*batch, 3, n_dof, n_dof): of each torque by each joint's q, qd and qdd.
         """
-        return self._slopes(slopes.torque_slopes, q, qd, qdd, pi)
+        self.check(q, qd, qdd)
+        pi = self._parameters(pi)
+        found = compiled.call_torque_slopes(self._tables, q, qd, qdd, pi, self.gravity)
+        if found is not None:
+            return found
+        return eager.torque_slopes(self._geometry(q), q, qd, qdd, pi.to(q), self.gravity.to(q))
 
     def origin_slopes(self, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor | None = None) -> Tensor:
         """Return the derivatives of the inverse dynamics with respect to the <origin> of each driving joint.
@@ -324,16 +328,11 @@ class RobotModel:
         Returns:
             (*batch, n_dof, n_dof, 6): of each torque by each joint's shift along x, y, z [m] and turn about them [rad].
         """
-        by_body = self._slopes(slopes.origin_slopes, q, qd, qdd, pi)[..., self.joint_bodies, :]
+        self.check(q, qd, qdd)
+        pi, gravity = self._parameters(pi).to(q), self.gravity.to(q)
+        by_body = eager.origin_slopes(self._geometry(q), q, qd, qdd, pi, gravity)[..., self.joint_bodies, :]
         axes = torch.stack([self._parent_axes(joint) for joint in range(self.n_dof)]).to(by_body)
         return torch.einsum("...djsx,jxk->...djsk", by_body.unflatten(-1, (2, 3)), axes).flatten(-2)
-
-    def _slopes(self, function: Callable[..., Tensor], q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor | None) -> Tensor:
-        self.check(q, qd, qdd)
-        (q, qd, qdd), batch = batch_last(q, qd, qdd)
-        geometry, gravity = self._constants(q, None)
-        pi = self._parameters(q, pi)
-        return batch_first(tiled(lambda q, qd, qdd: function(geometry, q, qd, qdd, pi, gravity), q, qd, qdd), batch)
 
     def _parent_axes(self, joint: int) -> Tensor:
         """Return the axes of a driving joint's parent link in the body that the link is part of, (3, 3)."""
@@ -370,26 +369,30 @@ class RobotModel:
                     f"{', '.join(self.joint_names)}"
                 )
 
-    def _constants(self, like: Tensor, gravity: Tensor | None) -> tuple[kinematics.Geometry, Tensor]:
-        """Return geometry and gravity in the dtype and on the device of `like`."""
+    def _geometry(self, like: Tensor) -> kinematics.Geometry:
+        """Return the geometry in the dtype and on the device of `like`."""
         key = (like.dtype, like.device)
         geometry = self._geometries.get(key) or self._geometries[EXACT].to(*key)
         if _is_ordinary(geometry.axis):
             self._geometries[key] = geometry
+        return geometry
+
+    def _gravity(self, gravity: Tensor | None) -> Tensor:
+        """Return the gravity to use."""
         gravity = self.gravity if gravity is None else gravity
         if gravity.shape != (3,):
             raise InputError(f"gravity has shape {tuple(gravity.shape)}, expected (3,): x, y, z in the base's axes")
-        return geometry, gravity.to(like)
+        return gravity
 
-    def _parameters(self, like: Tensor, pi: Tensor | None) -> Tensor:
-        """Return the inertial parameters to use, in the dtype and on the device of `like`."""
+    def _parameters(self, pi: Tensor | None) -> Tensor:
+        """Return the inertial parameters to use."""
         pi = self.pi if pi is None else pi
         if pi.shape != (self.n_params,):
             raise InputError(
                 f"pi has shape {tuple(pi.shape)}, expected ({self.n_params},): 10 for each of "
                 f"{', '.join(self.body_names)}"
             )
-        return pi.to(like)
+        return pi
 
 
 def _is_ordinary(x: Tensor) -> bool:

@@ -1,0 +1,148 @@
+"""The kernels as a library: built once a machine by its C compiler, kept in a cache folder, loaded once a process.
+
+One library serves all robots: what a robot is comes with each call, as tables. See docs/performance.md for why.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import logging
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+FLAGS = (
+    ("-O3", "-std=gnu11", "-fPIC", "-shared", "-ffp-contract=fast", "-fno-math-errno", "-Wno-psabi", "-march=native"),
+    ("-O3", "-std=gnu11", "-fPIC", "-shared", "-ffp-contract=fast", "-fno-math-errno", "-mcpu=native"),
+)
+"""Tried in this order: some compilers for ARM know only the second."""
+
+SECONDS = 120.0
+"""That a compiler may take before it is given up; a second is usual."""
+
+_LOG = logging.getLogger(__name__)
+_SOURCES = ("kernels.c", "lanes.h", "log_cholesky.h", "mass_matrix.h", "motion.h", "regressor.h", "torque.h", "work.h")
+_INTEGER, _ADDRESS = ctypes.c_int64, ctypes.c_void_p
+_TABLES = (_ADDRESS, _ADDRESS, _INTEGER)
+_SIGNATURES = {
+    "inverse_dynamics": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 6),
+    "inverse_dynamics_adjoint": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 11),
+    "torque_slopes": (*_TABLES, _INTEGER, *[_ADDRESS] * 6),
+    "regressor": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 5),
+    "regressor_adjoint": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 9),
+    "mass_matrix": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 3),
+    "mass_matrix_adjoint": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 5),
+    "log_cholesky": (_INTEGER, *[_ADDRESS] * 2),
+    "log_cholesky_adjoint": (_INTEGER, *[_ADDRESS] * 3),
+}
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """Return the kernels, or None where TORCHRBD_KERNELS is 0 or there is no compiler that can build them.
+
+    Environment:
+        TORCHRBD_KERNELS: 0 for torch's own operations everywhere.
+        TORCHRBD_CACHE: the folder to keep the library in instead of the user's cache folder.
+        CC: the compiler, and options for it, instead of the first of cc, gcc and clang.
+    """
+    if os.environ.get("TORCHRBD_KERNELS") == "0":
+        _LOG.debug("no compiled kernels: TORCHRBD_KERNELS is 0")
+        return None
+    compiler = _compiler()
+    if compiler is None:
+        _LOG.debug("no compiled kernels: found no C compiler; set CC, or put cc, gcc or clang on the PATH")
+        return None
+    try:
+        loaded = _load(compiler)
+    except (OSError, subprocess.SubprocessError) as error:
+        told = getattr(error, "stderr", None) or str(error)
+        _LOG.debug("no compiled kernels: %s: %s", shlex.join(compiler), told.strip())
+        return None
+    for name, arguments in _SIGNATURES.items():
+        function = getattr(loaded, name)
+        function.argtypes, function.restype = arguments, ctypes.c_int
+    return loaded
+
+
+def _load(compiler: list[str]) -> ctypes.CDLL:
+    """Load the library from the cache folder; where nothing can be kept there, build it for this process alone.
+
+    Raises:
+        OSError, subprocess.SubprocessError: as of `build`.
+    """
+    try:
+        return ctypes.CDLL(str(build(compiler, cache_folder())))
+    except (OSError, RuntimeError) as error:
+        _LOG.debug("compiled kernels are not kept, set TORCHRBD_CACHE to a folder that can be written to: %s", error)
+    with tempfile.TemporaryDirectory() as folder:
+        return ctypes.CDLL(str(build(compiler, Path(folder))))
+
+
+def build(compiler: list[str], folder: Path) -> Path:
+    """Return the library in a folder, built if it is not there; processes that build it at once do not meet.
+
+    Args:
+        compiler: command and options.
+        folder: is made if need be.
+
+    Raises:
+        OSError: the folder cannot be written to, or the compiler cannot be run.
+        subprocess.SubprocessError: it fails, or takes too long.
+    """
+    here = Path(__file__).parent
+    texts = [(here / name).read_bytes() for name in _SOURCES]
+    key = hashlib.sha256("\0".join((*compiler, *map(str, FLAGS), sys.platform, _machine())).encode())
+    for text in texts:
+        key.update(text)
+    library = folder / f"kernels-{key.hexdigest()[:32]}.so"
+    if library.exists():
+        return library
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder) as beside:
+        built = Path(beside) / "kernels.so"
+        for flags in FLAGS:
+            command = [*compiler, *flags, str(here / "kernels.c"), "-o", str(built), "-lm"]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS)
+            if done.returncode == 0:
+                break
+        done.check_returncode()
+        os.replace(built, library)
+    _LOG.debug("built %s", library)
+    return library
+
+
+def cache_folder() -> Path:
+    """Return the folder that the library is kept in."""
+    if chosen := os.environ.get("TORCHRBD_CACHE"):
+        return Path(chosen)
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "torchrbd"
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "torchrbd" / "Cache"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchrbd"
+
+
+def _compiler() -> list[str] | None:
+    chosen = shlex.split(os.environ.get("CC", ""))
+    for command in [chosen] if chosen else [["cc"], ["gcc"], ["clang"]]:
+        if found := shutil.which(command[0]):
+            return [found, *command[1:]]
+    return None
+
+
+def _machine() -> str:
+    """Return what tells processors apart that understand different instructions: home folders are shared."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    told = {line for line in lines if line.startswith(("flags", "Features", "CPU part", "model name"))}
+    return "\n".join((platform.machine(), platform.processor(), *sorted(told)))

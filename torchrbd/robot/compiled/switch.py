@@ -1,0 +1,146 @@
+"""Which way a call goes: a kernel as it is, with derivatives, as an operator in a graph, or torch's own operations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor
+from torch._C._functorch import TransformType, get_interpreter_stack
+from torch.autograd import forward_ad
+
+from torchrbd.robot.compiled.building import library
+from torchrbd.robot.compiled.calls import torque_slopes
+from torchrbd.robot.compiled.functions import TransformedValue, differentiable_value
+from torchrbd.robot.compiled.kernel import INVERSE_DYNAMICS, Kernel
+from torchrbd.robot.compiled.operators import OPERATORS
+from torchrbd.robot.compiled.tables import Tables
+
+_ORDINARY = (Tensor, torch.nn.Parameter)
+_EXACT = torch.float64
+_BATCHES, _FORWARD = TransformType.Vmap, TransformType.Jvp
+_refused = 0
+
+
+@contextmanager
+def only_eager() -> Iterator[None]:
+    """Compute in torch's own operations inside, in all threads: to compare."""
+    global _refused
+    _refused += 1
+    try:
+        yield
+    finally:
+        _refused -= 1
+
+
+@torch.compiler.assume_constant_result
+def is_available() -> bool:
+    """Say whether there are compiled kernels; builds them if need be."""
+    return library() is not None
+
+
+def call(kernel: Kernel, tables: Tables, *arguments: Tensor) -> Tensor | None:
+    """Return a kernel's value, differentiable, or None where torch's own operations have to do.
+
+    They have to where nothing is compiled, on other devices, in dtypes but float32 and float64, for tensor subclasses,
+    while a model is exported or traced, and in forward-mode differentiation. float32 is computed in float64.
+
+    Args:
+        arguments: the kernel's; q's dtype is the result's, and batches broadcast.
+    """
+    if torch.compiler.is_compiling():
+        return _in_graph(kernel, tables, arguments)
+    if not _is_plainly_run():
+        return None
+    if torch._C._are_functorch_transforms_active():
+        return _transformed(kernel, tables, arguments)
+    # One loop, since this is what a call of one sample spends its time on.
+    dtype, shape, exact, tracked = arguments[0].dtype, arguments[0].shape, True, False
+    for k, x in enumerate(arguments):
+        if type(x) not in _ORDINARY or not x.is_cpu or x.is_neg():
+            return None
+        exact = exact and x.dtype is _EXACT and (k >= kernel.states or x.shape == shape)
+        tracked = tracked or x.requires_grad
+    if not exact:
+        if not _fits(kernel, arguments):
+            return None
+        arguments = _exact(kernel, arguments)
+    if tracked and torch.is_grad_enabled():
+        found = differentiable_value(kernel, tables, *arguments)
+    else:
+        found = kernel.value(tables, *arguments)
+    return found if exact else found.to(dtype)
+
+
+def call_torque_slopes(tables: Tables, *arguments: Tensor) -> Tensor | None:
+    """Return the derivatives of inverse dynamics' torques by q, qd and qdd, (*batch, 3, n_dof, n_dof), as `call`.
+
+    None where these shall be differentiated themselves, too, and in transforms and graphs.
+    """
+    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active() or not _is_plainly_run():
+        return None
+    if not _fits(INVERSE_DYNAMICS, arguments) or any(x.is_neg() for x in arguments):
+        return None
+    if torch.is_grad_enabled() and any(x.requires_grad for x in arguments):
+        return None
+    return torque_slopes(tables, *_exact(INVERSE_DYNAMICS, arguments)).to(arguments[0].dtype)
+
+
+def _is_plainly_run() -> bool:
+    """Say whether kernels may be used, and nothing watches operations to make a graph or to differentiate forwards."""
+    return not (
+        _refused
+        or torch._C._len_torch_dispatch_stack()
+        or torch._C._get_tracing_state()
+        or forward_ad._current_level >= 0
+        or not is_available()
+    )
+
+
+def _in_graph(kernel: Kernel, tables: Tables, arguments: tuple[Tensor, ...]) -> Tensor | None:
+    if kernel.name not in OPERATORS or _refused or _exporting() or not _fits(kernel, arguments) or not is_available():
+        return None
+    # Operators do not know torch.func's derivatives.
+    if not _nothing_but_batches():
+        return None
+    return OPERATORS[kernel.name](*_exact(kernel, arguments), *tables).to(arguments[0].dtype)
+
+
+def _transformed(kernel: Kernel, tables: Tables, arguments: tuple[Tensor, ...]) -> Tensor | None:
+    if _FORWARD in _levels() or not _fits(kernel, arguments) or any(x.is_neg() for x in arguments):
+        return None
+    return TransformedValue.apply(kernel, tables, *_exact(kernel, arguments)).to(arguments[0].dtype)
+
+
+def _fits(kernel: Kernel, arguments: tuple[Tensor, ...]) -> bool:
+    dtype = arguments[0].dtype
+    return (
+        (dtype is _EXACT or dtype is torch.float32)
+        and all(type(x) in _ORDINARY and x.is_cpu for x in arguments)
+        and all(x.dtype is dtype for x in arguments[1 : kernel.states])
+    )
+
+
+def _exact(kernel: Kernel, arguments: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    """Return arguments in float64, with states of one shape."""
+    states = torch.broadcast_tensors(*arguments[: kernel.states])
+    return tuple(x.to(_EXACT) for x in (*states, *arguments[kernel.states :]))
+
+
+def _exporting() -> bool:
+    """Say whether a graph is made for others to run; before torch 2.7 nothing tells, so every graph counts as one."""
+    told = getattr(torch.compiler, "is_exporting", None)
+    return told is None or told()
+
+
+@torch.compiler.assume_constant_result
+def _nothing_but_batches() -> bool:
+    return _levels() <= {_BATCHES}
+
+
+def _levels() -> set[TransformType]:
+    """Return the kinds of torch.func's transforms that are at work."""
+    if not torch._C._are_functorch_transforms_active():
+        return set()
+    return {level.key() for level in get_interpreter_stack() or ()}
