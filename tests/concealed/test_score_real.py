@@ -103,9 +103,9 @@ def test_size_is_what_rigid_body_and_friction_leave(folder: Path) -> None:
 def test_same_seed_same_files_and_an_untouched_case(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(DATA_SETS, "two", DataSet(folder.name, "robot.urdf", ("one.csv",), "two.csv"))
-    for name in ("kuka", "double_pendulum", "pendulum"):
+    for name in list(DATA_SETS):
         monkeypatch.delitem(DATA_SETS, name)
+    monkeypatch.setitem(DATA_SETS, "two", DataSet(folder.name, "robot.urdf", ("one.csv",), "two.csv"))
     outs = [tmp_path / "x", tmp_path / "y"]
     for out in outs:
         generate(folder.parent, out, 3, 7)

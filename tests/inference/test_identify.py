@@ -261,7 +261,7 @@ def test_options_that_do_not_fit_are_told(recording: Recording) -> None:
         r"payload for 'x.csv', which is no recording here; there are: simulated": {"payload": "x.csv=1,0,0,0"},
         r"payload on 'hand', which is no moving link of robot 'random4'": {"payload": "simulated=1,0,0,0@hand"},
         r"cut-off 1000 Hz is too high for a recording at 200 Hz": {"cutoff_hz": 1000.0},
-        r"cut-off -1.0 Hz": {"cutoff_hz": -1.0},
+        r"cutoff is -1 Hz; expected at least 0.001 Hz": {"cutoff_hz": -1.0},
         r"held.csv: no such file": {"holdout": "held.csv"},
         r"gravity is 'down'; expected three numbers": {"gravity": "down"},
         r"gravity is .*; expected three numbers": {"gravity": (0.0, 9.81)},

@@ -145,7 +145,7 @@ _OPTIONS: dict[str, dict] = {
     "noise told a tenth": {"encoder_noise": 0.1 * LOUD},
     "noise told tenfold": {"encoder_noise": 10 * LOUD},
     "noise told absurdly low": {"encoder_noise": 1e-12},
-    "noise told absurdly high": {"encoder_noise": 10.0},
+    "noise told absurdly high": {"encoder_noise": 1.0},
     "effects along": {"effects": ["viscous_friction", "coulomb_friction", "rotor_inertia"]},
     "trusted link": {"trust": ["link1"]},
 }
