@@ -62,7 +62,9 @@ class Payload(Effect):
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         m, mc, inertia = coefficients[0], coefficients[1:4], coefficients[4:]
-        return dict(zip(self.units, (m, *(c / m for c in mc), *inertia), strict=True))
+        # The centre of a moment without mass is far away, yet a number.
+        divisor = m + 1e-12 * (m == 0)
+        return dict(zip(self.units, (m, *(c / divisor for c in mc), *inertia), strict=True))
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
         m, x, y, z, *inertia = (parameters[name] for name in self.units)
