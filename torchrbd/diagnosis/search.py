@@ -174,8 +174,6 @@ class _Search:
         self.rows, self.effects, self.report = rows, effects, report
         # What leads beside normal noise where there is nothing yet: steps in time look like heavy tails.
         self.beside_normal: list[Hypothesis] | None = None
-        # What was judged last, the likeliest first.
-        self.learnt: list[Hypothesis] = []
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return hypotheses, the likeliest first."""
@@ -224,8 +222,7 @@ class _Search:
         seen = [h.candidate for h in (*near, *chosen)]
         others = [again(fit, self.rows, h) for h in self.beside_normal if h.name not in known]
         near += [h for h in others if h is not None and h.candidate not in seen]
-        self.learnt = self.ordered(self.judged(fit, near, sharp=True))
-        best = self.ordered((*self.learnt, *likely[_LEADING:]))
+        best = self.ordered((*self.judged(fit, near, sharp=True), *likely[_LEADING:]))
         first = {_alike(h): h for h in reversed(best)}
         return [h for h in best if first[_alike(h)] is h]
 
@@ -243,7 +240,7 @@ class _Search:
     def added(
         self, fit: Likelihood, chosen: list[Hypothesis], found: list[Hypothesis]
     ) -> tuple[Likelihood, list[Hypothesis], list[list[Hypothesis]], list[Hypothesis]]:
-        """Add what is likelier than not: the likeliest, and with it what acts on other joints, if it still is then.
+        """Add what is likelier than not, one after the other.
 
         Returns:
             The model, what is in it, what was considered where each of these was added, and what is left.
@@ -254,27 +251,12 @@ class _Search:
                 found = self.ordered((*self.curves(fit, chosen), *found))
                 if not found or log_odds(found[0], self.rows) <= 0.0:
                     break
-            for first in self._apart(found)[: MOST_TERMS - len(chosen)]:
-                h = first if first is found[0] else self._still(fit, first)
-                if h is None:
-                    continue
-                place = h.candidate.place
-                seen.append(sorted((o for o in found if o is not first), key=lambda o: o.candidate.place != place))
-                chosen = [*chosen, h]
-                self.report(len(chosen))
-                fit = fit.extended([*fit.extra, h.extra(fit, self.rows)]).settled
+            seen.append(found[1:])
+            chosen = [*chosen, found[0]]
+            self.report(len(chosen))
+            fit = fit.extended([*fit.extra, found[0].extra(fit, self.rows)]).settled
             found = self.leading(fit, chosen)
         return fit, chosen, seen, found
-
-    def _apart(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return the likeliest and, of what was judged, what is likelier than not and acts on a joint of its own."""
-        apart, joints = [found[0]], {found[0].candidate.place}
-        for h in self.learnt:
-            place = h.candidate.place
-            if place is not None and None not in joints and place not in joints and log_odds(h, self.rows) > 0.0:
-                apart.append(h)
-                joints.add(place)
-        return apart
 
     def _still(self, fit: Likelihood, h: Hypothesis) -> Hypothesis | None:
         """Return a hypothesis beside another fit, if it is likelier than not there."""
