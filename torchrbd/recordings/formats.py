@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from collections.abc import Mapping as Named
 from pathlib import Path
 from typing import Protocol
 
@@ -13,10 +14,16 @@ from pyarrow import csv as arrow_csv
 from pyarrow import parquet
 
 from torchrbd.errors import RecordingError
+from torchrbd.recordings.mapping import Mapping
 from torchrbd.recordings.npz import NpzTable
+from torchrbd.recordings.ros_bags import RosTable
 
 _CSV_BLOCK_BYTES = 1 << 20
 _PARQUET_BUFFER_BYTES = 1 << 16
+_BAGS = (".bag", ".mcap", ".db3")
+_EXPECTED = ".csv, .parquet, .npz, .bag, .mcap or the folder of a ROS 2 bag"
+# Of a bag, before its text is parsed [bytes].
+_LARGEST_METADATA = 1 << 24
 _FIRST_CHARACTERS = 4096
 _MISSING = ("", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A")
 
@@ -31,26 +38,49 @@ class Table(Protocol):
         ...
 
 
-def open_table(path: Path) -> Table:
-    """Open a file by its suffix.
+def open_table(path: Path, mapping: Mapping) -> Table:
+    """Open a file by its suffix, or a folder by what it holds.
 
-    Raises: RecordingError if the file does not exist, is no table, or has an unknown suffix.
+    Args:
+        path: the file or folder.
+        mapping: which topic or episodes of it are meant.
+
+    Raises:
+        RecordingError: it does not exist, is no table, or has an unknown suffix.
     """
+    if path.is_dir():
+        return _open_folder(path, mapping)
     readers = {".csv": CsvTable, ".txt": CsvTable, ".tsv": CsvTable, ".parquet": ParquetTable, ".npz": NpzTable}
-    reader = readers.get(path.suffix.lower())
-    if reader is None:
-        raise RecordingError(f"{path}: cannot read '{path.suffix}' files; expected .csv, .parquet or .npz")
+    suffix = path.suffix.lower()
+    reader = readers.get(suffix)
+    if reader is None and suffix not in _BAGS:
+        raise RecordingError(f"{path}: cannot read '{path.suffix}' files; expected {_EXPECTED}")
     if not path.is_file():
         raise RecordingError(f"{path}: no such file")
     if path.stat().st_size == 0:
         raise RecordingError(f"{path}: the file is empty")
-    return reader(path)
+    return RosTable(path, mapping) if reader is None else reader(path)
+
+
+def _open_folder(path: Path, mapping: Mapping) -> Table:
+    """Open a ROS 2 bag."""
+    if (path / "metadata.yaml").is_file():
+        if (path / "metadata.yaml").stat().st_size > _LARGEST_METADATA:
+            raise RecordingError(f"{path}: metadata.yaml is no bag's: it is larger than {_LARGEST_METADATA >> 20} MB")
+        return RosTable(path, mapping)
+    inside = sorted(entry.name for entry in path.iterdir() if entry.suffix in _BAGS)
+    if inside:
+        raise RecordingError(
+            f"{path}: a ROS 2 bag without metadata.yaml, it was not closed: 'ros2 bag reindex {path.name}' writes it, "
+            f"or give {path / inside[0]}"
+        )
+    raise RecordingError(f"{path}: a folder, and no ROS 2 bag (metadata.yaml); give its files one by one")
 
 
 class ArrayTable:
     """Serve columns that are already in memory."""
 
-    def __init__(self, columns: Mapping[str, np.ndarray]):
+    def __init__(self, columns: Named[str, np.ndarray]):
         self.columns = tuple(columns)
         self._data = columns
 

@@ -254,7 +254,7 @@ def open_recording(
     mapping.check_joints(joints)
     if isinstance(source, (str, Path)):
         path = Path(source)
-        return _connect(name or path.name, path, open_table(path), joints, mapping, time)
+        return _connect(name or path.name, path, open_table(path, mapping), joints, mapping, time)
     table = memory_table(source, joints, place)
     recording = _connect(place, None, table, joints, mapping, time)
     table.check([one.column for group in recording._sources.values() for one in group])
