@@ -15,13 +15,14 @@ from pyarrow import parquet
 
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.mapping import Mapping
+from torchrbd.recordings.matlab import MatTable
 from torchrbd.recordings.npz import NpzTable
 from torchrbd.recordings.ros_bags import RosTable
 
 _CSV_BLOCK_BYTES = 1 << 20
 _PARQUET_BUFFER_BYTES = 1 << 16
 _BAGS = (".bag", ".mcap", ".db3")
-_EXPECTED = ".csv, .parquet, .npz, .bag, .mcap or the folder of a ROS 2 bag"
+_EXPECTED = ".csv, .parquet, .npz, .mat, .bag, .mcap or the folder of a ROS 2 bag"
 # Of a bag, before its text is parsed [bytes].
 _LARGEST_METADATA = 1 << 24
 _FIRST_CHARACTERS = 4096
@@ -51,6 +52,7 @@ def open_table(path: Path, mapping: Mapping) -> Table:
     if path.is_dir():
         return _open_folder(path, mapping)
     readers = {".csv": CsvTable, ".txt": CsvTable, ".tsv": CsvTable, ".parquet": ParquetTable, ".npz": NpzTable}
+    readers |= {".mat": MatTable}
     suffix = path.suffix.lower()
     reader = readers.get(suffix)
     if reader is None and suffix not in _BAGS:

@@ -33,7 +33,7 @@ class _Message:
 
 
 class RosTable:
-    """Stream a topic of ``sensor_msgs/JointState``: `t`, `q_<joint>`, and `qd_<joint>`, `tau_<joint>` where there are any.
+    """Stream a topic of ``sensor_msgs/JointState``: `t`, `q_<joint>`, `qd_<joint>`, `tau_<joint>`.
 
     Times are those of ``header.stamp``; where the first messages have none, those at which they were recorded. A joint
     that a message does not name has no values there.
