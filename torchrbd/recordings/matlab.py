@@ -41,9 +41,9 @@ class MatTable:
     """Serve the vectors and matrices of a MATLAB file.
 
     `t (N,)`, `q`, `tau`, optional `qd`, `qdd`, `q_ref`, `q_link`, `temperature` `(N, n)` and the joints' names in
-    `joints`, a cell array or a matrix of letters. Other vectors of N are columns of their names, other matrices `name[0]`,
-    `name[1]`, and so on; fields of a structure are `structure.field`, or just `field` where nothing else is in the
-    file. Files of version 7.3 are streamed, earlier ones read as a whole.
+    `joints`, a cell array or a matrix of letters. Other vectors of N are columns of their names, other matrices
+    `name[0]`, `name[1]`, and so on; fields of a structure are `structure.field`, or just `field` where nothing else is
+    in the file. Files of version 7.3 are streamed, earlier ones read as a whole.
     """
 
     def __init__(self, path: Path):
