@@ -127,7 +127,7 @@ def test_bags_that_cannot_be_read(tmp_path):
     with pytest.raises(RecordingError, match="'rosbag reindex'"):
         open_recording(tmp_path / "old.bag", JOINTS)
     (tmp_path / "folder").mkdir()
-    with pytest.raises(RecordingError, match="a folder, and no ROS 2 bag"):
+    with pytest.raises(RecordingError, match="a folder, and neither a ROS 2 bag"):
         open_recording(tmp_path / "folder", JOINTS)
 
 

@@ -13,6 +13,7 @@ from pyarrow import parquet
 
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.csv_files import CsvTable
+from torchrbd.recordings.lerobot import INFO, LeRobotTable
 from torchrbd.recordings.mapping import Mapping
 from torchrbd.recordings.matlab import MatTable
 from torchrbd.recordings.npz import NpzTable
@@ -22,7 +23,7 @@ from torchrbd.recordings.ros_echo import EchoTable, is_echo
 _PARQUET_BUFFER_BYTES = 1 << 16
 _TEXTS = (".csv", ".txt", ".tsv")
 _BAGS = (".bag", ".mcap", ".db3")
-_EXPECTED = ".csv, .parquet, .npz, .mat, .bag, .mcap or the folder of a ROS 2 bag"
+_EXPECTED = ".csv, .parquet, .npz, .mat, .bag, .mcap or the folder of a ROS 2 bag or LeRobot set"
 # Of a bag, before its text is parsed [bytes].
 _LARGEST_METADATA = 1 << 24
 
@@ -66,7 +67,9 @@ def _open_text(path: Path) -> Table:
 
 
 def _open_folder(path: Path, mapping: Mapping) -> Table:
-    """Open a ROS 2 bag."""
+    """Open a LeRobot data set or a ROS 2 bag."""
+    if (path / INFO).is_file():
+        return LeRobotTable(path, mapping)
     if (path / "metadata.yaml").is_file():
         if (path / "metadata.yaml").stat().st_size > _LARGEST_METADATA:
             raise RecordingError(f"{path}: metadata.yaml is no bag's: it is larger than {_LARGEST_METADATA >> 20} MB")
@@ -77,7 +80,10 @@ def _open_folder(path: Path, mapping: Mapping) -> Table:
             f"{path}: a ROS 2 bag without metadata.yaml, it was not closed: 'ros2 bag reindex {path.name}' writes it, "
             f"or give {path / inside[0]}"
         )
-    raise RecordingError(f"{path}: a folder, and no ROS 2 bag (metadata.yaml); give its files one by one")
+    raise RecordingError(
+        f"{path}: a folder, and neither a ROS 2 bag (metadata.yaml) nor a LeRobot data set ({INFO}); give "
+        "its files one by one"
+    )
 
 
 class ArrayTable:
