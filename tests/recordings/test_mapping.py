@@ -93,7 +93,7 @@ def test_short_form_and_precedence(tmp_path):
         ("joints: [a]", r"joints: expected one key for each joint, got \['a'\]"),
         ("joints: {1: {}}", "the key 1 must be text"),
         ("time: {column: t, unit: h}", "time.unit: unknown unit 'h'; valid units are s, ms, us, ns"),
-        ("", "the file: expected time or joints, got None"),
+        ("", "the file: expected time or joints or topic or episodes, got None"),
         ("a: [", "not valid YAML"),
     ],
 )

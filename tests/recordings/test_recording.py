@@ -114,7 +114,7 @@ def test_unusable_files(tmp_path):
             list(open_recording(tmp_path / name, JOINTS).chunks())
 
     fails("missing.csv", "no such file")
-    fails("r.xlsx", "cannot read '.xlsx' files; expected .csv, .parquet or .npz")
+    fails("r.xlsx", "cannot read '.xlsx' files; expected .csv, .parquet, .npz")
     for name in ("bad.parquet", "bad.npz"):
         (tmp_path / name).write_bytes(b"no such thing")
     fails("bad.parquet", "not a readable Parquet file")

@@ -50,11 +50,15 @@ class Mapping:
         time: the column of time.
         joints: joint name, or "*" for every joint, to signal (q, qd, qdd, tau, q_ref, q_link, temperature) to
             its source.
+        topic: the topic of a ROS bag or of a PlotJuggler export; None for the only one of joint states.
+        episodes: those of a LeRobot data set, numbered from 0; None for all.
     """
 
     file: str = ""
     time: Source = Source("t")
     joints: dict[str, dict[str, Source]] = field(default_factory=dict)
+    topic: str | None = None
+    episodes: tuple[int, ...] | None = None
 
     def source(self, joint: str, index: int, signal: str) -> Source:
         """Return the source of a joint's signal; `{joint}` and `{index}` in a column's name are filled in."""
@@ -88,6 +92,7 @@ def read_mapping(path: str | Path) -> Mapping:
     column's name are filled in. With a gear ratio the column is the motor's: `q = motor / gear_ratio`,
     `tau = motor * gear_ratio`. A torque may come from a current: `{current, torque_constant, unit, gear_ratio, sign,
     offset}`, `tau = current * torque_constant * gear_ratio`. Offsets are added last, in SI units of the joint.
+    `topic` chooses among several of a ROS bag or PlotJuggler export, `episodes: [0, 3]` among those of a LeRobot set.
 
     Raises: RecordingError naming the file, the key and the closest valid one.
     """
@@ -99,14 +104,14 @@ def read_mapping(path: str | Path) -> Mapping:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
     reader = _Reader(str(path))
-    top = reader.table(content, "the file", ("time", "joints"))
+    top = reader.table(content, "the file", ("time", "joints", "topic", "episodes"))
     time = reader.time(top["time"]) if "time" in top else Source("t")
     joints = {}
     for joint, signals in reader.table(top.get("joints", {}), "joints").items():
         where = f"joints.{joint}"
         table = reader.table(signals, where, SIGNALS)
         joints[joint] = {name: reader.signal(entry, name, f"{where}.{name}") for name, entry in table.items()}
-    return Mapping(str(path), time, joints)
+    return Mapping(str(path), time, joints, reader.topic(top.get("topic")), reader.episodes(top.get("episodes")))
 
 
 def closest(name: str, candidates: Iterable[str]) -> str:
@@ -141,6 +146,19 @@ class _Reader:
         if not isinstance(value, str) or not value:
             raise self.fail(f"{where}.{key}: expected a column's name, got {value!r}")
         return value
+
+    def topic(self, value: Any) -> str | None:
+        if value is not None and not (isinstance(value, str) and value):
+            raise self.fail(f"topic: expected a name such as /joint_states, got {value!r}")
+        return value
+
+    def episodes(self, value: Any) -> tuple[int, ...] | None:
+        if value is None:
+            return None
+        numbers = value if isinstance(value, list) else [value]
+        if not numbers or any(isinstance(one, bool) or not isinstance(one, int) or one < 0 for one in numbers):
+            raise self.fail(f"episodes: expected numbers from 0 such as [0, 3], got {value!r}")
+        return tuple(numbers)
 
     def number(self, table: dict[str, Any], key: str, where: str, default: float = 1.0) -> float:
         value = table.get(key, default)

@@ -11,6 +11,7 @@ import numpy as np
 
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.formats import ArrayTable, Table, open_table
+from torchrbd.recordings.layouts import with_layout
 from torchrbd.recordings.mapping import Mapping, Source
 from torchrbd.recordings.matching import OPTIONAL_SIGNALS, PARTIAL_SIGNALS, match
 from torchrbd.recordings.memory import Data, memory_table
@@ -169,6 +170,13 @@ class Recording:
             self._check_order(t, latest, first_row)
             latest = known[-1] if len(known) else latest
             first_row += len(t)
+            others = np.ones(len(columns), dtype=bool)
+            others[slots["t"]] = False
+            told = ~np.isnan(block[others]).all(axis=0)  # the others are rows of other topics
+            if not told.any():
+                continue
+            if not told.all():
+                t, values = t[told], {key: value[told] for key, value in values.items()}
             chunk = self._assemble(t - start, values)
             if chunk is not None:
                 yield chunk
@@ -254,7 +262,7 @@ def open_recording(
     mapping.check_joints(joints)
     if isinstance(source, (str, Path)):
         path = Path(source)
-        return _connect(name or path.name, path, open_table(path), joints, mapping, time)
+        return _connect(name or path.name, path, open_table(path, mapping), joints, mapping, time)
     table = memory_table(source, joints, place)
     recording = _connect(place, None, table, joints, mapping, time)
     table.check([one.column for group in recording._sources.values() for one in group])
@@ -270,7 +278,8 @@ def _connect(
     time: tuple[float, float] | None,
 ) -> Recording:
     """Make a recording of a table whose columns fit the joints."""
-    found = match(table.columns, joints, mapping, str(path or name))
+    place = str(path or name)
+    found = match(table.columns, joints, with_layout(table.columns, mapping, place), place)
     return Recording(
         name=name,
         path=path,

@@ -1,0 +1,173 @@
+"""Read joint states from the bags of ROS 1 and ROS 2 and from MCAP files; no ROS is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchrbd.errors import RecordingError
+from torchrbd.recordings.extras import needed
+from torchrbd.recordings.mapping import Mapping, closest
+
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+_SIGNALS = {"q": "position", "qd": "velocity", "tau": "effort"}
+# Messages from which joints and their signals are learnt; several nodes may take turns on one topic.
+_FIRST_MESSAGES = 500
+_NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class _Message:
+    """One JointState: its stamp and the time it was recorded [ns], its joints, and its arrays by signal."""
+
+    stamp: int
+    recorded: int
+    joints: tuple[str, ...]
+    arrays: dict[str, np.ndarray]
+
+
+class RosTable:
+    """Stream a topic of ``sensor_msgs/JointState``: `t`, `q_<joint>`, `qd_<joint>`, `tau_<joint>`.
+
+    Times are those of ``header.stamp``; where the first messages have none, those at which they were recorded. A joint
+    that a message does not name has no values there.
+    """
+
+    def __init__(self, path: Path, mapping: Mapping):
+        self.path = path
+        self._ros2 = path.suffix.lower() != ".bag" or path.is_dir()
+        with self._opened() as bag:
+            self._topic = _chosen(bag.connections, mapping, path)
+            first = list(islice(self._messages(bag), _FIRST_MESSAGES))
+        if not first:
+            raise RecordingError(f"{path}: topic '{self._topic}' holds no messages")
+        self._stamped = any(message.stamp for message in first)
+        joints = dict.fromkeys(joint for message in first for joint in message.joints)
+        self._slots: dict[str, tuple[str, str]] = {
+            f"{signal}_{joint}": (signal, joint)
+            for signal in _SIGNALS
+            for joint in joints
+            if any(joint in message.joints and len(message.arrays[signal]) for message in first)
+        }
+        self.columns = ("t", *self._slots)
+
+    def batches(self, columns: Sequence[str], rows: int) -> Iterator[np.ndarray]:
+        block = np.full((len(columns), rows), np.nan)
+        count, number, start = 0, 0, None
+        wanted = [(k, *self._slots[name]) for k, name in enumerate(columns) if name != "t"]
+        clock = [k for k, name in enumerate(columns) if name == "t"]
+        with self._opened() as bag:
+            for number, message in enumerate(self._messages(bag), start=1):
+                self._check(message, number)
+                place = {joint: index for index, joint in enumerate(message.joints)}
+                found = [(k, place[joint], message.arrays[signal]) for k, signal, joint in wanted if joint in place]
+                found = [(k, index, array) for k, index, array in found if len(array)]
+                if wanted and not found:  # of another node on the same topic
+                    continue
+                time = message.stamp if self._stamped else message.recorded
+                start = time if start is None else start
+                block[clock, count] = (time - start) / _NS
+                for k, index, array in found:
+                    block[k, count] = array[index]
+                count += 1
+                if count == rows:
+                    yield block
+                    block, count = np.full((len(columns), rows), np.nan), 0
+        if count:
+            yield block[:, :count]
+
+    def _check(self, message: _Message, number: int) -> None:
+        for signal, array in message.arrays.items():
+            if len(array) not in (0, len(message.joints)):
+                raise RecordingError(
+                    f"{self.path}: topic '{self._topic}', message {number}: {len(array)} values of {_SIGNALS[signal]} "
+                    f"for {len(message.joints)} joint names; the node that publishes it is to be corrected"
+                )
+
+    def _messages(self, bag: Any) -> Iterator[_Message]:
+        connections = [one for one in bag.connections if one.topic == self._topic and _is_joint_state(one)]
+        typesys = needed("rosbags.typesys", "ros", self.path)
+        # The message is the same in every distribution, so that what other topics are of need not be understood.
+        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE if self._ros2 else typesys.Stores.ROS1_NOETIC)
+        read = store.deserialize_cdr if self._ros2 else store.deserialize_ros1
+        for connection, recorded, raw in bag.messages(connections=connections):
+            found = read(raw, connection.msgtype)
+            stamp = found.header.stamp
+            arrays = {signal: getattr(found, field) for signal, field in _SIGNALS.items()}
+            yield _Message(stamp.sec * _NS + stamp.nanosec, recorded, tuple(found.name), arrays)
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        reader = needed(f"rosbags.rosbag{2 if self._ros2 else 1}", "ros", self.path).Reader
+        try:
+            with reader(self.path) as bag:
+                yield bag
+        except RecordingError:
+            raise
+        except Exception as error:  # damaged files fail anywhere in the library, in any way
+            raise RecordingError(f"{self.path}: not a readable bag: {_reason(error)}{self._remedy()}") from None
+
+    def _remedy(self) -> str:
+        if not self._ros2:
+            return "; 'rosbag reindex' and 'rosbag check' mend what was not closed"
+        if self.path.is_dir():
+            return f"; a bag that was not closed is mended by 'ros2 bag reindex {self.path.name}'"
+        return "; a file that was not closed is mended by 'mcap recover'" if self.path.suffix == ".mcap" else ""
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
+
+
+def _is_joint_state(connection: Any) -> bool:
+    return connection.msgtype == _JOINT_STATE
+
+
+def _chosen(connections: Sequence[Any], mapping: Mapping, path: Path) -> str:
+    """Return the topic to read: that of the mapping, or the only one of joint states.
+
+    Raises:
+        RecordingError: there is none, or more than one and the mapping does not say which.
+    """
+    counts: dict[str, int] = {}
+    for one in connections:
+        if _is_joint_state(one):
+            counts[one.topic] = counts.get(one.topic, 0) + (one.msgcount or 0)
+    if not counts:
+        others = ", ".join(sorted({f"{one.topic} ({one.msgtype})" for one in connections})) or "none"
+        raise RecordingError(
+            f"{path}: no topic of sensor_msgs/JointState; its topics are {others}; record the joint states with effort"
+        )
+    return chosen_topic({topic: f"{count} messages" for topic, count in counts.items()}, mapping, str(path))
+
+
+def chosen_topic(topics: dict[str, str], mapping: Mapping, place: str) -> str:
+    """Return the topic that the mapping names, or the only one.
+
+    Args:
+        topics: what to say of each, by its name.
+        mapping: the user's.
+        place: the file, for messages.
+
+    Raises:
+        RecordingError: the mapping names another, or none where there are several.
+    """
+    listed = ", ".join(f"{topic} ({words})" for topic, words in topics.items())
+    if mapping.topic is None:
+        if len(topics) == 1:
+            return next(iter(topics))
+        raise RecordingError(
+            f"{place}: {len(topics)} topics of joint states: {listed}; give --mapping a file with "
+            f"'topic: {next(iter(topics))}'"
+        )
+    if mapping.topic not in topics:
+        raise RecordingError(
+            f"{place}: topic: no joint states in '{mapping.topic}'{closest(mapping.topic, topics)}; there are {listed}"
+        )
+    return mapping.topic

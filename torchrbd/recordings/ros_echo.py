@@ -1,0 +1,71 @@
+"""Read what ``ros2 topic echo --csv`` prints of ``sensor_msgs/JointState``: rows without a header."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from torchrbd.errors import RecordingError
+from torchrbd.recordings.csv_files import CsvTable
+from torchrbd.recordings.csv_head import Head, first_lines, is_number
+
+_STAMP = ("stamp.sec", "stamp.nanosec")
+_FIXED = (*_STAMP, "frame_id")
+_SIGNALS = {1: ("q",), 3: ("q", "qd", "tau")}
+_ARRAYS = "its columns are header.stamp.sec, nanosec, frame_id, names, positions, velocities, efforts"
+
+
+def is_echo(path: Path) -> bool:
+    """Say whether a file begins with seconds, nanoseconds, a frame and a joint's name."""
+    cells = _first_row(path)
+    stamped = len(cells) > len(_FIXED) + 1 and all(cell.strip().isdigit() for cell in cells[:2])
+    return stamped and not is_number(cells[3]) and is_number(cells[-1])
+
+
+class EchoTable:
+    """Stream `t` and `q_<joint>`, with velocities and efforts `qd_<joint>`, `tau_<joint>`."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        rest = _first_row(path)[len(_FIXED) :]
+        count = next((k for k, cell in enumerate(rest) if is_number(cell)), len(rest))
+        self._joints, arrays = tuple(cell.strip() for cell in rest[:count]), (len(rest) - count) / count
+        if arrays == 2:
+            raise RecordingError(
+                f"{path}: two arrays for {count} joints; whether the latter is velocity or effort cannot be told: "
+                "record a bag with 'ros2 bag record', or put a header above rows of t, positions and efforts"
+            )
+        if arrays not in _SIGNALS:
+            raise RecordingError(f"{path}: {len(rest) - count} numbers for {count} joint names in row 1; {_ARRAYS}")
+        self._names = tuple(f"name[{index}]" for index in range(count))
+        signals = tuple(f"{signal}_{joint}" for signal in _SIGNALS[int(arrays)] for joint in self._joints)
+        self._csv = CsvTable(path, Head(0, ",", ".", (*_FIXED, *self._names, *signals)))
+        self.columns = ("t", *signals)
+
+    def batches(self, columns: Sequence[str], rows: int) -> Iterator[np.ndarray]:
+        signals, start, row = [name for name in columns if name != "t"], None, 1
+        for batch in self._csv.cells([*_STAMP, *signals], rows, self._names):
+            self._check_names(batch, row)
+            numbers = {name: batch[name].to_numpy(zero_copy_only=False) for name in (*_STAMP, *signals)}
+            seconds, nanoseconds = (numbers[name] for name in _STAMP)
+            start = seconds[0] if start is None else start
+            numbers["t"] = (seconds - start) + 1e-9 * nanoseconds
+            row += batch.num_rows
+            yield np.stack([numbers[name] for name in columns])
+
+    def _check_names(self, batch: pa.RecordBatch, row: int) -> None:
+        for name, joint in zip(self._names, self._joints, strict=True):
+            others = [text for text in batch[name].unique().to_pylist() if text.strip() != joint]
+            if others:
+                raise RecordingError(
+                    f"{self.path}: data row {row + batch[name].to_pylist().index(others[0])} is of joint '{others[0]}' "
+                    f"where row 1 is of '{joint}'; record a bag with 'ros2 bag record', or keep the rows of one node"
+                )
+
+
+def _first_row(path: Path) -> list[str]:
+    lines = first_lines(path)
+    return lines[0].rstrip("\r\n").split(",") if lines else []
