@@ -232,7 +232,10 @@ def open_recording(
     time: tuple[float, float] | None = None,
     name: str | None = None,
 ) -> Recording:
-    """Open a CSV, Parquet or NPZ recording, or one in memory, and check that its columns fit the robot's joints.
+    """Open a recording in a file, a folder or in memory, and check that its columns fit the robot's joints.
+
+    Files are CSV, Parquet, NPZ, MATLAB (.mat) and, with joint states, ROS bags (.bag, .mcap, .db3); folders are ROS 2
+    bags and LeRobot data sets.
 
     Data in memory are read where they lie and are not copied: leave them as they are while they are in use. They are
 
@@ -247,7 +250,7 @@ def open_recording(
         recording = torchrbd.open_recording({"t": t, "q": q, "tau": tau}, robot.joint_names, name="monday")
 
     Args:
-        source: a file, a table, or a dict.
+        source: a file or folder, a table, or a dict.
         joints: the robot's joints, in its order.
         mapping: where the columns have other names, units or signs.
         time: use only this part, (from, to) in seconds since the recording's first row.
