@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from robot.random_robots import random_urdf
 from safetensors.numpy import save_file
+from scipy.io import savemat
 from simulated import joint_names, record
 
 import torchrbd
@@ -57,6 +59,44 @@ def test_large_files_are_refused_before_they_are_read(tmp_path: Path) -> None:
     np.savez_compressed(tmp_path / "bomb.npz", t=np.zeros(3), q=np.zeros((3, 1)), joints=np.zeros(10**7, "U1"))
     with pytest.raises(RecordingError, match="'joints' takes 40000128 bytes"):
         open_recording(tmp_path / "bomb.npz", ["j"])
+
+
+def test_bags_and_data_sets_open_what_lies_in_their_folder_alone(tmp_path: Path) -> None:
+    (tmp_path / "secret.db3").write_text("hidden")
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    told = "{version: 9, storage_identifier: sqlite3, relative_file_paths: [../secret.db3], message_count: 0}"
+    (bag / "metadata.yaml").write_text(f"rosbag2_bagfile_information: {told}")
+    with pytest.raises(RecordingError, match="Some database files are missing: .*bag/secret.db3"):
+        open_recording(bag, ["j"])
+    (bag / "metadata.yaml").write_text(f"a: !!python/object/apply:os.system ['touch {tmp_path}/ran']")
+    with pytest.raises(RecordingError, match="not a readable bag"):
+        open_recording(bag, ["j"])
+    assert not (tmp_path / "ran").exists()
+    with (bag / "metadata.yaml").open("wb") as file:
+        file.truncate(1 << 25)
+    with pytest.raises(RecordingError, match="it is larger than 16 MB"):
+        open_recording(bag, ["j"])
+    (tmp_path / "set/meta").mkdir(parents=True)
+    number = {"dtype": "float32", "shape": [1]}
+    features = {name: number for name in ("timestamp", "episode_index", "q_j", "tau_j")}
+    info = tmp_path / "set/meta/info.json"
+    info.write_text(json.dumps({"features": features, "data_path": "../secret.db3"}))
+    with pytest.raises(RecordingError, match="no files data/chunk-"):
+        open_recording(tmp_path / "set", ["j"])
+    with info.open("wb") as file:
+        file.truncate(1 << 25)
+    with pytest.raises(RecordingError, match="is larger than 16 MB"):
+        open_recording(tmp_path / "set", ["j"])
+
+
+def test_large_matlab_arrays_are_refused_before_they_are_read(tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", {"t": np.zeros((1, 3))})
+    content = (tmp_path / "a.mat").read_bytes()
+    shape = np.array([1, 3], "<i4").tobytes()
+    (tmp_path / "a.mat").write_bytes(content.replace(shape, np.array([1 << 15, 1 << 15], "<i4").tobytes()))
+    with pytest.raises(RecordingError, match="too much to be read at once; save the file with '-v7.3'"):
+        open_recording(tmp_path / "a.mat", ["j"])
 
 
 def test_deep_nesting_is_refused(tmp_path: Path) -> None:

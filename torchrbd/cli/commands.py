@@ -15,6 +15,7 @@ from rich.console import Console
 from torchrbd.cli.each import identify_each
 from torchrbd.cli.exporting import export
 from torchrbd.cli.files import REPORT, write_results
+from torchrbd.cli.inspecting import inspect
 from torchrbd.cli.progress import progress_bar
 from torchrbd.cli.settings import settings_of
 from torchrbd.cli.tables import (
@@ -101,6 +102,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "compare": _compare,
     "compare-estimators": _compare_estimators,
     "export": export,
+    "inspect": inspect,
     "effects": lambda _: print_effects(effects().values()),
     "demo": _demo,
 }

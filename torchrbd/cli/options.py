@@ -14,6 +14,11 @@ from torchrbd import __version__
 from torchrbd.estimators import COMPARABLE, ESTIMATORS, WITH_INTERVALS
 
 _FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint or only at PLACE (default: {})"
+_RECORDING = (
+    "CSV, Parquet, NPZ or MATLAB file with columns t [s], q_<joint> [rad, m], tau_<joint> [N m, N], optionally "
+    "qd_<joint>, q_ref_<joint>, q_link_<joint> (encoder behind the gear), temperature_<joint> [degC]; or a ROS bag, an "
+    "MCAP file or a LeRobot data set"
+)
 _FRICTION = "viscous and Coulomb friction; exclude both for the rigid body alone"
 
 
@@ -88,6 +93,8 @@ def parser() -> argparse.ArgumentParser:
     sub.epilog = _list_of(COMPARABLE)
     sub = command("export", "Write a fitted model as a file for a simulator, and say what that file cannot hold.")
     _add_export(sub)
+    sub = command("inspect", "Say what a recording holds and what looks wrong; write a mapping to edit.")
+    _add_inspect(sub)
     command("effects", "List the effects that can be missing: their names, what they are, and their torque.")
     sub = command("demo", "Diagnose a bundled case: a six-joint arm with a friction that its URDF does not hold.")
     sub.add_argument(
@@ -105,6 +112,17 @@ def _add_compare(sub: argparse.ArgumentParser) -> None:
             help=f"folder that 'diagnose -o' wrote, or its diagnosis.json: {words}",
         )
     sub.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder for comparison.json and comparison.html")
+
+
+def _add_inspect(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("file", type=Path, metavar="FILE", help=_RECORDING)
+    sub.add_argument(
+        "robot", type=Path, nargs="?", metavar="ROBOT.urdf", help="whose joints and limits count (default: as named)"
+    )
+    sub.add_argument("--mapping", type=Path, metavar="YAML", help="column names and units as far as they are known")
+    sub.add_argument(
+        "-o", "--output", type=Path, metavar="YAML", help="mapping to write, with what was found and guessed"
+    )
 
 
 def _add_export(sub: argparse.ArgumentParser) -> None:
@@ -151,8 +169,7 @@ def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_requ
         nargs="+",
         type=Path,
         metavar="RECORDING",
-        help="CSV, Parquet or NPZ with columns t [s], q_<joint> [rad, m], tau_<joint> [N m, N], "
-        "optionally qd_<joint>, q_ref_<joint>, q_link_<joint> (encoder behind the gear), temperature_<joint> [degC]",
+        help=_RECORDING,
     )
     sub.add_argument(
         "-o", "--output", type=Path, required=output_required, metavar="DIR", help="folder for the results"

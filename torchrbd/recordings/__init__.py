@@ -2,6 +2,7 @@
 
 from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering
+from torchrbd.recordings.inspection import Inspection, inspect_recording
 from torchrbd.recordings.mapping import Mapping, read_mapping
 from torchrbd.recordings.memory import Data, InMemory
 from torchrbd.recordings.recording import Chunk, Recording, open_recording
@@ -14,6 +15,7 @@ __all__ = [
     "Data",
     "Filtering",
     "InMemory",
+    "Inspection",
     "Mapping",
     "NamedSource",
     "Recording",
@@ -21,6 +23,7 @@ __all__ = [
     "States",
     "Survey",
     "choose_cutoff",
+    "inspect_recording",
     "listed_sources",
     "open_recording",
     "read_mapping",

@@ -1,4 +1,4 @@
-"""Read tables of numbers from CSV, Parquet and NPZ files in bounded memory, or say exactly which cell is wrong."""
+"""Open tables of numbers in files and folders of many kinds, each read in bounded memory."""
 
 from __future__ import annotations
 

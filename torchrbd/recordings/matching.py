@@ -34,7 +34,7 @@ class Match:
     notes: tuple[str, ...]
 
 
-def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place: str) -> Match:
+def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place: str, torque: bool = True) -> Match:
     """Match columns with joints.
 
     Args:
@@ -42,6 +42,7 @@ def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place
         joints: the robot's joints, in its order.
         mapping: what the columns are called.
         place: file or name, for messages.
+        torque: whether some joint has to have one.
 
     Raises:
         RecordingError: columns are missing; names those present, and the closest matches.
@@ -59,7 +60,7 @@ def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place
             f"present: {', '.join(columns)}; give a mapping if they have other names"
         )
     there = {key: np.array([s.column in present for s in wanted[key]]) for key in ("tau", *PARTIAL_SIGNALS)}
-    if not there["tau"].any():
+    if torque and not there["tau"].any():
         expected = ", ".join(source.column for source in wanted["tau"])
         raise RecordingError(
             f"{place}: no joint has a torque; expected at least one of {expected}; present: {', '.join(columns)}"

@@ -110,7 +110,7 @@ class Recording:
             for index, joint in enumerate(joints):
                 if signal not in ("tau", "q_ref", *PARTIAL_SIGNALS) or not np.isnan(array[:, index]).all():
                     columns[f"{signal}_{joint}"] = array[:, index]
-        return _connect(name, None, ArrayTable(columns), joints, Mapping(), None)
+        return connect(name, None, ArrayTable(columns), joints, Mapping(), None)
 
     def of_joints(self, joints: Sequence[str], time: tuple[float, float] | None = None) -> Recording:
         """Return the recording with its joints in another order, and only a part of it if `time` is given.
@@ -189,9 +189,10 @@ class Recording:
                 return None
         optional = {key: values[key][keep] for key in OPTIONAL_SIGNALS if key in values}
         for key, there in (("tau", self.measured), ("q_link", self.linked), ("temperature", self.thermal)):
-            if there.any():
+            if there.any() or key == "tau":
                 whole = np.full((len(t), len(self.joints)), np.nan)
-                whole[:, there] = values[key]
+                if there.any():
+                    whole[:, there] = values[key]
                 optional[key] = whole[keep]
         return Chunk(t[keep], values["q"][keep], **optional)
 
@@ -231,7 +232,10 @@ def open_recording(
     time: tuple[float, float] | None = None,
     name: str | None = None,
 ) -> Recording:
-    """Open a CSV, Parquet or NPZ recording, or one in memory, and check that its columns fit the robot's joints.
+    """Open a recording in a file, a folder or in memory, and check that its columns fit the robot's joints.
+
+    Files are CSV, Parquet, NPZ, MATLAB (.mat) and, with joint states, ROS bags (.bag, .mcap, .db3); folders are ROS 2
+    bags and LeRobot data sets.
 
     Data in memory are read where they lie and are not copied: leave them as they are while they are in use. They are
 
@@ -246,7 +250,7 @@ def open_recording(
         recording = torchrbd.open_recording({"t": t, "q": q, "tau": tau}, robot.joint_names, name="monday")
 
     Args:
-        source: a file, a table, or a dict.
+        source: a file or folder, a table, or a dict.
         joints: the robot's joints, in its order.
         mapping: where the columns have other names, units or signs.
         time: use only this part, (from, to) in seconds since the recording's first row.
@@ -262,24 +266,38 @@ def open_recording(
     mapping.check_joints(joints)
     if isinstance(source, (str, Path)):
         path = Path(source)
-        return _connect(name or path.name, path, open_table(path, mapping), joints, mapping, time)
+        return connect(name or path.name, path, open_table(path, mapping), joints, mapping, time)
     table = memory_table(source, joints, place)
-    recording = _connect(place, None, table, joints, mapping, time)
+    recording = connect(place, None, table, joints, mapping, time)
     table.check([one.column for group in recording._sources.values() for one in group])
     return recording
 
 
-def _connect(
+def connect(
     name: str,
     path: Path | None,
     table: Table,
     joints: Sequence[str],
     mapping: Mapping,
     time: tuple[float, float] | None,
+    torque: bool = True,
 ) -> Recording:
-    """Make a recording of a table whose columns fit the joints."""
+    """Make a recording of a table whose columns fit the joints.
+
+    Args:
+        name: what results call it.
+        path: where it lies; None for data in memory.
+        table: its columns.
+        joints: the robot's, in its order.
+        mapping: what the columns are called.
+        time: the part that is used, None for all.
+        torque: whether some joint has to have a torque.
+
+    Raises:
+        RecordingError: columns are missing.
+    """
     place = str(path or name)
-    found = match(table.columns, joints, with_layout(table.columns, mapping, place), place)
+    found = match(table.columns, joints, with_layout(table.columns, mapping, place), place, torque)
     return Recording(
         name=name,
         path=path,

@@ -1,0 +1,99 @@
+"""What ``torchrbd inspect`` does: look at a file, print what it holds, write a mapping."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from itertools import compress
+
+from rich.console import Console
+from rich.table import Column, Table
+from rich.text import Text
+
+from torchrbd.diagnosis.numbers import number
+from torchrbd.errors import OptionError
+from torchrbd.outputs import write_whole
+from torchrbd.recordings import Inspection, Mapping, inspect_recording, read_mapping
+from torchrbd.recordings.mapping_text import mapping_text
+from torchrbd.robot import RobotModel
+
+
+def inspect(options: argparse.Namespace) -> None:
+    """Print what a file holds, and write a mapping if a file is named.
+
+    Raises:
+        InputError: a file that cannot be read.
+        OptionError: the mapping is there already.
+    """
+    into = options.output
+    if into is not None and into.exists():
+        raise OptionError(f"'{into}' exists, and may have been edited; name another file for the mapping")
+    robot = None if options.robot is None else RobotModel.from_urdf(options.robot)
+    mapping = Mapping() if options.mapping is None else read_mapping(options.mapping)
+    found = inspect_recording(options.file, robot, mapping)
+    print_inspection(found)
+    if into is not None:
+        sliding = () if robot is None else tuple(compress(robot.joint_names, robot.prismatic.tolist()))
+        into.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(into, mapping_text(found, mapping, sliding).encode())
+        Console(highlight=False, soft_wrap=True).print(f"wrote {into}", markup=False)
+
+
+def print_inspection(found: Inspection) -> None:
+    """Print clock, motion and channels of a recording, or the columns of a file that is none yet."""
+    out = Console(highlight=False)
+    _print_clock(found, out)
+    if found.recording is None:
+        table = Table(Column("column", overflow="fold"), *map(_right, ("smallest", "largest")))
+        for column, (low, high) in found.ranges.items():
+            table.add_row(Text(column), *(("text or empty", "") if math.isnan(low) else (number(low), number(high))))
+        out.print(table)
+    else:
+        _print_motion(found, out)
+        _print_channels(found, out)
+    if found.lacking:
+        remedy = "; -o writes a mapping to edit, with what the names of the columns suggest"
+        out.print(Text.assemble(("lacking:", "bold yellow"), " ", found.lacking, remedy), soft_wrap=True)
+    for remark in found.remarks:
+        out.print(Text.assemble(("warning:", "bold yellow"), " ", remark))
+    for note in found.survey.notes if found.survey is not None else ():
+        out.print(f"note: {note}", markup=False)
+
+
+def _print_clock(found: Inspection, out: Console) -> None:
+    seen = found.survey
+    if seen is None:
+        out.print(Text.assemble((f"{found.name}:", "bold"), f" {len(found.columns)} columns, not matched with joints"))
+        return
+    pieces = "no gaps" if len(seen.segments) == 1 else f"{len(seen.segments)} pieces with gaps between them"
+    lost = seen.duplicates + seen.incomplete
+    rows = f"{seen.rows} rows" + (f", {lost} of them not usable" if lost else "")
+    joints = "one joint" if len(found.joints) == 1 else f"{len(found.joints)} joints"
+    words = f" {joints}, {rows}, {seen.rate_hz:.4g} Hz, {seen.duration_s:.4g} s, {pieces}; motion up to "
+    out.print(Text.assemble((f"{found.name}:", "bold"), words, f"{seen.cutoff_hz:.2g} Hz"))
+
+
+def _print_motion(found: Inspection, out: Console) -> None:
+    columns = ("from", "to", "RMS speed", "reversals")
+    table = Table(Column("joint", overflow="fold"), *map(_right, columns), "rich enough?")
+    for one in found.motions:
+        values = (number(one.low), number(one.high), number(one.speed_rms), str(one.reversals))
+        table.add_row(Text(one.joint), *values, ", ".join(one.lacks) or "yes")
+    out.print(table)
+
+
+def _print_channels(found: Inspection, out: Console) -> None:
+    titles = ("smallest", "largest", "noise", "step", "missing")
+    table = Table(Column("column", overflow="fold"), *map(_right, titles), "cut off")
+    seen = found.survey
+    steps = {} if seen is None else {"q": seen.q_resolution, "tau": seen.tau_resolution}
+    for one in found.channels:
+        step = float(steps[one.signal][found.joints.index(one.joint)]) if one.signal in steps else math.nan
+        ends = [word for word, cut in (("below", one.clipped_low), ("above", one.clipped_high)) if cut]
+        values = (number(one.low), number(one.high), number(one.noise_std), number(step), str(one.missing))
+        table.add_row(Text(one.column), *values, " and ".join(ends))
+    out.print(table)
+
+
+def _right(title: str) -> Column:
+    return Column(title, justify="right")

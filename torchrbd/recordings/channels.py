@@ -1,0 +1,156 @@
+"""Look at the columns of a recording as they are written: range, noise, values that are held or cut off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchrbd.recordings.recording import Chunk, Recording
+
+SIGNALS = ("q", "qd", "tau")
+# Third differences of white noise have 20 times its variance.
+_THIRD, _MAD = np.sqrt(20.0), 1.4826
+# A limit is reached again and again, for three rows at least and so much of the time, and far more often than what lies
+# just below it.
+_RUNS, _SHARE, _PILE = 2, 1e-3, 4.0
+# Fewer changes from row to row than this, of a signal without steps: its source is slower than the rows.
+_HELD = 0.6
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Describe the column of one joint's signal.
+
+    Attributes:
+        joint, signal: "q", "qd" or "tau" of which joint.
+        column: its name in the file.
+        low, high: smallest and largest value [SI].
+        noise_std: of the white noise, from third differences [SI].
+        missing: rows without a value.
+        clipped_low, clipped_high: whether values are cut off there.
+        held_rows: rows for which a value stays the same, 1.0 where it changes from row to row; NaN where it has steps
+            or never changes.
+    """
+
+    joint: str
+    signal: str
+    column: str
+    low: float
+    high: float
+    noise_std: float
+    missing: int
+    clipped_low: bool
+    clipped_high: bool
+    held_rows: float
+
+
+def channels_of(recording: Recording, resolution: dict[str, np.ndarray]) -> tuple[Channel, ...]:
+    """Stream a recording twice and describe its columns.
+
+    Args:
+        recording: the recording.
+        resolution: (n,) steps of q and tau that were found, by signal; NaN where none is seen.
+    """
+    present = [
+        s for s in SIGNALS if recording.source(s, recording.joints[0]) or (s == "tau" and recording.measured.any())
+    ]
+    scans = {signal: _Scan(len(recording.joints)) for signal in present}
+    for chunk in recording.chunks():
+        for signal, scan in scans.items():
+            scan.add(_values(chunk, signal))
+    limits = {
+        signal: _Limits(scan.low, scan.high, resolution.get(signal, np.full(len(scan.low), np.nan)))
+        for signal, scan in scans.items()
+    }
+    for chunk in recording.chunks():
+        for signal, limit in limits.items():
+            limit.add(_values(chunk, signal))
+    found = []
+    for signal, scan in scans.items():
+        low, high = limits[signal].reached
+        for k, joint in enumerate(recording.joints):
+            source = recording.source(signal, joint)
+            if source is not None:
+                cut = signal != "q"  # a robot may rest at its range's end
+                step = np.isfinite(resolution.get(signal, np.full(len(low), np.nan))[k])
+                found.append(
+                    Channel(
+                        joint,
+                        signal,
+                        source.column,
+                        float(scan.low[k]),
+                        float(scan.high[k]),
+                        float(scan.noise_std[k]),
+                        int(scan.missing[k]),
+                        bool(cut and low[k]),
+                        bool(cut and high[k]),
+                        float("nan") if step else float(scan.held_rows[k]),
+                    )
+                )
+    return tuple(found)
+
+
+def _values(chunk: Chunk, signal: str) -> np.ndarray:
+    return getattr(chunk, signal)
+
+
+class _Scan:
+    """Follow range, noise and changes of n channels."""
+
+    def __init__(self, n: int):
+        self.low, self.high = np.full(n, np.inf), np.full(n, -np.inf)
+        self.missing = np.zeros(n, dtype=int)
+        self._noise: list[np.ndarray] = []
+        self._changes, self._pairs = np.zeros(n), 0
+
+    def add(self, x: np.ndarray) -> None:
+        """Take rows (N, n)."""
+        self.missing += np.isnan(x).sum(axis=0)
+        self.low, self.high = np.fmin(self.low, np.fmin.reduce(x)), np.fmax(self.high, np.fmax.reduce(x))
+        self._changes += (np.diff(x, axis=0) != 0).sum(axis=0)
+        self._pairs += len(x) - 1
+        if len(x) > 8:
+            third = np.abs(np.diff(x, n=3, axis=0))
+            rows = third[~np.isnan(third).any(axis=1)] if np.isnan(third).any() else third
+            self._noise.append(_MAD * np.median(rows, axis=0) / _THIRD if len(rows) else np.full(len(self.low), np.nan))
+
+    @property
+    def noise_std(self) -> np.ndarray:
+        known = [one for one in self._noise if not np.isnan(one).any()]
+        return np.median(known, axis=0) if known else np.full(len(self.low), np.nan)
+
+    @property
+    def held_rows(self) -> np.ndarray:
+        """For how many rows a value stays, NaN where it never changes."""
+        share = np.where(self._changes > 0, self._changes / max(self._pairs, 1), np.nan)
+        return np.where(share < _HELD, 1 / share, np.where(np.isnan(share), np.nan, 1.0))
+
+
+class _Limits:
+    """Count how often n channels stay at their smallest and largest value."""
+
+    def __init__(self, low: np.ndarray, high: np.ndarray, step: np.ndarray):
+        self._bounds, self._step = np.stack([low, high]), step
+        self._runs, self._held, self._at, self._near = np.zeros((4, 2, len(low)))
+        self._rows = 0
+
+    def add(self, x: np.ndarray) -> None:
+        """Take rows (N, n)."""
+        self._rows += len(x)
+        for side, bound in enumerate(self._bounds):
+            away = np.abs(x - bound)
+            at = away <= 1e-9 * (self._bounds[1] - self._bounds[0])
+            three = at[2:] & at[1:-1] & at[:-2]
+            self._held[side] += three.sum(axis=0)
+            self._runs[side] += (three[1:] & ~three[:-1]).sum(axis=0) + (three[0] if len(three) else 0)
+            self._at[side] += at.sum(axis=0)
+            self._near[side] += (~at & (away < 1.5 * self._step)).sum(axis=0)
+
+    @property
+    def reached(self) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) bool twice: cut off at the smallest, at the largest value."""
+        moves = self._bounds[1] > self._bounds[0]
+        often = (self._runs >= _RUNS) & (self._held >= _SHARE * self._rows) & (self._at > _PILE * self._near)
+        low, high = often & moves
+        return low, high

@@ -1,0 +1,167 @@
+"""Say what a file holds before anything is fitted to it: joints, clock, channels, motion, and what looks wrong."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from torchrbd.errors import RecordingError
+from torchrbd.recordings.channels import Channel, channels_of
+from torchrbd.recordings.formats import Table, open_table
+from torchrbd.recordings.layouts import with_layout
+from torchrbd.recordings.mapping import Mapping
+from torchrbd.recordings.motions import Motion, motions_of
+from torchrbd.recordings.recording import Recording, connect
+from torchrbd.recordings.survey import Survey, survey
+from torchrbd.recordings.unit_suspicions import suspected_units
+from torchrbd.robot import RobotModel
+
+_ROWS = 16384
+# A step of a signal is coarse beyond this part of its range; a motion is short below so many seconds.
+_COARSE, _SHORT_S = 1 / 200, 10.0
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Hold what a look at a file shows.
+
+    Attributes:
+        name: the file's.
+        columns: all of the table.
+        joints: those that were looked for, the robot's or those that the columns name.
+        lacking: why the columns do not fit, with the remedy; empty where they do.
+        recording, survey: None where the columns do not fit.
+        channels, motions: of the joints; none where the columns do not fit.
+        units: by column, the unit that its values suggest.
+        remarks: what looks wrong, as sentences.
+        ranges: by column, smallest and largest value, where the columns do not fit; NaN for those that hold no numbers.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    joints: tuple[str, ...]
+    lacking: str
+    recording: Recording | None
+    survey: Survey | None
+    channels: tuple[Channel, ...]
+    motions: tuple[Motion, ...]
+    units: dict[str, str]
+    remarks: tuple[str, ...]
+    ranges: dict[str, tuple[float, float]]
+
+
+def inspect_recording(path: Path, robot: RobotModel | None = None, mapping: Mapping | None = None) -> Inspection:
+    """Look through a file.
+
+    Args:
+        path: the file or folder.
+        robot: whose joints and limits count; without it, the joints are those that the columns name.
+        mapping: what the columns are called, as far as it is known.
+
+    Raises:
+        RecordingError: it cannot be read, or nothing in it moves.
+    """
+    mapping = mapping or Mapping()
+    table = open_table(path, mapping)
+    mapping = with_layout(table.columns, mapping, str(path))
+    joints = robot.joint_names if robot is not None else joints_named(table.columns, mapping)
+    lacking = ""
+    try:
+        if not joints:
+            raise RecordingError(f"{path}: no columns q_<joint>; present: {', '.join(table.columns)}")
+        mapping.check_joints(joints)
+        recording = connect(path.name, path, table, joints, mapping, None, torque=False)
+    except RecordingError as error:
+        return _unmatched(path, table, joints, str(error))
+    if not recording.measured.any():
+        lacking = "no joint has a torque: there is nothing to fit"
+    seen = survey(recording)
+    channels = channels_of(recording, {"q": seen.q_resolution, "tau": seen.tau_resolution})
+    motions = motions_of(recording, seen, robot)
+    units = suspected_units(recording, seen, channels, robot)
+    remarks = (*_unit_words(units), *_channel_words(channels, seen), *_time_words(seen))
+    return Inspection(
+        path.name, table.columns, tuple(joints), lacking, recording, seen, channels, motions, units, remarks, {}
+    )
+
+
+def joints_named(columns: Sequence[str], mapping: Mapping) -> tuple[str, ...]:
+    """Return the joints that the columns of positions name, in the file's order."""
+    own = [joint for joint in mapping.joints if joint != "*"]
+    every = mapping.joints.get("*", {}).get("q")
+    pattern = re.escape(every.column) if every is not None and "{joint}" in every.column else re.escape("q_{joint}")
+    named = re.compile(pattern.replace(re.escape("{joint}"), "(.+)"))
+    found = [
+        match[1] for match in map(named.fullmatch, columns) if match and not match[0].startswith(("q_ref_", "q_link_"))
+    ]
+    return tuple(dict.fromkeys([*found, *own]))
+
+
+def _unmatched(path: Path, table: Table, joints: Sequence[str], lacking: str) -> Inspection:
+    """Describe a table whose columns do not fit: the range of each."""
+    ranges = {}
+    for column in table.columns:
+        try:
+            low, high = math.inf, -math.inf
+            for block in table.batches([column], _ROWS):
+                low, high = (
+                    float(np.fmin(low, np.fmin.reduce(block[0]))),
+                    float(np.fmax(high, np.fmax.reduce(block[0]))),
+                )
+        except RecordingError:  # it holds text
+            low = high = math.nan
+        ranges[column] = (low, high) if low <= high else (math.nan, math.nan)
+    return Inspection(path.name, table.columns, tuple(joints), lacking, None, None, (), (), {}, (), ranges)
+
+
+def _ranges(table: Table, columns: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return the smallest and largest value of columns, NaN where one is empty.
+
+    Raises:
+        RecordingError: one holds text.
+    """
+    low, high = np.full((2, len(columns)), np.nan)
+    for block in table.batches(columns, _ROWS):
+        low, high = np.fmin(low, np.fmin.reduce(block, axis=1)), np.fmax(high, np.fmax.reduce(block, axis=1))
+    return dict(zip(columns, zip(low.tolist(), high.tolist(), strict=True), strict=True))
+
+
+def _unit_words(units: dict[str, str]) -> list[str]:
+    return [f"{column} looks like {unit}: if so, say 'unit: {unit}' in the mapping" for column, unit in units.items()]
+
+
+def _channel_words(channels: Sequence[Channel], seen: Survey) -> list[str]:
+    """Return what is wrong with single channels."""
+    words, steps = [], {"q": dict[str, float](), "tau": dict[str, float]()}
+    for signal, found in (("q", seen.q_resolution), ("tau", seen.tau_resolution)):
+        joints = list(dict.fromkeys(one.joint for one in channels))
+        steps[signal] = dict(zip(joints, found.tolist(), strict=False))
+    for one in channels:
+        ends = [f"{end:.4g}" for end, cut in ((one.low, one.clipped_low), (one.high, one.clipped_high)) if cut]
+        if ends:
+            words.append(f"{one.column} is cut off at {' and '.join(ends)}: leave these times out, or raise the limit")
+        step, span = steps.get(one.signal, {}).get(one.joint, math.nan), one.high - one.low
+        if step > _COARSE * span > 0:
+            words.append(f"{one.column} has only {span / step:.0f} steps of {step:.3g} in its range")
+        if one.held_rows > 1:
+            words.append(
+                f"{one.column} keeps each value for {one.held_rows:.2g} rows: its source is slower than the rows, "
+                f"{seen.rate_hz / one.held_rows:.3g} Hz"
+            )
+        if one.high == one.low:
+            words.append(f"{one.column} never changes")
+    return words
+
+
+def _time_words(seen: Survey) -> list[str]:
+    words = []
+    if seen.duration_s < _SHORT_S:
+        words.append(f"{seen.duration_s:.3g} s are short: {_SHORT_S:.0f} s are the least, minutes are better")
+    if not seen.clock.regular:
+        words.append("rows are unevenly spaced in time: they are interpolated")
+    return words
