@@ -67,7 +67,7 @@ def test_bags_and_data_sets_open_what_lies_in_their_folder_alone(tmp_path: Path)
     bag.mkdir()
     told = "{version: 9, storage_identifier: sqlite3, relative_file_paths: [../secret.db3], message_count: 0}"
     (bag / "metadata.yaml").write_text(f"rosbag2_bagfile_information: {told}")
-    with pytest.raises(RecordingError, match="Some database files are missing: .*bag/secret.db3"):
+    with pytest.raises(RecordingError, match=r"Some database files are missing: .*bag/secret.db3"):
         open_recording(bag, ["j"])
     (bag / "metadata.yaml").write_text(f"a: !!python/object/apply:os.system ['touch {tmp_path}/ran']")
     with pytest.raises(RecordingError, match="not a readable bag"):
@@ -95,7 +95,7 @@ def test_large_matlab_arrays_are_refused_before_they_are_read(tmp_path: Path) ->
     content = (tmp_path / "a.mat").read_bytes()
     shape = np.array([1, 3], "<i4").tobytes()
     (tmp_path / "a.mat").write_bytes(content.replace(shape, np.array([1 << 15, 1 << 15], "<i4").tobytes()))
-    with pytest.raises(RecordingError, match="too much to be read at once; save the file with '-v7.3'"):
+    with pytest.raises(RecordingError, match=r"too much to be read at once; save the file with '-v7.3'"):
         open_recording(tmp_path / "a.mat", ["j"])
 
 
