@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from recordings.test_lerobot import data_set
 from recordings.test_ros_bags import ros2_bag, states
 from rosbags import rosbag2
 
@@ -135,6 +136,15 @@ def test_names_of_joints_in_columns(tmp_path, look):
     write(tmp_path / "r.csv", columns(), names)
     look(tmp_path / "r.csv", tmp_path / "arm.urdf", "-o", tmp_path / "map.yaml")
     assert 'tau: {column: "turn.torque", unit: N m}' in (tmp_path / "map.yaml").read_text()
+
+
+def test_torques_of_other_names_are_guessed(tmp_path, look):
+    path = data_set(tmp_path / "set", effort="observation.present_current")
+    told = look(path, "-o", tmp_path / "map.yaml")
+    assert "set: 2 joints, 270 rows, 50 Hz, 5.3 s, 3 pieces with gaps between them" in told
+    assert "lacking: no joint has a torque" in told
+    assert 'tau: {current: "observation.present_current/a", unit: A' in (tmp_path / "map.yaml").read_text()
+    assert "lacking" not in look(path, "--mapping", tmp_path / "map.yaml")
 
 
 def test_bags(tmp_path, look):

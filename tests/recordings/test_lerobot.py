@@ -96,6 +96,7 @@ def test_names_as_other_robots_have_them(tmp_path):
     are_the_motion(episodes(path, mapping=mapping))
     with pytest.raises(RecordingError, match=r"no joint has a torque; .* present: t, .*observation.current/a"):
         open_recording(path, JOINTS)
+    are_the_motion(episodes(data_set(tmp_path / "endings", {"motors": [f"{joint}.pos" for joint in JOINTS]})))
     path = data_set(tmp_path / "nameless", None)
     every = {"q": Source("observation.state[{index}]")}
     are_the_motion(episodes(path, mapping=Mapping(joints={"*": every | {"tau": Source("observation.effort/{joint}")}})))

@@ -104,6 +104,13 @@ def test_efforts_that_nobody_measured(tmp_path):
         open_recording(ros2_bag(tmp_path / "bag", {"/joint_states": silent}), JOINTS)
 
 
+def test_arrays_of_another_length_than_the_names(tmp_path):
+    long = ((ns, names, q, qd, [0.0] * (2 + (k == 7))) for k, (ns, names, q, qd, _) in enumerate(states()))
+    path = ros2_bag(tmp_path / "bag", {"/joint_states": long})
+    with pytest.raises(RecordingError, match="'/joint_states', message 8: 3 values of effort for 2 joint names"):
+        read(path)
+
+
 def test_bags_that_cannot_be_read(tmp_path):
     path = ros2_bag(tmp_path / "bag", {"/joint_states": states()}, rosbag2.StoragePlugin.MCAP)
     file = next(path.glob("*.mcap"))

@@ -15,14 +15,13 @@ _PLOTJUGGLER_TIME = "__time"
 
 
 _LEROBOT = "observation.state/"
-_LEROBOT_SUFFIX = ".pos"
 
 
 def with_layout(columns: Sequence[str], mapping: Mapping, place: str) -> Mapping:
     """Return a mapping that knows besides how a tool names columns, where it is such a table.
 
     PlotJuggler: ``__time`` and ``<topic>/<joint>/position``, ``.../velocity``, ``.../effort``. LeRobot: positions are
-    ``observation.state/<joint>`` or ``observation.state/<joint>.pos``, velocities and efforts are those of
+    ``observation.state/<joint>`` or ``observation.state/<joint>.pos``; velocities and efforts are those of
     ``observation.velocity`` and ``observation.effort``, or have the endings .vel and .effort. What the mapping names
     itself is left as it is.
 
@@ -56,9 +55,15 @@ def _of_plotjuggler(columns: Sequence[str], mapping: Mapping, place: str) -> dic
 
 
 def _of_lerobot(columns: Sequence[str]) -> dict[str, str]:
-    states = [name for name in columns if name.startswith(_LEROBOT)]
+    """Return the columns' names by signal, of those that are there."""
+    states = [name[len(_LEROBOT) :] for name in columns if name.startswith(_LEROBOT)]
     if not states:
         return {}
-    if any(name.endswith(_LEROBOT_SUFFIX) for name in states):
-        return {"q": f"{_LEROBOT}{{joint}}.pos", "qd": f"{_LEROBOT}{{joint}}.vel", "tau": f"{_LEROBOT}{{joint}}.effort"}
-    return {"q": f"{_LEROBOT}{{joint}}", "qd": "observation.velocity/{joint}", "tau": "observation.effort/{joint}"}
+    ending = ".pos" if any(name.endswith(".pos") for name in states) else ""
+    joints = [name.removesuffix(ending) for name in states if name.endswith(ending)]
+    found = {"q": f"{_LEROBOT}{{joint}}{ending}"}
+    for signal, feature, own in (("qd", "observation.velocity", ".vel"), ("tau", "observation.effort", ".effort")):
+        patterns = [f"{_LEROBOT}{{joint}}{own}", *(f"{feature}/{{joint}}{end}" for end in ("", own, ending))]
+        there = [p for p in patterns if any(p.replace("{joint}", joint) in columns for joint in joints)]
+        found |= {signal: there[0]} if there else {}
+    return found

@@ -44,6 +44,7 @@ def _found(found: Inspection, sliding: tuple[str, ...]) -> list[str]:
     time = recording.source("t", "") or Source("t")
     unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}[time.scale]
     lines = [f"time: {{column: {json.dumps(time.column)}, unit: {unit}}}{_suspected(found, time.column)}", "joints:"]
+    _, guesses = guess(found.columns, found.joints)
     for joint in recording.joints:
         lines.append(f"  {json.dumps(joint)}:")
         for signal in SIGNALS:
@@ -51,7 +52,16 @@ def _found(found: Inspection, sliding: tuple[str, ...]) -> list[str]:
             if source is not None:
                 symbol = _SLIDING.get(_UNITS[signal], _UNITS[signal]) if joint in sliding else _UNITS[signal]
                 lines.append(f"    {signal}: {_entry(source, symbol)}{_suspected(found, source.column)}")
+            elif signal == "tau":
+                lines += _guessed_torque(guesses.get(joint, {}))
     return lines
+
+
+def _guessed_torque(signals: dict[str, str]) -> list[str]:
+    """Return the line of a torque that is guessed, or of a current in its place; none if there is none."""
+    if "tau" in signals:
+        return [f"    tau: {{column: {json.dumps(signals['tau'])}, unit: N m}}  # guessed"]
+    return [f"    tau: {_CURRENT.format(column=json.dumps(signals['current']))}"] if "current" in signals else []
 
 
 def _entry(source: Source, unit: str) -> str:
@@ -77,9 +87,8 @@ def _guessed(found: Inspection) -> list[str]:
         lines.append(f"  {json.dumps(joint)}:")
         for signal, column in signals.items():
             used.add(column)
-            if signal != "current":
+            if signal in ("q", "qd"):
                 lines.append(f"    {signal}: {{column: {json.dumps(column)}, unit: {_UNITS[signal]}}}  # guessed")
-            elif "tau" not in signals:
-                lines.append(f"    tau: {_CURRENT.format(column=json.dumps(column))}")
+        lines += _guessed_torque(signals)
     left = [name for name in found.columns if name not in used]
     return [*lines, *([f"# other columns: {', '.join(map(json.dumps, left))}"] if left else [])]

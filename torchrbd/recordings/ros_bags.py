@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,17 +18,19 @@ _JOINT_STATE = "sensor_msgs/msg/JointState"
 _SIGNALS = {"q": "position", "qd": "velocity", "tau": "effort"}
 # Messages from which joints and their signals are learnt; several nodes may take turns on one topic.
 _FIRST_MESSAGES = 500
+# Orders of names that are remembered at a time.
+_MOST_LAYOUTS = 256
 _NS = 1_000_000_000
+_Part = tuple[int, np.ndarray, np.ndarray]
 
 
-@dataclass(frozen=True)
-class _Message:
-    """One JointState: its stamp and the time it was recorded [ns], its joints, and its arrays by signal."""
+class _Message(NamedTuple):
+    """One JointState: its stamp and the time it was recorded [ns], its joints, and an array for each of the signals."""
 
     stamp: int
     recorded: int
     joints: tuple[str, ...]
-    arrays: dict[str, np.ndarray]
+    arrays: tuple[np.ndarray, ...]
 
 
 class RosTable:
@@ -49,46 +50,54 @@ class RosTable:
             raise RecordingError(f"{path}: topic '{self._topic}' holds no messages")
         self._stamped = any(message.stamp for message in first)
         joints = dict.fromkeys(joint for message in first for joint in message.joints)
-        self._slots: dict[str, tuple[str, str]] = {
-            f"{signal}_{joint}": (signal, joint)
-            for signal in _SIGNALS
+        self._slots: dict[str, tuple[int, str]] = {
+            f"{signal}_{joint}": (index, joint)
+            for index, signal in enumerate(_SIGNALS)
             for joint in joints
-            if any(joint in message.joints and len(message.arrays[signal]) for message in first)
+            if any(joint in message.joints and len(message.arrays[index]) for message in first)
         }
         self.columns = ("t", *self._slots)
 
     def batches(self, columns: Sequence[str], rows: int) -> Iterator[np.ndarray]:
-        block = np.full((len(columns), rows), np.nan)
-        count, number, start = 0, 0, None
-        wanted = [(k, *self._slots[name]) for k, name in enumerate(columns) if name != "t"]
+        block, count, start = np.full((rows, len(columns)), np.nan), 0, None
         clock = [k for k, name in enumerate(columns) if name == "t"]
+        layouts: dict[tuple[Any, ...], list[_Part]] = {}
         with self._opened() as bag:
             for number, message in enumerate(self._messages(bag), start=1):
-                self._check(message, number)
-                place = {joint: index for index, joint in enumerate(message.joints)}
-                found = [(k, place[joint], message.arrays[signal]) for k, signal, joint in wanted if joint in place]
-                found = [(k, index, array) for k, index, array in found if len(array)]
-                if wanted and not found:  # of another node on the same topic
+                shape = (message.joints, *map(len, message.arrays))
+                parts = layouts.get(shape)
+                if parts is None:
+                    if len(layouts) == _MOST_LAYOUTS:
+                        layouts.clear()
+                    parts = layouts[shape] = self._layout(message, columns, number)
+                if not parts and len(columns) > len(clock):  # of another node on the same topic
                     continue
                 time = message.stamp if self._stamped else message.recorded
                 start = time if start is None else start
-                block[clock, count] = (time - start) / _NS
-                for k, index, array in found:
-                    block[k, count] = array[index]
+                block[count, clock] = (time - start) / _NS
+                for index, there, here in parts:
+                    block[count, here] = message.arrays[index][there]
                 count += 1
                 if count == rows:
-                    yield block
-                    block, count = np.full((len(columns), rows), np.nan), 0
+                    yield block.T
+                    block, count = np.full((rows, len(columns)), np.nan), 0
         if count:
-            yield block[:, :count]
+            yield block[:count].T
 
-    def _check(self, message: _Message, number: int) -> None:
-        for signal, array in message.arrays.items():
+    def _layout(self, message: _Message, columns: Sequence[str], number: int) -> list[_Part]:
+        """Return where a message's values go: index of the array, places in it, places among the columns."""
+        place, found = {joint: k for k, joint in enumerate(message.joints)}, []
+        for index, (field, array) in enumerate(zip(_SIGNALS.values(), message.arrays, strict=True)):
             if len(array) not in (0, len(message.joints)):
                 raise RecordingError(
-                    f"{self.path}: topic '{self._topic}', message {number}: {len(array)} values of {_SIGNALS[signal]} "
-                    f"for {len(message.joints)} joint names; the node that publishes it is to be corrected"
+                    f"{self.path}: topic '{self._topic}', message {number}: {len(array)} values of {field} for "
+                    f"{len(message.joints)} joint names; the node that publishes it is to be corrected"
                 )
+            slots = [(k, self._slots[name]) for k, name in enumerate(columns) if name != "t"]
+            here = [k for k, (signal, joint) in slots if signal == index and joint in place and len(array)]
+            if here:
+                found.append((index, np.array([place[self._slots[columns[k]][1]] for k in here]), np.array(here)))
+        return found
 
     def _messages(self, bag: Any) -> Iterator[_Message]:
         connections = [one for one in bag.connections if one.topic == self._topic and _is_joint_state(one)]
@@ -99,7 +108,7 @@ class RosTable:
         for connection, recorded, raw in bag.messages(connections=connections):
             found = read(raw, connection.msgtype)
             stamp = found.header.stamp
-            arrays = {signal: getattr(found, field) for signal, field in _SIGNALS.items()}
+            arrays = (found.position, found.velocity, found.effort)
             yield _Message(stamp.sec * _NS + stamp.nanosec, recorded, tuple(found.name), arrays)
 
     @contextmanager
