@@ -28,9 +28,7 @@ int inverse_dynamics(ROBOT, int64_t batch_last, int64_t each, STATES, const doub
             place_base(w.motion, gravity + first * down, down, count);
             take_inertia(&w, pi + first * own, 1, own, count);
         }
-        place(&w.robot, w.motion, q + at, layout, count);
-        take_rates(&w, qd + at, qdd + at, layout, count);
-        move(&w.robot, w.motion);
+        take_motion(&w, q + at, qd + at, qdd + at, layout, count);
         require(&w.robot, w.motion, w.inertia, w.wrench);
         memset(w.weight, 0, sizeof(V) * (size_t)n);
         for (int64_t b = 0; b < w.robot.bodies; b++)
@@ -59,9 +57,7 @@ int inverse_dynamics_adjoint(ROBOT, int64_t batch_last, int64_t each, STATES, co
             place_base(w.motion, gravity + first * down, down, count);
             take_inertia(&w, pi + first * own, 1, own, count);
         }
-        place(&w.robot, w.motion, q + at, layout, count);
-        take_rates(&w, qd + at, qdd + at, layout, count);
-        move(&w.robot, w.motion);
+        take_motion(&w, q + at, qd + at, qdd + at, layout, count);
         take_weights(&w, weight + at, layout.joint, layout.sample, count);
         if (each) clear_inertia(&w);
         weigh(&w.robot, w.motion, w.weight, w.adjoint, by_pi ? w.sum : NULL);
@@ -95,9 +91,7 @@ int torque_slopes(ROBOT, int64_t batch_last, STATES, const double *pi, const dou
     TILES(samples) {
         int count = COUNT(samples);
         int64_t at = first * layout.sample;
-        place(&w.robot, w.motion, q + at, layout, count);
-        take_rates(&w, qd + at, qdd + at, layout, count);
-        move(&w.robot, w.motion);
+        take_motion(&w, q + at, qd + at, qdd + at, layout, count);
         require(&w.robot, w.motion, w.inertia, w.wrench);
         for (int64_t j = 0; j < n; j++) {
             choose(&w, j, count);
@@ -126,9 +120,7 @@ int regressor(ROBOT, int64_t batch_last, int64_t each, STATES, const double *gra
             int count = COUNT(samples);
             int64_t at = first * layout.sample;
             place_base(tile.motion, gravity + first * down, down, count);
-            place(&w.robot, tile.motion, q + at, layout, count);
-            take_rates(&tile, qd + at, qdd + at, layout, count);
-            move(&w.robot, tile.motion);
+            take_motion(&tile, q + at, qd + at, qdd + at, layout, count);
             for (int64_t b = 0; b < bodies; b++) columns_of(tile.motion + b + 1, tile.columns + b);
             tile.motion += bodies + 1, tile.columns += bodies;
         }
@@ -153,9 +145,7 @@ int regressor_adjoint(ROBOT, int64_t batch_last, int64_t each, STATES, const dou
         int64_t at = first * layout.sample;
         if (each || !first) place_base(w.motion, gravity + first * down, down, count);
         if (each) by_base = zero3();
-        place(&w.robot, w.motion, q + at, layout, count);
-        take_rates(&w, qd + at, qdd + at, layout, count);
-        move(&w.robot, w.motion);
+        take_motion(&w, q + at, qd + at, qdd + at, layout, count);
         clear_states(&w);
         for (int64_t j = 0; j < n; j++) {
             take_inertia(&w, weight + j * 10 * w.robot.bodies * samples + first, samples, 1, count);

@@ -71,6 +71,12 @@ static void take_rates(Work *w, const double *qd, const double *qdd, Layout layo
     }
 }
 
+static void take_motion(Work *w, const double *q, const double *qd, const double *qdd, Layout layout, int count) {
+    place(&w->robot, w->motion, q, layout, count);
+    take_rates(w, qd, qdd, layout, count);
+    move(&w->robot, w->motion);
+}
+
 /* One set of inertial parameters for all samples where `sample` is 0, otherwise one a lane. */
 static void take_inertia(Work *w, const double *pi, int64_t parameter, int64_t sample, int count) {
     for (int64_t b = 0; b < w->robot.bodies; b++)
