@@ -34,9 +34,11 @@ from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.posterior.sampling import sample_around
 from torchrbd.learning.body_prior import as_prior, curvature, divergence
 from torchrbd.learning.coordinates import (
+    felt,
     fitted_covariance,
     flatten,
     linear,
+    linear_entries,
     linear_positions,
     physics_columns,
     slopes,
@@ -118,8 +120,7 @@ class BayesianDynamics(nn.Module):
         self.register_buffer("free_bodies", torch.tensor(told, dtype=torch.long))
         in_theta = [PARAMETERS_PER_BODY * k + ten for k in told]
         self.register_buffer("free", torch.cat((*in_theta, n_inertial + terms)))
-        in_x = [PARAMETERS_PER_BODY * bodies[k] + ten for k in told]
-        self.register_buffer("linear", torch.cat((*in_x, robot.n_params + terms)))
+        self.register_buffer("linear", linear_entries(self.physics)[self.free])
         noise = start.new_ones(robot.n_dof) if noise_std is None else noise_std.to(start)
         self.raw_noise = nn.Parameter(noise.log())
         self._start_from(
@@ -285,9 +286,8 @@ class BayesianDynamics(nn.Module):
         with torch.no_grad():
             A = self._columns(q, qd, qdd, t).flatten(0, -3).to(self.centre)
             torque, n_terms = tau.reshape(-1, tau.shape[-1]).to(self.centre), len(self.prior_std)
-            size = A[..., A.shape[-1] - n_terms :].square().mean(0).sqrt()
-            felt = (size / torque.square().mean(0).sqrt().unsqueeze(-1)).amax(0) if n_terms else self.prior_std
-            self.prior_std.copy_(torch.where(felt > 0, TERM_WIDTH / felt, 1.0))
+            sizes = felt(A[..., A.shape[-1] - n_terms :], torque)
+            self.prior_std.copy_(torch.where(sizes > 0, TERM_WIDTH / sizes, 1.0))
             std = (torque - self(q, qd, qdd, t).reshape(torque.shape)).square().mean(0).sqrt()
             self.raw_noise.copy_(std.log())
             A = A / std.unsqueeze(-1)

@@ -85,6 +85,16 @@ def physics_columns(
     return torch.cat(columns, -1)
 
 
+def felt(columns: Tensor, tau: Tensor) -> Tensor:
+    """Return max_j rms(phi_jk) / rms(tau_j) of terms' columns (*batch, n_dof, n_terms), (n_terms,).
+
+    Joints without torque do not count.
+    """
+    size, torque = (x.square().flatten(0, -k).mean(0).sqrt() for x, k in ((columns, 3), (tau, 2)))
+    found = size / torque.unsqueeze(-1)
+    return found.nan_to_num(0.0, posinf=0.0).amax(0) if columns.shape[-1] else columns.new_zeros(0)
+
+
 def linear(model: RigidBodyDynamics, theta: Tensor) -> Tensor:
     """Return x (n_params + n_terms,) at theta (n,)."""
     pi = _pi(model, unflatten(model, theta))

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError
-from torchrbd.learning.coordinates import physics_columns
+from torchrbd.learning.coordinates import felt, physics_columns
 from torchrbd.model import RigidBodyDynamics
 
 
@@ -35,9 +35,7 @@ def parameter_groups(
     if not bool(torch.isfinite(tau).all()):
         raise InputError("parameter_groups: tau has values that are not finite; drop these samples")
     groups: list[dict[str, Any]] = [{"params": [model.raw_inertia], "lr": lr}]
-    columns = physics_columns(model, q, qd, qdd, t).flatten(0, -3)[..., model.robot.n_params :]
-    felt = columns.square().mean(0).sqrt() / tau.flatten(0, -2).square().mean(0).sqrt().unsqueeze(-1)
-    sizes = felt.nan_to_num(0.0, posinf=0.0).amax(0) if columns.shape[-1] else felt.new_zeros(0)
+    sizes = felt(physics_columns(model, q, qd, qdd, t)[..., model.robot.n_params :], tau)
     for term, own in zip(model.terms, sizes.split([len(term.coefficients) for term in model.terms]), strict=True):
         size = float(own.amax())
         groups.append({"params": [term.coefficients], "lr": lr / size if size > 0.0 else lr})
