@@ -3,7 +3,7 @@
 The likeliest hypothesis is added while it is likelier than not, given how rare it is and how many places it has; then,
 beside all others, each stands against its rivals, and is swapped where one of them is likelier, or dropped where none
 is needed. Curves without a law are hypotheses as well, so rare that no law of as many places is displaced by one within
-three nats of it; they are looked at where laws have ended.
+three nats of it; they are looked at where laws have ended, and as rivals of the laws of their joint.
 """
 
 from __future__ import annotations
@@ -258,12 +258,6 @@ class _Search:
             found = self.leading(fit, chosen)
         return fit, chosen, seen, found
 
-    def _still(self, fit: Likelihood, h: Hypothesis) -> Hypothesis | None:
-        """Return a hypothesis beside another fit, if it is likelier than not there."""
-        then = again(fit, self.rows, h)
-        then = then and at_a_glance(fit, self.rows, then)
-        return then if then is not None and log_odds(then, self.rows) > 0.0 else None
-
     def settled(
         self,
         base: Likelihood,
@@ -304,7 +298,9 @@ class _Search:
         if not is_curve(best.candidate) or is_curve(own.candidate) or len(chosen) >= MOST_TERMS:
             return False
         others = [h for h in chosen if h.candidate != own.candidate]
-        return self._still(self.with_terms(base, [*others, best]), own) is not None
+        beside = self.with_terms(base, [*others, best])
+        then = again(beside, self.rows, own)
+        return then is not None and log_odds(at_a_glance(beside, self.rows, then), self.rows) > 0.0
 
     def _judged_again(self, base: Likelihood, chosen: Sequence[Hypothesis], k: int, seen: Sequence[Hypothesis]) -> Term:
         """Return a term and its rivals beside all other terms.
