@@ -26,7 +26,7 @@ class CsvTable:
 
     def batches(self, columns: Sequence[str], rows: int) -> Iterator[np.ndarray]:
         for batch in self.cells(columns, rows):
-            yield np.stack([column.cast(pa.float64()).to_numpy(zero_copy_only=False) for column in batch.columns])
+            yield numbers_of(batch)
 
     def cells(self, columns: Sequence[str], rows: int, texts: Sequence[str] = ()) -> Iterator[pa.RecordBatch]:
         """Yield the cells of `columns`, numbers, and then of `texts`."""
@@ -81,6 +81,11 @@ class CsvTable:
         if self._head.separator != "," or cells <= len(self.columns):
             return ""
         return "; numbers with decimal commas are to be in quotes, or their cells separated by semicolons"
+
+
+def numbers_of(batch: pa.RecordBatch) -> np.ndarray:
+    """Return the cells of a batch of numbers, (columns, rows) of float64."""
+    return np.stack([column.cast(pa.float64()).to_numpy(zero_copy_only=False) for column in batch.columns])
 
 
 def _remedy(cell: str, decimal: str) -> str:

@@ -12,7 +12,7 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from torchrbd.errors import RecordingError
-from torchrbd.recordings.csv_files import CsvTable
+from torchrbd.recordings.csv_files import CsvTable, numbers_of
 from torchrbd.recordings.lerobot import INFO, LeRobotTable
 from torchrbd.recordings.mapping import Mapping
 from torchrbd.recordings.matlab import MatTable
@@ -119,10 +119,6 @@ class ParquetTable:
         try:
             with parquet.ParquetFile(self.path, buffer_size=_PARQUET_BUFFER_BYTES, pre_buffer=False) as file:
                 for batch in file.iter_batches(rows, columns=list(columns), use_threads=False):
-                    yield _to_numpy(batch.select(list(columns)))
+                    yield numbers_of(batch.select(list(columns)))
         except (pa.ArrowInvalid, OSError) as error:
             raise RecordingError(f"{self.path}: damaged Parquet file: {error}") from None
-
-
-def _to_numpy(batch: pa.RecordBatch) -> np.ndarray:
-    return np.stack([column.cast(pa.float64()).to_numpy(zero_copy_only=False) for column in batch.columns])

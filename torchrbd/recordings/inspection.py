@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -106,29 +107,12 @@ def _unmatched(path: Path, table: Table, joints: Sequence[str], lacking: str) ->
     """Describe a table whose columns do not fit: the range of each."""
     ranges = {}
     for column in table.columns:
-        try:
-            low, high = math.inf, -math.inf
+        low = high = math.nan
+        with suppress(RecordingError):  # it holds text
             for block in table.batches([column], _ROWS):
-                low, high = (
-                    float(np.fmin(low, np.fmin.reduce(block[0]))),
-                    float(np.fmax(high, np.fmax.reduce(block[0]))),
-                )
-        except RecordingError:  # it holds text
-            low = high = math.nan
-        ranges[column] = (low, high) if low <= high else (math.nan, math.nan)
+                low, high = np.fmin(low, np.fmin.reduce(block[0])), np.fmax(high, np.fmax.reduce(block[0]))
+        ranges[column] = float(low), float(high)
     return Inspection(path.name, table.columns, tuple(joints), lacking, None, None, (), (), {}, (), ranges)
-
-
-def _ranges(table: Table, columns: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return the smallest and largest value of columns, NaN where one is empty.
-
-    Raises:
-        RecordingError: one holds text.
-    """
-    low, high = np.full((2, len(columns)), np.nan)
-    for block in table.batches(columns, _ROWS):
-        low, high = np.fmin(low, np.fmin.reduce(block, axis=1)), np.fmax(high, np.fmax.reduce(block, axis=1))
-    return dict(zip(columns, zip(low.tolist(), high.tolist(), strict=True), strict=True))
 
 
 def _unit_words(units: dict[str, str]) -> list[str]:

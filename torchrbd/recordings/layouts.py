@@ -6,14 +6,11 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 
-from torchrbd.recordings.mapping import Mapping, Source
-from torchrbd.recordings.ros_bags import chosen_topic
+from torchrbd.recordings.mapping import Mapping, Source, chosen_topic
 
 _PLOTJUGGLER = re.compile(r"(?P<topic>.+)/(?P<joint>[^/]+)/position")
 _PLOTJUGGLER_FIELDS = {"q": "position", "qd": "velocity", "tau": "effort"}
 _PLOTJUGGLER_TIME = "__time"
-
-
 _LEROBOT = "observation.state/"
 
 

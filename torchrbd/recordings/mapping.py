@@ -18,7 +18,7 @@ SIGNALS = ("q", "qd", "qdd", "tau", "q_ref", "q_link", "temperature")
 _EVERY_JOINT = "*"
 _DEG = math.pi / 180
 _TURN = 2 * math.pi
-_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _CURRENT = {"A": 1.0, "mA": 1e-3}
 _UNITS = {
     "q": {"rad": 1.0, "mrad": 1e-3, "deg": _DEG, "turn": _TURN, "m": 1.0, "mm": 1e-3},
@@ -120,6 +120,32 @@ def closest(name: str, candidates: Iterable[str]) -> str:
     return f" (did you mean '{alike[0]}'?)" if alike else ""
 
 
+def chosen_topic(topics: dict[str, str], mapping: Mapping, place: str) -> str:
+    """Return the topic that the mapping names, or the only one.
+
+    Args:
+        topics: what to say of each, by its name.
+        mapping: the user's.
+        place: the file, for messages.
+
+    Raises:
+        RecordingError: the mapping names another, or none where there are several.
+    """
+    listed = ", ".join(f"{topic} ({words})" for topic, words in topics.items())
+    if mapping.topic is None:
+        if len(topics) == 1:
+            return next(iter(topics))
+        raise RecordingError(
+            f"{place}: {len(topics)} topics of joint states: {listed}; give --mapping a file with "
+            f"'topic: {next(iter(topics))}'"
+        )
+    if mapping.topic not in topics:
+        raise RecordingError(
+            f"{place}: topic: no joint states in '{mapping.topic}'{closest(mapping.topic, topics)}; there are {listed}"
+        )
+    return mapping.topic
+
+
 @dataclass(frozen=True)
 class _Reader:
     """Turn the YAML tree into sources, and every mistake into a message that names file and key."""
@@ -183,7 +209,7 @@ class _Reader:
         if isinstance(entry, str):
             return Source(entry)
         table = self.table(entry, "time", ("column", "unit"))
-        return Source(self.text(table, "column", "time"), self.unit(table, _TIME, "s", "time"))
+        return Source(self.text(table, "column", "time"), self.unit(table, TIME_UNITS, "s", "time"))
 
     def signal(self, entry: Any, signal: str, where: str) -> Source:
         if isinstance(entry, str):

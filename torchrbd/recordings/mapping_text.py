@@ -6,7 +6,7 @@ import json
 
 from torchrbd.recordings.guessing import guess
 from torchrbd.recordings.inspection import Inspection
-from torchrbd.recordings.mapping import SIGNALS, Mapping, Source
+from torchrbd.recordings.mapping import SIGNALS, TIME_UNITS, Mapping, Source
 
 _UNITS = {
     "q": "rad",
@@ -42,7 +42,7 @@ def _found(found: Inspection, sliding: tuple[str, ...]) -> list[str]:
     recording = found.recording
     assert recording is not None
     time = recording.source("t", "") or Source("t")
-    unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}[time.scale]
+    unit = next(name for name, seconds in TIME_UNITS.items() if seconds == time.scale)
     lines = [f"time: {{column: {json.dumps(time.column)}, unit: {unit}}}{_suspected(found, time.column)}", "joints:"]
     _, guesses = guess(found.columns, found.joints)
     for joint in recording.joints:

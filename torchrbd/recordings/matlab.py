@@ -24,7 +24,6 @@ _TABLES = (
     "cellstr(names) instead"
 )
 
-
 _Slot = tuple[str, int, bool]
 """Of a column: the variable, the index in it, and whether its rows are those of the stored array."""
 
@@ -92,9 +91,7 @@ class MatTable:
         except Exception as error:  # damaged files fail anywhere in the library, in any way
             raise RecordingError(f"{self.path}: not a readable MATLAB file: {error}") from None
 
-    def _columns_of(
-        self, variables: dict[str, _Variable], joints: list[str] | None
-    ) -> dict[str, tuple[str, int, bool]]:
+    def _columns_of(self, variables: dict[str, _Variable], joints: list[str] | None) -> dict[str, _Slot]:
         """Return, by column, the variable, the index in it, and whether its rows are those of the stored array."""
         if not variables:
             raise RecordingError(f"{self.path}: holds no vectors or matrices of numbers; {_TABLES}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.extras import needed
-from torchrbd.recordings.mapping import Mapping, closest
+from torchrbd.recordings.mapping import Mapping, chosen_topic
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _SIGNALS = {"q": "position", "qd": "velocity", "tau": "effort"}
@@ -154,29 +154,3 @@ def _chosen(connections: Sequence[Any], mapping: Mapping, path: Path) -> str:
             f"{path}: no topic of sensor_msgs/JointState; its topics are {others}; record the joint states with effort"
         )
     return chosen_topic({topic: f"{count} messages" for topic, count in counts.items()}, mapping, str(path))
-
-
-def chosen_topic(topics: dict[str, str], mapping: Mapping, place: str) -> str:
-    """Return the topic that the mapping names, or the only one.
-
-    Args:
-        topics: what to say of each, by its name.
-        mapping: the user's.
-        place: the file, for messages.
-
-    Raises:
-        RecordingError: the mapping names another, or none where there are several.
-    """
-    listed = ", ".join(f"{topic} ({words})" for topic, words in topics.items())
-    if mapping.topic is None:
-        if len(topics) == 1:
-            return next(iter(topics))
-        raise RecordingError(
-            f"{place}: {len(topics)} topics of joint states: {listed}; give --mapping a file with "
-            f"'topic: {next(iter(topics))}'"
-        )
-    if mapping.topic not in topics:
-        raise RecordingError(
-            f"{place}: topic: no joint states in '{mapping.topic}'{closest(mapping.topic, topics)}; there are {listed}"
-        )
-    return mapping.topic

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchrbd.recordings.channels import Channel
+from torchrbd.recordings.mapping import TIME_UNITS
 from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.survey import Survey
 from torchrbd.robot import RobotModel
@@ -17,7 +18,6 @@ _ANGLE, _LENGTH, _TORQUE = 4 * math.pi, 10.0, 5000.0
 # Beyond the URDF's limits by so much; a reading that mends it stays within so much of them.
 _BEYOND, _WITHIN = 2.0, 1.2
 _SLOWEST_HZ, _RATES_HZ = 2.0, ((50.0, 5000.0), (5.0, 20000.0))
-_TIMES = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 def suspected_units(
@@ -56,8 +56,8 @@ def _time_unit(rate_hz: float) -> str:
     if rate_hz > _SLOWEST_HZ:
         return ""
     for low, high in _RATES_HZ:
-        for unit, seconds in _TIMES.items():
-            if low <= rate_hz / seconds <= high:
+        for unit, seconds in TIME_UNITS.items():
+            if unit != "s" and low <= rate_hz / seconds <= high:
                 return unit
     return ""
 

@@ -10,10 +10,10 @@ from statistics import median
 import torch
 
 from torchrbd.inference.suspicions.writing import Writing
+from torchrbd.recordings.mapping import TIME_UNITS
 from torchrbd.robot import RobotModel
 
 _DEGREE = math.pi / 180.0
-_TIMES = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 TESTED = (
     "degrees for radians",
     "millimetres for metres",
@@ -71,8 +71,9 @@ def _units(robot: RobotModel, now: Writing, worst: Sequence[int], converted: Col
     if sliding:
         yield Hypothesis("millimetres", sliding, now.scaled_q(sliding, 1e-3), "mm")
     if now.time == 1.0:
-        for unit, factor in _TIMES.items():
-            yield Hypothesis("time unit", (), replace(now, time=factor), unit)
+        for unit, factor in TIME_UNITS.items():
+            if unit != "s":
+                yield Hypothesis("time unit", (), replace(now, time=factor), unit)
         if "t" in converted:
             yield Hypothesis("time unit", (), replace(now, time=1e3), "s")
 

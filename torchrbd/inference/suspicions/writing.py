@@ -1,6 +1,6 @@
 """How a table may have been written: what its columns mean instead of what they say.
 
-    q = q_scale * q_read[q_order],   t = t_read * time,   tau(t) = tau_scale * tau_read[tau_order](t + late)
+    q = q_scale * q_read[q_order],   t = t_read * time,   tau = tau_scale * tau_read[tau_order]
 
 with a gravity of its own. The table as it stands is the writing with all of these at one, in order, and zero.
 """
@@ -21,7 +21,6 @@ class Writing:
         q_order, tau_order: (n_dof,) by joint, whose column holds its position, and its torque.
         q_scale, tau_scale: (n_dof,) what the columns are to be multiplied by.
         time: what times are to be multiplied by.
-        late: by how many samples the torque is read later than it stands.
         gravity: in the base's axes [m/s^2].
     """
 
@@ -31,7 +30,6 @@ class Writing:
     tau_scale: tuple[float, ...]
     gravity: tuple[float, ...]
     time: float = 1.0
-    late: int = 0
 
     @classmethod
     def as_it_stands(cls, n_dof: int, gravity: Sequence[float]) -> Writing:
