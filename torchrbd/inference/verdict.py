@@ -88,7 +88,8 @@ def _too_fast(prepared: Prepared) -> list[str]:
         fast = [f"{name} {v:.3g} (limit {limit:.3g})" for name, v, limit in rows if v > _BEYOND_LIMIT * limit > 0]
         if fast:
             doubts.append(
-                f"the motion of {s.name} is faster than the URDF allows, per second {', '.join(fast)}: check the units of q and t"
+                f"the motion of {s.name} is faster than the URDF allows, per second {', '.join(fast)}: check the units "
+                "of q and t"
             )
     return doubts
 
