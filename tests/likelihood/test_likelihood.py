@@ -105,9 +105,11 @@ def test_widths_are_told_anew_where_columns_are_and_are_elsewhere_as_given(fit: 
     extra = Extra(1, fit.machine.rows.qd[:1] ** 2, np.ones(1))
     assert extra.joints == [1]
     given = 3.0 * fit.hyper.rest_width
-    found = fit.extended((extra,)).settled_at(extra.joints, given).hyper.rest_width
+    beside = fit.with_(rest_width=given).extended((extra,))
+    found = beside.settled_at(extra.joints).hyper.rest_width
     assert found[0] == given[0]
     assert found[1] == pytest.approx(fit.settled.hyper.rest_width[1], rel=0.3)
+    np.testing.assert_array_equal(beside.settled_at(extra.joints, given).hyper.rest_width, given)
     whole = np.zeros((1, *fit.machine.rows.qd.shape))
     whole[0, 0] = 1.0
     assert Extra(None, whole, np.ones(1)).joints == [0]
@@ -120,11 +122,23 @@ def test_law_that_takes_a_part_of_friction_leaves_what_rests_may_hold_as_large()
     fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [noisy])))
     machine, qd = fit.machine, fit.machine.rows.qd[:1]
     law = Extra(0, np.sign(qd) * np.abs(qd) ** 0.3, np.ones(1))
-    beside = fit.extended((law,)).settled_at((), fit.settled.hyper.rest_width)
+    beside = fit.extended((law,)).renoised().relinearised()
     assert beside.friction[0, 1] < 0.95 * fit.friction[0, 1]
     rests = len(machine.resting(0))
     assert rests > 5
-    np.testing.assert_allclose(beside.columns(0)[-rests - 1 : -1], fit.settled.columns(0)[-rests:], rtol=1e-6)
+    np.testing.assert_allclose(
+        beside.columns(0)[-rests - 1 : -1], fit.renoised().relinearised().columns(0)[-rests:], rtol=1e-6
+    )
+
+
+def test_rows_that_least_squares_sees_are_those_of_a_noise_without_memory(fit: Likelihood) -> None:
+    """They are remembered for noises of other sizes, not for another spread."""
+    louder = fit.renoised()
+    for one in (fit, louder, fit.with_(noise=tuple(replace(n, spread=2.0 * n.spread) for n in fit.hyper.noise))):
+        again = Likelihood(one.machine, one.least_squares.hyper, one.extra, fit.machine.slopes(fit.hyper))
+        for found, wanted in zip(one.least_squares.gaussian.blocks, again.gaussian.blocks, strict=True):
+            np.testing.assert_allclose(found.y, wanted.y, rtol=1e-10)
+            np.testing.assert_allclose(found.gram, wanted.gram, rtol=1e-9, atol=1e-9 * np.abs(wanted.gram).max())
 
 
 @pytest.fixture(scope="module")

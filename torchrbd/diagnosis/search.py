@@ -8,7 +8,6 @@ three nats of it; they are looked at where laws have ended, and as rivals of the
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,6 +17,7 @@ from torchrbd.diagnosis.hypotheses import Hypothesis, again, support
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
 from torchrbd.diagnosis.screening import refined, screened
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import truncated
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.noise import Noise
@@ -97,15 +97,13 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     the other: each has the better of both.
     """
     extra = h.extra(fit, rows)
-    beside = fit.extended((*fit.extra, extra))
-    base = fit.settled
-    width = base.hyper.rest_width
-    extended = beside.settled_at(extra.joints, width)
-    dispersion = extended.hyper.dispersion
+    beside, at = fit.extended((*fit.extra, extra)), extra.joints
+    base, extended = fit.settled_at(at), beside.settled_at(at)
+    dispersion, widths = extended.hyper.dispersion, (base.hyper.rest_width, extended.hyper.rest_width)
     with_it, without = [extended], [base.dispersed(dispersion)]
-    if not np.allclose(extended.hyper.rest_width, width):
-        with_it.append(beside.settled_at((), width).dispersed(dispersion))
-        without.append(fit.settled_at((), extended.hyper.rest_width).dispersed(dispersion))
+    if not np.allclose(*widths):
+        with_it.append(beside.settled_at(at, widths[0]).dispersed(dispersion))
+        without.append(fit.settled_at(at, widths[1]).dispersed(dispersion))
     return _weighed(fit, rows, h, beside, with_it, without)
 
 
@@ -154,11 +152,16 @@ def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     if h.tried == 1 or h.candidate.site.window is not None:
         return h
     extra = h.extra(fit, rows)
-    beside = fit.extended((*fit.extra, extra)).renoised().rewidened(extra.joints)
-    own = beside.relinearised().extended(fit.extra)
+    beside = fit.extended((*fit.extra, extra)).renoised(extra.joints).rewidened(extra.joints)
+    own = beside.plausible().extended(fit.extra)
     # What averaging costs is that of the first refinement.
     then = again(fit, rows, replace(refined(own, rows, h), paid=h.paid))
     return h if then is None else then
+
+
+def _meet(a: Candidate, b: Candidate) -> bool:
+    """Say whether two terms act on the torque of one joint."""
+    return a.place is None or b.place is None or a.place == b.place
 
 
 def _alike(h: Hypothesis) -> tuple[Hashable, ...]:
@@ -179,23 +182,21 @@ class _Search:
         """Return hypotheses, the likeliest first."""
         return sorted(found, key=lambda h: -log_odds(h, self.rows))
 
-    def judged(
-        self, fit: Likelihood, found: Sequence[Hypothesis], *, sharp: bool = False, reach: float = math.inf
-    ) -> list[Hypothesis]:
+    def judged(self, fit: Likelihood, found: Sequence[Hypothesis], *, sharp: bool = False) -> list[Hypothesis]:
         """Return hypotheses beside a fit; those that may be there, or lead, with all that is learnt learnt anew.
 
-        Those may be there that are likelier than not; that of the greatest odds and that of the greatest evidence lead.
+        Those may be there that are likelier than not, and are not far less likely than another; that of the greatest
+        odds and that of the greatest evidence lead.
 
         Args:
             fit: beside which they stand.
             found: what is judged.
             sharp: refine the shapes of those that lead, too.
-            reach: of those that are likelier than not, the log odds below the greatest which are judged.
         """
         now, done = [at_a_glance(fit, self.rows, h) for h in found], set[int]()
         while now:
             odds = np.array([log_odds(h, self.rows) for h in now])
-            near = np.flatnonzero(odds >= max(0.0, odds.max() - reach))
+            near = np.flatnonzero(odds >= max(0.0, odds.max() - _TOLD))
             lead = {int(odds.argmax()), int(np.argmax([h.log_evidence for h in now])), *near.tolist()}
             if lead <= done:
                 break
@@ -266,15 +267,26 @@ class _Search:
         seen: list[list[Hypothesis]],
         last: list[Hypothesis],
     ) -> tuple[Likelihood, tuple[Term, ...], list[Hypothesis]]:
-        """Judge each term and its rivals beside all others; swap and drop until nothing changes."""
+        """Judge each term and its rivals beside all others; swap and drop until nothing changes.
+
+        Once judged, a term is judged again where others that meet its rows have changed.
+        """
         terms: list[Term] = []
+        changed: list[Candidate] = []
         for _ in range(_SWEEPS):
-            terms, changed = [], False
+            before, terms, changed_before, changed = terms, [], changed, []
             while (k := len(terms)) < len(chosen):
+                now = chosen[k].candidate
+                stays = [t for t in before if t.own.candidate == now and not any(_meet(now, c) for c in changed_before)]
+                if stays:
+                    terms += stays[:1]
+                    continue
                 term = self._judged_again(base, chosen, k, seen[k])
                 own, best = term.own, term.best(self.rows)
-                changed |= best is not own or log_odds(best, self.rows) <= 0.0
+                if best is not own:
+                    changed += [own.candidate, best.candidate]
                 if log_odds(best, self.rows) <= 0.0:
+                    changed.append(own.candidate)
                     chosen, seen = [*chosen[:k], *chosen[k + 1 :]], [*seen[:k], *seen[k + 1 :]]
                     continue
                 if best is not own and self._beside_a_curve(base, chosen, own, best):
@@ -316,5 +328,5 @@ class _Search:
             known = {h.name for h in (*chosen, *likeliest)}
             functions = [h for h in curves_at(rest, self.rows, [place]) if h.name not in known]
             likeliest += self.ordered([h for h in functions if not stands_in(h.candidate)])[:1]
-        own, *rivals = self.judged(rest, (own, *likeliest), reach=_TOLD)
+        own, *rivals = self.judged(rest, (own, *likeliest))
         return Term(own, tuple(self.ordered(rivals)))

@@ -160,8 +160,9 @@ def in_stretches(
     counts = np.trace(gram[end] - gram[begin], axis1=1, axis2=2) > 0
     if not counts.any():
         return None
-    scales, own = np.array(multiples), gram - V.transpose(0, 2, 1) @ V
-    S, r = own[end] - own[begin] + _shared(V, begin, end), score[end] - score[begin]
+    scales, told_by = np.array(multiples), V.transpose(0, 2, 1) @ V
+    S = (gram - told_by)[end] - (gram + told_by)[begin] + _shared(V, begin, end)
+    r = score[end] - score[begin]
     found = added(S[:, None], r[:, None], std * scales[:, None], candidate.effect.prior.positive)
     told_of = np.where(counts[:, None], found.log_evidence, -math.inf)
     k, size = np.unravel_index(int(told_of.argmax()), told_of.shape)
@@ -176,17 +177,18 @@ def in_stretches(
 
 
 def _shared(V: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return what two edges say together, (N, K, K), of V (B + 1, P, K).
+    """Return what two edges say together, V_b'V_e + V_e'V_b (N, K, K), of V (B + 1, P, K), zero at the first edge.
 
-    -(V_e - V_b)'(V_e - V_b) = V_b'V_b - V_e'V_e + V_b'(V_e - V_b) + (V_e - V_b)'V_b,   the last two
+    -(V_e - V_b)'(V_e - V_b) = V_b'V_e + V_e'V_b - V_b'V_b - V_e'V_e
     """
-    shared = np.zeros((len(begin), V.shape[2], V.shape[2]))
-    for k in np.unique(begin):
-        at = np.flatnonzero(begin == k)
-        near = slice(end[at].min(), end[at].max() + 1)
-        product = V[k].T @ np.moveaxis(V[near] - V[k], 0, 1).reshape(V.shape[1], -1)
-        shared[at] = np.moveaxis(product.reshape(V.shape[2], -1, V.shape[2]), 1, 0)[end[at] - near.start]
-    return shared + shared.transpose(0, 2, 1)
+    edges, P, K = V.shape
+    both, every = np.zeros((len(begin), K, K)), np.moveaxis(V, 0, 1).reshape(P, -1)
+    inner = np.flatnonzero(begin)
+    few, many = sorted((begin[inner], end[inner]), key=lambda edge: len(np.unique(edge)))
+    for k in np.unique(few):
+        at = few == k
+        both[inner[at]] = (V[k].T @ every).reshape(K, edges, K).swapaxes(0, 1)[many[at]]
+    return both + both.transpose(0, 2, 1)
 
 
 def _sums(

@@ -11,6 +11,7 @@ from itertools import takewhile
 import numpy as np
 import torch
 
+from torchrbd.likelihood.design import Design
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import Block, Gaussian, added, nonnegative
 from torchrbd.likelihood.machine import STICKS, Hyper, Machine
@@ -19,26 +20,7 @@ from torchrbd.likelihood.physical import expanded, most_probable
 
 KAPPAS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 # Widths of the sign change that are tried, in parts of the joint's RMS speed.
-_WIDTHS = (
-    0.003,
-    0.005,
-    0.0075,
-    0.01,
-    0.014,
-    0.02,
-    0.025,
-    0.03,
-    0.04,
-    0.05,
-    0.065,
-    0.08,
-    0.1,
-    0.12,
-    0.16,
-    0.2,
-    0.3,
-    0.45,
-)
+_WIDTHS = tuple(np.geomspace(0.003, 0.45, 18).tolist())
 _LEAST_DRIFT, _LEAST_NOISE = 1e-4, 1e-6
 _SHARES, _DOUBTS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0), (0.0, 0.1, 0.3, 1.0)
 # What columns do not depend on, and what those of one joint alone do.
@@ -58,7 +40,7 @@ class Likelihood:
         hyper: what is learnt.
         extra: columns beside them.
         slopes: see ``Machine.slopes``.
-        raw: per joint, columns (P_j, M) and which coefficients they have, of a model that has the same, if one has.
+        designs: per joint, the columns of a model that has the same, if one has.
         blocks: per joint, the whitened rows of a model that has the same, if one has.
 
     Attributes:
@@ -72,13 +54,13 @@ class Likelihood:
         hyper: Hyper,
         extra: Sequence[Extra] = (),
         slopes: np.ndarray | None = None,
-        raw: Sequence[tuple[np.ndarray, np.ndarray] | None] | None = None,
+        designs: Sequence[Design | None] | None = None,
         blocks: Sequence[Block | None] | None = None,
     ) -> None:
         self.machine, self.hyper, self.extra, self._slopes = machine, hyper, tuple(extra), slopes
         n, none = machine.n, [None] * machine.rows.n_dof
         self._first = n + np.cumsum([0, *(len(e.std) for e in self.extra)])
-        self._raw = [one or self._columns(j) for j, one in enumerate(raw or none)]
+        self._designs = [one or self._columns(j) for j, one in enumerate(designs or none)]
         self.index = machine.index
         whitened = [one or self._whitened(j) for j, one in enumerate(blocks or none)]
         root = np.sqrt(hyper.kappa)
@@ -86,19 +68,18 @@ class Likelihood:
         sites[:, machine.resisting] = hyper.resists.reshape(3, -1)
         self._bodies = expanded(root * hyper.bodies, hyper.kappa)
         self.gaussian = Gaussian(whitened, sites.shape[1], self._bodies, sites, machine.local)
+        self._settled: dict[tuple[int, ...], Likelihood] = {}
 
-    def _columns(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the columns (P_j, M) of a joint, and which coefficients they have (P_j,)."""
+    def _columns(self, joint: int) -> Design:
         A, own = self.machine.design(joint, self.hyper, self._slopes)
         for first, e in zip(self._first[:-1], self.extra, strict=True):
             if (features := e.at(joint)) is not None:
                 A = np.concatenate((A, features * e.std[:, None]))
                 own = np.concatenate((own, first + np.arange(len(e.std))))
-        return A, own
+        return Design(A, own, self.machine.target[joint])
 
     def _whitened(self, joint: int) -> Block:
-        (A, own), noise = self._raw[joint], self.hyper.noise[joint]
-        return Block(noise.white(A), noise.white(self.machine.target[joint]), own)
+        return self._designs[joint].white(self.hyper.noise[joint])
 
     @property
     def log_evidence(self) -> float:
@@ -132,18 +113,18 @@ class Likelihood:
 
     def residual(self, joint: int) -> np.ndarray:
         """Return what is left of a joint's torque, (M,) [N m or N]."""
-        A, own = self._raw[joint]
-        return self.machine.target[joint] - self.gaussian.z[own] @ A
+        one = self._designs[joint]
+        return one.target - self.gaussian.z[one.own] @ one.A
 
     def held(self, joint: int) -> np.ndarray:
         """Return what friction holds a joint with while it rests, beside its law, (M,) [N m or N]."""
-        A, own = self._raw[joint]
-        at = np.isin(own, (*self.machine.sticks(joint), *self.machine.resting(joint)))
-        return self.gaussian.z[own[at]] @ A[at]
+        one = self._designs[joint]
+        at = np.isin(one.own, (*self.machine.sticks(joint), *self.machine.resting(joint)))
+        return self.gaussian.z[one.own[at]] @ one.A[at]
 
     def columns(self, joint: int) -> np.ndarray:
         """Return the columns of a joint before they are whitened, (P_j, M), in prior coordinates."""
-        return self._raw[joint][0]
+        return self._designs[joint].A
 
     def beside(self, place: int | None, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return precision (K, K) and score (K,) of features (K, M) of a joint, or (K, n, M) of all, beside the fit."""
@@ -240,23 +221,24 @@ class Likelihood:
         each = zip(self.gaussian.blocks, noise, self.hyper.noise, strict=True)
         blocks = [b.louder(new.sigma / old.sigma) if new.tail is old.tail else None for b, new, old in each]
         hyper = self.hyper.with_(noise=tuple(noise), dispersion=dispersion)
-        return Likelihood(self.machine, hyper, self.extra, self._slopes, self._raw, blocks)
+        return Likelihood(self.machine, hyper, self.extra, self._slopes, self._designs, blocks)
 
-    def rewidened(self, joints: Sequence[int] | None = None, known: np.ndarray | None = None) -> Likelihood:
+    def rewidened(self, joints: Sequence[int] | None = None) -> Likelihood:
         """Return the same model with the widths of friction's sign change that have the greatest evidence.
 
         All rows count alike in that: those that show them, at reversals, count less the worse they are explained.
 
         Args:
-            joints: where they are told anew; everywhere if not given.
-            known: (n,) widths at the other joints, [rad/s] or [m/s]; those of the model if not given.
+            joints: where; everywhere if not given.
         """
-        joints = range(self.machine.rows.n_dof) if joints is None else joints
-        one, widths = np.ones(len(self.machine.rows.t)), np.array(self.hyper.rest_width if known is None else known)
-        plain = self.with_(noise=tuple(replace(n, spread=one, tail=None) for n in self.hyper.noise))
+        joints, widths = self._seen(joints), np.array(self.hyper.rest_width)
+        one, noise = np.ones(len(self.machine.rows.t)), list(self.hyper.noise)
+        for j in joints:
+            noise[j] = replace(noise[j], spread=one, tail=None)
+        plain = self.with_(noise=tuple(noise))
         g = plain.gaussian
         for j in joints:
-            if not len(self.index[j]) or not self.machine.speed_rms[j]:
+            if not self.machine.speed_rms[j]:
                 continue
             dropped = [*self.machine.ordinary(j)[1:], self.machine.bend(j), *self.machine.sticks(j)]
             kept = np.setdiff1d(np.arange(len(g.z)), dropped)
@@ -282,7 +264,9 @@ class Likelihood:
         """
         if not any(len(n.predictor) for n in self.hyper.noise):
             return self
-        return self.with_(noise=tuple(replace(n, predictor=np.zeros(0), sigma=n.std) for n in self.hyper.noise))
+        noise = tuple(replace(n, predictor=np.zeros(0), sigma=n.std) for n in self.hyper.noise)
+        blocks = [one.independent(n) for one, n in zip(self._designs, noise, strict=True)]
+        return Likelihood(self.machine, self.hyper.with_(noise=noise), self.extra, self._slopes, self._designs, blocks)
 
     def _noise(self, joint: int, dispersion: float, spread: np.ndarray) -> Noise:
         """Return the noise of what is left at a joint whose rows are as noisy as ``spread`` (M,) against each other."""
@@ -329,6 +313,10 @@ class Likelihood:
         sites = nonnegative(free.z[at], free.covariance(at))
         return self.with_(resists=np.reshape(sites, self.hyper.resists.shape))
 
+    def plausible(self) -> Likelihood:
+        """Return the same model whose bodies are physical, and whose friction does not push."""
+        return self._physical()._resisting()
+
     def relinearised(self, *, alone: bool = False) -> Likelihood:
         """Return the same model whose bodies are physical, and whose load and slopes are those of its fit.
 
@@ -336,7 +324,7 @@ class Likelihood:
             alone: whether friction is that of its fit too. What rests and reversals may hold is believed to be as large
                 as that: laws beside the machine, which take a part of its friction, must not make them smaller.
         """
-        fit = self._physical()._resisting()
+        fit = self.plausible()
         hyper = fit.hyper.with_(pi=fit.pi)
         if alone:
             viscous, plus, minus = torch.from_numpy(fit.friction).unbind(1)
@@ -357,12 +345,24 @@ class Likelihood:
 
     @cached_property
     def settled(self) -> Likelihood:
-        """The same model with all that is learnt beside the columns it has learnt once more, see ``settled_at``."""
-        return self.settled_at()
+        """The same model with noise, widths, bodies and slopes learnt once more, beside the columns it has."""
+        return self.renoised().rewidened().relinearised().renoised(dispersed=True)
 
-    def settled_at(self, joints: Sequence[int] | None = None, known: np.ndarray | None = None) -> Likelihood:
-        """Return the same with noise, bodies and slopes learnt once more, and widths as ``rewidened`` tells them."""
-        return self.renoised().rewidened(joints, known).relinearised().renoised(dispersed=True)
+    def settled_at(self, joints: Sequence[int], widths: np.ndarray | None = None) -> Likelihood:
+        """Return the same model with all but its slopes learnt once more beside columns of some joints.
+
+        What those change of the load, and so of the slopes, is of second order.
+
+        Args:
+            joints: where widths are told anew.
+            widths: (n,) of all sign changes, if they are known [rad/s] or [m/s].
+        """
+        if widths is not None:
+            return self.renoised().with_(rest_width=widths).plausible().renoised(dispersed=True)
+        key = tuple(joints)
+        if key not in self._settled:
+            self._settled[key] = self.renoised().rewidened(key).plausible().renoised(dispersed=True)
+        return self._settled[key]
 
     def extended(self, extra: Sequence[Extra]) -> Likelihood:
         """Return the same model with other columns beside the machine's."""
@@ -374,17 +374,17 @@ class Likelihood:
     def with_(self, **changes: object) -> Likelihood:
         """Return the same model with some of what is learnt changed, see ``Hyper``."""
         hyper = self.hyper.with_(**changes)
-        raw = np.full(self.machine.rows.n_dof, changes.keys() <= _NOT_OF_COLUMNS | _OF_ONE_JOINT)
+        same = np.full(self.machine.rows.n_dof, changes.keys() <= _NOT_OF_COLUMNS | _OF_ONE_JOINT)
         for name in changes.keys() & _OF_ONE_JOINT:
-            raw &= getattr(hyper, name) == getattr(self.hyper, name)
+            same &= getattr(hyper, name) == getattr(self.hyper, name)
         alike = [one is other for one, other in zip(hyper.noise, self.hyper.noise, strict=True)]
-        return Likelihood(self.machine, hyper, self.extra, self._slopes, *self._kept(raw, raw & alike))
+        return Likelihood(self.machine, hyper, self.extra, self._slopes, *self._kept(same, same & alike))
 
     def _kept(
-        self, raw: Sequence[bool] | np.ndarray, blocks: Sequence[bool] | np.ndarray
-    ) -> tuple[list[tuple[np.ndarray, np.ndarray] | None], list[Block | None]]:
+        self, designs: Sequence[bool] | np.ndarray, blocks: Sequence[bool] | np.ndarray
+    ) -> tuple[list[Design | None], list[Block | None]]:
         """Return columns and whitened rows of the joints where they stay as they are, None elsewhere."""
         return (
-            [one if same else None for one, same in zip(self._raw, raw, strict=True)],
+            [one if same else None for one, same in zip(self._designs, designs, strict=True)],
             [one if same else None for one, same in zip(self.gaussian.blocks, blocks, strict=True)],
         )
