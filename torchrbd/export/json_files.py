@@ -12,6 +12,8 @@ from typing import Any
 from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranked, Ranking
 from torchrbd.inference import EstimatorComparison, Identification
 from torchrbd.outputs import write_whole
+from torchrbd.robot import RobotModel
+from torchrbd.simulation import MotionError
 
 SCHEMA = 1
 # A list of numbers that json.dumps has spread over lines; text has no line breaks in JSON.
@@ -167,6 +169,11 @@ def _head(result: Identification) -> dict[str, Any]:
         which the held-out squared error falls, or null), statement, remedy (option or mapping entry), settles (whether
         nothing can be told before it is settled), alternatives.
     suspicions_tested: what was looked for.
+    simulation: how far models, rolled forward from recorded states under recorded torque, move from the recorded
+        positions: list, by length, of window_s, held_out (whether no fit has seen the windows; where too little is
+        held out, they lie anywhere), windows (their number by joint), and errors by model
+        (those of fit, and "constant_velocity") and joint: root mean square over a window, its median, low and high
+        quartile over the windows, null where motions are lost, [rad] or [m] by unit. Empty where it is not known.
     """
     return {
         "schema": SCHEMA,
@@ -180,7 +187,13 @@ def _head(result: Identification) -> dict[str, Any]:
         "suspicions": [asdict(one) for one in result.suspicions.found],
         "suspicions_tested": list(result.suspicions.tested),
         "notes": [*result.doubts, *result.notes],
+        "simulation": [_motion(one, result.robot) for one in result.simulation],
     }
+
+
+def _motion(found: MotionError, robot: RobotModel) -> dict[str, Any]:
+    sliding = dict(zip(robot.joint_names, robot.prismatic.tolist(), strict=True))
+    return {**asdict(found), "unit": {joint: "m" if sliding[joint] else "rad" for joint in found.windows}}
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:

@@ -35,9 +35,11 @@ from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, ver
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.simulated import motion_doubts
 from torchrbd.likelihood.urdf_prior import local_covariance
+from torchrbd.model import RigidBodyDynamics, urdf_friction
 from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base_parameters
 from torchrbd.recordings import NamedSource, RecordingSource, listed_sources
 from torchrbd.robot import STANDARD_GRAVITY, RobotModel
+from torchrbd.simulation import Simulation, motion_errors
 from torchrbd.threads import single_threaded
 
 
@@ -149,6 +151,7 @@ def summarise(
     covariance = final.inertial_covariance(final.covariance)
     fits = {name: judge(prepared.judging, x) for name, x in coefficients.items()}
     regime = regime_of(prepared, settings.estimator)
+    simulation = _simulation(prepared, models, final, progress)
     biased = prepared.input_noise.matters and prepared.states is None
     doubts = (
         *(one.words for one in suspected.found),
@@ -180,9 +183,21 @@ def summarise(
         model=final.module(),
         posterior=Posterior(prepared.prior, final) if sure else None,
         doubts=doubts,
-        notes=prepared.notes,
+        notes=(*prepared.notes, *simulation.notes),
         suspicions=suspected,
+        simulation=simulation.errors,
     )
+
+
+def _simulation(
+    prepared: Prepared, models: Mapping[str, FittedModel], final: FittedModel, progress: Progress
+) -> Simulation:
+    """Roll the URDF and fitted models forward on the blocks kept back."""
+    progress("simulating motion", 0.0)
+    width = final.module().rest_width
+    modules = {"urdf": RigidBodyDynamics(prepared.robot, terms=urdf_friction(prepared.robot), rest_width=width)}
+    modules |= {name: model.module() for name, model in models.items()}
+    return motion_errors(prepared.reading, prepared.statistics.blocks, prepared.held_out.tolist(), modules, progress)
 
 
 def _noise(prepared: Prepared, model: FittedModel) -> dict[str, JointNoise]:

@@ -13,6 +13,7 @@ from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicions
 from torchrbd.inference.torque_error import Fit
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.robot import RobotModel
+from torchrbd.simulation import MotionError
 
 Verdict = Literal["identified", "doubtful", "worse"]
 
@@ -138,6 +139,7 @@ class Identification(Displayed):
         doubts: what looks wrong with input or result, and what to do about it; suspicions first.
         notes: what else the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
         suspicions: what the recordings may mean instead of what they say, and what was tested.
+        simulation: by length of the window, how far models move from what was recorded; empty where that is not known.
     """
 
     robot: RobotModel
@@ -161,6 +163,7 @@ class Identification(Displayed):
     doubts: tuple[str, ...] = field(default=())
     notes: tuple[str, ...] = field(default=())
     suspicions: Suspicions = NO_SUSPICIONS
+    simulation: tuple[MotionError, ...] = field(default=())
 
     def __repr__(self) -> str:
         errors = {name: float(f"{fit.mean_nmse:.3g}") for name, fit in self.fits.items()}

@@ -6,10 +6,11 @@ the end of a step is the one at which forces balance,
 
     r(v) = M (v - qd) + dt (c + f(v) - tau) = 0,    q' = q + dt v
 
-with M and c = c(q, qd) of the rigid body and f(v) the torque of the terms. It is found by quadratic majorisation: f is
-replaced by the line through f(0) and f(v_k), below which friction that grows less than linearly stays beyond v_k, so
-that no step goes too far. One Newton step from there is differentiable, and has the derivatives of the implicit
-function, dv = -(dr/dv)^-1 dr.
+with M and c = c(q, qd) of the rigid body and f(v) the torque of the terms. It is found by Newton's method with each
+joint's own slope of f; a joint that would turn within a step stops at rest, where friction is steepest, and goes on
+from there. What has not settled so is found by quadratic majorisation: f is replaced by the line through f(0) and
+f(v_k), below which friction that grows less than linearly stays beyond v_k, so that no step goes too far. One Newton
+step from there is differentiable, and has the derivatives of the implicit function, dv = -(dr/dv)^-1 dr.
 
 Source: Hunter, Lange, "A tutorial on MM algorithms", The American Statistician 2004, sec. 3.2, for the majorisation.
 """
@@ -26,7 +27,7 @@ Force = Callable[[Tensor], Tensor]
 Acceleration = Callable[[Tensor, Tensor], Tensor]
 """By position and velocity."""
 
-_ITERATIONS = 30
+_NEWTON_STEPS, _MAJORISED_STEPS = 12, 20
 # Of a joint's width of rest: slower, and the line through f(0) and f(v) is told by rounding.
 _SLOWEST = 1e-2
 
@@ -44,15 +45,8 @@ def implicit_velocity(
         rest_width: (n,) speed below which friction's sign changes.
     """
     with torch.no_grad():
-        still, v, slowest = force(torch.zeros_like(qd)), qd, _SLOWEST * rest_width.to(qd)
         free = (mass @ qd.unsqueeze(-1)).squeeze(-1) - dt * (bias - tau)
-        for _ in range(_ITERATIONS):
-            v = torch.where(v.abs() < slowest, torch.where(v < 0, -slowest, slowest), v)
-            f = force(v)
-            slope = ((f - still) / v).clamp_min(0.0)
-            before, v = v, _solve(mass + dt * torch.diag_embed(slope), free - dt * (f - slope * v))
-            if _is_settled(before, v, slowest):
-                break
+        v = balanced_velocity(mass, free, force, qd, dt, _SLOWEST * rest_width.to(qd))
         # The forces' derivatives by velocity, a row of the matrix for each joint.
         units = torch.eye(v.shape[-1], dtype=v.dtype, device=v.device)
         _, by_velocity, *_ = torch.func.vjp(force, v)
@@ -60,6 +54,37 @@ def implicit_velocity(
         slopes = mass + dt * rows
     residual = (mass @ (v - qd).unsqueeze(-1)).squeeze(-1) + dt * (bias + force(v) - tau)
     return v - _solve(slopes, residual)
+
+
+def balanced_velocity(
+    mass: Tensor, free: Tensor, force: Force, v: Tensor, dt: float | Tensor, slowest: Tensor
+) -> Tensor:
+    """Return v with M v + dt f(v) = free, to within ``slowest``; not differentiable.
+
+    Args:
+        mass: M, (*batch, n, n); its symmetric part must be positive definite where forces are.
+        free: (*batch, n).
+        force: f; takes more velocities in front of the batch.
+        v: where to begin, (*batch, n).
+        dt: [s].
+        slowest: (n,) what counts as no motion.
+    """
+    for _ in range(_NEWTON_STEPS):
+        f, beyond = force(torch.stack((v, v + slowest)))
+        slope = ((beyond - f) / slowest).clamp_min(0.0)
+        before, v = v, _solve(mass + dt * torch.diag_embed(slope), free - dt * (f - slope * v))
+        if _is_settled(before, v, slowest):
+            return v
+        v = torch.where(v * before < 0, torch.zeros_like(v), v)
+    still = force(torch.zeros_like(v))
+    for _ in range(_MAJORISED_STEPS):
+        v = torch.where(v.abs() < slowest, torch.where(v < 0, -slowest, slowest), v)
+        f = force(v)
+        slope = ((f - still) / v).clamp_min(0.0)
+        before, v = v, _solve(mass + dt * torch.diag_embed(slope), free - dt * (f - slope * v))
+        if _is_settled(before, v, slowest):
+            break
+    return v
 
 
 def runge_kutta(acceleration: Acceleration, q: Tensor, qd: Tensor, dt: float | Tensor) -> tuple[Tensor, Tensor]:

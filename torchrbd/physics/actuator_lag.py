@@ -31,6 +31,7 @@ class ActuatorLag(Effect):
     units: ClassVar[Mapping[str, str]] = {"time_constant": "s"}
     whole_robot = True
     uses_load = True
+    has_memory = True
     sees_friction = True
     shifts_clocks = True
     prior = CoefficientPrior("An actuator follows, within hundredths of a second.", positive=(0,), std=(0.05,))

@@ -52,6 +52,7 @@ class Backlash(Effect):
     units: ClassVar[Mapping[str, str]] = {"backlash": "{q}", "flight": "{q}", "link_friction": "1"}
     whole_robot = True
     uses_load = True
+    has_memory = True
     sees_friction = True
     prior = CoefficientPrior("A play is not negative, and below a degree.", positive=(0,), std=(0.01,))
     export_note = (

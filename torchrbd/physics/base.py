@@ -90,6 +90,7 @@ class Effect(ABC):
         comes_and_goes: True if it may be there in some recordings of a robot and not in others: after service, in the
             cold, with a cable, with a sensor set anew. What a robot is built of does not.
         sees_friction: True if the features depend on the plain friction beside that torque (``Signals.supplied``).
+        has_memory: True if the features depend on a sequence of states, and not on the present one alone.
         prior: what is believed of the coefficients.
         shifts_clocks: True if, at all joints alike, it is to first order what an offset of clocks is.
         first_order: the shape at which it is linear in its size, where that is small; None where shapes are free.
@@ -110,6 +111,7 @@ class Effect(ABC):
     uses_load: ClassVar[bool] = False
     comes_and_goes: ClassVar[bool] = False
     sees_friction: ClassVar[bool] = False
+    has_memory: ClassVar[bool] = False
     shifts_clocks: ClassVar[bool] = False
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
     first_order: ClassVar[Shape | None] = None

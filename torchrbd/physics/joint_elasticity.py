@@ -41,6 +41,7 @@ class JointElasticity(Effect):
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "bandwidth": "Hz"}
     whole_robot = True
     uses_load = True
+    has_memory = True
     prior = CoefficientPrior("A spring yields in the direction that it is loaded in.", positive=(0,))
     export_note = "a second joint on the axis, with this stiffness, between the rotor (a body of its own) and the link"
     _FURTHEST, _BANDWIDTHS_HZ = 0.2, (1.5, 3.0, 6.0, 12.0, 48.0)

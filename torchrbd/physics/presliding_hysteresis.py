@@ -39,6 +39,7 @@ class PreslidingHysteresis(JointEffect):
     words = "presliding friction (Dahl, LuGre)"
     equation = "c z, dz/dt = qd/d (1 - z sign(qd))"
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "distance": "{q}"}
+    has_memory = True
     prior = RESISTS
     export_note = (
         "<dcmotor> needs its other constants too; frictionloss of the same size is without the lag at reversals"

@@ -53,6 +53,7 @@ class SmoothTorque(Effect):
         self._values = tuple(f"value_{k + 1}" for k in range(knots))
         self.units = {**dict.fromkeys(self._values, "{tau}"), **dict.fromkeys(ends, unit)}
         self.uses_load = signal == "load"
+        self.has_memory = signal == "t"
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         joints = range(robot.n_dof)

@@ -32,6 +32,7 @@ class TimeDelay(Effect):
     units: ClassVar[Mapping[str, str]] = {"delay": "s", "step": "s"}
     whole_robot = True
     uses_load = True
+    has_memory = True
     sees_friction = True
     shifts_clocks = True
     first_order: ClassVar[Shape] = {"step": 1e-3}

@@ -1,0 +1,133 @@
+"""A model as what moves under a torque: mass, forces of the rigid body, and forces that are balanced within a step.
+
+What a model predicts of a torque is of three kinds here:
+
+- plain friction, offsets and rotors, which are numbers by joint and act on all windows at once;
+- other terms of the present state, asked through the module;
+- terms that take a whole motion (delays, play, springs in the drive) or an acceleration in another way than linearly.
+  They are small beside the rest, and their torque is that of the recorded motion, taken off the torque that drives.
+
+Presliding friction counts as the Coulomb friction that it becomes: its state at the start is not known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchrbd.model import RigidBodyDynamics
+from torchrbd.physics import Term
+from torchrbd.physics.coulomb_friction import CoulombFriction
+from torchrbd.physics.plain_friction import plain_friction
+from torchrbd.physics.presliding_hysteresis import PreslidingHysteresis
+from torchrbd.physics.registry import PLAIN
+from torchrbd.physics.rotor_inertia import RotorInertia
+from torchrbd.physics.smooth_torque import SmoothTorque
+from torchrbd.physics.torque_saturation import TorqueSaturation
+from torchrbd.recordings import States
+
+# Of a joint's width of rest; families whose torque does not depend on accelerations; effects that depend on time.
+_SLOWEST, _OF_VELOCITY, _IN_TIME = 1e-2, ("friction", "spring"), ("time_varying_friction", "thermal_viscosity")
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a torque may depend on beside the states of W windows.
+
+    Attributes:
+        t: (W,) times from the recording's start [s].
+        temperature: (W, n_dof) [deg C], or None.
+        recording: its name, or None.
+    """
+
+    t: Tensor
+    temperature: Tensor | None = None
+    recording: str | None = None
+
+
+class Plant:
+    """A model in float64, without gradients.
+
+    Args:
+        model: what moves.
+        loaded: (n_params,) inertial parameters of a known load; None without one.
+
+    Attributes:
+        robot: the model's.
+        along: terms whose torque is that of the recorded motion.
+        slowest: (n_dof,) speed that passes for rest [rad/s, m/s].
+        conditional: whether it depends on more than the states.
+    """
+
+    def __init__(self, model: RigidBodyDynamics, loaded: Tensor | None = None) -> None:
+        pi, width = model.pi.detach(), model.rest_width
+        pi = pi if loaded is None else pi + loaded
+        terms = [_sliding(term) for term in model.terms]
+        self.along = tuple(term for term in terms if _takes_a_motion(term))
+        instant = [term for term in terms if not _takes_a_motion(term)]
+        # What alters a supplied torque asks for the friction beside it.
+        by_joint = [] if any(term.effect.sees_friction for term in instant) else [t for t in instant if _is_plain(t)]
+        others = [term for term in instant if term not in by_joint]
+        self.robot, self.slowest, self._pi, self._width = model.robot, _SLOWEST * width, pi, width
+        named = [(term.effect.id, term.site.joint, term.coefficients.detach()) for term in by_joint]
+        self._viscous, self._coulomb, self._offset = plain_friction(model.robot.n_dof, named).unbind(1)
+        self._armature = torch.zeros_like(width)
+        for name, joint, w in named:
+            if name == RotorInertia.id and joint is not None:
+                self._armature[joint] += w[0]
+        whole, self._instant, self._others = (
+            RigidBodyDynamics(model.robot, pi, some, width).requires_grad_(False) for some in (terms, instant, others)
+        )
+        self._whole, self._has_others = whole, bool(others)
+        self._weighs = any(t.effect.family not in _OF_VELOCITY or t.effect.uses_load for t in others)
+        self.conditional = any(not t.site.always or t.effect.id in _IN_TIME for t in others)
+
+    def mass(self, q: Tensor, at: Conditions) -> Tensor:
+        """Return how torque grows with acceleration at q (W, n_dof), (W, n_dof, n_dof)."""
+        if self._weighs:
+            mass = self._others.mass_matrix(q.unsqueeze(0), at.t, at.recording)[0]
+        else:
+            mass = self.robot.mass_matrix(q, self._pi)
+        return mass + torch.diag(self._armature)
+
+    def rigid(self, q: Tensor, qd: Tensor) -> Tensor:
+        """Return the rigid body's torque without acceleration, (W, n_dof)."""
+        return self.robot.inverse_dynamics(q, qd, torch.zeros_like(q), self._pi)
+
+    def terms(self, q: Tensor, qd: Tensor, at: Conditions) -> Tensor:
+        """Return the torque of terms of the present state at velocities (..., W, n_dof)."""
+        plain = self._viscous * qd + self._coulomb * torch.tanh(qd / self._width) + self._offset
+        if not self._has_others:
+            return plain
+        q, qd = torch.broadcast_tensors(q, qd)
+        flat = [x.reshape(-1, *x.shape[-2:]) for x in (q, qd)]
+        added = self._others.term_torque(*flat, torch.zeros_like(flat[0]), at.t[None], at.temperature, at.recording)
+        return plain + added.reshape(qd.shape)
+
+    def of_recorded_motion(self, states: States) -> Tensor | None:
+        """Return the torque of terms along the motion of a tile, (N, n_dof), in the torque of a recording; or None."""
+        if not self.along:
+            return None
+        warm = None if states.temperature is None else states.temperature.T
+        given = states.q.T, states.qd.T, states.qdd.T, states.t, warm, states.recording
+        return self._whole.term_torque(*given) - self._instant.term_torque(*given)
+
+
+def _sliding(term: Term) -> Term:
+    """Return presliding friction as the Coulomb friction that it becomes, and any other term as it is."""
+    if not isinstance(term.effect, PreslidingHysteresis):
+        return term
+    return Term(CoulombFriction(), term.site, term.coefficients, {})
+
+
+def _is_plain(term: Term) -> bool:
+    return term.site.always and term.effect.id in (*PLAIN, RotorInertia.id)
+
+
+def _takes_a_motion(term: Term) -> bool:
+    effect = term.effect
+    if isinstance(effect, SmoothTorque) and effect.signal in ("qdd", "load") and not effect.friction:
+        return True
+    return effect.has_memory or isinstance(effect, TorqueSaturation)
