@@ -41,6 +41,7 @@ _NAMES = {
     "recordings": ("Recording", "open_recording", "read_mapping"),
     "report": ("write_report",),
     "robot": ("RobotModel",),
+    "simulation": ("SimulatedMotion", "simulate"),
 }
 _ROOM_OF = {name: room for room, names in _NAMES.items() for name in names}
 

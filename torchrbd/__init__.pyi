@@ -23,6 +23,7 @@ from torchrbd.physics import effects, register
 from torchrbd.recordings import Recording, open_recording, read_mapping
 from torchrbd.report import write_report
 from torchrbd.robot import RobotModel
+from torchrbd.simulation import SimulatedMotion, simulate
 
 __version__: str
 
@@ -46,6 +47,7 @@ __all__ = [
     "RobotError",
     "RobotModel",
     "Settings",
+    "SimulatedMotion",
     "TorchRBDError",
     "compare",
     "compare_estimators",
@@ -62,6 +64,7 @@ __all__ = [
     "register",
     "residual_dataset",
     "save_model",
+    "simulate",
     "to_actuator_net",
     "to_mjcf",
     "to_urdf",

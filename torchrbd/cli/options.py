@@ -93,6 +93,8 @@ def parser() -> argparse.ArgumentParser:
     sub.epilog = _list_of(COMPARABLE)
     sub = command("export", "Write a fitted model as a file for a simulator, and say what that file cannot hold.")
     _add_export(sub)
+    sub = command("simulate", "Roll a model forward from a recorded state under the recorded torque; write the motion.")
+    _add_simulate(sub)
     sub = command("inspect", "Say what a recording holds and what looks wrong; write a mapping to edit.")
     _add_inspect(sub)
     command("effects", "List the effects that can be missing: their names, what they are, and their torque.")
@@ -149,6 +151,45 @@ def _add_export(sub: argparse.ArgumentParser) -> None:
         type=float,
         metavar="HZ",
         help="band limit of their motion (default: chosen from the data)",
+    )
+
+
+def _add_simulate(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "model",
+        type=Path,
+        metavar="MODEL",
+        help="ROBOT.urdf, model.safetensors, or the folder that 'identify' or 'diagnose' wrote",
+    )
+    sub.add_argument("recording", type=Path, metavar="RECORDING", help=_RECORDING)
+    sub.add_argument(
+        "-o",
+        "--output",
+        dest="file",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help=".parquet, .csv or .npz with t, q_<joint>, qd_<joint>, tau_<joint>, which the other commands read",
+    )
+    sub.add_argument(
+        "--from", dest="start", type=float, default=0.0, metavar="S", help="seconds of the recording (default: 0)"
+    )
+    sub.add_argument("--seconds", type=float, metavar="S", help="how long (default: to the end, or to the next gap)")
+    sub.add_argument("--rate", type=float, metavar="HZ", help="samples a second (default: the recording's)")
+    sub.add_argument("--mapping", type=Path, metavar="YAML", help="column names and units of the recording")
+    sub.add_argument(
+        "--cutoff",
+        dest="cutoff_hz",
+        type=float,
+        metavar="HZ",
+        help="band limit of the recorded motion (default: chosen from the data)",
+    )
+    sub.add_argument(
+        "--gravity", nargs=3, type=float, metavar=("X", "Y", "Z"), help="of a URDF [m/s^2] (default: 0 0 -9.81)"
+    )
+    sub.epilog = (
+        "Nothing holds the motion to the recorded one, so that errors grow with time. Joints without a\n"
+        "recorded torque move as recorded. Joint limits and contacts are left out."
     )
 
 

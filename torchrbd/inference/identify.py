@@ -39,7 +39,7 @@ from torchrbd.model import RigidBodyDynamics, urdf_friction
 from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base_parameters
 from torchrbd.recordings import NamedSource, RecordingSource, listed_sources
 from torchrbd.robot import STANDARD_GRAVITY, RobotModel
-from torchrbd.simulation import Simulation, motion_errors
+from torchrbd.simulation import MotionErrors, motion_errors
 from torchrbd.threads import single_threaded
 
 
@@ -191,7 +191,7 @@ def summarise(
 
 def _simulation(
     prepared: Prepared, models: Mapping[str, FittedModel], final: FittedModel, progress: Progress
-) -> Simulation:
+) -> MotionErrors:
     """Roll the URDF and fitted models forward on the blocks kept back."""
     progress("simulating motion", 0.0)
     width = final.module().rest_width

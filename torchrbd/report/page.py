@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
+from torchrbd.diagnosis.numbers import plain
 from torchrbd.diagnosis.results import Diagnosis, Finding, Proof
 from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.outputs import write_whole
@@ -20,6 +22,7 @@ from torchrbd.report.pictures import Pictures
 from torchrbd.report.springs import spring_figure
 from torchrbd.report.templates import environment
 from torchrbd.report.words import badge, headline, model_words, part_left
+from torchrbd.simulation import COASTING, MotionError
 
 LEFTOVERS = {
     "rigid_body": "What the re-fitted rigid body with friction leaves",
@@ -61,6 +64,15 @@ class Located:
     statements: list[str]
     times: list[tuple[str, Markup]]
     states: list[tuple[str, Markup]]
+
+
+@dataclass(frozen=True)
+class Strayed:
+    """How far a model strays from a recorded motion, in thousandths, and whether that is no better than coasting."""
+
+    median: str
+    range: str
+    useless: bool
 
 
 class Page:
@@ -154,6 +166,16 @@ class Page:
             if d.joint in units
         ]
 
+    def strayed(self, within: MotionError, model: str, joint: str) -> Strayed:
+        """Return how far a model strays from the recorded motion of a joint within windows of one length."""
+        if joint not in within.windows:
+            return Strayed("", "", False)
+        found, coasting = within.errors[model][joint], within.errors[COASTING][joint]
+        last = [name for name in within.errors if name != COASTING][-1]
+        useless = model == last and found.median > coasting.median and found.high > coasting.high
+        median, low, high = (_thousandths(x) for x in (found.median, found.low, found.high))
+        return Strayed(median, f"{low}–{high}", useless)
+
     def figures(self, joint: int) -> JointFigures:
         """Return what is drawn of one joint."""
         name, draw = self.joints[joint], self.pictures
@@ -193,3 +215,8 @@ class Page:
         """Return how many parameters have each status, in the order of appearance."""
         found = [p.status for p in group]
         return {s: found.count(s) for s in dict.fromkeys(found)}
+
+
+def _thousandths(x: float) -> str:
+    """Return a length or angle in mm or mrad in two digits."""
+    return plain(1e3 * x, 2) if math.isfinite(x) else "∞"

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.errors import InputError
+from torchrbd.errors import InputError, PhysicalError
 from torchrbd.likelihood.block_statistics import Block
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.model import RigidBodyDynamics
@@ -28,7 +28,7 @@ LENGTHS_S = (0.2, 0.5, 1.0)
 """Of the windows."""
 COASTING = "constant_velocity"
 """The trivial prediction: every joint goes on as fast as it was."""
-_MOST_WINDOWS, _FEWEST_WINDOWS, _LOST, _QUARTILES = 40, 8, 1e300, (0.25, 0.5, 0.75)
+_MOST_WINDOWS, _FEWEST_WINDOWS, _LOST, _QUARTILES = 40, 4, 1e300, (0.25, 0.5, 0.75)
 _NOTHING = "motion was not simulated: the recordings have no uninterrupted window"
 
 
@@ -59,7 +59,7 @@ class MotionError:
     errors: dict[str, dict[str, Spread]]
 
 
-class Simulation(NamedTuple):
+class MotionErrors(NamedTuple):
     """Errors by length of the window, shortest first, and what else is to be known of them."""
 
     errors: tuple[MotionError, ...]
@@ -72,7 +72,7 @@ def motion_errors(
     held_out: Sequence[bool],
     models: Mapping[str, RigidBodyDynamics],
     progress: Progress = lambda *_: None,
-) -> Simulation:
+) -> MotionErrors:
     """Roll models forward from recorded states under recorded torque, and compare where they arrive.
 
     Joints without a torque are moved as recorded; known loads are part of the robot.
@@ -89,11 +89,11 @@ def motion_errors(
     wanted = _wanted({length: kept if unseen[length] else blocks for length in LENGTHS_S})
     try:
         rolled = list(_rolled(reading, wanted, models, progress))
-    except InputError as error:
-        return Simulation((), (f"motion was not simulated: {error}",))
+    except (InputError, PhysicalError) as error:
+        return MotionErrors((), (f"motion was not simulated: {error}",))
     told = [_told(k, unseen[k], [errors for length, errors in rolled if length == k], names) for k in LENGTHS_S]
     found = tuple(one for one in told if one.windows)
-    return Simulation(found, _notes(models, reading.robot) if found else (_NOTHING,))
+    return MotionErrors(found, _notes(models, reading.robot) if found else (_NOTHING,))
 
 
 def _wanted(blocks: Mapping[float, Sequence[Block]]) -> list[Start]:

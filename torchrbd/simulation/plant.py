@@ -12,6 +12,7 @@ Presliding friction counts as the Coulomb friction that it becomes: its state at
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
@@ -19,13 +20,14 @@ from torch import Tensor
 
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.physics import Term
-from torchrbd.physics.coulomb_friction import CoulombFriction
-from torchrbd.physics.plain_friction import plain_friction
+from torchrbd.physics.coulomb_friction import AsymmetricCoulombFriction, CoulombFriction
 from torchrbd.physics.presliding_hysteresis import PreslidingHysteresis
-from torchrbd.physics.registry import PLAIN
+from torchrbd.physics.registry import PLAIN_OR_UNEVEN
 from torchrbd.physics.rotor_inertia import RotorInertia
 from torchrbd.physics.smooth_torque import SmoothTorque
+from torchrbd.physics.torque_offset import TorqueOffset
 from torchrbd.physics.torque_saturation import TorqueSaturation
+from torchrbd.physics.viscous_friction import ViscousFriction
 from torchrbd.recordings import States
 
 # Of a joint's width of rest; families whose torque does not depend on accelerations; effects that depend on time.
@@ -58,6 +60,7 @@ class Plant:
         robot: the model's.
         along: terms whose torque is that of the recorded motion.
         slowest: (n_dof,) speed that passes for rest [rad/s, m/s].
+        is_bare: whether no term of the present state adds to the rigid body's torque.
         conditional: whether it depends on more than the states.
     """
 
@@ -71,17 +74,24 @@ class Plant:
         by_joint = [] if any(term.effect.sees_friction for term in instant) else [t for t in instant if _is_plain(t)]
         others = [term for term in instant if term not in by_joint]
         self.robot, self.slowest, self._pi, self._width = model.robot, _SLOWEST * width, pi, width
-        named = [(term.effect.id, term.site.joint, term.coefficients.detach()) for term in by_joint]
-        self._viscous, self._coulomb, self._offset = plain_friction(model.robot.n_dof, named).unbind(1)
-        self._armature = torch.zeros_like(width)
-        for name, joint, w in named:
-            if name == RotorInertia.id and joint is not None:
-                self._armature[joint] += w[0]
+        at = [(term.effect.id, term.site.joint, term.coefficients.detach()) for term in by_joint]
+        self._viscous, self._offset, self._coulomb, self._uneven, self._armature = (
+            _sums(width, at, name, k)
+            for name, k in (
+                (ViscousFriction.id, 0),
+                (TorqueOffset.id, 0),
+                (CoulombFriction.id, 0),
+                (AsymmetricCoulombFriction.id, 1),
+                (RotorInertia.id, 0),
+            )
+        )
+        self._coulomb = self._coulomb + _sums(width, at, AsymmetricCoulombFriction.id, 0)
         whole, self._instant, self._others = (
             RigidBodyDynamics(model.robot, pi, some, width).requires_grad_(False) for some in (terms, instant, others)
         )
         self._whole, self._has_others = whole, bool(others)
         self._weighs = any(t.effect.family not in _OF_VELOCITY or t.effect.uses_load for t in others)
+        self.is_bare = all(t.effect.id == RotorInertia.id for t in by_joint) and not others
         self.conditional = any(not t.site.always or t.effect.id in _IN_TIME for t in others)
 
     def mass(self, q: Tensor, at: Conditions) -> Tensor:
@@ -98,21 +108,25 @@ class Plant:
 
     def terms(self, q: Tensor, qd: Tensor, at: Conditions) -> Tensor:
         """Return the torque of terms of the present state at velocities (..., W, n_dof)."""
-        plain = self._viscous * qd + self._coulomb * torch.tanh(qd / self._width) + self._offset
+        way = torch.tanh(qd / self._width)
+        plain = self._viscous * qd + self._coulomb * way + self._uneven * way.abs() + self._offset
         if not self._has_others:
             return plain
-        q, qd = torch.broadcast_tensors(q, qd)
-        flat = [x.reshape(-1, *x.shape[-2:]) for x in (q, qd)]
-        added = self._others.term_torque(*flat, torch.zeros_like(flat[0]), at.t[None], at.temperature, at.recording)
-        return plain + added.reshape(qd.shape)
+        shape = torch.broadcast_shapes(q.shape, qd.shape)
+        q, qd = (x.expand(shape).reshape(-1, *shape[-2:]) for x in (q, qd))
+        added = self._others.term_torque(q, qd, torch.zeros_like(q), at.t[None], at.temperature, at.recording)
+        return plain + added.reshape(shape)
 
     def of_recorded_motion(self, states: States) -> Tensor | None:
         """Return the torque of terms along the motion of a tile, (N, n_dof), in the torque of a recording; or None."""
         if not self.along:
             return None
         warm = None if states.temperature is None else states.temperature.T
-        given = states.q.T, states.qd.T, states.qdd.T, states.t, warm, states.recording
-        return self._whole.term_torque(*given) - self._instant.term_torque(*given)
+        with_all, without = (
+            model.term_torque(states.q.T, states.qd.T, states.qdd.T, states.t, warm, states.recording)
+            for model in (self._whole, self._instant)
+        )
+        return with_all - without
 
 
 def _sliding(term: Term) -> Term:
@@ -123,7 +137,16 @@ def _sliding(term: Term) -> Term:
 
 
 def _is_plain(term: Term) -> bool:
-    return term.site.always and term.effect.id in (*PLAIN, RotorInertia.id)
+    return term.site.always and term.effect.id in (*PLAIN_OR_UNEVEN, RotorInertia.id)
+
+
+def _sums(like: Tensor, terms: Iterable[tuple[str, int | None, Tensor]], effect: str, k: int) -> Tensor:
+    """Return the sums of coefficients k of an effect's terms by joint, (n_dof,)."""
+    total = torch.zeros_like(like)
+    for name, joint, w in terms:
+        if name == effect and joint is not None:
+            total[joint] += w[k]
+    return total
 
 
 def _takes_a_motion(term: Term) -> bool:

@@ -17,7 +17,7 @@ Source: Ascher, Ruuth, Spiteri, "Implicit-explicit Runge-Kutta methods for time-
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -54,6 +54,13 @@ class Drive:
     t: Tensor
     temperature: Tensor | None = None
     recording: str | None = None
+
+    def steps(self, first: int, last: int) -> Drive:
+        """Return the steps from the first to before the last."""
+        ends = slice(first, last + 1)
+        warm = None if self.temperature is None else self.temperature[:, ends]
+        cut = {name: getattr(self, name)[:, ends] for name in ("q", "qd", "qdd")}
+        return replace(self, **cut, tau=self.tau[:, first:last], t=self.t + first * self.h, temperature=warm)
 
     def held(self, mass: Tensor) -> Tensor:
         """Return mass matrices with the unit matrix's rows at joints that are moved."""
@@ -118,6 +125,8 @@ def _implicit(
     plant: Plant, drive: Drive, q: Tensor, free: Tensor, near: Tensor, mass: Tensor, at: Conditions
 ) -> Tensor:
     """Return the velocity v = free + g h F(q, v), beginning the search at one nearby."""
+    if plant.is_bare:
+        return free
 
     def force(v: Tensor) -> Tensor:
         return torch.where(drive.moved, 0.0, plant.terms(q, v, at))

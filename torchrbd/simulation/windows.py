@@ -64,10 +64,12 @@ class Windows:
         """
         x, at = self.signals, torch.tensor([start.t for start in self.starts], dtype=torch.float64)
         return Drive(
-            STEP_S,
-            x["tau"] - x[model] if model in x else x["tau"],
-            moved,
-            *(x[name] for name in ("q", "qd", "qdd")),
+            h=STEP_S,
+            tau=x["tau"] - x[model] if model in x else x["tau"],
+            moved=moved,
+            q=x["q"],
+            qd=x["qd"],
+            qdd=x["qdd"],
             t=at,
             temperature=x.get("temperature"),
             recording=None if alike else self.starts[0].recording,
@@ -120,21 +122,21 @@ def cut(tiles: Iterable[States], wanted: Sequence[Start], plants: Mapping[str, P
     """
     longest, found = max(length for start in wanted for length in start.lengths), dict[int, dict[str, Tensor]]()
     nodes = STEP_S * np.arange(steps(longest) + 1)
-    for t, signals in _pieces(tiles, plants, longest):
+    for t, signals in pieces(tiles, plants, longest):
         for k, start in enumerate(wanted):
             # What lies beyond a window that is shorter than others does not count: there its end stands.
             at = np.minimum(start.t + nodes, start.t + max(start.lengths))
             first, last = np.searchsorted(t, at[0], "right") - 1, np.searchsorted(t, at[-1])
             if k not in found and first >= 0 and last < len(t):
-                found[k] = _driving(t[first : last + 1], {name: x[first : last + 1] for name, x in signals.items()}, at)
+                found[k] = driving(t[first : last + 1], {name: x[first : last + 1] for name, x in signals.items()}, at)
     if not found:
         return None
     stacked = {name: torch.stack([one[name] for one in found.values()]) for name in next(iter(found.values()))}
     return Windows(tuple(wanted[k] for k in found), stacked)
 
 
-def _driving(t: np.ndarray, signals: Mapping[str, np.ndarray], at: np.ndarray) -> dict[str, Tensor]:
-    """Return signals (N, n_dof) at the ends of steps, and the means over these of torques.
+def driving(t: np.ndarray, signals: Mapping[str, np.ndarray], at: np.ndarray) -> dict[str, Tensor]:
+    """Return signals (N, n_dof) of times (N,) at the ends of steps (K + 1,), and the means of torques over these.
 
     Positions are cubic between samples, with the velocities there; all else is linear.
     """
@@ -145,11 +147,11 @@ def _driving(t: np.ndarray, signals: Mapping[str, np.ndarray], at: np.ndarray) -
         elif name in ("qd", "qdd", "temperature"):
             told[name] = make_interp_spline(t, x, k=1)(at)
         else:
-            told[name] = np.diff(make_interp_spline(t, x, k=1).antiderivative()(at), axis=0) / STEP_S
+            told[name] = np.diff(make_interp_spline(t, x, k=1).antiderivative()(at), axis=0) / (at[1] - at[0])
     return {name: torch.from_numpy(x) for name, x in told.items()}
 
 
-def _pieces(
+def pieces(
     tiles: Iterable[States], plants: Mapping[str, Plant], longest: float
 ) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """Yield of each tile times (N,) and signals (N, n_dof), with those of the last ``longest`` [s] before it."""

@@ -1,0 +1,68 @@
+"""What ``torchrbd simulate`` does: roll a model forward, write the motion as a recording."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from torchrbd.cli.progress import progress_bar
+from torchrbd.diagnosis.numbers import number
+from torchrbd.errors import OptionError
+from torchrbd.model import RigidBodyDynamics
+from torchrbd.robot import STANDARD_GRAVITY
+from torchrbd.simulation import SimulatedMotion, check_suffix, simulate
+
+
+def simulate_recording(options: argparse.Namespace) -> None:
+    """Simulate, print how far the motion is from the recorded one, and write it.
+
+    Raises:
+        InputError: a model, recording or option that cannot be used.
+    """
+    check_suffix(options.file)
+    model = _model(options.model, options.gravity)
+    with progress_bar() as progress:
+        found = simulate(
+            model,
+            options.recording,
+            start=options.start,
+            seconds=options.seconds,
+            rate_hz=options.rate,
+            mapping=options.mapping,
+            cutoff_hz=options.cutoff_hz,
+            progress=progress,
+        )
+    options.file.parent.mkdir(parents=True, exist_ok=True)
+    found.write(options.file)
+    _print(found, model, options.file)
+
+
+def _model(given: Path, gravity: list[float] | None) -> RigidBodyDynamics:
+    """Return the model of a result, or a robot with the friction that its description has."""
+    if given.is_dir() or given.suffix == ".safetensors":
+        if gravity is not None:
+            raise OptionError(f"--gravity is of a URDF; {given} has its own")
+        return RigidBodyDynamics.load(given)
+    return RigidBodyDynamics.from_urdf(given, gravity=gravity or STANDARD_GRAVITY)
+
+
+def _print(found: SimulatedMotion, model: RigidBodyDynamics, file: Path) -> None:
+    out = Console(highlight=False)
+    out.print(
+        f"Simulated from {found.t[0]:.4g} to {found.t[-1]:.4g} s of the recording; root mean square distance from the "
+        "recorded position:",
+        markup=False,
+    )
+    table = Table("joint", "distance")
+    sliding = dict(zip(model.robot.joint_names, model.robot.prismatic.tolist(), strict=True))
+    for joint, distance in found.distance.items():
+        words = f"{number(distance)} {'m' if sliding[joint] else 'rad'}" if distance == distance else "lost"
+        table.add_row(Text(joint), "moved as recorded: no torque" if joint in found.moved else words)
+    out.print(table)
+    for note in found.notes:
+        out.print(f"note: {note}", markup=False)
+    out.print(f"wrote {file}", markup=False, soft_wrap=True)

@@ -1,0 +1,233 @@
+"""One recording anew: a model rolled forward from its first state under its torque, as long as one likes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import torch
+from pyarrow import csv, parquet
+from scipy.interpolate import make_interp_spline
+
+from torchrbd.errors import OptionError, RecordingError
+from torchrbd.likelihood.reading import Progress
+from torchrbd.model import RigidBodyDynamics
+from torchrbd.outputs import write_whole
+from torchrbd.recordings import (
+    Data,
+    Filtering,
+    Recording,
+    Survey,
+    choose_cutoff,
+    open_recording,
+    read_mapping,
+    survey,
+    tiles,
+)
+from torchrbd.simulation.plant import Plant
+from torchrbd.simulation.rollout import Drive, rollout
+from torchrbd.simulation.windows import STEP_S, driving, pieces
+
+SUFFIXES = (".parquet", ".csv", ".npz")
+"""Of the files that a motion can be written to."""
+_STEPS_AT_ONCE = 200
+
+
+@dataclass(frozen=True)
+class SimulatedMotion:
+    """A motion that a model makes, beside the recorded one.
+
+    Attributes:
+        joints: names of the n joints.
+        t: (N,) seconds from the recording's first row.
+        q, qd: (N, n) simulated [rad, m] and per second; NaN once the motion is lost.
+        tau: (N, n) recorded torque that drove it [N m, N]; NaN where a joint was moved.
+        recorded: (N, n) positions as recorded, low-passed as everywhere.
+        moved: joints whose torque is not recorded: they move as they did.
+        notes: what else is to be known of it.
+    """
+
+    joints: tuple[str, ...]
+    t: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    tau: np.ndarray
+    recorded: np.ndarray
+    moved: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def distance(self) -> dict[str, float]:
+        """Root mean square distance from the recorded positions by joint [rad, m]; NaN once the motion is lost."""
+        rms = np.sqrt(np.square(self.q - self.recorded).mean(0))
+        return dict(zip(self.joints, rms.tolist(), strict=True))
+
+    def recording(self, name: str = "simulated") -> Recording:
+        """Return it as a recording, for ``identify`` and ``diagnose``."""
+        return Recording.from_arrays(name, self.joints, self.t, self.q, self.tau, self.qd)
+
+    def write(self, path: str | Path) -> None:
+        """Write it as a recording with columns t, q_<joint>, qd_<joint> and tau_<joint>.
+
+        Args:
+            path: ends in .parquet, .csv or .npz.
+
+        Raises:
+            OptionError: another ending.
+        """
+        path = Path(path)
+        check_suffix(path)
+        sink = pa.BufferOutputStream()
+        signals = {"q": self.q, "qd": self.qd, "tau": self.tau}
+        if path.suffix == ".npz":
+            np.savez_compressed(sink, t=self.t, joints=np.array(self.joints), **signals)  # pyright: ignore[reportArgumentType]
+        else:
+            columns = {f"{key}_{joint}": x[:, k] for key, x in signals.items() for k, joint in enumerate(self.joints)}
+            known = {name: x for name, x in columns.items() if not np.isnan(x).all()}
+            table = pa.table({"t": self.t, **known})
+            (parquet.write_table if path.suffix == ".parquet" else csv.write_csv)(table, sink)
+        write_whole(path, sink.getvalue().to_pybytes())
+
+
+def check_suffix(path: Path) -> None:
+    """Refuse a file that no motion can be written to.
+
+    Raises:
+        OptionError: its ending is not one of ``SUFFIXES``.
+    """
+    if path.suffix not in SUFFIXES:
+        raise OptionError(f"output '{path}': expected a file that ends in {', '.join(SUFFIXES)}")
+
+
+def simulate(
+    model: RigidBodyDynamics,
+    recording: str | Path | Recording | Data,
+    *,
+    start: float = 0.0,
+    seconds: float | None = None,
+    rate_hz: float | None = None,
+    mapping: str | Path | None = None,
+    cutoff_hz: float | None = None,
+    progress: Progress = lambda *_: None,
+) -> SimulatedMotion:
+    """Roll a model forward from a recorded state under the recorded torque.
+
+    Nothing holds the motion to the recorded one: without a controller small errors grow, the faster the less stable the
+    robot is. Joint limits and contacts are left out. Joints whose torque is not recorded move as they did. The torque
+    between two samples is linear; steps last 5 ms at most.
+
+    Args:
+        model: what moves; ``RigidBodyDynamics.from_urdf``, ``load_model``, or ``Identification.model``.
+        recording: whose first state and torque are taken.
+        start: where it begins, seconds from the recording's first row; the filters need a moment before it.
+        seconds: how long it lasts; to the end of the uninterrupted piece by default.
+        rate_hz: samples a second; the recording's by default.
+        mapping: YAML file of other column names and units.
+        cutoff_hz: band limit of the recorded motion [Hz]; chosen from the data by default.
+        progress: told how far the work is.
+
+    Raises:
+        RecordingError: a recording that cannot be used, or that has no torque, or nothing at that time.
+        OptionError: a length or rate that is not positive.
+        PhysicalError: the mass matrix is not positive definite.
+
+    Example:
+        >>> model = torchrbd.load_model("out/model.safetensors")
+        >>> moved = torchrbd.simulate(model, "wednesday.csv", start=2.0, seconds=1.0)
+        >>> moved.distance
+        {'joint1': 0.0031, 'joint2': 0.0058}
+    """
+    for name, value in (("seconds", seconds), ("rate", rate_hz)):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise OptionError(f"{name} is {value:g}; expected more than zero")
+    opened = _opened(recording, model, mapping)
+    seen = survey(opened)
+    measured = torch.from_numpy(opened.measured)
+    if not bool(measured.any()):
+        raise RecordingError(f"{opened.path or opened.name}: no torque is recorded, so nothing drives the robot")
+    plant = Plant(model)
+    t, signals = _piece(opened, seen, plant, start, seconds, cutoff_hz)
+    dt = 1.0 / (rate_hz or seen.rate_hz)
+    parts = max(1, math.ceil(dt / STEP_S - 1e-6))
+    begin = max(start, float(t[0]))
+    until = float(t[-1]) if seconds is None else min(begin + seconds, float(t[-1]))
+    count = math.floor((until - begin) / dt + 1e-6)
+    if count < 1:
+        raise RecordingError(f"{opened.path or opened.name}: {until - begin:.3g} s hold no step of {dt:.3g} s")
+    at = np.minimum(begin + dt / parts * np.arange(count * parts + 1), t[-1])
+    x = {name: one.unsqueeze(0) for name, one in driving(t, signals, at).items()}
+    drive = Drive(
+        h=dt / parts,
+        tau=x["tau"] - x["along"] if "along" in x else x["tau"],
+        moved=~measured,
+        q=x["q"],
+        qd=x["qd"],
+        qdd=x["qdd"],
+        t=torch.tensor([begin], dtype=torch.float64),
+        temperature=x.get("temperature"),
+        recording=opened.name,
+    )
+    q, qd = _rolled(plant, drive, progress)
+    at = at[::parts]
+    tau = np.where(opened.measured, make_interp_spline(t, signals["tau"], k=1)(at), np.nan)
+    moved = tuple(name for name, known in zip(opened.joints, opened.measured, strict=True) if not known)
+    q, qd, recorded = (one[0, ::parts].numpy() for one in (q, qd, drive.q))
+    return SimulatedMotion(opened.joints, at, q, qd, tau, recorded, moved, _notes(opened, start, begin))
+
+
+def _opened(
+    recording: str | Path | Recording | Data, model: RigidBodyDynamics, mapping: str | Path | None
+) -> Recording:
+    names = model.robot.joint_names
+    if isinstance(recording, Recording):
+        return recording.of_joints(names)
+    return open_recording(recording, names, mapping=None if mapping is None else read_mapping(mapping))
+
+
+def _notes(opened: Recording, start: float, begin: float) -> tuple[str, ...]:
+    late = f"begins at {begin:.3g} s instead of {start:.3g} s: the filters need what lies before"
+    return (*opened.notes, late) if begin > start + 1e-6 else opened.notes
+
+
+def _piece(
+    opened: Recording, seen: Survey, plant: Plant, start: float, seconds: float | None, cutoff_hz: float | None
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return times (N,) and signals (N, n_dof) of the uninterrupted piece in which a motion begins.
+
+    Raises:
+        RecordingError: there is none.
+    """
+    filtering = Filtering(choose_cutoff([seen]) if cutoff_hz is None else cutoff_hz)
+    found: tuple[np.ndarray, dict[str, np.ndarray]] | None = None
+    ends = []
+    for t, signals in pieces(tiles(opened, seen, filtering), {"along": plant}, math.inf):
+        ends = [t[0], t[-1]] if not ends else [ends[0], t[-1]]
+        if found is not None and t[0] > found[0][0]:
+            break
+        if t[-1] > start:
+            first = max(int(np.searchsorted(t, start, "right")) - 1, 0)
+            found = t[first:], {name: x[first:] for name, x in signals.items()}
+            if seconds is not None and t[-1] >= max(start, t[0]) + seconds:
+                break
+    if found is None:
+        raise RecordingError(
+            f"{opened.path or opened.name}: nothing at {start:g} s or after it that the filters leave; it has "
+            f"{ends[0]:.3g} to {ends[1]:.3g} s"
+        )
+    return found
+
+
+def _rolled(plant: Plant, drive: Drive, progress: Progress) -> tuple[torch.Tensor, torch.Tensor]:
+    """Roll one window forward, telling how far it is."""
+    q, qd, steps = drive.q[:, :1], drive.qd[:, :1], drive.tau.shape[1]
+    parts = [(q, qd)]
+    for first in range(0, steps, _STEPS_AT_ONCE):
+        progress("simulating", first / steps)
+        last = min(first + _STEPS_AT_ONCE, steps)
+        q, qd = rollout(plant, q[:, -1], qd[:, -1], drive.steps(first, last))
+        parts.append((q[:, 1:], qd[:, 1:]))
+    positions, velocities = zip(*parts, strict=True)
+    return torch.cat(positions, 1), torch.cat(velocities, 1)
