@@ -105,7 +105,7 @@ BAD = {
     "xacro": (
         '<link name="base"/>',
         '<xacro:arm xmlns:xacro="http://www.ros.org/wiki/xacro"/>',
-        r"line 2: <xacro:arm> is left in the file; expand it with xacro first",
+        r"line 2: <xacro:arm> is left in the file; make a URDF of it: xacro FILE > expanded.urdf",
     ),
     "floating": ('"continuous"', '"floating"', r"joint 'j2' has type 'floating', expected one of revolute, continuous"),
     "planar": ('"continuous"', '"planar"', r"joint 'j2' has type 'planar'"),

@@ -159,7 +159,7 @@ def _add_simulate(sub: argparse.ArgumentParser) -> None:
         "model",
         type=Path,
         metavar="MODEL",
-        help="ROBOT.urdf, model.safetensors, or the folder that 'identify' or 'diagnose' wrote",
+        help="ROBOT.urdf (or MJCF), model.safetensors, or the folder that 'identify' or 'diagnose' wrote",
     )
     sub.add_argument("recording", type=Path, metavar="RECORDING", help=_RECORDING)
     sub.add_argument(
@@ -204,7 +204,7 @@ def _list_of(estimators: Iterable[str]) -> str:
 
 
 def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_required: bool = True) -> None:
-    sub.add_argument("robot", type=Path, metavar="ROBOT.urdf", help="what the simulator believes")
+    sub.add_argument("robot", type=Path, metavar="ROBOT.urdf", help="what the simulator believes: URDF, or MJCF")
     sub.add_argument(
         "recordings",
         nargs="+",

@@ -13,7 +13,6 @@ from torchrbd.cli.progress import progress_bar
 from torchrbd.diagnosis.numbers import number
 from torchrbd.errors import OptionError
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.robot import STANDARD_GRAVITY
 from torchrbd.simulation import SimulatedMotion, check_suffix, simulate
 
 
@@ -47,7 +46,7 @@ def _model(given: Path, gravity: list[float] | None) -> RigidBodyDynamics:
         if gravity is not None:
             raise OptionError(f"--gravity is of a URDF; {given} has its own")
         return RigidBodyDynamics.load(given)
-    return RigidBodyDynamics.from_urdf(given, gravity=gravity or STANDARD_GRAVITY)
+    return RigidBodyDynamics.from_urdf(given, gravity=gravity)
 
 
 def _print(found: SimulatedMotion, model: RigidBodyDynamics, file: Path) -> None:

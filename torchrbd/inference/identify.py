@@ -35,10 +35,10 @@ from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, ver
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.simulated import motion_doubts
 from torchrbd.likelihood.urdf_prior import local_covariance
-from torchrbd.model import RigidBodyDynamics, urdf_friction
+from torchrbd.model import RigidBodyDynamics, described_terms
 from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base_parameters
 from torchrbd.recordings import NamedSource, RecordingSource, listed_sources
-from torchrbd.robot import STANDARD_GRAVITY, RobotModel
+from torchrbd.robot import RobotModel
 from torchrbd.simulation import MotionErrors, motion_errors
 from torchrbd.threads import single_threaded
 
@@ -103,7 +103,7 @@ def read_arguments(
     """Return robot, list of recordings and checked settings of a call; ``place`` is named in errors."""
     settings = Settings.from_mapping(options, place)
     if not isinstance(robot, RobotModel):
-        robot = RobotModel.from_urdf(robot, gravity=settings.gravity or STANDARD_GRAVITY)
+        robot = RobotModel.from_urdf(robot, gravity=settings.gravity)
     elif settings.gravity is not None:
         raise OptionError(f"{place}: a RobotModel has its own gravity; give it to RobotModel.from_urdf")
     return robot, listed_sources(recordings), settings
@@ -195,7 +195,7 @@ def _simulation(
     """Roll the URDF and fitted models forward on the blocks kept back."""
     progress("simulating motion", 0.0)
     width = final.module().rest_width
-    modules = {"urdf": RigidBodyDynamics(prepared.robot, terms=urdf_friction(prepared.robot), rest_width=width)}
+    modules = {"urdf": RigidBodyDynamics(prepared.robot, terms=described_terms(prepared.robot), rest_width=width)}
     modules |= {name: model.module() for name, model in models.items()}
     return motion_errors(prepared.reading, prepared.statistics.blocks, prepared.held_out.tolist(), modules, progress)
 
@@ -234,7 +234,8 @@ def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress:
     for k, recording in enumerate(prepared.recordings):
         progress("predicting torques", k / len(prepared.recordings))
         for states in prepared.tiles(k):
-            measured = states.decimate(torch.nan_to_num(states.tau)).T
+            known = states.decimate(torch.zeros_like(states.q) if states.known is None else states.known).T
+            measured = states.decimate(torch.nan_to_num(states.tau)).T + known
             measured[:, ~prepared.measured(k)] = torch.nan
             parts["recording"].append(np.full(len(states.t_out), k))
             parts["t"].append(states.t_out.numpy())
@@ -243,7 +244,8 @@ def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress:
             for key, signal in (("q", states.q), ("qd", states.qd), ("qdd", states.qdd)):
                 parts[key].append(states.decimate(signal).T.numpy())
             for name, x in coefficients.items():
-                predicted[name].append(states.decimate(predict(prepared.columns, x, states)).T.numpy())
+                own = states.decimate(predict(prepared.columns, x, states)).T
+                predicted[name].append((own + known).numpy())
     joined = {key: np.concatenate(values) for key, values in parts.items()}
     return TorqueSeries(
         joints=tuple(prepared.robot.joint_names),

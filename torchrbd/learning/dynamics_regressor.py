@@ -102,7 +102,7 @@ class DynamicsRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         options = {"kappa": self.kappa, "gravity": self.gravity, "trust": self.trust}
         robot, _, settings = read_arguments(self.urdf, [], options, type(self).__name__)
         states, tau, weight = self._samples(robot, X, y, sample_weight)
-        used = _varying(robot, tau)
+        used, tau = _varying(robot, tau), tau - robot.known_torque(states[0].T, states[2].T).T
         low, high = states[0].amin(1), states[0].amax(1)
         scales = joint_scales(states[1].abs().amax(1), torch.zeros(robot.n_dof), low, high)
         columns = Columns(robot, [effect(name) for name in ORDINARY_EFFECTS] if self.friction else [], scales)

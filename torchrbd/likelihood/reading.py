@@ -56,7 +56,8 @@ class Reading:
         return torch.tensor(varies) & self.used
 
     def tiles(self, k: int) -> Iterator[States]:
-        """Stream the states of recording k; known payloads and a simulator's extra torque are taken off."""
+        """Stream the states of recording k; what is known is taken off: payloads, rotors and springs of the robot's
+        description, a simulator's extra torque."""
         recording = self.recordings[k]
         load, late = self.payload.get(recording.name), self.delay_s.get(recording.name, 0.0)
         for states in tiles(recording, self.surveys[k], self.filtering):
@@ -67,7 +68,14 @@ class Reading:
             if load is not None:
                 known = self.robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, load).T
                 states = replace(states, tau=states.tau - known, loaded=load)
+            if self._has_known:
+                known = self.robot.known_torque(states.q.T, states.qdd.T).T
+                states = replace(states, tau=states.tau - known, known=known)
             yield self.simulated[k].taken_off(states) if self.simulated else states
+
+    @property
+    def _has_known(self) -> bool:
+        return bool(self.robot.armature.any() or self.robot.stiffness.any())
 
     @property
     def block_s(self) -> float:

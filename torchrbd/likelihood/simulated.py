@@ -113,7 +113,8 @@ def read_simulated(
     seen = survey(simulated)
     _check(robot, real, simulated, seen, filtering)
     t, q, qd, qdd, tau = _states(simulated, seen, filtering)
-    urdf = robot.inverse_dynamics(q.T, qd.T, qdd.T).T + _Friction(robot.damping, robot.friction, rest_width).torque(qd)
+    rigid = (robot.inverse_dynamics(q.T, qd.T, qdd.T) + robot.known_torque(q.T, qdd.T)).T
+    urdf = rigid + _Friction(robot.damping, robot.friction, rest_width).torque(qd)
     extra = torch.where(torch.from_numpy(real.measured).unsqueeze(1), tau - urdf, 0.0)
     friction = _Friction.fitted(qd, extra, rest_width)
     rest = (extra - friction.torque(qd)).T.numpy()

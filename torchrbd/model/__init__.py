@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from torchrbd.model.rigid_body_dynamics import RigidBodyDynamics
-from torchrbd.model.starting import REST_WIDTH, urdf_friction
+from torchrbd.model.starting import REST_WIDTH, described_terms, known_terms
 
 load_model = RigidBodyDynamics.load
 
@@ -19,4 +19,4 @@ def save_model(model: RigidBodyDynamics, path: str | Path) -> None:
     model.save(path)
 
 
-__all__ = ["REST_WIDTH", "RigidBodyDynamics", "load_model", "save_model", "urdf_friction"]
+__all__ = ["REST_WIDTH", "RigidBodyDynamics", "described_terms", "known_terms", "load_model", "save_model"]

@@ -18,12 +18,12 @@ from torch import Tensor, nn
 
 from torchrbd.errors import InputError, OptionError
 from torchrbd.model.files import read_model, write_model
-from torchrbd.model.starting import REST_WIDTH, starting_terms, urdf_friction
+from torchrbd.model.starting import REST_WIDTH, described_terms, starting_terms
 from torchrbd.model.stepping import implicit_velocity, runge_kutta
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, is_physical, to_log_cholesky
 from torchrbd.physics import Signals, Term
 from torchrbd.physics.plain_friction import plain_friction
-from torchrbd.robot import STANDARD_GRAVITY, RobotModel
+from torchrbd.robot import RobotModel
 
 METHODS = ("semi_implicit", "runge_kutta")
 """Of a step."""
@@ -83,10 +83,10 @@ class RigidBodyDynamics(nn.Module):
         cls,
         source: str | Path | bytes,
         *,
-        gravity: Sequence[float] | Tensor = STANDARD_GRAVITY,
+        gravity: Sequence[float] | Tensor | None = None,
         effects: Sequence[str] = (),
     ) -> RigidBodyDynamics:
-        """Read a URDF, as ``RobotModel.from_urdf``, with the friction of its <dynamics> tags: what a simulator runs.
+        """Read a URDF or MJCF, as ``RobotModel.from_urdf``, with friction, rotors and springs: what a simulator runs.
 
         Args:
             source, gravity: as of ``RobotModel.from_urdf``.
@@ -98,7 +98,7 @@ class RigidBodyDynamics(nn.Module):
             OptionError: an unknown effect, or a place that it has not.
         """
         robot = RobotModel.from_urdf(source, gravity=gravity)
-        return cls(robot, terms=[*urdf_friction(robot), *starting_terms(robot, effects)])
+        return cls(robot, terms=[*described_terms(robot), *starting_terms(robot, effects)])
 
     @classmethod
     def from_diagnosis(cls, diagnosis: Any) -> RigidBodyDynamics:

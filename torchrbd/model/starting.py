@@ -17,13 +17,24 @@ REST_WIDTH = 1e-3
 _ROOM_AND_WARM = 20.0, 50.0
 
 
-def urdf_friction(robot: RobotModel) -> list[Term]:
-    """Return the terms that a URDF's <dynamics> tags stand for: damping is viscous, friction Coulomb friction."""
+def described_terms(robot: RobotModel) -> list[Term]:
+    """Return the terms that a robot's description holds: damping, dry friction, rotors and springs of its joints."""
     terms = []
     for joint in range(robot.n_dof):
         for name, value in (("viscous_friction", robot.damping[joint]), ("coulomb_friction", robot.friction[joint])):
             if value:
                 terms.append(Term(effect(name), Site(joint), value.reshape(1), {}))
+    return [*terms, *known_terms(robot)]
+
+
+def known_terms(robot: RobotModel) -> list[Term]:
+    """Return the terms whose torque is ``RobotModel.known_torque``: rotors and springs."""
+    terms = []
+    for joint in range(robot.n_dof):
+        if robot.armature[joint]:
+            terms.append(Term(effect("rotor_inertia"), Site(joint), robot.armature[joint].reshape(1), {}))
+        if k := robot.stiffness[joint]:
+            terms.append(Term(effect("joint_spring"), Site(joint), torch.stack((k, -k * robot.rest[joint])), {}))
     return terms
 
 

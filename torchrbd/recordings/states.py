@@ -44,6 +44,7 @@ class States:
         turned: per joint, where the segment began and where the joint has turned since, before this piece (R_j,), the
             last ones, oldest first [rad or m]; empty in a segment's first piece.
         loaded: (n_params,) inertial parameters of a known load, whose torque is taken off ``tau``; None without one.
+        known: (n, N) torque of rotors and springs that the robot's description tells, taken off ``tau``; None without.
     """
 
     segment: int
@@ -62,6 +63,7 @@ class States:
     temperature: torch.Tensor | None = None
     turned: tuple[torch.Tensor, ...] = ()
     loaded: torch.Tensor | None = None
+    known: torch.Tensor | None = None
 
     @property
     def dt_out(self) -> float:
@@ -87,6 +89,7 @@ class States:
             reference=None if self.reference is None else tuple(x[..., first::step] for x in self.reference),
             q_link=None if self.q_link is None else self.q_link[..., first::step],
             temperature=None if self.temperature is None else self.temperature[..., first::step],
+            known=None if self.known is None else self.known[..., first::step],
             **cut,
         )
 

@@ -40,6 +40,8 @@ class Joint:
         axis: (3,) unit axis in the joint's frame.
         damping: viscous friction [N m s/rad, N s/m].
         friction: Coulomb friction [N m, N].
+        armature: inertia of the rotor behind the gear [kg m^2, kg].
+        stiffness, rest: of a spring in the joint [N m/rad, N/m], and where it pulls the joint to [rad, m].
         lower, upper, velocity, effort: limits, infinite where not given [rad, rad/s, N m; m, m/s, N].
     """
 
@@ -51,6 +53,9 @@ class Joint:
     axis: Tensor
     damping: float = 0.0
     friction: float = 0.0
+    armature: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
     lower: float = -float("inf")
     upper: float = float("inf")
     velocity: float = float("inf")
@@ -64,7 +69,8 @@ class Description:
 
     Attributes:
         source: where it came from, as error messages name it.
-        urdf: the URDF text, if it came from one.
+        urdf: the URDF text, or one that says the same as far as URDF can; None for a chain.
+        gravity: (3,) in the base's axes [m/s^2], if it tells.
     """
 
     name: str
@@ -72,6 +78,7 @@ class Description:
     joints: tuple[Joint, ...]
     source: str
     urdf: bytes | None = None
+    gravity: tuple[float, ...] | None = None
 
     def root(self) -> str:
         """Return the root link's name.

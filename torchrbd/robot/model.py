@@ -15,14 +15,16 @@ from torchrbd.robot import compiled, dynamics, eager, kinematics
 from torchrbd.robot.batching import batch_first, batch_last, tiled
 from torchrbd.robot.description import Description
 from torchrbd.robot.inertia import PARAMETERS
+from torchrbd.robot.reading import read_robot
 from torchrbd.robot.tree import FoldedLink, build_tree
-from torchrbd.robot.urdf import read_urdf
 
 if TYPE_CHECKING:
     from torchrbd.robot.chain import Chain
 
 EXACT = (torch.float64, torch.device("cpu"))
 """Where the constants are kept that those of other dtypes and devices are made from."""
+
+_BY_JOINT = ("damping", "friction", "armature", "stiffness", "rest", "lower", "upper", "velocity", "effort")
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 """Of a robot whose base stands upright [m/s^2]."""
@@ -47,6 +49,8 @@ class RobotModel:
         joint_bodies: (n_dof,) the index of the body that each driving joint carries.
         prismatic: (n_dof,) bool.
         damping, friction: (n_dof,) the description's friction; the methods here leave it out.
+        armature, stiffness, rest: (n_dof,) rotors and springs of the description, as of ``known_torque``; the other
+            methods leave them out.
         lower, upper, velocity, effort: (n_dof,) limits, infinite where not given.
         gravity: (3,) [m/s^2].
         urdf: the URDF text, if the robot came from one.
@@ -54,12 +58,15 @@ class RobotModel:
 
     damping: Tensor
     friction: Tensor
+    armature: Tensor
+    stiffness: Tensor
+    rest: Tensor
     lower: Tensor
     upper: Tensor
     velocity: Tensor
     effort: Tensor
 
-    def __init__(self, description: Description, *, gravity: Sequence[float] | Tensor = STANDARD_GRAVITY) -> None:
+    def __init__(self, description: Description, *, gravity: Sequence[float] | Tensor | None = None) -> None:
         tree = build_tree(description)
         self.description = description
         self.name = description.name
@@ -70,10 +77,11 @@ class RobotModel:
         self.folded: dict[str, tuple[FoldedLink, ...]] = dict(zip(self.body_names, tree.folded, strict=True))
         self.joint_bodies = tuple(tree.moving.index(joint) for joint in tree.driving)
         self.pi = tree.pi
+        gravity = (description.gravity or STANDARD_GRAVITY) if gravity is None else gravity
         self.gravity = torch.as_tensor(gravity, dtype=torch.float64)
         self.prismatic = torch.tensor([joint.kind == "prismatic" for joint in tree.driving])
-        for limit in ("damping", "friction", "lower", "upper", "velocity", "effort"):
-            setattr(self, limit, torch.tensor([getattr(joint, limit) for joint in tree.driving], dtype=torch.float64))
+        for name in _BY_JOINT:
+            setattr(self, name, torch.tensor([getattr(joint, name) for joint in tree.driving], dtype=torch.float64))
         geometry = kinematics.build_geometry(tree)
         single = torch.float32, EXACT[1]
         self._geometries = {EXACT: geometry, single: geometry.to(*single)}
@@ -81,19 +89,18 @@ class RobotModel:
         self._chain: Chain | None = None
 
     @classmethod
-    def from_urdf(
-        cls, source: str | Path | bytes, *, gravity: Sequence[float] | Tensor = STANDARD_GRAVITY
-    ) -> RobotModel:
-        """Read a robot from a URDF file or URDF text.
+    def from_urdf(cls, source: str | Path | bytes, *, gravity: Sequence[float] | Tensor | None = None) -> RobotModel:
+        """Read a robot from a URDF file or URDF text, or from MJCF, which MuJoCo compiles.
 
         Args:
             source: a path, or the text itself.
-            gravity: (3,) in the base's axes [m/s^2].
+            gravity: (3,) in the base's axes [m/s^2]; that of the MJCF, 0 0 -9.81 for a URDF, if not given.
 
         Raises:
             RobotError: the file cannot be used; the message says which joint or link, and what to do.
+            OptionError: it is MJCF, and MuJoCo is not installed.
         """
-        return cls(read_urdf(source), gravity=gravity)
+        return cls(read_robot(source), gravity=gravity)
 
     @classmethod
     def from_chain(
@@ -148,6 +155,18 @@ class RobotModel:
         """Names of the bodies that carry no other body."""
         ends = self._geometries[EXACT].ends
         return tuple(name for k, name in enumerate(self.body_names) if ends[k] == k + 1)
+
+    def known_torque(self, q: Tensor, qdd: Tensor) -> Tensor:
+        """Return what rotors and springs of the description add: `armature qdd + stiffness (q - rest)`.
+
+        Args:
+            q, qdd: (*batch, n_dof) [rad, m] and per second squared.
+
+        Returns:
+            (*batch, n_dof), [N m] or [N].
+        """
+        armature, stiffness, rest = (x.to(q) for x in (self.armature, self.stiffness, self.rest))
+        return armature * qdd + stiffness * (q - rest)
 
     def columns(self, joint_index: int) -> Tensor:
         """Return the indices of the parameters that can appear in a joint's torque: those of the bodies it moves."""

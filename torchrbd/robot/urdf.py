@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import re
-from pathlib import Path
 from typing import Any
 
 import lxml.etree as etree
@@ -18,10 +16,8 @@ from torchrbd.robot.description import Description, Joint, Link, Mimic
 from torchrbd.robot.inertia import transform_inertia
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-# Masses [kg], lengths [m] and inertias [kg m^2] of what may be a robot; the size of its file [bytes].
-_LARGEST, _LEAST_MASS, _LARGEST_FILE = 1e9, 1e-9, 64 << 20
-# Entities are not replaced, nothing is fetched, and no text may be so large as to fill the memory.
-_SAFELY: dict[str, Any] = {"resolve_entities": False, "no_network": True, "load_dtd": False, "huge_tree": False}
+# Masses [kg], lengths [m] and inertias [kg m^2] of what may be a robot.
+_LARGEST, _LEAST_MASS = 1e9, 1e-9
 KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
 JOINT_NUMBERS = {
     "dynamics": ("damping", "friction"),
@@ -30,17 +26,18 @@ JOINT_NUMBERS = {
 }
 
 
-def read_urdf(source: str | Path | bytes) -> Description:
-    """Read a robot from a URDF file or from URDF text.
+def read_urdf(where: str, text: bytes, root: etree._Element) -> Description:
+    """Read a robot from URDF.
 
     Args:
-        source: a path, or the text itself.
+        where: how messages call it.
+        text: as it stands in the file.
+        root: the same, parsed.
 
     Raises:
-        RobotError: the file is missing, is no plain URDF, or leaves out or spoils a number the dynamics need.
+        RobotError: it is no plain URDF, or leaves out or spoils a number the dynamics need.
     """
-    where, text = _load(source)
-    root = _parse(where, text)
+    _check_root(where, root)
     for link in root.findall("link"):
         _check_link(where, link)
     for joint in root.findall("joint"):
@@ -57,39 +54,19 @@ def read_urdf(source: str | Path | bytes) -> Description:
     return Description(robot.name, links, joints, where, text)
 
 
-def _load(source: str | Path | bytes) -> tuple[str, bytes]:
-    """Return how messages call the source, and its text."""
-    if isinstance(source, bytes):
-        return "URDF text", source
-    if isinstance(source, str) and "<" in source:
-        # The text is decoded already: a header that claims another encoding would be believed.
-        return "URDF text", re.sub(r"^\s*<\?xml[^>]*\?>", "", source).encode()
-    try:
-        if (size := Path(source).stat().st_size) > _LARGEST_FILE:
-            raise RobotError(f"{source}: is {size >> 20} MB large; expected a URDF, at most {_LARGEST_FILE >> 20} MB")
-        return str(source), Path(source).read_bytes()
-    except OSError as error:
-        raise RobotError(f"{source}: cannot read the URDF file ({error.strerror}); check the path") from error
-
-
-def _parse(where: str, text: bytes) -> etree._Element:
-    """Return the <robot> element of plain, well-formed URDF."""
-    try:
-        root = etree.fromstring(text.strip(), etree.XMLParser(remove_comments=True, remove_pis=True, **_SAFELY))
-    except etree.XMLSyntaxError as error:
-        raise RobotError(f"{where}: not well-formed XML: {error.msg}") from error
-    if root.getroottree().docinfo.doctype or any(isinstance(one, etree._Entity) for one in root.iter()):
-        raise RobotError(f"{where}: declares a document type or entities, which no URDF needs; remove <!DOCTYPE ...>")
+def _check_root(where: str, root: etree._Element) -> None:
+    """Reject what is left of xacro, and other files."""
     for element in root.iter():
         if "xacro" in (element.prefix or "") or "xacro" in (etree.QName(element).namespace or ""):
             raise RobotError(
                 f"{where}, line {element.sourceline}: <xacro:{etree.QName(element).localname}> is left in the file; "
-                "expand it with xacro first"
+                f"make a URDF of it: xacro {'FILE' if where == 'URDF text' else where} > expanded.urdf"
             )
     if root.tag != "robot":
-        raise RobotError(f"{where}: the root tag is <{root.tag}>, expected <robot>; is this a URDF file?")
+        raise RobotError(
+            f"{where}: the root tag is <{root.tag}>, expected <robot>, or <mujoco> of MJCF; is this a URDF file?"
+        )
     _name(where, root)
-    return root
 
 
 def _name(where: str, element: etree._Element) -> str:

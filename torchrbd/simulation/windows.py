@@ -162,6 +162,8 @@ def pieces(
         if states.loaded is not None:
             # A known load moves with the robot: its torque belongs to what drives.
             own["tau"] = own["tau"] + robot.inverse_dynamics(own["q"], own["qd"], own["qdd"], states.loaded)
+        if states.known is not None:
+            own["tau"] = own["tau"] + states.known.T
         if states.temperature is not None:
             own["temperature"] = states.temperature.T
         for name, plant in plants.items():

@@ -18,7 +18,7 @@ from torchrbd.likelihood.gaussian import nonnegative
 from torchrbd.likelihood.physical_fit import PhysicalFit, physical_fit
 from torchrbd.likelihood.shapes import ShapeSlope
 from torchrbd.likelihood.urdf_prior import Prior
-from torchrbd.model import RigidBodyDynamics
+from torchrbd.model import RigidBodyDynamics, known_terms
 from torchrbd.physics import Site, Term
 from torchrbd.physics.registry import PLAIN_OR_UNEVEN
 from torchrbd.recordings import States
@@ -85,7 +85,10 @@ class FittedModel:
         return self.x[self.free[at]], self.covariance[at.unsqueeze(1), at]
 
     def module(self) -> RigidBodyDynamics:
-        """Return the model as a module; friction that the URDF has stays in it unless a term has re-fitted it."""
+        """Return the model as a module; friction that the URDF has stays in it unless a term has re-fitted it.
+
+        Rotors and springs that the robot's description tells stay: what is fitted comes on top of them.
+        """
         columns = self.columns
         refitted = {k for c in self.terms for k in columns.of(c)}
         kept = [
@@ -103,7 +106,7 @@ class FittedModel:
             if bool(w.any()):
                 fitted.append(Term(c.effect, c.site, w, c.shape))
         width = torch.tensor([scale.rest_width for scale in columns.scales], dtype=torch.float64)
-        return RigidBodyDynamics(columns.robot, self.pi, [*kept, *fitted], width)
+        return RigidBodyDynamics(columns.robot, self.pi, [*kept, *known_terms(columns.robot), *fitted], width)
 
 
 def fit_model(
