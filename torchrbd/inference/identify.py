@@ -234,7 +234,7 @@ def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress:
     for k, recording in enumerate(prepared.recordings):
         progress("predicting torques", k / len(prepared.recordings))
         for states in prepared.tiles(k):
-            known = states.decimate(torch.zeros_like(states.q) if states.known is None else states.known).T
+            known = 0.0 if states.known is None else states.decimate(states.known).T
             measured = states.decimate(torch.nan_to_num(states.tau)).T + known
             measured[:, ~prepared.measured(k)] = torch.nan
             parts["recording"].append(np.full(len(states.t_out), k))

@@ -201,23 +201,24 @@ def _piece(
         RecordingError: there is none.
     """
     filtering = Filtering(choose_cutoff([seen]) if cutoff_hz is None else cutoff_hz)
-    found: tuple[np.ndarray, dict[str, np.ndarray]] | None = None
-    ends = []
-    for t, signals in pieces(tiles(opened, seen, filtering), {"along": plant}, math.inf):
-        ends = [t[0], t[-1]] if not ends else [ends[0], t[-1]]
-        if found is not None and t[0] > found[0][0]:
+    parts: list[tuple[np.ndarray, dict[str, np.ndarray]]] = []
+    first, last = math.inf, -math.inf
+    for t, signals in pieces(tiles(opened, seen, filtering), {"along": plant}, 0.0):
+        if parts and t[0] > last:
             break
-        if t[-1] > start:
-            first = max(int(np.searchsorted(t, start, "right")) - 1, 0)
-            found = t[first:], {name: x[first:] for name, x in signals.items()}
-            if seconds is not None and t[-1] >= max(start, t[0]) + seconds:
-                break
-    if found is None:
+        first, new = min(first, float(t[0])), (t > last) & (t > start - 2.0 * seen.clock.dt)
+        last = float(t[-1])
+        if last > start:
+            parts.append((t[new], {name: x[new] for name, x in signals.items()}))
+        if parts and seconds is not None and last >= max(start, float(parts[0][0][0])) + seconds:
+            break
+    if not parts:
         raise RecordingError(
             f"{opened.path or opened.name}: nothing at {start:g} s or after it that the filters leave; it has "
-            f"{ends[0]:.3g} to {ends[1]:.3g} s"
+            f"{first:.3g} to {last:.3g} s"
         )
-    return found
+    joined = {name: np.concatenate([signals[name] for _, signals in parts]) for name in parts[0][1]}
+    return np.concatenate([t for t, _ in parts]), joined
 
 
 def _rolled(plant: Plant, drive: Drive, progress: Progress) -> tuple[torch.Tensor, torch.Tensor]:
