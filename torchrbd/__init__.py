@@ -19,12 +19,15 @@ _NAMES = {
     "errors": ("InputError", "OptionError", "PhysicalError", "RecordingError", "RobotError", "TorchRBDError"),
     "export": ("load_model", "save_model", "to_actuator_net", "to_mjcf", "to_urdf", "unsaid"),
     "inference": (
+        "BaseRegression",
         "EstimatorComparison",
         "Identification",
         "Settings",
         "compare_estimators",
         "identify",
         "identify_many",
+        "merge_statistics",
+        "write_statistics",
     ),
     "learning": (
         "BayesianDynamics",

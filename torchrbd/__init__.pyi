@@ -2,12 +2,15 @@ from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare,
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.export import load_model, save_model, to_actuator_net, to_mjcf, to_urdf, unsaid
 from torchrbd.inference import (
+    BaseRegression,
     EstimatorComparison,
     Identification,
     Settings,
     compare_estimators,
     identify,
     identify_many,
+    merge_statistics,
+    write_statistics,
 )
 from torchrbd.learning import (
     BayesianDynamics,
@@ -28,6 +31,7 @@ from torchrbd.simulation import SimulatedMotion, simulate
 __version__: str
 
 __all__ = [
+    "BaseRegression",
     "BayesianDynamics",
     "Comparison",
     "Diagnosis",
@@ -57,6 +61,7 @@ __all__ = [
     "identify",
     "identify_many",
     "load_model",
+    "merge_statistics",
     "open_recording",
     "parameter_groups",
     "rank",
@@ -70,4 +75,5 @@ __all__ = [
     "to_urdf",
     "unsaid",
     "write_report",
+    "write_statistics",
 ]

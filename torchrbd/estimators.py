@@ -11,6 +11,7 @@ ESTIMATORS = {
     "auto": "the default: smoother where the recordings' position noise matters, physical where not",
     "physical": "weighted least squares with the entropic prior around the URDF, always physical",
     "smoother": "states and parameters together, always physical: position noise does not bias it",
+    "moments": "physical, of one pass over each recording, as statistics files have it; looks at nothing else",
     "ols": "ordinary least squares on base parameters",
     "wls": "least squares with joints weighted by their noise",
     "irls": "the same, with samples that do not fit weighted down",
@@ -28,11 +29,14 @@ ESTIMATORS = {
 }
 """Estimators by name, each in a few words."""
 
-WITH_INTERVALS = ("auto", "physical", "smoother")
+OF_RECORDINGS = ("auto", "physical", "smoother")
+"""Estimators that tell how sure they are, with the recordings at hand: what a search for effects needs."""
+
+WITH_INTERVALS = (*OF_RECORDINGS, "moments")
 """Estimators that tell how sure they are."""
 
-COMPARABLE = tuple(name for name in ESTIMATORS if name != "auto")
-"""What can be compared: every estimator; "auto" is a choice between "physical" and "smoother"."""
+COMPARABLE = tuple(name for name in ESTIMATORS if name not in ("auto", "moments"))
+"""What can be compared: "auto" is a choice between "physical" and "smoother", "moments" sees less than "physical"."""
 
 
 def check_estimators(names: Iterable[str], known: tuple[str, ...]) -> None:

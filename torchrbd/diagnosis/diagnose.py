@@ -23,7 +23,7 @@ from torchrbd.diagnosis.suspect import suspect, tells_nothing
 from torchrbd.diagnosis.unexplained import unexplained
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.errors import OptionError
-from torchrbd.estimators import WITH_INTERVALS
+from torchrbd.estimators import OF_RECORDINGS
 from torchrbd.inference.identify import read_arguments, summarise
 from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.preparation import Prepared, prepare
@@ -56,10 +56,10 @@ def diagnose(
         InputError: a robot, recording or option that cannot be used.
     """
     robot, sources, settings = read_arguments(robot, recordings, options, "diagnose")
-    if settings.estimator not in WITH_INTERVALS:
+    if settings.estimator not in OF_RECORDINGS:
         raise OptionError(
             f"diagnose: estimator '{settings.estimator}' does not tell how sure it is, which the search must know; "
-            f"use {', '.join(WITH_INTERVALS)}, or identify"
+            f"use {', '.join(OF_RECORDINGS)}, or identify"
         )
     prepared = prepare(robot, sources, settings, (), progress)
     progress("looking for wrong units and columns", 0.0)

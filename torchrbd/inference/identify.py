@@ -30,6 +30,7 @@ from torchrbd.inference.results import (
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.places import check_seen
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined
+from torchrbd.inference.statistics.preparing import MOMENTS, of_moments, prepare_moments
 from torchrbd.inference.suspicions import NO_SUSPICIONS, Suspicions, suspicions
 from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, verdict_of
 from torchrbd.likelihood.reading import Progress
@@ -57,6 +58,7 @@ def identify(
         robot: a robot or its URDF.
         recordings: files, opened recordings, or data in memory as ``open_recording`` takes them: tables such as a
             ``pandas.DataFrame``, dicts of arrays. Those in memory are called "recording 1" by their place in the list.
+            Or files of statistics, see ``write_statistics``.
         progress: told how far the work is.
         **options: holdout, holdout_fraction, time, joints, effects, exclude, gravity, trust, payload, simulated,
             mapping, cutoff_hz, estimator, encoder_noise, kappa and seed; ``help(torchrbd.Settings)`` has their
@@ -76,6 +78,8 @@ def identify(
         (('recording 1', 'sunday.csv'), 'held-out recording 1')
     """
     robot, sources, settings = read_arguments(robot, recordings, options, "identify")
+    if of_moments(sources, settings):
+        return _by_moments(robot, sources, replace(settings, estimator=MOMENTS), progress)
     effects = with_friction(settings)
     prepared = prepare(robot, sources, settings, effects, progress)
     progress("looking for wrong units and columns", 0.0)
@@ -92,6 +96,18 @@ def identify(
     if settings.estimator not in WITH_INTERVALS:
         prepared, models = _estimated(prepared, settings.estimator, models)
     return summarise(prepared, models, settings, progress, suspected)
+
+
+def _by_moments(
+    robot: RobotModel, sources: Sequence[NamedSource], settings: Settings, progress: Progress
+) -> Identification:
+    """Fit to second moments alone."""
+    prepared = prepare_moments(robot, sources, settings, progress)
+    progress("fitting", 0.0)
+    models, terms = {"rigid_body": prepared.fit()}, term_candidates(prepared.columns, [e.id for e in prepared.columns.effects])
+    if terms:
+        models["extended"] = prepared.fit(terms)
+    return summarise(prepared, models, settings, progress)
 
 
 def read_arguments(
@@ -227,10 +243,11 @@ def _base_estimates(prepared: Prepared, model: FittedModel, base: BaseParameters
 
 def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress: Progress) -> TorqueSeries:
     """Stream the recordings once more and predict every torque with every model."""
-    parts: dict[str, list[np.ndarray]] = {
-        key: [] for key in ("recording", "t", "held_out", "q", "qd", "qdd", "measured")
-    }
-    predicted: dict[str, list[np.ndarray]] = {name: [] for name in coefficients}
+    # Of no recordings, where only their moments are at hand, there is nothing to show.
+    none = np.empty((0, prepared.robot.n_dof))
+    parts = {"recording": [np.empty(0, dtype=int)], "t": [np.empty(0)], "held_out": [np.empty(0, dtype=bool)]}
+    parts |= {key: [none] for key in ("q", "qd", "qdd", "measured")}
+    predicted = {name: [none] for name in coefficients}
     for k, recording in enumerate(prepared.recordings):
         progress("predicting torques", k / len(prepared.recordings))
         for states in prepared.tiles(k):

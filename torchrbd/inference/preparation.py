@@ -85,8 +85,8 @@ class Prepared:
     @property
     def fitted(self) -> tuple[str, ...]:
         """Names of the recordings that are not held out as a whole."""
-        seen = {b.recording for b, held in zip(self.statistics.blocks, self.held_out.tolist(), strict=True) if not held}
-        return tuple(r.name for r in self.recordings if r.name in seen)
+        kept_back = zip(self.statistics.blocks, self.held_out.tolist(), strict=True)
+        return tuple(dict.fromkeys(block.recording for block, held in kept_back if not held))
 
     @property
     def training(self) -> BlockStatistics:

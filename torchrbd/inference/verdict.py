@@ -123,6 +123,11 @@ def regime_of(prepared: Prepared, estimator: str) -> str:
         estimator: what the user asked for.
     """
     noise, smoothed = prepared.input_noise, prepared.states is not None
+    if estimator == "moments":
+        return (
+            "states are filtered, and only second moments were looked at: what position noise does to the fit, and "
+            "whether clocks agree, 'auto' would ask of the recordings"
+        )
     if noise.matters:
         size = "more than 10" if noise.excess > 10 else f"about {noise.excess:.2g}"
         effect = (

@@ -23,6 +23,8 @@ from torchrbd.recordings.ros_echo import EchoTable, is_echo
 _PARQUET_BUFFER_BYTES = 1 << 16
 _TEXTS = (".csv", ".txt", ".tsv")
 _BAGS = (".bag", ".mcap", ".db3")
+STATISTICS = ".stats"
+"""Ending of files that hold second moments, which are no table."""
 _EXPECTED = ".csv, .parquet, .npz, .mat, .bag, .mcap or the folder of a ROS 2 bag or LeRobot set"
 # Of a bag, before its text is parsed [bytes].
 _LARGEST_METADATA = 1 << 24
@@ -53,6 +55,10 @@ def open_table(path: Path, mapping: Mapping) -> Table:
     readers = {**dict.fromkeys(_TEXTS, _open_text), ".parquet": ParquetTable, ".npz": NpzTable, ".mat": MatTable}
     suffix = path.suffix.lower()
     reader = readers.get(suffix)
+    if suffix == STATISTICS:
+        raise RecordingError(
+            f"{path}: holds second moments, not rows; only 'torchrbd identify' takes them, give the recording itself"
+        )
     if reader is None and suffix not in _BAGS:
         raise RecordingError(f"{path}: cannot read '{path.suffix}' files; expected {_EXPECTED}")
     if not path.is_file():

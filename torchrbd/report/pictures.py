@@ -51,18 +51,23 @@ class Pictures:
     Attributes:
         joints, units, measured: names, units, and whether there is a torque, of each joint.
         models: those that were fitted, by id, in words.
-        drawn: those of which there is a torque.
+        drawn: those of which there is a torque against time; none where only second moments were at hand.
     """
 
     def __init__(self, result: Identification) -> None:
         self.result, self.series = result, result.series
         self.joints = list(self.series.joints)
         self.models = {m: label for m, label in MODELS.items() if m in result.fits}
-        self.drawn = [m for m in self.models if m in self.series.predicted]
+        seen = len(self.series.t) > 0
+        self.drawn = [m for m in self.models if m in self.series.predicted and seen]
         names = list(result.robot.joint_names)
         prismatic = [bool(result.robot.prismatic[names.index(j)]) for j in self.joints]
         self.units = [Units("N", "m") if p else Units("N m", "rad") for p in prismatic]
-        self.measured = [bool(np.isfinite(self.series.measured[:, i]).any()) for i in range(len(self.joints))]
+        told = result.fits["urdf"].nmse
+        self.measured = [
+            bool(np.isfinite(self.series.measured[:, i]).any()) if seen else j in told
+            for i, j in enumerate(self.joints)
+        ]
         self._keys = count(1)
 
     @cached_property

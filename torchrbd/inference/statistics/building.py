@@ -1,0 +1,135 @@
+"""From a recording to its second moments, in two streaming passes: a survey, then the moments."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from torchrbd import __version__
+from torchrbd.errors import OptionError
+from torchrbd.inference.ordinary import with_friction
+from torchrbd.inference.preparation import read
+from torchrbd.inference.settings import Settings
+from torchrbd.inference.statistics.results import Conditions, Origin, Statistics, known
+from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.reading import Progress, Reading
+from torchrbd.likelihood.scales import covered_scales
+from torchrbd.physics import Effect
+from torchrbd.recordings import NamedSource
+from torchrbd.robot import RobotModel
+
+_PIECE = 1 << 20
+
+
+def conditions(robot: RobotModel, settings: Settings) -> Conditions:
+    """Return what moments will depend on.
+
+    Raises:
+        OptionError: an option that moments cannot have.
+    """
+    if settings.cutoff_hz is None:
+        raise OptionError(
+            "statistics need --cutoff HZ, the same for all that are to be used together; 'torchrbd identify' on some of "
+            "the recordings says which it chooses"
+        )
+    counts, mapping = settings.used_joints(robot).tolist(), settings.mapping
+    return Conditions(
+        version=__version__,
+        robot=robot.name,
+        kinematics_sha256=kinematics_sha256(robot),
+        joints=robot.joint_names,
+        gravity=tuple(robot.gravity.tolist()),
+        cutoff_hz=settings.cutoff_hz,
+        effects=tuple(e.id for e in moment_effects(settings)),
+        used=tuple(name for name, one in zip(robot.joint_names, counts, strict=True) if one),
+        time=settings.time,
+        mapping_sha256=digest(mapping)[1] if mapping is not None and mapping.is_file() else None,
+        encoder_noise=known(settings.known_encoder_noise(robot)),
+    )
+
+
+def moment_effects(settings: Settings) -> tuple[Effect, ...]:
+    """Return the effects that have columns.
+
+    Raises:
+        OptionError: one of them depends on the load, on a place or on the time.
+    """
+    placed = [text for text in settings.effects or () if "@" in text]
+    if placed:
+        raise OptionError(f"'{placed[0]}': moments have columns at every joint; name the effect without a place")
+    found = with_friction(settings)
+    loaded = [e.id for e in found if e.uses_load]
+    if loaded:
+        raise OptionError(f"{', '.join(loaded)}: depends on the load, which moments do not have; leave it out")
+    return found
+
+
+def statistics_of(
+    robot: RobotModel, source: NamedSource, settings: Settings, made: Conditions, progress: Progress
+) -> Statistics:
+    """Return the moments of one recording under conditions that have been checked."""
+    own = replace(settings, holdout=(), simulated=(), payload=_own_payload(source, settings), cutoff_hz=made.cutoff_hz)
+    reading, _ = read(robot, [source], own, progress)
+    return of_reading(reading, own, made, progress)
+
+
+def of_reading(reading: Reading, settings: Settings, made: Conditions, progress: Progress) -> Statistics:
+    """Return the moments of the one recording of a reading."""
+    (recording,), (seen,) = reading.recordings, reading.surveys
+    columns = Columns(reading.robot, moment_effects(settings), covered_scales(reading.surveys, reading.filtering))
+    size, sha256 = (None, None) if recording.path is None else digest(recording.path)
+    origin = Origin(
+        name=recording.name,
+        size=size,
+        sha256=sha256,
+        rows=seen.rows,
+        duration_s=seen.duration_s,
+        position_noise=tuple(seen.q_noise_std.tolist()),
+        payload=payload_words(recording.name, settings),
+        notes=seen.notes,
+    )
+    found = reading.statistics(columns, progress)
+    place = str(recording.path or recording.name)
+    return Statistics(made, (origin,), columns.scales, found.blocks, found.moments, found.torque, place)
+
+
+def payload_words(name: str, settings: Settings) -> tuple[str, ...]:
+    """Return the known loads of a recording, in words."""
+    return tuple(str(one) for one in settings.payload if one.recording == name)
+
+
+def _own_payload(source: NamedSource, settings: Settings) -> tuple[Any, ...]:
+    return tuple(one for one in settings.payload if one.recording == source.name)
+
+
+def digest(path: Path) -> tuple[int, str]:
+    """Return size [bytes] and SHA-256 of a file, or of all files of a folder with their names."""
+    files = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
+    found, size = hashlib.sha256(), 0
+    for file in files:
+        if path.is_dir():
+            found.update(f"{file.relative_to(path).as_posix()}\0".encode())
+        for piece in _pieces(file):
+            found.update(piece)
+            size += len(piece)
+    return size, found.hexdigest()
+
+
+def _pieces(file: Path) -> Iterator[bytes]:
+    with file.open("rb") as content:
+        while piece := content.read(_PIECE):
+            yield piece
+
+
+def kinematics_sha256(robot: RobotModel) -> str:
+    """Return the SHA-256 of what the regressor depends on."""
+    joints = [
+        (j.name, j.kind, j.parent, j.child, j.pose.tolist(), j.axis.tolist(), j.mimic and asdict(j.mimic))
+        for j in robot.description.joints
+    ]
+    return hashlib.sha256(json.dumps([joints, robot.joint_names, robot.body_names]).encode()).hexdigest()
+

@@ -1,0 +1,179 @@
+"""Statistics of many recordings: a file each, made by one process or by all that ``torchrun`` has started."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchrbd.errors import InputError, OptionError
+from torchrbd.inference.identify import read_arguments
+from torchrbd.inference.settings import Settings
+from torchrbd.inference.statistics.building import conditions, digest, payload_words, statistics_of
+from torchrbd.inference.statistics.files import read_header, read_statistics, write_file
+from torchrbd.inference.statistics.results import Conditions, Origin, Statistics, added
+from torchrbd.likelihood.reading import Progress
+from torchrbd.ranks import Ranks
+from torchrbd.recordings import NamedSource
+from torchrbd.recordings.formats import STATISTICS
+from torchrbd.robot import RobotModel
+from torchrbd.threads import single_threaded
+
+
+@single_threaded()
+def write_statistics(
+    robot: RobotModel | str | Path | bytes,
+    recordings: Sequence[str | Path] | str | Path,
+    folder: str | Path,
+    *,
+    merged: str | Path | None = None,
+    ranks: Ranks | None = None,
+    progress: Progress = lambda *_: None,
+    **options: Any,
+) -> list[Path]:
+    """Stream recordings into files of second moments, which ``identify`` takes in place of them.
+
+    A file that is there, of the same recording, options and version, is left as it is: an interrupted call goes on
+    where it was. Memory does not grow with the recordings.
+
+    Args:
+        robot: a robot or its URDF; its kinematics count, its inertias do not.
+        recordings: files or folders.
+        folder: for ``<recording>.stats``.
+        merged: file for the moments of all recordings together, as ``merge_statistics`` would write it.
+        ranks: processes that share the work; this one alone if not given.
+        progress: told how many are done, at which rate, and how far the work is.
+        **options: cutoff_hz, which has to be given, and time, joints, effects, exclude, gravity, payload, mapping and
+            encoder_noise, as for ``identify``.
+
+    Returns:
+        the files, in the order of the recordings.
+
+    Raises:
+        InputError: a robot, recording or option that cannot be used.
+    """
+    robot, sources, settings = read_arguments(robot, recordings, options, "stats")
+    if settings.holdout or settings.simulated:
+        raise OptionError("stats: what is held out is chosen when the statistics are used; leave --holdout out")
+    made, ranks, folder = conditions(robot, settings), ranks or Ranks(), Path(folder)
+    paths = [_path(source) for source in sources]
+    _check_names(paths)
+    files = [folder / f"{path.name}{STATISTICS}" for path in paths]
+    folder.mkdir(parents=True, exist_ok=True)
+    own = ranks.own(list(zip(paths, files, strict=True)))
+    tell = _told(progress, len(own))
+    for k, (path, file) in enumerate(own):
+        if not _is_up_to_date(file, path, made, settings):
+            write_file(statistics_of(robot, path, settings, made, _part_of(tell, k)), file)
+        tell(k + 1.0, _rows(file))
+    if merged is not None:
+        write_merged(files, Path(merged), ranks)
+    else:
+        ranks.wait()
+    return files
+
+
+def merge_statistics(files: Sequence[str | Path], output: str | Path) -> Statistics:
+    """Add statistics files and write them as one.
+
+    Raises:
+        InputError: a file that cannot be read, or files that were made under different conditions.
+    """
+    found = added([read_statistics(file) for file in files])
+    write_file(found, output)
+    return found
+
+
+def write_merged(files: Sequence[Path], output: Path, ranks: Ranks) -> None:
+    """Write the sum of the files of all processes, each of which reads its own; the moments go through an all-reduce.
+
+    Every block is filled by one process and zero in the others, so that sums are exact, whatever the number of them.
+    """
+    own = {k: read_statistics(files[k]) for k in ranks.own(range(len(files)))}
+    heads = {k: replace(one, moments=(), torque=torch.empty(0)) for k, one in own.items()}
+    every: dict[int, Statistics] = {}
+    for part in ranks.gathered(heads):
+        every |= part
+    starts, count = {}, 0
+    for k in range(len(files)):
+        starts[k], count = count, count + len(every[k].blocks)
+
+    def reduced(of: Callable[[Statistics], Tensor]) -> Tensor:
+        mine = {k: of(one) for k, one in own.items()}
+        shape = next(x for x in ranks.gathered(next((tuple(m.shape[1:]) for m in mine.values()), None)) if x)
+        whole = torch.zeros(count, *shape, dtype=torch.float64)
+        for k, block in mine.items():
+            whole[starts[k] : starts[k] + len(block)] = block
+        return ranks.summed(whole)
+
+    joints = len(every[0].conditions.joints)
+    moments = tuple(reduced(lambda one, j=j: one.moments[j]) for j in range(joints))
+    torque = reduced(lambda one: one.torque)
+    if ranks.first:
+        empty = [replace(every[k], moments=tuple(m[:0] for m in moments), torque=torque[:0]) for k in range(len(files))]
+        write_file(replace(added(empty), moments=moments, torque=torque), output)
+    ranks.wait()
+
+
+def _path(source: NamedSource) -> Path:
+    if not isinstance(source, Path):
+        raise OptionError(f"stats: '{source.name}' lies in memory; statistics are made of files")
+    if source.suffix == STATISTICS:
+        raise OptionError(f"stats: {source} holds statistics already; give recordings")
+    if not source.exists():
+        raise OptionError(f"stats: {source}: no such file")
+    return source
+
+
+def _check_names(paths: Sequence[Path]) -> None:
+    seen: dict[str, Path] = {}
+    for path in paths:
+        other = seen.setdefault(path.name.casefold(), path)
+        if other is not path:
+            raise OptionError(f"statistics of '{other}' and '{path}' would be one file; rename one of them")
+
+
+def _is_up_to_date(file: Path, recording: Path, made: Conditions, settings: Settings) -> bool:
+    """Say whether a file is what would be made of a recording now."""
+    if not file.is_file():
+        return False
+    try:
+        own, origins, _ = read_header(file)
+    except InputError:
+        return False
+    if own != made or len(origins) != 1:
+        return False
+    (origin,) = origins
+    return (origin.name, origin.payload, (origin.size, origin.sha256)) == (
+        recording.name,
+        payload_words(recording.name, settings),
+        digest(recording),
+    )
+
+
+def _rows(file: Path) -> int:
+    origins: tuple[Origin, ...] = read_header(file)[1]
+    return sum(one.rows for one in origins)
+
+
+def _told(progress: Progress, total: int) -> Callable[[float, int], None]:
+    """Return what tells the progress: recordings done (a part of one counts as such), and rows since the last time."""
+    start, rows = time.perf_counter(), 0
+
+    def tell(done: float, more: int) -> None:
+        nonlocal rows
+        rows += more
+        rate = rows / max(time.perf_counter() - start, 1e-9)
+        words = f"{int(done)} of {total} recordings" + (f", {rate / 1e3:.0f} thousand rows/s" if rows else "")
+        progress(words, min(done / max(total, 1), 1.0))
+
+    return tell
+
+
+def _part_of(tell: Callable[[float, int], None], k: int) -> Progress:
+    return lambda _, part: tell(k + 0.99 * part, 0)

@@ -1,0 +1,186 @@
+"""Second moments of recordings with all that they depend on; those that were made alike add."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import reduce
+
+import torch
+from torch import Tensor
+
+from torchrbd.errors import InputError
+from torchrbd.likelihood.block_statistics import Block, BlockStatistics
+from torchrbd.likelihood.columns import Columns
+from torchrbd.physics import JointScale
+
+_REMEDIES = {
+    "version": "make all with one version of torchrbd",
+    "robot": "they are of different robots",
+    "kinematics_sha256": "their URDFs differ in joints, axes or placements; make all with one URDF",
+    "joints": "their URDFs differ in joints; make all with one URDF",
+    "gravity": "make all with one --gravity",
+    "cutoff_hz": "make all with one --cutoff",
+    "effects": "make all with the same --effects and --exclude",
+    "used": "make all with the same --joints",
+    "time": "make all with the same --time",
+    "mapping_sha256": "make all with one --mapping",
+    "encoder_noise": "make all with the same --encoder-noise",
+}
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What moments depend on beside the recording.
+
+    The URDF's inertias and friction are not among it: they are the prior of a fit, and may be others for each.
+
+    Attributes:
+        version: of torchrbd.
+        robot: its name.
+        kinematics_sha256: of joints, axes, placements and bodies.
+        joints: (n_dof,) names.
+        gravity: (3,) [m/s^2].
+        cutoff_hz: of the filters.
+        effects: ids of those that have columns.
+        used: joints whose torque counts.
+        time: (from, to) [s]; None for all.
+        mapping_sha256: of the mapping's file; None without one.
+        encoder_noise: (n_dof,) as stated [rad, m], None where estimated.
+    """
+
+    version: str
+    robot: str
+    kinematics_sha256: str
+    joints: tuple[str, ...]
+    gravity: tuple[float, ...]
+    cutoff_hz: float
+    effects: tuple[str, ...]
+    used: tuple[str, ...]
+    time: tuple[float, float] | None
+    mapping_sha256: str | None
+    encoder_noise: tuple[float | None, ...]
+
+    def check(self, other: Conditions, own: str, others: str) -> None:
+        """Raise InputError for what differs, with both values and the remedy; ``own`` and ``others`` are named."""
+        for field in fields(self):
+            a, b = getattr(self, field.name), getattr(other, field.name)
+            if a != b:
+                raise InputError(
+                    f"{own} and {others} cannot be used together: {field.name} {_short(a)} and {_short(b)}; "
+                    f"{_REMEDIES[field.name]}"
+                )
+
+
+def _short(value: object) -> str:
+    return str(value)[:60]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The recording that moments come from.
+
+    Attributes:
+        name: as results call it.
+        size: of the file [bytes], of all files of a folder; None for data in memory.
+        sha256: of its content; None for data in memory.
+        rows: that were read.
+        duration_s: of its uninterrupted pieces together.
+        position_noise: (n_dof,) standard deviations [rad, m].
+        payload: known loads that were taken off, in words.
+        notes: for a person.
+    """
+
+    name: str
+    size: int | None
+    sha256: str | None
+    rows: int
+    duration_s: float
+    position_noise: tuple[float, ...]
+    payload: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Second moments of one recording or of several: what ``identify`` reads with ``estimator="moments"``.
+
+    Attributes:
+        conditions: what all of them depend on.
+        origins: the recordings, in the order of the blocks.
+        scales: (n_dof,) what they cover.
+        blocks: (B,) where each block sits.
+        moments: per joint (B, p_j + 1, p_j + 1), see ``BlockStatistics``.
+        torque: (B, n_dof, 3), see there.
+        place: what messages call them, their file.
+    """
+
+    conditions: Conditions
+    origins: tuple[Origin, ...]
+    scales: tuple[JointScale, ...]
+    blocks: tuple[Block, ...]
+    moments: tuple[Tensor, ...]
+    torque: Tensor
+    place: str
+
+    def of_columns(self, columns: Columns) -> BlockStatistics:
+        """Return the moments for fits.
+
+        Raises:
+            InputError: they are of other columns.
+        """
+        if [m.shape[-1] - 1 for m in self.moments] != [len(own) for own in columns.of_joint]:
+            raise InputError(f"{self.place}: moments are not of this robot's columns; make them anew")
+        return BlockStatistics(columns, self.blocks, self.moments, self.torque)
+
+
+def added(parts: Sequence[Statistics]) -> Statistics:
+    """Return all of them as one, their blocks one after the other.
+
+    Raises:
+        InputError: they were made under different conditions, or two hold one recording.
+    """
+    first, *others = parts
+    for one in others:
+        first.conditions.check(one.conditions, first.place, one.place)
+    check_names([(origin.name, one.place) for one in parts for origin in one.origins])
+    return Statistics(
+        conditions=first.conditions,
+        origins=tuple(origin for one in parts for origin in one.origins),
+        scales=tuple(reduce(_wider, own) for own in zip(*(one.scales for one in parts), strict=True)),
+        blocks=tuple(block for one in parts for block in one.blocks),
+        moments=tuple(torch.cat(own) for own in zip(*(one.moments for one in parts), strict=True)),
+        torque=torch.cat([one.torque for one in parts]),
+        place=f"{first.place} and {len(others)} more" if others else first.place,
+    )
+
+
+def check_names(named: Iterable[tuple[str, str]]) -> None:
+    """Raise InputError for two recordings (name, place) of one name."""
+    seen: dict[str, str] = {}
+    for name, place in named:
+        if name in seen:
+            raise InputError(f"'{name}' is in {seen[name]} and in {place}; give it once, or rename one recording")
+        seen[name] = place
+
+
+def _wider(one: JointScale, other: JointScale) -> JointScale:
+    """Return what two recordings cover together, at the rest width of the noisier one."""
+    warm = None
+    if one.temperature and other.temperature:
+        warm = (min(one.temperature[0], other.temperature[0]), max(one.temperature[1], other.temperature[1]))
+    return replace(
+        one,
+        speed_max=max(one.speed_max, other.speed_max),
+        rest_width=max(one.rest_width, other.rest_width),
+        q_low=min(one.q_low, other.q_low),
+        q_high=max(one.q_high, other.q_high),
+        duration_s=max(one.duration_s, other.duration_s),
+        temperature=warm,
+    )
+
+
+def known(values: Tensor) -> tuple[float | None, ...]:
+    """Return numbers (n,), None for NaN, which equals nothing."""
+    return tuple(None if math.isnan(x) else x for x in values.tolist())
