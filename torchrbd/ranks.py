@@ -103,6 +103,6 @@ def _all_alive() -> Iterator[None]:
         yield
     except RuntimeError as error:
         raise TorchRBDError(
-            f"another process of this run has ended or cannot be reached ({str(error).splitlines()[0]:.120}); files that "
-            "are written stay, run the same command again to go on from them"
+            f"another process of this run has ended or cannot be reached ({str(error).splitlines()[0]:.120}); files "
+            "that are written stay, run the same command again to go on from them"
         ) from None

@@ -18,7 +18,7 @@ from torchrbd.cli.files import REPORT, write_results
 from torchrbd.cli.inspecting import inspect
 from torchrbd.cli.progress import progress_bar
 from torchrbd.cli.settings import settings_of
-from torchrbd.cli.simulating import simulate_recording
+from torchrbd.cli.statistics import merge, stats
 from torchrbd.cli.tables import (
     print_changes,
     print_comparison,
@@ -104,7 +104,8 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "compare-estimators": _compare_estimators,
     "export": export,
     "inspect": inspect,
-    "simulate": simulate_recording,
+    "stats": stats,
+    "merge": merge,
     "effects": lambda _: print_effects(effects().values()),
     "demo": _demo,
 }

@@ -6,19 +6,16 @@ import argparse
 import textwrap
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from rich_argparse import RawDescriptionRichHelpFormatter
 
 from torchrbd import __version__
+from torchrbd.cli.fleet_options import add_fleet, add_merge, add_stats
+from torchrbd.cli.shared_options import RECORDING, add_shared
 from torchrbd.estimators import COMPARABLE, ESTIMATORS, WITH_INTERVALS
 
 _FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint or only at PLACE (default: {})"
-_RECORDING = (
-    "CSV, Parquet, NPZ or MATLAB file with columns t [s], q_<joint> [rad, m], tau_<joint> [N m, N], optionally "
-    "qd_<joint>, q_ref_<joint>, q_link_<joint> (encoder behind the gear), temperature_<joint> [degC]; or a ROS bag, an "
-    "MCAP file or a LeRobot data set"
-)
 _FRICTION = "viscous and Coulomb friction; exclude both for the rigid body alone"
 
 
@@ -53,7 +50,7 @@ def parser() -> argparse.ArgumentParser:
         return sub
 
     sub = command("identify", "Fit the inertial parameters of a URDF to recordings; always physically valid.")
-    _add_shared(sub, _FITTED_EFFECTS.format(_FRICTION))
+    add_shared(sub, _FITTED_EFFECTS.format(_FRICTION))
     sub.add_argument("--estimator", metavar="NAME", help="how parameters are found, see below (default: auto)")
     sub.add_argument(
         "--each",
@@ -64,7 +61,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("-j", "--jobs", type=int, metavar="N", help="processes that work on --each (default: one a core)")
     sub.epilog = _list_of(ESTIMATORS)
     sub = command("diagnose", "Find, name and model what the URDF leaves out.")
-    _add_shared(sub, "effects that the search may use (default: all)")
+    add_shared(sub, "effects that the search may use (default: all)")
     sub.add_argument(
         "--simulated",
         nargs="+",
@@ -81,7 +78,7 @@ def parser() -> argparse.ArgumentParser:
         "compare-estimators",
         "Estimate the parameters with many methods and judge each on held-out data.",
     )
-    _add_shared(sub, _FITTED_EFFECTS.format("none"), output_required=False)
+    add_shared(sub, _FITTED_EFFECTS.format("none"), output_required=False)
     sub.add_argument(
         "--estimators",
         nargs="+",
@@ -97,6 +94,12 @@ def parser() -> argparse.ArgumentParser:
     _add_simulate(sub)
     sub = command("inspect", "Say what a recording holds and what looks wrong; write a mapping to edit.")
     _add_inspect(sub)
+    sub = command("stats", "Stream recordings into second moments, a small file each, for identify in place of them.")
+    add_stats(sub)
+    sub = command("merge", "Add statistics files: one file in place of many.")
+    add_merge(sub)
+    sub = command("fleet", "Identify many robots, say who differs from its sisters, and what changed.")
+    add_fleet(sub)
     command("effects", "List the effects that can be missing: their names, what they are, and their torque.")
     sub = command("demo", "Diagnose a bundled case: a six-joint arm with a friction that its URDF does not hold.")
     sub.add_argument(
@@ -117,7 +120,7 @@ def _add_compare(sub: argparse.ArgumentParser) -> None:
 
 
 def _add_inspect(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("file", type=Path, metavar="FILE", help=_RECORDING)
+    sub.add_argument("file", type=Path, metavar="FILE", help=RECORDING)
     sub.add_argument(
         "robot", type=Path, nargs="?", metavar="ROBOT.urdf", help="whose joints and limits count (default: as named)"
     )
@@ -201,69 +204,3 @@ def _list_of(estimators: Iterable[str]) -> str:
         "physical ones are then taken."
     )
     return "\n".join(("Estimators:", *lines, textwrap.fill(rest, 78)))
-
-
-def _add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_required: bool = True) -> None:
-    sub.add_argument("robot", type=Path, metavar="ROBOT.urdf", help="what the simulator believes: URDF, or MJCF")
-    sub.add_argument(
-        "recordings",
-        nargs="+",
-        type=Path,
-        metavar="RECORDING",
-        help=_RECORDING,
-    )
-    sub.add_argument(
-        "-o", "--output", type=Path, required=output_required, metavar="DIR", help="folder for the results"
-    )
-    data = sub.add_argument_group("data")
-    many: dict[str, Any] = {"nargs": "+", "action": "extend"}
-    data.add_argument("--holdout", type=Path, metavar="FILE", help="recordings that no fit or choice sees", **many)
-    data.add_argument(
-        "--holdout-fraction", type=float, metavar="X", help="else, the part of each recording kept back (default: 0.25)"
-    )
-    data.add_argument("--time", metavar="A:B", help="use only these seconds of each recording")
-    data.add_argument("--joints", metavar="JOINT", help="joints whose torque counts (default: all)", **many)
-    data.add_argument(
-        "--payload",
-        metavar="FILE=kg,x,y,z[@LINK]",
-        help="known load in a recording: mass and centre [kg, m] on a link (default: a chain's last)",
-        **many,
-    )
-    data.add_argument(
-        "--mapping", type=Path, metavar="YAML", help="other column names, units, signs, gear ratios, torque constants"
-    )
-    data.add_argument(
-        "--cutoff",
-        dest="cutoff_hz",
-        type=float,
-        metavar="HZ",
-        help="band limit of torque and features (default: chosen from the data)",
-    )
-    data.add_argument(
-        "--encoder-noise",
-        metavar="X",
-        help="standard deviation of the positions [rad, m], one number or JOINT=number (default: estimated)",
-        **many,
-    )
-    model = sub.add_argument_group("model")
-    model.add_argument(
-        "--gravity",
-        nargs=3,
-        type=float,
-        metavar=("X", "Y", "Z"),
-        help="in the base's axes [m/s^2], e.g. 0 9.81 0 on a wall (default: 0 0 -9.81)",
-    )
-    place = "PLACE is a joint, a pair JOINT_OTHER or a link; @RECORDING=FROM:TO [s] after it for what acts for a time"
-    model.add_argument(
-        "--effects", metavar="EFFECT[@PLACE]", help=f"{effects_words}; {place}; 'torchrbd effects' lists them", **many
-    )
-    model.add_argument("--exclude", metavar="EFFECT", help="effects not to use", **many)
-    model.add_argument("--trust", metavar="LINK", help="links whose inertia is not re-fitted", **many)
-    model.add_argument("--seed", type=int, metavar="N", help="of the choice of blocks kept back (default: 0)")
-    sub.add_argument(
-        "--config",
-        type=Path,
-        metavar="YAML",
-        help="file with any of these options, e.g. 'cutoff: 5'; those given on the command line win; files that it "
-        "names are sought from its folder",
-    )

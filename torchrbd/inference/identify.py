@@ -104,7 +104,10 @@ def _by_moments(
     """Fit to second moments alone."""
     prepared = prepare_moments(robot, sources, settings, progress)
     progress("fitting", 0.0)
-    models, terms = {"rigid_body": prepared.fit()}, term_candidates(prepared.columns, [e.id for e in prepared.columns.effects])
+    models, terms = (
+        {"rigid_body": prepared.fit()},
+        term_candidates(prepared.columns, [e.id for e in prepared.columns.effects]),
+    )
     if terms:
         models["extended"] = prepared.fit(terms)
     return summarise(prepared, models, settings, progress)

@@ -10,6 +10,7 @@ band-limited at f_c has 2 f_c of them a second, however densely it is written. W
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -74,23 +75,10 @@ class BlockStatistics:
 
     def coarsened(self, limit: int) -> BlockStatistics:
         """Merge neighbours of the same recording until at most ``limit`` blocks are left (or one a recording)."""
-        statistics = self
-        while len(statistics) > limit:
-            target = _pairs(statistics.blocks)
-            if max(target) + 1 == len(statistics):
-                break
-            statistics = statistics._merged(torch.tensor(target))
-        return statistics
-
-    def _merged(self, target: Tensor) -> BlockStatistics:
-        n_blocks = int(target.max()) + 1
-
-        def add(values: Tensor) -> Tensor:
-            return values.new_zeros(n_blocks, *values.shape[1:]).index_add_(0, target, values)
-
-        groups = [[b for b, t in zip(self.blocks, target.tolist(), strict=True) if t == k] for k in range(n_blocks)]
-        blocks = tuple(Block(g[0].recording, g[0].start_s, g[-1].end_s) for g in groups)
-        return replace(self, blocks=blocks, moments=tuple(add(m) for m in self.moments), torque=add(self.torque))
+        blocks, sums = self.blocks, (*self.moments, self.torque)
+        for _ in range(halvings(blocks, limit)):
+            blocks, sums = halved(blocks, sums)
+        return replace(self, blocks=blocks, moments=sums[:-1], torque=sums[-1])
 
     def squared_error(self, x: Tensor) -> Tensor:
         """Return the weighted sum of squared torque errors of coefficients x (n,): (B, n_dof), [(N m)^2] or [N^2]."""
@@ -130,15 +118,28 @@ def assemble(columns: Columns, totals: Sequence[Tensor], weights: Tensor) -> tup
     return H, h
 
 
-def _pairs(blocks: Sequence[Block]) -> list[int]:
-    """Number the blocks so that neighbours of one recording share a number, two by two."""
-    target, previous, open_pair, number = [], None, False, -1
+def halvings(blocks: Sequence[Block], limit: int) -> int:
+    """Return how often neighbours are to be merged until at most ``limit`` blocks are left, or one a recording."""
+    counts = list(Counter(block.recording for block in blocks).values())
+    times = 0
+    while sum(counts) > limit and max(counts) > 1:
+        counts, times = [(count + 1) // 2 for count in counts], times + 1
+    return times
+
+
+def halved(blocks: Sequence[Block], sums: Sequence[Tensor]) -> tuple[tuple[Block, ...], tuple[Tensor, ...]]:
+    """Merge neighbours of the same recording two by two, and add what belongs to them, (B, ...) each."""
+    pairs: list[list[Block]] = []
+    target = []
     for block in blocks:
-        joins = open_pair and block.recording == previous
-        number += 0 if joins else 1
-        open_pair, previous = not joins, block.recording
-        target.append(number)
-    return target
+        if pairs and len(pairs[-1]) == 1 and pairs[-1][0].recording == block.recording:
+            pairs[-1].append(block)
+        else:
+            pairs.append([block])
+        target.append(len(pairs) - 1)
+    index = torch.tensor(target, dtype=torch.long)
+    merged = tuple(Block(pair[0].recording, pair[0].start_s, pair[-1].end_s) for pair in pairs)
+    return merged, tuple(x.new_zeros(len(pairs), *x.shape[1:]).index_add_(0, index, x) for x in sums)
 
 
 def block_statistics(

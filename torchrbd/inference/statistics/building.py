@@ -33,8 +33,8 @@ def conditions(robot: RobotModel, settings: Settings) -> Conditions:
     """
     if settings.cutoff_hz is None:
         raise OptionError(
-            "statistics need --cutoff HZ, the same for all that are to be used together; 'torchrbd identify' on some of "
-            "the recordings says which it chooses"
+            "statistics need --cutoff HZ, the same for all that are to be used together; 'torchrbd identify' on some "
+            "of the recordings says which it chooses"
         )
     counts, mapping = settings.used_joints(robot).tolist(), settings.mapping
     return Conditions(
@@ -132,4 +132,3 @@ def kinematics_sha256(robot: RobotModel) -> str:
         for j in robot.description.joints
     ]
     return hashlib.sha256(json.dumps([joints, robot.joint_names, robot.body_names]).encode()).hexdigest()
-

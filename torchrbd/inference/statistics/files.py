@@ -1,4 +1,4 @@
-"""Statistics as one safetensors file: moments as tensors, what they depend on as metadata. Nothing in it can run code."""
+"""Statistics as one safetensors file: moments as tensors, what they depend on as metadata; no code in either."""
 
 from __future__ import annotations
 
@@ -22,27 +22,30 @@ from torchrbd.physics import JointScale
 
 Kind = TypeVar("Kind")
 
-_FORMAT = "torchrbd-statistics-1"
+_FORMAT, _HEADER = "torchrbd-statistics-1", "statistics"
 
 
 def write_file(found: Statistics, path: str | Path) -> None:
     """Write statistics, whole or not at all.
 
     Tensors: ``moments.<joint>`` (B, p, p), the last row and column the torque's; ``torque`` (B, n_dof, 3), see
-    ``BlockStatistics``; ``time`` (B, 2) [s] and ``recording`` (B,), index into the origins. Metadata, as JSON:
-    ``conditions`` and ``origins`` (see ``results.py``) and ``scales``, what each joint covers.
+    ``BlockStatistics``; ``time`` (B, 2) [s] and ``recording`` (B,), index into the origins. Metadata, as JSON under
+    ``statistics``: ``format``, ``conditions`` and ``origins`` (see ``results.py``), and ``scales``, what each joint
+    covers. What is equal makes equal files.
     """
     number = {one.name: k for k, one in enumerate(found.origins)}
     tensors = {f"moments.{joint}": own for joint, own in zip(found.conditions.joints, found.moments, strict=True)}
     tensors["torque"] = found.torque
     tensors["time"] = torch.tensor([[b.start_s, b.end_s] for b in found.blocks], dtype=torch.float64).reshape(-1, 2)
     tensors["recording"] = torch.tensor([number[b.recording] for b in found.blocks], dtype=torch.int64)
-    metadata = {
+    header = {
         "format": _FORMAT,
-        "conditions": json.dumps(asdict(found.conditions)),
-        "origins": json.dumps([asdict(one) for one in found.origins]),
-        "scales": json.dumps([asdict(one) for one in found.scales]),
+        "conditions": asdict(found.conditions),
+        "origins": [asdict(one) for one in found.origins],
+        "scales": [asdict(one) for one in found.scales],
     }
+    # One entry: safetensors writes several in an order that differs from run to run.
+    metadata = {_HEADER: json.dumps(header)}
     write_whole(path, save({name: x.contiguous() for name, x in tensors.items()}, metadata))
 
 
@@ -73,17 +76,20 @@ def read_header(path: str | Path) -> tuple[Conditions, tuple[Origin, ...], tuple
     """
     try:
         with safe_open(path, framework="pt") as file:
-            metadata: Mapping[str, str] = file.metadata() or {}
+            text = (file.metadata() or {}).get(_HEADER, "{}")
     except (OSError, SafetensorError) as error:
         raise InputError(f"{path}: cannot be read as statistics ({error})") from None
-    if metadata.get("format") != _FORMAT:
-        raise InputError(
-            f"{path}: is no statistics file of torchrbd; expected format '{_FORMAT}', got '{metadata.get('format')}'"
-        )
     try:
-        (made,) = _rebuilt(Conditions, f"[{metadata['conditions']}]")
-        return made, _rebuilt(Origin, metadata["origins"]), _rebuilt(JointScale, metadata["scales"])
+        header = json.loads(text)
+        if header.get("format") != _FORMAT:
+            raise InputError(
+                f"{path}: is no statistics file of torchrbd; expected format '{_FORMAT}', got '{header.get('format')}'"
+            )
+        (made,) = _rebuilt(Conditions, [header["conditions"]])
+        return made, _rebuilt(Origin, header["origins"]), _rebuilt(JointScale, header["scales"])
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
         raise _damaged(path, error) from None
 
 
@@ -116,8 +122,8 @@ def _statistics(
     return Statistics(made, origins, scales, blocks, moments, torque, place)
 
 
-def _rebuilt(kind: type[Kind], text: str) -> tuple[Kind, ...]:
-    return tuple(kind(**{name: _frozen(value) for name, value in one.items()}) for one in json.loads(text))
+def _rebuilt(kind: type[Kind], content: list[dict[str, Any]]) -> tuple[Kind, ...]:
+    return tuple(kind(**{name: _frozen(value) for name, value in one.items()}) for one in content)
 
 
 def _frozen(value: Any) -> Any:

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from torchrbd.errors import InputError, OptionError
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.statistics.building import conditions, digest, payload_words, statistics_of
 from torchrbd.inference.statistics.files import read_header, read_statistics, write_file
-from torchrbd.inference.statistics.results import Conditions, Origin, Statistics, added
+from torchrbd.inference.statistics.results import MOST_BLOCKS, Conditions, Origin, Statistics, added
+from torchrbd.likelihood.block_statistics import halvings
 from torchrbd.likelihood.reading import Progress
 from torchrbd.ranks import Ranks
 from torchrbd.recordings import NamedSource
@@ -79,12 +79,13 @@ def write_statistics(
 
 
 def merge_statistics(files: Sequence[str | Path], output: str | Path) -> Statistics:
-    """Add statistics files and write them as one.
+    """Add statistics files and write them as one, with no more blocks than a fit looks at.
 
     Raises:
         InputError: a file that cannot be read, or files that were made under different conditions.
     """
     found = added([read_statistics(file) for file in files])
+    found = found.halved(halvings(found.blocks, MOST_BLOCKS))
     write_file(found, output)
     return found
 
@@ -95,29 +96,32 @@ def write_merged(files: Sequence[Path], output: Path, ranks: Ranks) -> None:
     Every block is filled by one process and zero in the others, so that sums are exact, whatever the number of them.
     """
     own = {k: read_statistics(files[k]) for k in ranks.own(range(len(files)))}
-    heads = {k: replace(one, moments=(), torque=torch.empty(0)) for k, one in own.items()}
-    every: dict[int, Statistics] = {}
-    for part in ranks.gathered(heads):
-        every |= part
-    starts, count = {}, 0
-    for k in range(len(files)):
-        starts[k], count = count, count + len(every[k].blocks)
-
-    def reduced(of: Callable[[Statistics], Tensor]) -> Tensor:
-        mine = {k: of(one) for k, one in own.items()}
-        shape = next(x for x in ranks.gathered(next((tuple(m.shape[1:]) for m in mine.values()), None)) if x)
-        whole = torch.zeros(count, *shape, dtype=torch.float64)
-        for k, block in mine.items():
-            whole[starts[k] : starts[k] + len(block)] = block
-        return ranks.summed(whole)
-
-    joints = len(every[0].conditions.joints)
-    moments = tuple(reduced(lambda one, j=j: one.moments[j]) for j in range(joints))
-    torque = reduced(lambda one: one.torque)
+    every = _of_all({k: _head(one) for k, one in own.items()}, ranks)
+    times = halvings([block for k in sorted(every) for block in every[k].blocks], MOST_BLOCKS)
+    own = {k: one.halved(times) for k, one in own.items()}
+    every = _of_all({k: _head(one) for k, one in own.items()}, ranks)
+    whole = added([every[k] for k in sorted(every)])
+    sizes = [m.shape[1:] for m in (*whole.moments, whole.torque)]
+    sums = [torch.zeros(len(whole.blocks), *size, dtype=torch.float64) for size in sizes]
+    first = 0
+    for k in sorted(every):
+        last = first + len(every[k].blocks)
+        for total, part in zip(sums, (*own[k].moments, own[k].torque) if k in own else (), strict=k in own):
+            total[first:last] = part
+        first = last
+    *moments, torque = map(ranks.summed, sums)
     if ranks.first:
-        empty = [replace(every[k], moments=tuple(m[:0] for m in moments), torque=torque[:0]) for k in range(len(files))]
-        write_file(replace(added(empty), moments=moments, torque=torque), output)
+        write_file(replace(whole, moments=tuple(moments), torque=torque), output)
     ranks.wait()
+
+
+def _head(one: Statistics) -> Statistics:
+    """Return statistics without their numbers."""
+    return replace(one, moments=tuple(m[:0].clone() for m in one.moments), torque=one.torque[:0].clone())
+
+
+def _of_all(own: dict[int, Statistics], ranks: Ranks) -> dict[int, Statistics]:
+    return {k: one for part in ranks.gathered(own) for k, one in part.items()}
 
 
 def _path(source: NamedSource) -> Path:

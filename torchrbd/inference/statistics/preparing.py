@@ -20,7 +20,7 @@ from torchrbd.inference.preparation import Prepared, read
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.statistics.building import conditions, of_reading
 from torchrbd.inference.statistics.files import read_statistics
-from torchrbd.inference.statistics.results import Conditions, Statistics, added
+from torchrbd.inference.statistics.results import MOST_BLOCKS, Conditions, Statistics, added
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.urdf_prior import data_prior
@@ -31,7 +31,6 @@ from torchrbd.robot import RobotModel
 
 MOMENTS = "moments"
 """The estimator."""
-_MOST_BLOCKS = 256
 
 
 def is_statistics(source: object) -> bool:
@@ -78,7 +77,7 @@ def prepare_moments(
     whole = added(parts)
     made = whole.conditions
     columns = Columns(robot, [effect(name) for name in made.effects], whole.scales)
-    statistics = whole.of_columns(columns).coarsened(_MOST_BLOCKS)
+    statistics = whole.of_columns(columns).coarsened(MOST_BLOCKS)
     filtering, kept = Filtering(made.cutoff_hz), {o.name for one in parts[len(sources) :] for o in one.origins}
     runs = None if kept else (settings.holdout_fraction, settings.seed)
     if runs is None:

@@ -11,9 +11,12 @@ import torch
 from torch import Tensor
 
 from torchrbd.errors import InputError
-from torchrbd.likelihood.block_statistics import Block, BlockStatistics
+from torchrbd.likelihood.block_statistics import Block, BlockStatistics, halved
 from torchrbd.likelihood.columns import Columns
 from torchrbd.physics import JointScale
+
+MOST_BLOCKS = 256
+"""That a fit looks at, or one a recording."""
 
 _REMEDIES = {
     "version": "make all with one version of torchrbd",
@@ -123,6 +126,13 @@ class Statistics:
     moments: tuple[Tensor, ...]
     torque: Tensor
     place: str
+
+    def halved(self, times: int) -> Statistics:
+        """Return the same with neighbouring blocks of each recording merged two by two, so many times."""
+        blocks, sums = self.blocks, (*self.moments, self.torque)
+        for _ in range(times):
+            blocks, sums = halved(blocks, sums)
+        return replace(self, blocks=blocks, moments=sums[:-1], torque=sums[-1])
 
     def of_columns(self, columns: Columns) -> BlockStatistics:
         """Return the moments for fits.
