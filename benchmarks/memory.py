@@ -1,20 +1,25 @@
-"""Peak memory of an identification: 1e6 samples of a seven-joint arm, streamed from Parquet.
+"""Peak memory and speed on long recordings of a seven-joint arm at 500 Hz, streamed from Parquet.
 
-    python benchmarks/memory.py [ROWS]
+    OMP_NUM_THREADS=1 python benchmarks/memory.py [ROWS] [--work identify stats moments]
 
-Prints seconds, and peak resident memory above that after ``from torchrbd import identify``. Linux only (reads /proc).
+``identify`` is the default; ``stats`` writes a statistics file (reading, filtering and moments, in two passes), and
+``moments`` is ``identify`` from that file. Each runs in a process of its own. Prints seconds, processor seconds, rows a
+processor second, and peak resident memory above that after ``from torchrbd import identify``. Linux only (reads /proc).
 """
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 JOINTS, RATE_HZ = 7, 500.0
+WORKS = ("identify", "stats", "moments")
 
 
 def arm() -> str:
@@ -63,29 +68,40 @@ def write(path: Path, urdf: str, rows: int) -> None:
 
 MEASURED = """
 import resource, sys, time
-from torchrbd import identify
+from torchrbd import identify, write_statistics
 def resident():
     return int(open("/proc/self/status").read().split("VmRSS:")[1].split()[0]) / 1e6
-before, start = resident(), time.perf_counter()
-result = identify(sys.argv[1], sys.argv[2])
+work, urdf, recording, folder = sys.argv[1:]
+before, start, spent = resident(), time.perf_counter(), time.process_time()
+if work == "stats":
+    write_statistics(urdf, recording, folder, cutoff_hz=5.0)
+else:
+    result = identify(urdf, recording if work == "identify" else f"{folder}/recording.parquet.stats")
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-rows = len(result.series.t)
-seconds = time.perf_counter() - start
-print(f"{seconds:.1f} s, peak {peak:.3f} GB, {before:.3f} GB after import: {peak - before:.3f} GB above it")
+print(time.perf_counter() - start, time.process_time() - spent, peak - before, before)
 """
 
 
-def measure(rows: int) -> str:
-    """Identify in a process of its own and return what it printed."""
+def measure(rows: int, works: Sequence[str]) -> Iterator[str]:
+    """Do each work in a process of its own and say what it took."""
     with tempfile.TemporaryDirectory() as folder:
         urdf, recording = Path(folder) / "arm.urdf", Path(folder) / "recording.parquet"
         urdf.write_text(arm())
         write(recording, arm(), rows)
-        return subprocess.run(
-            [sys.executable, "-c", MEASURED, str(urdf), str(recording)], check=True, capture_output=True, text=True
-        ).stdout.strip()
+        for work in works:
+            command = [sys.executable, "-c", MEASURED, work, str(urdf), str(recording), folder]
+            told = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+            seconds, spent, above, before = map(float, told.split())
+            yield (
+                f"{work}, {rows} rows: {seconds:.1f} s, {spent:.1f} s of a processor, {rows / spent / 1e3:.1f} "
+                f"thousand rows/s, {above:.3f} GB above the {before:.3f} GB after import"
+            )
 
 
 if __name__ == "__main__":
-    rows = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
-    print(f"{rows} rows: {measure(rows)}")
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("rows", type=int, nargs="?", default=1_000_000)
+    options.add_argument("--work", nargs="+", choices=WORKS, default=WORKS)
+    given = options.parse_args()
+    for line in measure(given.rows, given.work):
+        print(line, flush=True)

@@ -75,7 +75,7 @@ def side_by_side(
     with _helpers(work, min(_processes(jobs), len(tasks)) - 1, waiting, done, problems):
         while len(found) < len(tasks):
             k, attempt = _next(waiting, done)
-            found[k] = _attempt(work, tasks[k]) if attempt is None else attempt
+            found[k] = attempt(work, tasks[k]) if attempt is None else attempt
             told(found[k])
     if problems:
         warnings.warn(f"all was done in one process; helpers cannot be used: {problems[0]}", stacklevel=2)
@@ -101,15 +101,20 @@ def help_parent() -> None:
         while work is not None:
             message = _receive(asked)
             try:
-                answer = pickle.dumps(_attempt(work, pickle.loads(message)))
+                answer = pickle.dumps(attempt(work, pickle.loads(message)))
             except Exception:
                 answer = b""
             _send(answers, answer)
 
 
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _processes(jobs: int | None) -> int:
     if jobs is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return cores()
     if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
         raise OptionError(f"jobs is {jobs!r}; expected a whole number of processes above 0")
     return jobs
@@ -212,7 +217,8 @@ def _receive(pipe: IO[bytes]) -> bytes:
     return pickle.load(pipe)
 
 
-def _attempt(work: Callable[[Task], Value], task: Task) -> Attempt[Value]:
+def attempt(work: Callable[[Task], Value], task: Task) -> Attempt[Value]:
+    """Do the work on one task, and return what came of it, an error too."""
     start, value, error = time.perf_counter(), None, None
     try:
         value = work(task)

@@ -11,7 +11,7 @@ _STATS = """\
 DIR/<recording>.stats holds second moments, what the recording is (name, size, SHA-256), and all that the moments depend
 on: kinematics and gravity of the robot, cut-off, options, version. From them,
   torchrbd identify ROBOT.urdf DIR/*.stats -o OUT
-gives to the last digit what 'identify ROBOT.urdf RECORDING... --estimator moments --cutoff HZ' gives. Clocks, sticking,
+gives, to rounding, what 'identify ROBOT.urdf RECORDING... --estimator moments --cutoff HZ' gives. Clocks, sticking,
 units and position noise are not looked into; 'diagnose' needs the recordings. Files that are there and up to date are
 not made again. Several processes, on one machine or on more that share the folders:
   torchrun --nproc-per-node 2 -m torchrbd stats ROBOT.urdf RECORDING... --cutoff HZ -o DIR"""

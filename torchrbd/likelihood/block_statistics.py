@@ -75,8 +75,11 @@ class BlockStatistics:
 
     def coarsened(self, limit: int) -> BlockStatistics:
         """Merge neighbours of the same recording until at most ``limit`` blocks are left (or one a recording)."""
+        times = halvings(self.blocks, limit)
+        if not times:
+            return self
         blocks, sums = self.blocks, (*self.moments, self.torque)
-        for _ in range(halvings(blocks, limit)):
+        for _ in range(times):
             blocks, sums = halved(blocks, sums)
         return replace(self, blocks=blocks, moments=sums[:-1], torque=sums[-1])
 

@@ -33,14 +33,18 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-def strict_yaml(text: str) -> Any:
+def strict_yaml(text: str, *, largest: int = _LARGEST) -> Any:
     """Return what YAML holds.
+
+    Args:
+        text: the YAML.
+        largest: characters that it may have; of what programs write there may be more.
 
     Raises:
         yaml.YAMLError: it is none, has a key twice, an alias, or is longer than a person writes.
     """
-    if len(text) > _LARGEST:
-        raise yaml.YAMLError(f"is {len(text)} characters long; expected a short file, at most {_LARGEST}")
+    if len(text) > largest:
+        raise yaml.YAMLError(f"is {len(text)} characters long; expected a short file, at most {largest}")
     try:
         return yaml.load(text, _Loader)
     except RecursionError:

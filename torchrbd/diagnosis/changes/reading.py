@@ -134,12 +134,16 @@ def _of_file(path: Path) -> Side:
             f"{file}: is no diagnosis.json as 'torchrbd diagnose' writes it ({type(error).__name__}: {error}); "
             "diagnose the recordings again"
         ) from None
-    inertia, bodies = _inertia(file.parent / _PARAMETERS)
+    inertia, bodies = read_inertia(file.parent / _PARAMETERS)
     return Side(name=str(path), inertia=inertia, bodies=bodies, **known)
 
 
-def _inertia(file: Path) -> tuple[Inertia | None, tuple[str, ...]]:
-    """Return what parameters.json says, if it lies beside and has intervals."""
+def read_inertia(file: Path) -> tuple[Inertia | None, tuple[str, ...]]:
+    """Return what parameters.json says, None if it is not there or has no intervals, and the owner of each parameter.
+
+    Raises:
+        InputError: it is none of ours.
+    """
     if not file.is_file():
         return None, ()
     content = _read(file)

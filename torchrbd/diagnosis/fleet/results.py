@@ -1,0 +1,102 @@
+"""What a comparison of a fleet takes and returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torchrbd.diagnosis.changes.inertia import Load
+from torchrbd.diagnosis.changes.reading import Inertia
+from torchrbd.diagnosis.changes.results import Difference
+from torchrbd.diagnosis.results import Quantity
+
+
+@dataclass(frozen=True)
+class Member:
+    """One robot of a fleet, identified.
+
+    Attributes:
+        name: in the fleet.
+        robot: name in its URDF.
+        verdict: of its identification.
+        nmse: mean over the joints of the last model, held out.
+        inertia: its base parameters.
+        bodies: owners of the inertial parameters.
+        terms: coefficients of friction and other terms, by name.
+        doubts: of its identification.
+    """
+
+    name: str
+    robot: str
+    verdict: str
+    nmse: float
+    inertia: Inertia
+    bodies: tuple[str, ...]
+    terms: dict[str, Quantity]
+    doubts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A parameter in which a robot differs from its sisters.
+
+    Attributes:
+        parameter: its name.
+        kind: "inertia", or the parameter of a term, such as "viscous".
+        value: the robot's.
+        median: the fleet's.
+        spread: w u, the standard deviation of what would be no difference.
+        z: (value - median) / spread.
+        chance: N P p(z): how many such differences a fleet of equal robots would have.
+    """
+
+    parameter: str
+    kind: str
+    value: Quantity
+    median: float
+    spread: float
+    z: float
+    chance: float
+
+
+@dataclass(frozen=True)
+class MemberResult:
+    """What became of one robot.
+
+    Attributes:
+        name: in the fleet.
+        verdict: of its identification; "failed" where there is none.
+        nmse: held out; NaN where it failed.
+        error: why it failed; empty if it did not.
+        sisters: how many robots it was compared with, itself among them.
+        deviations: where it differs from them, the most certain first.
+        load: a load that explains what is different in its inertia, or None.
+        changes: parameters that changed since the earlier time, by name; None without an earlier time.
+        statement: in a sentence for a person.
+        doubts: of its identification.
+    """
+
+    name: str
+    verdict: str
+    nmse: float
+    error: str
+    sisters: int
+    deviations: tuple[Deviation, ...]
+    load: Load | None
+    changes: dict[str, Difference] | None
+    statement: str
+    doubts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class FleetComparison:
+    """A fleet: who differs, what changed.
+
+    Attributes:
+        members: in the order given.
+        earlier: what the earlier time is called; empty without one.
+        statement: in a sentence or two.
+    """
+
+    members: tuple[MemberResult, ...]
+    earlier: str
+    statement: str

@@ -1,0 +1,154 @@
+"""Who differs from its sisters: each robot's parameters against the fleet's median.
+
+Robots with the same base parameters (same names, same K) are sisters. Parameter k of robot i has the value x_ik with
+the standard deviation s_ik of its posterior; base parameters, and coefficients of friction and other terms:
+
+    m_k = median_i x_ik,   z_ik = (x_ik - m_k) / (w_k u_ik),   u_ik^2 = s_ik^2 + (f v_k)^2 + pi/2 median_i s_ik^2 / n
+    w_k = max(1, r_k, r),   r_k = 1.4826 median_i |x_ik - m_k| / u_ik,   r the same over all parameters of k's kind
+
+f is a trifle that nobody would call a difference, 2 % of a coefficient and 0.5 % of the bodies in a base parameter, v_k
+that size; the last part of u is the error of the median. w is how far sisters are apart by nature, or intervals too
+narrow: friction that scatters by 30 % in a fleet has to be off by more than that. A robot differs where
+
+    N P p(z_ik) < 0.01,   p = 2 Phi(-|z|)
+
+with N robots and P parameters (Bonferroni), so that of a hundred fleets of equal robots about one has a false alarm, as
+far as errors are Gaussian and the scatter is known from enough of them. Medians want more than half of the sisters to
+be sound.
+
+Source: Rousseeuw, Croux, "Alternatives to the median absolute deviation", JASA 1993, for 1.4826 and the breakdown point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from torchrbd.diagnosis.changes.inertia import MOST_OF_URDF
+from torchrbd.diagnosis.changes.reading import Inertia
+from torchrbd.diagnosis.changes.results import INERTIAL_TRIFLE, TRIFLE
+from torchrbd.diagnosis.fleet.results import Deviation, Member
+from torchrbd.diagnosis.results import Quantity
+
+LEVEL = 0.01
+"""Probability of a false alarm in a fleet."""
+LEAST_SISTERS = 4
+"""Fewer have no median to speak of."""
+_NORMAL = 1.4826
+
+
+@dataclass(frozen=True)
+class _Values:
+    """One parameter of some robots: which, values, standard deviations, size, kind."""
+
+    name: str
+    kind: str
+    unit: str
+    robots: np.ndarray
+    values: np.ndarray
+    std: np.ndarray
+    size: float
+
+
+def sisters(members: Sequence[Member]) -> list[list[Member]]:
+    """Group robots whose parameters mean the same, in the order of their first."""
+    groups: list[list[Member]] = []
+    for one in members:
+        own = next((group for group in groups if _alike(group[0], one)), None)
+        if own is None:
+            groups.append([one])
+        else:
+            own.append(one)
+    return groups
+
+
+def _alike(one: Member, other: Member) -> bool:
+    a, b = one.inertia, other.inertia
+    if one.robot != other.robot or a.columns != b.columns or a.K.shape != b.K.shape:
+        return False
+    return bool(np.allclose(a.K, b.K, rtol=1e-6, atol=1e-9))
+
+
+def deviations(group: Sequence[Member]) -> dict[str, list[Deviation]]:
+    """Return by robot where it differs from its sisters, the most certain first; empty lists where it does not."""
+    found: dict[str, list[Deviation]] = {one.name: [] for one in group}
+    if len(group) < LEAST_SISTERS:
+        return found
+    measured = [one for one in (*_inertial(group), *_terms(group)) if len(one.robots) >= LEAST_SISTERS]
+    spread = {kind: _kind_spread([one for one in measured if one.kind == kind]) for kind in {m.kind for m in measured}}
+    tests = sum(len(one.robots) for one in measured)
+    for one in measured:
+        off, unit = _standardised(one)
+        wide = max(1.0, _robust(off), spread[one.kind])
+        log_p = np.log(2.0) + log_ndtr(-np.abs(off) / wide) + np.log(tests)
+        median = float(np.median(one.values))
+        for k in np.flatnonzero(log_p < np.log(LEVEL)).tolist():
+            name = group[one.robots[k]].name
+            value = Quantity(float(one.values[k]), float(one.std[k]), one.unit)
+            size, chance = float(off[k] / wide), float(np.exp(log_p[k]))
+            found[name].append(Deviation(one.name, one.kind, value, median, wide * float(unit[k]), size, chance))
+    return {name: sorted(own, key=lambda d: -abs(d.z)) for name, own in found.items()}
+
+
+def median_inertia(group: Sequence[Member]) -> Inertia:
+    """Return the base parameters of the fleet's median robot, as sure as it is."""
+    first = group[0].inertia
+    beta = np.stack([one.inertia.beta for one in group])
+    covariance = np.median([one.inertia.covariance for one in group], axis=0) * (np.pi / 2 / len(group))
+    return Inertia(
+        first.columns,
+        first.K,
+        np.median([one.inertia.pi for one in group], axis=0),
+        np.median(beta, axis=0),
+        covariance,
+        np.median([one.inertia.share for one in group], axis=0),
+        first.expressions,
+        first.units,
+    )
+
+
+def _inertial(group: Sequence[Member]) -> Iterable[_Values]:
+    first = group[0].inertia
+    size = np.median([np.abs(one.inertia.K) @ np.abs(one.inertia.pi) for one in group], axis=0)
+    for k, name in enumerate(first.expressions):
+        robots = np.array([i for i, one in enumerate(group) if one.inertia.share[k] < MOST_OF_URDF], dtype=int)
+        own = [group[i].inertia for i in robots]
+        values, std = np.array([x.beta[k] for x in own]), np.sqrt([x.covariance[k, k] for x in own])
+        yield _Values(name, "inertia", first.units[k], robots, values, std, INERTIAL_TRIFLE / TRIFLE * float(size[k]))
+
+
+def _terms(group: Sequence[Member]) -> Iterable[_Values]:
+    names = dict.fromkeys(name for one in group for name in one.terms)
+    for name in names:
+        robots = np.array([i for i, one in enumerate(group) if _told(one.terms, name)], dtype=int)
+        own = [group[i].terms[name] for i in robots]
+        values, std = np.array([q.value for q in own]), np.array([q.std for q in own])
+        size = float(np.abs(np.median(values))) if len(own) else 0.0
+        yield _Values(name, _kind(name), own[0].unit if own else "", robots, values, std, size)
+
+
+def _told(terms: Mapping[str, Quantity], name: str) -> bool:
+    return name in terms and bool(np.isfinite(terms[name].value)) and terms[name].std > 0
+
+
+def _kind(term: str) -> str:
+    """Return the parameter of a term without its place: "viscous" of "viscous_friction_joint1.viscous"."""
+    return term.rpartition(".")[2]
+
+
+def _standardised(one: _Values) -> tuple[np.ndarray, np.ndarray]:
+    """Return (x - m) / u and u."""
+    of_median = np.pi / 2 * np.median(one.std**2) / len(one.std)
+    u = np.sqrt(one.std**2 + (TRIFLE * one.size) ** 2 + of_median)
+    return (one.values - np.median(one.values)) / u, u
+
+
+def _robust(z: np.ndarray) -> float:
+    return _NORMAL * float(np.median(np.abs(z)))
+
+
+def _kind_spread(measured: Sequence[_Values]) -> float:
+    return _robust(np.concatenate([_standardised(one)[0] for one in measured]))

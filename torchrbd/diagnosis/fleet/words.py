@@ -1,0 +1,74 @@
+"""Sentences for a person about a fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from torchrbd.diagnosis.changes.inertia import Load
+from torchrbd.diagnosis.changes.results import Difference
+from torchrbd.diagnosis.fleet.results import Deviation, MemberResult
+from torchrbd.diagnosis.numbers import joined, measure, number, with_unit
+
+_MOST_NAMED = 3
+
+
+def of_member(
+    off: Sequence[Deviation],
+    load: Load | None,
+    changes: Mapping[str, Difference] | None,
+    sisters: int,
+    least: int,
+    earlier: bool,
+) -> str:
+    """Say of one robot how it differs from its sisters, and what changed."""
+    if sisters < least:
+        said = f"has {sisters - 1 or 'no'} sisters, too few to compare with"
+    elif not off:
+        said = f"is like its {sisters - 1} sisters"
+    else:
+        said = f"differs: {joined(_deviation(d) for d in off[:_MOST_NAMED])}{_more(len(off))}"
+        if load is not None:
+            said += f"; as if {' or '.join(load.links)} had {with_unit(measure(load.mass, 1.96 * load.std), 'kg')} more"
+    if changes is not None:
+        said += f"; {_changed(changes)}"
+    elif earlier:
+        said += "; of the earlier time nothing is known"
+    return said
+
+
+def of_fleet(members: Sequence[MemberResult]) -> str:
+    """Say what there is to look at."""
+    failed = [one.name for one in members if one.error]
+    off = [one.name for one in members if one.deviations]
+    changed = [one.name for one in members if one.changes]
+    parts = [f"{len(off)} of {len(members)} robots differ from their sisters" if off else "no robot differs from its sisters"]
+    if any(one.changes is not None for one in members):
+        parts.append(f"{len(changed)} changed" if changed else "none changed")
+    if failed:
+        parts.append(f"{len(failed)} could not be identified")
+    text = ", ".join(parts)
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def name(parameter: str) -> str:
+    """Return a parameter's name without what is said twice: "viscous friction joint1"."""
+    return parameter.rpartition(".")[0].replace("_", " ") or parameter
+
+
+def _deviation(d: Deviation) -> str:
+    return f"{name(d.parameter)} {with_unit(number(d.value.value), d.value.unit)} where the median is {number(d.median)}"
+
+
+def _changed(changes: Mapping[str, Difference]) -> str:
+    if not changes:
+        return "nothing has changed"
+    said = []
+    for parameter, d in list(changes.items())[:_MOST_NAMED]:
+        assert d.before is not None
+        assert d.after is not None
+        said.append(f"{name(parameter)} {number(d.before.value)} → {with_unit(number(d.after.value), d.after.unit)}")
+    return f"changed: {joined(said)}{_more(len(changes))}"
+
+
+def _more(count: int) -> str:
+    return f" and {count - _MOST_NAMED} more" if count > _MOST_NAMED else ""
