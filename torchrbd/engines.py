@@ -1,8 +1,7 @@
 """Work on many independent tasks by an engine: the processes of this machine, or a Dask cluster.
 
-Dask was chosen over Ray, both of which retry and survive the death of a worker: it and what it needs take 50 MB of disk
-against 265, it is plain Python, and a cluster is two commands (``dask scheduler``, ``dask worker``) on machines that see
-the same files.
+Dask was chosen over Ray, both of which retry and survive the death of a worker: it takes 50 MB of disk against 265, is
+plain Python, and a cluster is two commands (``dask scheduler``, ``dask worker``) on machines that see the same files.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, Literal, TypeVar
 
 from torchrbd.errors import OptionError, TorchRBDError
-from torchrbd.processes import Attempt, attempt, cores, side_by_side
+from torchrbd.processes import Attempt, attempted, cores, side_by_side
 
 Task = TypeVar("Task")
 Value = TypeVar("Value")
@@ -101,9 +100,9 @@ class _Attempted(Generic[Task, Value]):
     retries: int
 
     def __call__(self, task: Task) -> Attempt[Value]:
-        found = attempt(self.work, task)
+        found = attempted(self.work, task)
         for _ in range(self.retries if _again(found) else 0):
-            found = attempt(self.work, task)
+            found = attempted(self.work, task)
             if not _again(found):
                 break
         return found
@@ -144,7 +143,7 @@ def _client(engine: Engine) -> Iterator[Any]:
                     yield client
             except (OSError, ValueError) as error:
                 raise OptionError(
-                    f"scheduler '{engine.scheduler}': {error}; start 'dask scheduler' and give the address that it prints"
+                    f"scheduler '{engine.scheduler}': {error}; start 'dask scheduler', give the address that it prints"
                 ) from None
             return
         count = cores() if engine.jobs is None else engine.jobs

@@ -75,7 +75,7 @@ def side_by_side(
     with _helpers(work, min(_processes(jobs), len(tasks)) - 1, waiting, done, problems):
         while len(found) < len(tasks):
             k, attempt = _next(waiting, done)
-            found[k] = attempt(work, tasks[k]) if attempt is None else attempt
+            found[k] = attempted(work, tasks[k]) if attempt is None else attempt
             told(found[k])
     if problems:
         warnings.warn(f"all was done in one process; helpers cannot be used: {problems[0]}", stacklevel=2)
@@ -101,7 +101,7 @@ def help_parent() -> None:
         while work is not None:
             message = _receive(asked)
             try:
-                answer = pickle.dumps(attempt(work, pickle.loads(message)))
+                answer = pickle.dumps(attempted(work, pickle.loads(message)))
             except Exception:
                 answer = b""
             _send(answers, answer)
@@ -217,7 +217,7 @@ def _receive(pipe: IO[bytes]) -> bytes:
     return pickle.load(pipe)
 
 
-def attempt(work: Callable[[Task], Value], task: Task) -> Attempt[Value]:
+def attempted(work: Callable[[Task], Value], task: Task) -> Attempt[Value]:
     """Do the work on one task, and return what came of it, an error too."""
     start, value, error = time.perf_counter(), None, None
     try:

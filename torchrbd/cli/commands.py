@@ -15,6 +15,7 @@ from rich.console import Console
 from torchrbd.cli.each import identify_each
 from torchrbd.cli.exporting import export
 from torchrbd.cli.files import REPORT, write_results
+from torchrbd.cli.fleet import fleet
 from torchrbd.cli.inspecting import inspect
 from torchrbd.cli.progress import progress_bar
 from torchrbd.cli.settings import settings_of
@@ -106,6 +107,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "inspect": inspect,
     "stats": stats,
     "merge": merge,
+    "fleet": fleet,
     "effects": lambda _: print_effects(effects().values()),
     "demo": _demo,
 }

@@ -23,6 +23,17 @@ def write_results(result: Identification | Diagnosis | EstimatorComparison, fold
     if isinstance(result, EstimatorComparison):
         write_comparison(result, folder / "estimators.json")
         return ("estimators.json",)
+    write_identified(result, folder)
+    names = IDENTIFIED
+    if isinstance(result, Diagnosis):
+        write_diagnosis(result, folder / "diagnosis.json")
+        names = (*names, "diagnosis.json")
+    write_report(result, folder / REPORT)
+    return names
+
+
+def write_identified(result: Identification | Diagnosis, folder: Path) -> None:
+    """Write what other tools read of an identification into a folder."""
     identification = result.identification if isinstance(result, Diagnosis) else result
     parameters, urdf, model = (folder / name for name in IDENTIFIED)
     write_parameters(identification, parameters)
@@ -31,9 +42,3 @@ def write_results(result: Identification | Diagnosis | EstimatorComparison, fold
         save_model(identification.model, model)
     else:
         BayesianDynamics.from_diagnosis(result).save(model)
-    names = IDENTIFIED
-    if isinstance(result, Diagnosis):
-        write_diagnosis(result, folder / "diagnosis.json")
-        names = (*names, "diagnosis.json")
-    write_report(result, folder / REPORT)
-    return names

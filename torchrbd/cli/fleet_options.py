@@ -17,6 +17,19 @@ not made again. Several processes, on one machine or on more that share the fold
   torchrun --nproc-per-node 2 -m torchrbd stats ROBOT.urdf RECORDING... --cutoff HZ -o DIR"""
 
 
+_FLEET = """\
+ROBOTS.yaml, files sought from its folder:
+  options: {cutoff: 5}            # of 'torchrbd identify', for all; optional
+  robots:
+    - name: cell-1
+      urdf: arm.urdf
+      recordings: [cell-1/monday.parquet, cell-1/tuesday.parquet]
+      mapping: driver.yaml        # optional, as are options of this robot alone
+DIR/<name> holds what 'identify' writes, without its report; DIR/fleet.html and fleet.json say who differs from its
+sisters, robots with the same kinematics, and what changed. What is there, made from the same files and options, is not
+identified again."""
+
+
 def add_stats(sub: argparse.ArgumentParser) -> None:
     """Add what ``stats`` understands."""
     add_robot(sub)
@@ -36,3 +49,20 @@ def add_merge(sub: argparse.ArgumentParser) -> None:
 
 def add_fleet(sub: argparse.ArgumentParser) -> None:
     """Add what ``fleet`` understands."""
+    sub.add_argument("robots", type=Path, metavar="ROBOTS.yaml", help="list of robots, see below")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for the results")
+    sub.add_argument(
+        "--before", type=Path, metavar="DIR", help="results of the same fleet at an earlier time: say what changed"
+    )
+    sub.add_argument(
+        "--engine",
+        choices=("local", "dask"),
+        default="local",
+        help="processes of this machine, or a Dask cluster: pip install 'torchrbd[fleet]' (default: %(default)s)",
+    )
+    sub.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster (default: processes of this machine)")
+    sub.add_argument("-j", "--jobs", type=int, metavar="N", help="processes on this machine (default: one a core)")
+    sub.add_argument(
+        "--retries", type=int, default=2, metavar="N", help="of a robot whose process has died (default: %(default)s)"
+    )
+    sub.epilog = _FLEET

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranked, Ranking
+from torchrbd.diagnosis.fleet.results import FleetComparison
 from torchrbd.inference import EstimatorComparison, Identification
 from torchrbd.outputs import write_whole
 from torchrbd.robot import RobotModel
@@ -157,6 +158,21 @@ def write_changes(result: Comparison, path: Path) -> None:
         of a change (null where nobody knows), parameters by name (before and after: value, std, unit, urdf;
         difference, std, probability), statement.
     notes: what else to know of the two.
+    """
+    _write(path, {"schema": SCHEMA, **asdict(result)})
+
+
+def write_fleet(result: FleetComparison, path: Path) -> None:
+    """Write what a comparison of a fleet found.
+
+    statement: in a sentence.
+    earlier: folder of the earlier time, empty without one.
+    members: in the order given: list of name, verdict of the identification ("failed" where there is none), nmse (held
+        out, mean over the joints), error (why it failed), sisters (robots it was compared with, itself among them),
+        deviations (most certain first: parameter, kind, value with std, median, spread, z, chance: the number of such
+        differences in a fleet of equal robots), load (links, mass, std: what would explain a difference in inertia) or
+        null, changes by parameter (before, after, difference, std, probability; null without an earlier time),
+        statement, doubts.
     """
     _write(path, {"schema": SCHEMA, **asdict(result)})
 

@@ -20,7 +20,11 @@ _FILE = "parameters.json"
 
 
 def compare_fleet(
-    folder: str | Path, names: Sequence[str], *, before: str | Path | None = None, failed: Mapping[str, str] | None = None
+    folder: str | Path,
+    names: Sequence[str],
+    *,
+    before: str | Path | None = None,
+    failed: Mapping[str, str] | None = None,
 ) -> FleetComparison:
     """Say who differs from its sisters, and what changed.
 
@@ -35,7 +39,9 @@ def compare_fleet(
     """
     failed, folder = failed or {}, Path(folder)
     members = [read_member(folder / name, name) for name in names if name not in failed]
-    found = {name: MemberResult(name, "failed", math.nan, why, 0, (), None, None, why, ()) for name, why in failed.items()}
+    found = {
+        name: MemberResult(name, "failed", math.nan, why, 0, (), None, None, why, ()) for name, why in failed.items()
+    }
     for group in sisters(members):
         off = deviations(group)
         median = median_inertia(group)

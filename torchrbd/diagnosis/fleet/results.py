@@ -44,7 +44,7 @@ class Deviation:
         kind: "inertia", or the parameter of a term, such as "viscous".
         value: the robot's.
         median: the fleet's.
-        spread: w u, the standard deviation of what would be no difference.
+        spread: standard deviation of what would be no difference, see ``sisters.py``.
         z: (value - median) / spread.
         chance: N P p(z): how many such differences a fleet of equal robots would have.
     """

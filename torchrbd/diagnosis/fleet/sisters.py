@@ -3,24 +3,27 @@
 Robots with the same base parameters (same names, same K) are sisters. Parameter k of robot i has the value x_ik with
 the standard deviation s_ik of its posterior; base parameters, and coefficients of friction and other terms:
 
-    m_k = median_i x_ik,   z_ik = (x_ik - m_k) / (w_k u_ik),   u_ik^2 = s_ik^2 + (f v_k)^2 + pi/2 median_i s_ik^2 / n
-    w_k = max(1, r_k, r),   r_k = 1.4826 median_i |x_ik - m_k| / u_ik,   r the same over all parameters of k's kind
+    m_k = median_i x_ik,   u_ik^2 = s_ik^2 + pi/2 median_i s_ik^2 / n,   z_ik = (x_ik - m_k) / sqrt(u_ik^2 + t_k^2)
+    t_k^2 = (1.4826 median_i |x_ik - m_k|)^2 - median_i u_ik^2, or 0
 
-f is a trifle that nobody would call a difference, 2 % of a coefficient and 0.5 % of the bodies in a base parameter, v_k
-that size; the last part of u is the error of the median. w is how far sisters are apart by nature, or intervals too
-narrow: friction that scatters by 30 % in a fleet has to be off by more than that. A robot differs where
+t_k is how far sisters are apart by nature, or intervals too narrow: friction that scatters by 30 % in a fleet has to be
+off by more than that. It is no less than v_k median_l (t_l / v_l) over the parameters l of the same kind, since in a
+small fleet one median tells little; v is the size of a parameter, of the bodies in it for base parameters. The second
+part of u is the error of the median. A robot differs where
 
-    N P p(z_ik) < 0.01,   p = 2 Phi(-|z|)
+    N P p(z_ik) < 0.01,   p = 2 Phi(-|z|),   and   |x_ik - m_k| > f v_k
 
 with N robots and P parameters (Bonferroni), so that of a hundred fleets of equal robots about one has a false alarm, as
-far as errors are Gaussian and the scatter is known from enough of them. Medians want more than half of the sisters to
-be sound.
+far as errors are Gaussian and the scatter is known from enough of them; f is a trifle that nobody would call a
+difference, 2 % of a coefficient and 0.5 % of the bodies in a base parameter. Medians want more than half of the sisters
+to be sound.
 
-Source: Rousseeuw, Croux, "Alternatives to the median absolute deviation", JASA 1993, for 1.4826 and the breakdown point.
+Source: Rousseeuw, Croux, "Alternatives to the median absolute deviation", JASA 1993: 1.4826 and the breakdown point.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -42,7 +45,7 @@ _NORMAL = 1.4826
 
 @dataclass(frozen=True)
 class _Values:
-    """One parameter of some robots: which, values, standard deviations, size, kind."""
+    """One parameter of n robots: which they are, x (n,), s (n,), the size v, and what part of it is a trifle."""
 
     name: str
     kind: str
@@ -51,6 +54,22 @@ class _Values:
     values: np.ndarray
     std: np.ndarray
     size: float
+    trifle: float
+
+    @property
+    def off(self) -> np.ndarray:
+        """x - m, (n,)."""
+        return self.values - np.median(self.values)
+
+    @property
+    def error(self) -> np.ndarray:
+        """u, (n,)."""
+        return np.sqrt(self.std**2 + np.pi / 2 * np.median(self.std**2) / len(self.std))
+
+    @property
+    def scatter(self) -> float:
+        """t of this parameter alone."""
+        return math.sqrt(max((_NORMAL * np.median(np.abs(self.off))) ** 2 - np.median(self.error**2), 0.0))
 
 
 def sisters(members: Sequence[Member]) -> list[list[Member]]:
@@ -78,18 +97,18 @@ def deviations(group: Sequence[Member]) -> dict[str, list[Deviation]]:
     if len(group) < LEAST_SISTERS:
         return found
     measured = [one for one in (*_inertial(group), *_terms(group)) if len(one.robots) >= LEAST_SISTERS]
-    spread = {kind: _kind_spread([one for one in measured if one.kind == kind]) for kind in {m.kind for m in measured}}
     tests = sum(len(one.robots) for one in measured)
     for one in measured:
-        off, unit = _standardised(one)
-        wide = max(1.0, _robust(off), spread[one.kind])
-        log_p = np.log(2.0) + log_ndtr(-np.abs(off) / wide) + np.log(tests)
-        median = float(np.median(one.values))
-        for k in np.flatnonzero(log_p < np.log(LEVEL)).tolist():
-            name = group[one.robots[k]].name
+        alike = [other for other in measured if other.kind == one.kind]
+        scatter = max(one.scatter, one.size * float(np.median([x.scatter / max(x.size, 1e-300) for x in alike])))
+        spread = np.hypot(one.error, scatter)
+        z = one.off / spread
+        log_chance = math.log(2.0 * tests) + log_ndtr(-np.abs(z))
+        differs = (log_chance < math.log(LEVEL)) & (np.abs(one.off) > one.trifle * one.size)
+        for k in np.flatnonzero(differs).tolist():
             value = Quantity(float(one.values[k]), float(one.std[k]), one.unit)
-            size, chance = float(off[k] / wide), float(np.exp(log_p[k]))
-            found[name].append(Deviation(one.name, one.kind, value, median, wide * float(unit[k]), size, chance))
+            numbers = float(np.median(one.values)), float(spread[k]), float(z[k]), math.exp(log_chance[k])
+            found[group[one.robots[k]].name].append(Deviation(one.name, one.kind, value, *numbers))
     return {name: sorted(own, key=lambda d: -abs(d.z)) for name, own in found.items()}
 
 
@@ -117,7 +136,7 @@ def _inertial(group: Sequence[Member]) -> Iterable[_Values]:
         robots = np.array([i for i, one in enumerate(group) if one.inertia.share[k] < MOST_OF_URDF], dtype=int)
         own = [group[i].inertia for i in robots]
         values, std = np.array([x.beta[k] for x in own]), np.sqrt([x.covariance[k, k] for x in own])
-        yield _Values(name, "inertia", first.units[k], robots, values, std, INERTIAL_TRIFLE / TRIFLE * float(size[k]))
+        yield _Values(name, "inertia", first.units[k], robots, values, std, float(size[k]), INERTIAL_TRIFLE)
 
 
 def _terms(group: Sequence[Member]) -> Iterable[_Values]:
@@ -127,7 +146,7 @@ def _terms(group: Sequence[Member]) -> Iterable[_Values]:
         own = [group[i].terms[name] for i in robots]
         values, std = np.array([q.value for q in own]), np.array([q.std for q in own])
         size = float(np.abs(np.median(values))) if len(own) else 0.0
-        yield _Values(name, _kind(name), own[0].unit if own else "", robots, values, std, size)
+        yield _Values(name, _kind(name), own[0].unit if own else "", robots, values, std, size, TRIFLE)
 
 
 def _told(terms: Mapping[str, Quantity], name: str) -> bool:
@@ -137,18 +156,3 @@ def _told(terms: Mapping[str, Quantity], name: str) -> bool:
 def _kind(term: str) -> str:
     """Return the parameter of a term without its place: "viscous" of "viscous_friction_joint1.viscous"."""
     return term.rpartition(".")[2]
-
-
-def _standardised(one: _Values) -> tuple[np.ndarray, np.ndarray]:
-    """Return (x - m) / u and u."""
-    of_median = np.pi / 2 * np.median(one.std**2) / len(one.std)
-    u = np.sqrt(one.std**2 + (TRIFLE * one.size) ** 2 + of_median)
-    return (one.values - np.median(one.values)) / u, u
-
-
-def _robust(z: np.ndarray) -> float:
-    return _NORMAL * float(np.median(np.abs(z)))
-
-
-def _kind_spread(measured: Sequence[_Values]) -> float:
-    return _robust(np.concatenate([_standardised(one)[0] for one in measured]))

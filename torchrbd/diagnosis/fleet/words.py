@@ -41,7 +41,9 @@ def of_fleet(members: Sequence[MemberResult]) -> str:
     failed = [one.name for one in members if one.error]
     off = [one.name for one in members if one.deviations]
     changed = [one.name for one in members if one.changes]
-    parts = [f"{len(off)} of {len(members)} robots differ from their sisters" if off else "no robot differs from its sisters"]
+    parts = [
+        f"{len(off)} of {len(members)} robots differ from their sisters" if off else "no robot differs from its sisters"
+    ]
     if any(one.changes is not None for one in members):
         parts.append(f"{len(changed)} changed" if changed else "none changed")
     if failed:
@@ -56,7 +58,9 @@ def name(parameter: str) -> str:
 
 
 def _deviation(d: Deviation) -> str:
-    return f"{name(d.parameter)} {with_unit(number(d.value.value), d.value.unit)} where the median is {number(d.median)}"
+    return (
+        f"{name(d.parameter)} {with_unit(number(d.value.value), d.value.unit)} where the median is {number(d.median)}"
+    )
 
 
 def _changed(changes: Mapping[str, Difference]) -> str:

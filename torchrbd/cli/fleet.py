@@ -1,0 +1,145 @@
+"""Identify every robot of a fleet, a folder each, and compare them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from torchrbd import __version__
+from torchrbd.cli.files import write_identified
+from torchrbd.cli.progress import progress_bar
+from torchrbd.cli.tables import print_fleet
+from torchrbd.diagnosis.fleet.compare import compare_fleet
+from torchrbd.diagnosis.fleet.results import FleetComparison
+from torchrbd.engines import Engine
+from torchrbd.errors import InputError, OptionError, TorchRBDError
+from torchrbd.export.json_files import write_fleet
+from torchrbd.inference import identify
+from torchrbd.inference.robots_file import RobotEntry, read_robots
+from torchrbd.inference.statistics.building import digest
+from torchrbd.likelihood.reading import Progress
+from torchrbd.outputs import OutputFolder, write_whole
+from torchrbd.physics import Effect, effects, register
+from torchrbd.processes import Attempt
+from torchrbd.report.fleet import write_fleet_report
+
+# What a robot's files were made from, beside them; the last that is written.
+_MADE_FROM = "made_from.json"
+
+
+def fleet(options: argparse.Namespace) -> None:
+    """Identify what is not identified yet, compare all, and show who differs.
+
+    Raises:
+        InputError: some could not be identified; it says which and why, the others are done.
+    """
+    robots = read_robots(options.robots)
+    engine = Engine(options.engine, options.jobs, options.scheduler, options.retries)
+    _check_before(options.before)
+    with OutputFolder(options.output) as folder, progress_bar(time_left=True) as progress:
+        failed = identify_fleet(robots, options.output, engine, progress)
+        if len(failed) == len(robots):
+            raise InputError(f"no robot could be identified{_reasons(failed)}")
+        progress("comparing", 1.0)
+        names = [one.name for one in robots]
+        result = compare_fleet(options.output, names, before=options.before, failed=failed)
+        folder.fill(partial(_write, result))
+    print_fleet(result)
+    words = f"wrote fleet.json and fleet.html to {options.output}, and what was identified to {options.output}/<robot>"
+    Console(highlight=False, soft_wrap=True).print(words, markup=False)
+    if failed:
+        raise InputError(f"{len(failed)} of {len(robots)} robots could not be identified{_reasons(failed)}")
+
+
+def identify_fleet(robots: Sequence[RobotEntry], output: Path, engine: Engine, progress: Progress) -> dict[str, str]:
+    """Identify those whose files are not there, or were made from something else; return by name why some failed."""
+    progress("looking at what is there", 0.0)
+    failed: dict[str, str] = {}
+    tasks: list[tuple[RobotEntry, str]] = []
+    for one in robots:
+        try:
+            made_from = _made_from(one)
+        except OSError as error:
+            failed[one.name] = f"{error.filename}: {error.strerror}"
+            continue
+        file = output / one.name / _MADE_FROM
+        if not file.is_file() or file.read_text(encoding="utf-8") != made_from:
+            tasks.append((one, made_from))
+    counted = {"identified": 0, "failed": len(failed)}
+
+    def told(attempt: Attempt[None]) -> None:
+        counted["identified" if attempt.error is None else "failed"] += 1
+        tell()
+
+    def tell() -> None:
+        there = len(robots) - len(tasks) - len(failed)
+        words = f"{there} there, {counted['identified']} identified, {counted['failed']} failed, of {len(robots)}"
+        progress(words, sum(counted.values()) / max(1, len(tasks) + len(failed)))
+
+    tell()
+    work = _Identified(output.absolute(), tuple(effects().values()))
+    for (one, _), attempt in zip(tasks, engine.done(work, tasks, told), strict=True):
+        if attempt.error is not None:
+            failed[one.name] = _reason(attempt.error)
+    return failed
+
+
+@dataclass(frozen=True)
+class _Identified:
+    """Identify one robot and write its files, in any process; all know the same effects."""
+
+    output: Path
+    known: tuple[Effect, ...]
+
+    def __call__(self, task: tuple[RobotEntry, str]) -> None:
+        for one in self.known:
+            register(one)
+        entry, made_from = task
+        found = identify(entry.urdf, entry.recordings, **entry.options)
+        folder = self.output / entry.name
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / _MADE_FROM).unlink(missing_ok=True)
+        write_identified(found, folder)
+        write_whole(folder / _MADE_FROM, made_from.encode())
+
+
+def _made_from(entry: RobotEntry) -> str:
+    """Return what a robot's results depend on, as JSON.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    files = {"urdf": entry.urdf, **{f"recording {k}": path for k, path in enumerate(entry.recordings)}}
+    options = {key: value for key, value in entry.options.items() if key != "mapping"}
+    if "mapping" in entry.options:
+        files["mapping"] = entry.options["mapping"]
+    content = {
+        "version": __version__,
+        "options": options,
+        "files": {key: [path.name, *digest(path)] for key, path in files.items()},
+    }
+    return json.dumps(content, indent=1, sort_keys=True, default=str)
+
+
+def _check_before(before: Path | None) -> None:
+    if before is not None and not before.is_dir():
+        raise OptionError(f"--before '{before}': expected the folder of an earlier 'torchrbd fleet -o'")
+
+
+def _write(result: FleetComparison, folder: Path) -> None:
+    write_fleet(result, folder / "fleet.json")
+    write_fleet_report(result, folder / "fleet.html")
+
+
+def _reason(error: Exception) -> str:
+    return str(error) if isinstance(error, TorchRBDError | OSError) else f"{type(error).__name__}: {error}"
+
+
+def _reasons(failed: Mapping[str, str]) -> str:
+    return "".join(f"\n  {name}: {why}" for name, why in failed.items())
