@@ -4,21 +4,22 @@ Robots with the same base parameters (same names, same K) are sisters. Parameter
 the standard deviation s_ik of its posterior; base parameters, and coefficients of friction and other terms:
 
     m_k = median_i x_ik,   u_ik^2 = s_ik^2 + pi/2 median_i s_ik^2 / n,   z_ik = (x_ik - m_k) / sqrt(u_ik^2 + t_k^2)
-    t_k^2 = (1.4826 median_i |x_ik - m_k|)^2 - median_i u_ik^2, or 0
+    t_k^2 = (1.4826 b median_i |x_ik - m_k|)^2 - median_i u_ik^2, or 0,   b = n / (n - 0.8)
 
 t_k is how far sisters are apart by nature, or intervals too narrow: friction that scatters by 30 % in a fleet has to be
-off by more than that. It is no less than v_k median_l (t_l / v_l) over the parameters l of the same kind, since in a
+off by more than that. It is no less than v_k median_l (t_l / v_l) over the L parameters l of the same kind, since in a
 small fleet one median tells little; v is the size of a parameter, of the bodies in it for base parameters. The second
 part of u is the error of the median. A robot differs where
 
-    N P p(z_ik) < 0.01,   p = 2 Phi(-|z|),   and   |x_ik - m_k| > f v_k
+    N P p(z_ik) < 0.01   and   |x_ik - m_k| > f v_k
 
-with N robots and P parameters (Bonferroni), so that of a hundred fleets of equal robots about one has a false alarm, as
-far as errors are Gaussian and the scatter is known from enough of them; f is a trifle that nobody would call a
-difference, 2 % of a coefficient and 0.5 % of the bodies in a base parameter. Medians want more than half of the sisters
-to be sound.
+with N robots and P parameters (Bonferroni), so that of a hundred fleets of equal robots one has a false alarm. p is the
+two-sided probability of Student's t with 0.37 (n - 1) L (1 + u^2 / t^2)^2 degrees of freedom (Welch, Satterthwaite;
+0.37 is the efficiency of a median of absolute deviations). f is a trifle that nobody would call a difference, 2 % of a
+coefficient and 0.5 % of the bodies in a base parameter. Medians want more than half of the sisters to be sound.
 
-Source: Rousseeuw, Croux, "Alternatives to the median absolute deviation", JASA 1993: 1.4826 and the breakdown point.
+Source: Rousseeuw, Croux, "Alternatives to the median absolute deviation", JASA 1993: 1.4826, 0.37; Croux, Rousseeuw,
+"Time-efficient algorithms for two highly robust estimators of scale", COMPSTAT 1992: b, there for n > 9.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import log_ndtr
+from scipy.special import stdtr
 
 from torchrbd.diagnosis.changes.inertia import MOST_OF_URDF
 from torchrbd.diagnosis.changes.reading import Inertia
@@ -38,9 +39,9 @@ from torchrbd.diagnosis.results import Quantity
 
 LEVEL = 0.01
 """Probability of a false alarm in a fleet."""
-LEAST_SISTERS = 4
-"""Fewer have no median to speak of."""
-_NORMAL = 1.4826
+LEAST_SISTERS = 6
+"""Of five that scatter, nine fleets of a hundred had a false alarm."""
+_NORMAL, _EFFICIENCY, _LEAST_SHARE = 1.4826, 0.37, 1e-9
 
 
 @dataclass(frozen=True)
@@ -66,10 +67,11 @@ class _Values:
         """u, (n,)."""
         return np.sqrt(self.std**2 + np.pi / 2 * np.median(self.std**2) / len(self.std))
 
-    @property
     def scatter(self) -> float:
-        """t of this parameter alone."""
-        return math.sqrt(max((_NORMAL * np.median(np.abs(self.off))) ** 2 - np.median(self.error**2), 0.0))
+        """Return t of this parameter alone."""
+        b = len(self.values) / (len(self.values) - 0.8)
+        apart = _NORMAL * b * float(np.median(np.abs(self.off)))
+        return math.sqrt(max(apart**2 - float(np.median(self.error**2)), 0.0))
 
 
 def sisters(members: Sequence[Member]) -> list[list[Member]]:
@@ -98,16 +100,18 @@ def deviations(group: Sequence[Member]) -> dict[str, list[Deviation]]:
         return found
     measured = [one for one in (*_inertial(group), *_terms(group)) if len(one.robots) >= LEAST_SISTERS]
     tests = sum(len(one.robots) for one in measured)
+    scatters = {one.name: one.scatter() for one in measured}
     for one in measured:
-        alike = [other for other in measured if other.kind == one.kind]
-        scatter = max(one.scatter, one.size * float(np.median([x.scatter / max(x.size, 1e-300) for x in alike])))
+        alike = [scatters[x.name] / max(x.size, 1e-300) for x in measured if x.kind == one.kind]
+        scatter = max(scatters[one.name], one.size * float(np.median(alike)))
         spread = np.hypot(one.error, scatter)
         z = one.off / spread
-        log_chance = math.log(2.0 * tests) + log_ndtr(-np.abs(z))
-        differs = (log_chance < math.log(LEVEL)) & (np.abs(one.off) > one.trifle * one.size)
+        share = np.maximum((scatter / spread) ** 4, _LEAST_SHARE)
+        chance = 2.0 * tests * stdtr(_EFFICIENCY * (len(one.robots) - 1) * len(alike) / share, -np.abs(z))
+        differs = (chance < LEVEL) & (np.abs(one.off) > one.trifle * one.size)
         for k in np.flatnonzero(differs).tolist():
             value = Quantity(float(one.values[k]), float(one.std[k]), one.unit)
-            numbers = float(np.median(one.values)), float(spread[k]), float(z[k]), math.exp(log_chance[k])
+            numbers = float(np.median(one.values)), float(spread[k]), float(z[k]), float(chance[k])
             found[group[one.robots[k]].name].append(Deviation(one.name, one.kind, value, *numbers))
     return {name: sorted(own, key=lambda d: -abs(d.z)) for name, own in found.items()}
 

@@ -53,8 +53,12 @@ def of_fleet(members: Sequence[MemberResult]) -> str:
 
 
 def name(parameter: str) -> str:
-    """Return a parameter's name without what is said twice: "viscous friction joint1"."""
-    return parameter.rpartition(".")[0].replace("_", " ") or parameter
+    """Return a parameter as a person reads it: "viscous friction joint1"; a combination of inertial ones as it is."""
+    term, _, own = parameter.rpartition(".")
+    if not own.isidentifier():
+        return parameter
+    more = f", {own}" if own not in term else ""
+    return f"{term}{more}".replace("_", " ")
 
 
 def _deviation(d: Deviation) -> str:

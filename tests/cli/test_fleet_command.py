@@ -1,0 +1,94 @@
+"""The command for a fleet: a folder for each robot, who differs, resuming, and what failed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inference.problems import urdf_of
+from simulated import Motion, joint_names, record
+
+from torchrbd.cli import main
+
+URDF = urdf_of(2, 2)
+ROBOTS = 7
+
+
+def write(path: Path, seed: int, viscous: float = 0.4) -> None:
+    """Record an arm with friction."""
+
+    def friction(motion: Motion) -> np.ndarray:
+        return motion.qd * [viscous, 0.4]
+
+    (chunk,) = record(URDF, seed, extra=friction, duration_s=12.0).chunks(10**6)
+    np.savez(path, t=chunk.t, q=chunk.q, tau=chunk.tau, joints=np.array(joint_names(URDF)))
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with robots.yaml, the last of which has twice the viscous friction at its first joint, and its results.
+
+    Moments are enough here, and quick.
+    """
+    folder = tmp_path_factory.mktemp("fleet")
+    (folder / "arm.urdf").write_text(URDF)
+    lines = ["options: {estimator: moments, effects: viscous_friction}", "robots:"]
+    for k in range(ROBOTS):
+        write(folder / f"arm{k}.npz", k, 0.8 if k == ROBOTS - 1 else 0.4)
+        lines.append(f"  - {{name: arm{k}, urdf: arm.urdf, recordings: arm{k}.npz}}")
+    (folder / "robots.yaml").write_text("\n".join(lines))
+    assert main(["fleet", str(folder / "robots.yaml"), "-o", str(folder / "out"), "-j", "1"]) == 0
+    return folder
+
+
+def members(folder: Path) -> dict[str, dict]:
+    return {one["name"]: one for one in json.loads((folder / "fleet.json").read_text())["members"]}
+
+
+def test_the_robot_that_differs_is_told(case: Path) -> None:
+    found = members(case / "out")
+    told = {name: [d["parameter"] for d in one["deviations"]] for name, one in found.items() if one["deviations"]}
+    joint = joint_names(URDF)[0]
+    assert told == {f"arm{ROBOTS - 1}": [f"viscous_friction_{joint}.viscous"]}
+    assert {path.name for path in (case / "out" / "arm0").iterdir()} == {
+        "parameters.json", "identified.urdf", "model.safetensors", "made_from.json",
+    }  # fmt: skip
+    assert (case / "out" / "fleet.html").is_file()
+
+
+def test_what_is_there_is_not_identified_again_and_failures_do_not_stop_others(
+    case: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {k: (case / "out" / f"arm{k}" / "parameters.json").stat().st_mtime_ns for k in range(ROBOTS)}
+    listed = case / "more.yaml"
+    gone, torn = (
+        f"\n  - {{name: {file[:4]}, urdf: arm.urdf, recordings: {file}}}" for file in ("gone.npz", "torn.csv")
+    )
+    listed.write_text((case / "robots.yaml").read_text() + gone + torn)
+    (case / "torn.csv").write_text("t,q_joint1\n0,0\n")
+    write(case / "arm1.npz", 31)
+    assert main(["fleet", str(listed), "-o", str(case / "out"), "-j", "1"]) == 2
+    told = capsys.readouterr()
+    assert "2 of 9 robots could not be identified" in told.err
+    assert "gone.npz: No such file or directory" in told.err
+    assert "torn: " in told.err
+    after = {k: (case / "out" / f"arm{k}" / "parameters.json").stat().st_mtime_ns for k in range(ROBOTS)}
+    assert [k for k in range(ROBOTS) if after[k] != before[k]] == [1]
+    assert [name for name, one in members(case / "out").items() if one["verdict"] == "failed"] == ["gone", "torn"]
+
+
+def test_what_changed_since_an_earlier_time(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (case / "robots.yaml").read_text()
+    write(tmp_path / "arm2.npz", 42, 0.6)
+    listed = tmp_path / "robots.yaml"
+    listed.write_text(text.replace("urdf: ", f"urdf: {case}/").replace("recordings: arm", f"recordings: {case}/arm"))
+    listed.write_text(listed.read_text().replace(f"{case}/arm2.npz", "arm2.npz"))
+    out = tmp_path / "out"
+    assert main(["fleet", str(listed), "-o", str(out), "-j", "1", "--before", str(case / "out")]) == 0
+    changed = {name: list(one["changes"]) for name, one in members(out).items() if one["changes"]}
+    assert changed == {"arm2": [f"viscous_friction_{joint_names(URDF)[0]}.viscous"]}
+    assert "1 changed" in capsys.readouterr().out
+    assert main(["fleet", str(listed), "-o", str(out), "--before", str(tmp_path / "none")]) == 2
+    assert "expected the folder of an earlier 'torchrbd fleet -o'" in capsys.readouterr().err

@@ -1,0 +1,70 @@
+"""The list of a fleet's robots is read strictly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from torchrbd import OptionError
+from torchrbd.inference.robots_file import read_robots
+
+ROBOT = "{name: a, urdf: arm.urdf, recordings: a.csv}"
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "robots.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_files_are_sought_from_the_folder_and_options_are_shared(tmp_path: Path) -> None:
+    text = """
+options: {cutoff: 5, kappa: 2}
+robots:
+  - {name: cell-1, urdf: arm.urdf, recordings: [a.csv, b.csv]}
+  - {name: cell 2, urdf: other/arm.urdf, recordings: c.csv, mapping: m.yaml, options: {cutoff: 8, holdout-fraction: .3}}
+"""
+    one, other = read_robots(written(tmp_path, text))
+    assert (one.name, one.urdf, one.recordings) == (
+        "cell-1",
+        tmp_path / "arm.urdf",
+        (tmp_path / "a.csv", tmp_path / "b.csv"),
+    )
+    assert one.options == {"cutoff_hz": 5, "kappa": 2}
+    assert other.urdf == tmp_path / "other" / "arm.urdf"
+    assert other.options == {"cutoff_hz": 8, "kappa": 2, "holdout_fraction": 0.3, "mapping": tmp_path / "m.yaml"}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("robots: [", "robots.yaml: is not YAML in UTF-8"),
+        ("[]", "robots.yaml: expected keys options, robots; got"),
+        ("robots: []", "expected 'robots:' and a list of robots"),
+        (f"robots: [{ROBOT}]\nrobot: 1", "unknown key 'robot'; did you mean 'robots'?"),
+        (f"robots: [{ROBOT}]\nrobots: [{ROBOT}]", "the key 'robots' stands twice"),
+        ("robots: [{name: a, urdf: b}]", "robot 1: 'recordings' is missing"),
+        (
+            "robots: [{name: a, urdf: b, recordings: c, recording: d}]",
+            "unknown key 'recording'; did you mean 'recordings'",
+        ),
+        (f"robots: [{ROBOT}, {ROBOT}]", "two robots are called 'a'; results are named after them"),
+        ("robots: [{name: ../a, urdf: b, recordings: c}]", "'../a': the name is that of its folder"),
+        ("robots: [{name: a, urdf: 3, recordings: c}]", "'a': urdf: expected the name of a file, got 3"),
+        ("robots: [{name: a, urdf: b, recordings: [{c: d}]}]", "'a': recordings: expected the name of a file"),
+        (f"options: {{cutof: 3}}\nrobots: [{ROBOT}]", "unknown setting 'cutof'; did you mean 'cutoff_hz'"),
+        (f"options: {{holdout: x.csv}}\nrobots: [{ROBOT}]", "'holdout' names files, which belong to a robot"),
+        (f"options: 3\nrobots: [{ROBOT}]", "options: expected 'option: value'"),
+        (f"options: {{cutoff: -1}}\nrobots: [{ROBOT}]", "cutoff is -1 Hz"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(OptionError) as found:
+        read_robots(written(tmp_path, text))
+    assert words in str(found.value)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match=r"none.yaml: cannot be read"):
+        read_robots(tmp_path / "none.yaml")
