@@ -6,6 +6,7 @@ plain Python, and a cluster is two commands (``dask scheduler``, ``dask worker``
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,7 +19,8 @@ Task = TypeVar("Task")
 Value = TypeVar("Value")
 Name = Literal["local", "dask"]
 
-ENGINES: tuple[Name, ...] = ("local", "dask")
+# How long a scheduler may take to answer [s].
+_PATIENCE_S = 10
 
 
 @dataclass(frozen=True)
@@ -131,24 +133,30 @@ def _by_dask(
 def _client(engine: Engine) -> Iterator[Any]:
     """Connect to a cluster, or start one on this machine and end it."""
     try:
-        import dask
+        from dask import config
         from distributed import Client, LocalCluster
     except ImportError:
         raise OptionError("the engine dask needs its package: pip install 'torchrbd[fleet]'") from None
     # As often as a worker may die under a task.
-    with dask.config.set({"distributed.scheduler.allowed-failures": engine.retries}):
+    with config.set({"distributed.scheduler.allowed-failures": engine.retries}):
         if engine.scheduler is not None:
             try:
-                with Client(engine.scheduler, timeout=20) as client:
-                    yield client
+                client = Client(engine.scheduler, timeout=_PATIENCE_S)
             except (OSError, ValueError) as error:
                 raise OptionError(
                     f"scheduler '{engine.scheduler}': {error}; start 'dask scheduler', give the address that it prints"
                 ) from None
+            with client:
+                yield client
             return
         count = cores() if engine.jobs is None else engine.jobs
         with (
-            LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster,
+            LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                dashboard_address=None,  # type: ignore[arg-type]
+                silence_logs=logging.CRITICAL,
+            ) as cluster,
             Client(cluster) as client,
         ):
             yield client

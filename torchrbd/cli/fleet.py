@@ -10,13 +10,15 @@ from functools import partial
 from pathlib import Path
 
 from rich.console import Console
+from rich.table import Column, Table
+from rich.text import Text
 
 from torchrbd import __version__
 from torchrbd.cli.files import write_identified
 from torchrbd.cli.progress import progress_bar
-from torchrbd.cli.tables import print_fleet
 from torchrbd.diagnosis.fleet.compare import compare_fleet
 from torchrbd.diagnosis.fleet.results import FleetComparison
+from torchrbd.diagnosis.numbers import number
 from torchrbd.engines import Engine
 from torchrbd.errors import InputError, OptionError, TorchRBDError
 from torchrbd.export.json_files import write_fleet
@@ -31,6 +33,8 @@ from torchrbd.report.fleet import write_fleet_report
 
 # What a robot's files were made from, beside them; the last that is written.
 _MADE_FROM = "made_from.json"
+# That the table names.
+_MOST_ROBOTS = 40
 
 
 def fleet(options: argparse.Namespace) -> None:
@@ -50,7 +54,7 @@ def fleet(options: argparse.Namespace) -> None:
         names = [one.name for one in robots]
         result = compare_fleet(options.output, names, before=options.before, failed=failed)
         folder.fill(partial(_write, result))
-    print_fleet(result)
+    _print(result)
     words = f"wrote fleet.json and fleet.html to {options.output}, and what was identified to {options.output}/<robot>"
     Console(highlight=False, soft_wrap=True).print(words, markup=False)
     if failed:
@@ -135,6 +139,20 @@ def _check_before(before: Path | None) -> None:
 def _write(result: FleetComparison, folder: Path) -> None:
     write_fleet(result, folder / "fleet.json")
     write_fleet_report(result, folder / "fleet.html")
+
+
+def _print(result: FleetComparison) -> None:
+    """Print the robots that differ, changed or failed."""
+    out = Console(highlight=False)
+    out.print(result.statement, markup=False)
+    told = [one for one in result.members if one.deviations or one.changes or one.error]
+    table = Table(Column("robot", no_wrap=True), "verdict", Column("nmse", justify="right"), "what")
+    for one in told[:_MOST_ROBOTS]:
+        table.add_row(Text(one.name), one.verdict, number(one.nmse), Text(one.statement, overflow="fold"))
+    if told:
+        out.print(table)
+    if len(told) > _MOST_ROBOTS:
+        out.print(f"and {len(told) - _MOST_ROBOTS} more in fleet.json", markup=False)
 
 
 def _reason(error: Exception) -> str:

@@ -13,7 +13,6 @@ from rich.text import Text
 
 from torchrbd.diagnosis import Comparison, Diagnosis
 from torchrbd.diagnosis.changes.words import certainty, signed
-from torchrbd.diagnosis.fleet.results import FleetComparison
 from torchrbd.diagnosis.numbers import number, unit
 from torchrbd.diagnosis.numbers import percent as exact_percent
 from torchrbd.diagnosis.results import Where
@@ -34,8 +33,8 @@ _COMPARISON_WORDS = (
 )
 # A probability from which on the table of plain friction says none.
 SURE = 0.95
-# What leaves room on a narrow terminal: recordings that are named, letters in a line, robots.
-_MOST_RECORDINGS, _WIDEST, _MOST_ROBOTS = 2, 22, 40
+# What leaves room for the other columns on a narrow terminal: recordings that are named, letters in a line.
+_MOST_RECORDINGS, _WIDEST = 2, 22
 _MODEL_WORDS = {"rigid_body": "re-fitted", "extended": "extended"}
 
 
@@ -96,20 +95,6 @@ def print_each(rows: Iterable[tuple[str, str, float, float, float]]) -> None:
     for name, verdict, before, after, seconds in rows:
         table.add_row(Text(name), verdict, number(before), number(after), f"{seconds:.1f} s")
     Console(highlight=False).print(table)
-
-
-def print_fleet(result: FleetComparison) -> None:
-    """Print the robots that differ, changed or failed, and how many are like their sisters."""
-    out = Console(highlight=False)
-    out.print(result.statement, markup=False)
-    told = [one for one in result.members if one.deviations or one.changes or one.error]
-    table = Table(_whole("robot"), "verdict", _right("nmse"), Column("what", overflow="fold"))
-    for one in told[:_MOST_ROBOTS]:
-        table.add_row(Text(one.name), one.verdict, number(one.nmse), Text(one.statement))
-    if told:
-        out.print(table)
-    if len(told) > _MOST_ROBOTS:
-        out.print(f"and {len(told) - _MOST_ROBOTS} more in fleet.json", markup=False)
 
 
 def _headed(result: Identification | Diagnosis) -> Console:

@@ -15,18 +15,12 @@ from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.estimators import estimate
 from torchrbd.inference.ordinary import with_friction, with_machine
+from torchrbd.inference.parameter_estimates import base_estimates, inertial_estimates, values_alone
 from torchrbd.inference.physical.fitting import FittedModel, judge, predict, term_candidates
 from torchrbd.inference.physical.terms import term_estimates
-from torchrbd.inference.posterior.identifiability import identifiability
 from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.results import (
-    BaseParameterEstimate,
-    Identification,
-    JointNoise,
-    ParameterEstimate,
-    TorqueSeries,
-)
+from torchrbd.inference.results import Identification, JointNoise, TorqueSeries
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.places import check_seen
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined
@@ -35,9 +29,7 @@ from torchrbd.inference.suspicions import NO_SUSPICIONS, Suspicions, suspicions
 from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, verdict_of
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.simulated import motion_doubts
-from torchrbd.likelihood.urdf_prior import local_covariance
-from torchrbd.model import RigidBodyDynamics, described_terms
-from torchrbd.parameters import PARAMETERS_PER_BODY, UNITS, BaseParameters, base_parameters
+from torchrbd.parameters import base_parameters
 from torchrbd.recordings import NamedSource, RecordingSource, listed_sources
 from torchrbd.robot import RobotModel
 from torchrbd.simulation import MotionErrors, motion_errors
@@ -187,11 +179,11 @@ def summarise(
         fits=fits,
         verdict=verdict_of(fits, doubts),
         parameters=(
-            *(_inertial_estimates(prepared, final) if sure else _values_alone(prepared, final, base)),
+            *(inertial_estimates(prepared, final) if sure else values_alone(prepared, final, base)),
             *(p if sure else replace(p, std=np.nan, prior_share=np.nan) for p in term_estimates(final)),
         ),
         combinations=base.sentences(),
-        base=_base_estimates(prepared, final, base),
+        base=base_estimates(prepared, final, base),
         base_combination=base.combination.numpy(),
         base_covariance=(base.combination @ covariance @ base.combination.T).numpy() if sure else None,
         covariance=covariance.numpy() if sure else None,
@@ -229,21 +221,6 @@ def _noise(prepared: Prepared, model: FittedModel) -> dict[str, JointNoise]:
     }
 
 
-def _base_estimates(prepared: Prepared, model: FittedModel, base: BaseParameters) -> tuple[BaseParameterEstimate, ...]:
-    """Return beta = K pi with the covariance K cov(pi) K'."""
-    K, n = base.combination, prepared.robot.n_params
-    variance, laplace = ((K @ model.inertial_covariance(c) @ K.T).diagonal() for c in (model.covariance, model.laplace))
-    fitted = K[:, prepared.prior.inertial]
-    believed = (fitted @ local_covariance(prepared.prior, model.x) @ fitted.T).diagonal()
-    share = torch.where(believed > 0, (laplace / believed.clamp_min(1e-300)).clamp(0.0, 1.0), torch.ones_like(believed))
-    urdf, value = K @ prepared.prior.reference[:n], K @ model.pi
-    rows = zip(base.independent, base.expressions, urdf, value, variance.sqrt(), share, strict=True)
-    return tuple(
-        BaseParameterEstimate(expression, UNITS[k % PARAMETERS_PER_BODY], *map(float, numbers))
-        for k, expression, *numbers in rows
-    )
-
-
 def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress: Progress) -> TorqueSeries:
     """Stream the recordings once more and predict every torque with every model."""
     # Of no recordings, where only their moments are at hand, there is nothing to show.
@@ -273,35 +250,3 @@ def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress:
         predicted={name: np.concatenate(values) for name, values in predicted.items()},
         **joined,
     )
-
-
-def _inertial_estimates(prepared: Prepared, model: FittedModel) -> list[ParameterEstimate]:
-    std = model.inertial_covariance(model.covariance).diagonal().sqrt()
-    known = identifiability(prepared.prior, model, prepared.filtering.effective_rate)
-    return [
-        ParameterEstimate(
-            name=one.name,
-            owner=one.owner,
-            unit=UNITS[k % PARAMETERS_PER_BODY],
-            urdf=float(prepared.prior.reference[k]),
-            value=float(model.x[k]),
-            std=float(std[k]),
-            prior_share=one.prior_share,
-            status=one.status,
-            suggestion=one.suggestion,
-        )
-        for k, one in enumerate(known)
-    ]
-
-
-def _values_alone(prepared: Prepared, model: FittedModel, base: BaseParameters) -> list[ParameterEstimate]:
-    """Return what is known of the parameters of an estimator that tells nothing of its errors."""
-    robot, fitted = prepared.robot, set(prepared.prior.inertial.tolist())
-    found = []
-    for k, name in enumerate(robot.parameter_names):
-        status = "held" if k not in fitted else "not identifiable" if k in base.invisible else "not judged"
-        std, share = (0.0, 1.0) if status == "held" else (np.nan, np.nan)
-        owner, unit = robot.body_names[k // PARAMETERS_PER_BODY], UNITS[k % PARAMETERS_PER_BODY]
-        urdf, value = float(prepared.prior.reference[k]), float(model.x[k])
-        found.append(ParameterEstimate(name, owner, unit, urdf, value, std, share, status))
-    return found

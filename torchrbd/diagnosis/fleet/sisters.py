@@ -112,7 +112,7 @@ def deviations(group: Sequence[Member]) -> dict[str, list[Deviation]]:
         for k in np.flatnonzero(differs).tolist():
             value = Quantity(float(one.values[k]), float(one.std[k]), one.unit)
             numbers = float(np.median(one.values)), float(spread[k]), float(z[k]), float(chance[k])
-            found[group[one.robots[k]].name].append(Deviation(one.name, one.kind, value, *numbers))
+            found[group[int(one.robots[k])].name].append(Deviation(one.name, one.kind, value, *numbers))
     return {name: sorted(own, key=lambda d: -abs(d.z)) for name, own in found.items()}
 
 
