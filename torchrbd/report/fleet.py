@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 from markupsafe import Markup
+from matplotlib.ticker import NullFormatter
 
 from torchrbd.diagnosis.fleet.results import Deviation, FleetComparison, MemberResult
 from torchrbd.diagnosis.fleet.words import name
+from torchrbd.diagnosis.numbers import power_of_ten
 from torchrbd.outputs import write_whole
 from torchrbd.report.inline import SOFT, canvas, inline, page_style
 from torchrbd.report.templates import environment
@@ -55,12 +58,14 @@ def errors_picture(result: FleetComparison) -> Markup | None:
         return None
     off = np.array([bool(one.deviations) for one in result.members])
     figure = canvas(1080, 170)
-    axes = figure.add_axes((0.07, 0.28, 0.92, 0.58))
+    axes = figure.add_axes((0.08, 0.28, 0.91, 0.58))
     at = np.arange(1, len(nmse) + 1)
     for mask, colour, label in ((seen & ~off, SOFT, "like its sisters"), (seen & off, _OFF, "differs")):
         if mask.any():
             axes.plot(at[mask], nmse[mask], "o", color=colour, markersize=4, label=label)
     axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(lambda value, _: power_of_ten(round(math.log10(value))))
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("robot, in the order of the list")
     axes.set_ylabel("held-out nmse")
     axes.set_xlim(0.0, len(nmse) + 1.0)

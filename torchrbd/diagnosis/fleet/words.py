@@ -41,9 +41,8 @@ def of_fleet(members: Sequence[MemberResult]) -> str:
     failed = [one.name for one in members if one.error]
     off = [one.name for one in members if one.deviations]
     changed = [one.name for one in members if one.changes]
-    parts = [
-        f"{len(off)} of {len(members)} robots differ from their sisters" if off else "no robot differs from its sisters"
-    ]
+    differ = "differs from its sisters" if len(off) == 1 else "differ from their sisters"
+    parts = [f"{len(off)} of {len(members)} robots {differ}" if off else "no robot differs from its sisters"]
     if any(one.changes is not None for one in members):
         parts.append(f"{len(changed)} changed" if changed else "none changed")
     if failed:
