@@ -40,6 +40,8 @@ def modules_after(code: str) -> set[str]:
                 ["diagnose", "--help"],
                 ["compare-estimators", "--help"],
                 ["export", "--help"],
+                ["stats", "--help"],
+                ["fleet", "--help"],
                 ["diagnose"],
             )
         ),

@@ -56,11 +56,11 @@ def fleet(n: int, seed: int, scatter: float = 0.0) -> list[Member]:
     return [member(k, rng, scatter=scatter) for k in range(n)]
 
 
-@pytest.mark.parametrize(("n", "scatter"), [(6, 0.0), (30, 0.0), (6, 0.1), (8, 0.1), (30, 0.1)])
-def test_fleets_of_equal_robots_raise_no_alarm(n: int, scatter: float) -> None:
-    alarms = sum(any(deviations(fleet(n, seed, scatter)).values()) for seed in range(100))
-    # One is expected; of four or more with a mean of one the probability is 2 %, and seeds are fixed.
-    assert alarms < 4
+@pytest.mark.parametrize(("n", "scatter", "fewer"), [(6, 0.0, 4), (30, 0.0, 4), (6, 0.1, 9), (8, 0.1, 4), (30, 0.1, 4)])
+def test_fleets_of_equal_robots_raise_no_alarm(n: int, scatter: float, fewer: int) -> None:
+    # One of a hundred is expected, four where six tell how far they scatter (docs/performance.md): as many as this
+    # have a probability of 2 %. Seeds are fixed.
+    assert sum(any(deviations(fleet(n, seed, scatter)).values()) for seed in range(100)) < fewer
 
 
 @pytest.mark.parametrize("n", [6, 40])
@@ -217,6 +217,11 @@ def test_a_page_says_who_differs_what_changed_and_escapes_every_name(tmp_path: P
 def test_members_without_intervals_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"parameters.json: is missing or has no intervals.* identify 'arm0' again"):
         read_member(tmp_path, "arm0")
+    (name,) = written(tmp_path, fleet(1, 0))
+    file = tmp_path / name / "parameters.json"
+    file.write_text(file.read_text().replace('"fit"', '"fits"'))
+    with pytest.raises(InputError, match=r"is no parameters.json as 'torchrbd fleet' writes it \(KeyError: 'fit'\)"):
+        read_member(tmp_path / name, name)
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ def assert_same(prepared: Prepared, got: torch.Tensor, expected: np.ndarray, rel
 
 
 def test_every_name_is_known_to_the_settings() -> None:
-    assert set(estimators()) == set(ESTIMATORS) - {"auto", "smoother"}
+    assert set(estimators()) == set(ESTIMATORS) - {"auto", "smoother", "moments"}
 
 
 def test_ordinary_least_squares_is_that_of_numpy(prepared: Prepared, clean: Recording) -> None:

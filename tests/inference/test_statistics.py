@@ -192,6 +192,10 @@ def test_files_that_do_not_fit_are_refused(
     torchrbd.save_model(torchrbd.identify(urdf, made).model, tmp_path / "model.stats")
     with pytest.raises(InputError, match=r"model.stats: is no statistics file of torchrbd"):
         torchrbd.identify(urdf, tmp_path / "model.stats")
+    scale = dataclasses.replace(found.scales[0], speed_max="fast")
+    write_file(dataclasses.replace(found, scales=(scale, *found.scales[1:])), torn)
+    with pytest.raises(InputError, match=r"torn.stats: is damaged .*'fast'.*make it anew with 'torchrbd stats'"):
+        torchrbd.identify(urdf, torn)
     other = tmp_path / "other.urdf"
     other.write_text(urdf_of(5, 3))
     with pytest.raises(InputError, match=r"monday.npz.stats and what was asked for cannot be used together: "):

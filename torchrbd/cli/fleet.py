@@ -73,7 +73,7 @@ def identify_fleet(robots: Sequence[RobotEntry], output: Path, engine: Engine, p
             failed[one.name] = f"{error.filename}: {error.strerror}"
             continue
         file = output / one.name / _MADE_FROM
-        if not file.is_file() or file.read_text(encoding="utf-8") != made_from:
+        if not file.is_file() or file.read_bytes() != made_from.encode():
             tasks.append((one, made_from))
     counted = {"identified": 0, "failed": len(failed)}
 

@@ -69,18 +69,24 @@ def read_member(folder: Path, name: str) -> Member:
     inertia, bodies = read_inertia(file)
     if inertia is None:
         raise InputError(f"{file}: is missing or has no intervals, which a comparison needs; identify '{name}' again")
-    content = json.loads(file.read_text(encoding="utf-8"))
-    terms = {
-        p["name"]: Quantity(_number(p["value"]), _number(p["std"]), p["unit"])
-        for p in content["parameters"]
-        if p["status"] == "term"
-    }
-    last = list(content["fit"].values())[-1]["nmse"].values()
-    known = [value for value in last if value is not None]
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        terms = {
+            str(p["name"]): Quantity(_number(p["value"]), _number(p["std"]), str(p["unit"]))
+            for p in content["parameters"]
+            if p["status"] == "term"
+        }
+        errors = [_number(value) for value in list(content["fit"].values())[-1]["nmse"].values()]
+        known = [value for value in errors if math.isfinite(value)]
+        words = str(content["robot"]), str(content["verdict"])
+        doubts = tuple(map(str, content.get("doubts", ())))
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise InputError(
+            f"{file}: is no parameters.json as 'torchrbd fleet' writes it ({type(error).__name__}: {error}); remove "
+            f"the folder and identify '{name}' again"
+        ) from None
     nmse = sum(known) / len(known) if known else math.nan
-    return Member(
-        name, content["robot"], content["verdict"], nmse, inertia, bodies, terms, tuple(content.get("doubts", ()))
-    )
+    return Member(name, *words, nmse, inertia, bodies, terms, doubts)
 
 
 def _number(value: float | None) -> float:

@@ -6,7 +6,6 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -19,8 +18,7 @@ from torchrbd.inference.statistics.results import Conditions, Origin, Statistics
 from torchrbd.likelihood.block_statistics import Block
 from torchrbd.outputs import write_whole
 from torchrbd.physics import JointScale
-
-Kind = TypeVar("Kind")
+from torchrbd.rebuilding import rebuilt
 
 _FORMAT, _HEADER = "torchrbd-statistics-1", "statistics"
 
@@ -85,8 +83,11 @@ def read_header(path: str | Path) -> tuple[Conditions, tuple[Origin, ...], tuple
             raise InputError(
                 f"{path}: is no statistics file of torchrbd; expected format '{_FORMAT}', got '{header.get('format')}'"
             )
-        (made,) = _rebuilt(Conditions, [header["conditions"]])
-        return made, _rebuilt(Origin, header["origins"]), _rebuilt(JointScale, header["scales"])
+        return (
+            rebuilt(Conditions, header["conditions"]),
+            rebuilt(tuple[Origin, ...], header["origins"]),
+            rebuilt(tuple[JointScale, ...], header["scales"]),
+        )
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
@@ -120,11 +121,3 @@ def _statistics(
     if len(blocks) != count:
         raise ValueError(f"{len(blocks)} blocks for {count} moments")
     return Statistics(made, origins, scales, blocks, moments, torque, place)
-
-
-def _rebuilt(kind: type[Kind], content: list[dict[str, Any]]) -> tuple[Kind, ...]:
-    return tuple(kind(**{name: _frozen(value) for name, value in one.items()}) for one in content)
-
-
-def _frozen(value: Any) -> Any:
-    return tuple(_frozen(one) for one in value) if isinstance(value, list) else value
