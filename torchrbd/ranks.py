@@ -101,8 +101,8 @@ def ranks() -> Iterator[Ranks]:
 def _all_alive() -> Iterator[None]:
     try:
         yield
-    except RuntimeError as error:
+    except RuntimeError:
         raise TorchRBDError(
-            f"another process of this run has ended or cannot be reached ({str(error).splitlines()[0]:.120}); files "
-            "that are written stay, run the same command again to go on from them"
+            "another process of this run has ended or cannot be reached; files that are written stay, run the same "
+            "command again to go on from them"
         ) from None
