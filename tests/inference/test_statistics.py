@@ -227,6 +227,12 @@ def test_what_moments_cannot_do_is_said(case: Path, made: list[Path], tmp_path: 
         write_statistics(urdf, monday, tmp_path, cutoff_hz=5.0, effects="viscous_friction@joint1")
     with pytest.raises(OptionError, match=r"would be one file; rename one"):
         write_statistics(urdf, [monday, monday], tmp_path, cutoff_hz=5.0)
+    with pytest.raises(OptionError, match=r"stats: no recording; give at least one"):
+        write_statistics(urdf, [], tmp_path, cutoff_hz=5.0)
+    with pytest.raises(InputError, match=r"no statistics to add; give at least one file"):
+        merge_statistics([], tmp_path / "all.stats")
+    with pytest.raises(OptionError, match=r"payload for 'friday.npz', which is no recording here"):
+        write_statistics(urdf, monday, tmp_path, cutoff_hz=5.0, payload="friday.npz=1,0,0,0")
     with pytest.raises(OptionError, match=r"leave --holdout out"):
         write_statistics(urdf, monday, tmp_path, cutoff_hz=5.0, holdout=made[1])
     with pytest.raises(OptionError, match=r"holds statistics already"):

@@ -9,7 +9,7 @@ from typing import Any
 RECORDING = (
     "CSV, Parquet, NPZ or MATLAB file with columns t [s], q_<joint> [rad, m], tau_<joint> [N m, N], optionally "
     "qd_<joint>, q_ref_<joint>, q_link_<joint> (encoder behind the gear), temperature_<joint> [degC]; or a ROS bag, an "
-    "MCAP file or a LeRobot data set"
+    "MCAP file or a LeRobot data set; 'identify' takes .stats files of 'torchrbd stats', too"
 )
 _MANY: dict[str, Any] = {"nargs": "+", "action": "extend"}
 

@@ -60,9 +60,12 @@ def write_statistics(
     robot, sources, settings = read_arguments(robot, recordings, options, "stats")
     if settings.holdout or settings.simulated:
         raise OptionError("stats: what is held out is chosen when the statistics are used; leave --holdout out")
+    if not sources:
+        raise OptionError("stats: no recording; give at least one")
     made, ranks, folder = conditions(robot, settings), ranks or Ranks(), Path(folder)
     paths = [_path(source) for source in sources]
     _check_names(paths)
+    _check_payloads(paths, settings)
     files = [folder / f"{path.name}{STATISTICS}" for path in paths]
     folder.mkdir(parents=True, exist_ok=True)
     own = ranks.own(list(zip(paths, files, strict=True)))
@@ -106,8 +109,9 @@ def write_merged(files: Sequence[Path], output: Path, ranks: Ranks) -> None:
     first = 0
     for k in sorted(every):
         last = first + len(every[k].blocks)
-        for total, part in zip(sums, (*own[k].moments, own[k].torque) if k in own else (), strict=k in own):
-            total[first:last] = part
+        if k in own:
+            for total, part in zip(sums, (*own[k].moments, own[k].torque), strict=True):
+                total[first:last] = part
         first = last
     *moments, torque = map(ranks.summed, sums)
     if ranks.first:
@@ -140,6 +144,12 @@ def _check_names(paths: Sequence[Path]) -> None:
         other = seen.setdefault(path.name.casefold(), path)
         if other is not path:
             raise OptionError(f"statistics of '{other}' and '{path}' would be one file; rename one of them")
+
+
+def _check_payloads(paths: Sequence[Path], settings: Settings) -> None:
+    for one in settings.payload:
+        if one.recording not in [path.name for path in paths]:
+            raise OptionError(f"payload for '{one.recording}', which is no recording here")
 
 
 def _is_up_to_date(file: Path, recording: Path, made: Conditions, settings: Settings) -> bool:

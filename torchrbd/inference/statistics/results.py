@@ -151,9 +151,13 @@ def added(parts: Sequence[Statistics]) -> Statistics:
     Raises:
         InputError: they were made under different conditions, or two hold one recording.
     """
+    if not parts:
+        raise InputError("no statistics to add; give at least one file")
     first, *others = parts
     for one in others:
         first.conditions.check(one.conditions, first.place, one.place)
+        if [m.shape[1:] for m in one.moments] != [m.shape[1:] for m in first.moments]:
+            raise InputError(f"{first.place} and {one.place} hold moments of other columns; make them anew")
     check_names([(origin.name, one.place) for one in parts for origin in one.origins])
     return Statistics(
         conditions=first.conditions,
