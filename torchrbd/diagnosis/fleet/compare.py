@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from torchrbd.diagnosis.changes.inertia import Load, inertial_differences, load_like
+from torchrbd.diagnosis.changes.inertia import inertial_differences, load_like
 from torchrbd.diagnosis.changes.reading import Inertia, Side, read_inertia
 from torchrbd.diagnosis.changes.results import CERTAIN, LEAST_CHANGED, Difference, difference
 from torchrbd.diagnosis.fleet import words
@@ -44,10 +44,10 @@ def compare_fleet(
     }
     for group in sisters(members):
         off = deviations(group)
-        median = median_inertia(group)
+        odd = {name for name, own in off.items() if any(d.kind == "inertia" for d in own)}
+        median = median_inertia(group) if odd else None
         for one in group:
-            heavier = any(d.kind == "inertia" for d in off[one.name])
-            load = _load(one, median) if heavier else None
+            load = load_like(_side(one, median), _side(one)) if one.name in odd else None
             earlier = None if before is None else _earlier(Path(before), one)
             changes = None if earlier is None else _changes(earlier, one)
             statement = words.of_member(off[one.name], load, changes, len(group), LEAST_SISTERS, before is not None)
@@ -111,10 +111,6 @@ def _changes(before: Member, after: Member) -> dict[str, Difference]:
     return dict(sorted(found.items(), key=lambda item: -abs(item[1].difference / item[1].std)))
 
 
-def _load(one: Member, median: Inertia) -> Load | None:
-    """Return the load that a robot seems to carry beside the median robot."""
-    return load_like(_side(one, median), _side(one))
-
-
 def _side(one: Member, inertia: Inertia | None = None) -> Side:
+    """Return one of the two that are compared, with the base parameters of another robot if they are given."""
     return Side(one.name, one.robot, (), (), math.nan, (), (), (), (), inertia or one.inertia, one.bodies)
