@@ -15,7 +15,7 @@ import torchrbd
 PACKAGE = Path(__file__).parent.parent / "torchrbd"
 ROOMS = (
     "errors", "estimators", "threads", "processes", "engines", "ranks", "outputs", "display", "rebuilding", "robot",
-    "recordings", "parameters", "physics", "model", "likelihood", "inference", "diagnosis", "simulation", "learning",
+    "recordings", "parameters", "physics", "model", "likelihood", "simulation", "inference", "diagnosis", "learning",
     "export", "report", "cli",
 )  # fmt: skip
 ONLY_IN = {"yourdfpy": "robot/urdf.py", "pytorch_kinematics": "robot/chain.py"}

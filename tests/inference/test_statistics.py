@@ -97,6 +97,7 @@ def test_a_report_is_written_without_time_series(case: Path, made: list[Path], t
     text = (tmp_path / "report.html").read_text()
     assert text.count("Not drawn: only second moments were at hand.") == 3
     assert "was not recorded" not in text
+    assert "Motion: simulated" not in text
 
 
 def test_an_interrupted_run_goes_on_and_ends_with_the_same_files(
@@ -157,7 +158,10 @@ def test_merging_adds(made: list[Path], tmp_path: Path) -> None:
     [
         ({"cutoff_hz": 7.0}, "cutoff_hz 5.0 and 7.0; make all with one --cutoff"),
         ({"robot": "other"}, "robot .* and other; they are of different robots"),
-        ({"kinematics_sha256": "0"}, "kinematics_sha256 .* and 0; their URDFs differ in joints, axes or placements"),
+        (
+            {"kinematics_sha256": "0"},
+            "kinematics_sha256 .* and 0; their URDFs differ in joints, axes, placements, rotors",
+        ),
         ({"gravity": (0.0, 9.81, 0.0)}, "gravity .*; make all with one --gravity"),
         ({"effects": ()}, r"effects .* and \(\); make all with the same --effects"),
         ({"version": "0"}, "version .* and 0; make all with one version of torchrbd"),

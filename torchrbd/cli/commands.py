@@ -19,6 +19,7 @@ from torchrbd.cli.fleet import fleet
 from torchrbd.cli.inspecting import inspect
 from torchrbd.cli.progress import progress_bar
 from torchrbd.cli.settings import settings_of
+from torchrbd.cli.simulating import simulate_recording
 from torchrbd.cli.statistics import merge, stats
 from torchrbd.cli.tables import (
     print_changes,
@@ -105,6 +106,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "compare-estimators": _compare_estimators,
     "export": export,
     "inspect": inspect,
+    "simulate": simulate_recording,
     "stats": stats,
     "merge": merge,
     "fleet": fleet,

@@ -164,7 +164,7 @@ def _add_simulate(sub: argparse.ArgumentParser) -> None:
         metavar="MODEL",
         help="ROBOT.urdf (or MJCF), model.safetensors, or the folder that 'identify' or 'diagnose' wrote",
     )
-    sub.add_argument("recording", type=Path, metavar="RECORDING", help=_RECORDING)
+    sub.add_argument("recording", type=Path, metavar="RECORDING", help=RECORDING)
     sub.add_argument(
         "-o",
         "--output",

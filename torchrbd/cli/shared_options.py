@@ -32,7 +32,7 @@ def add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_requi
 
 def add_robot(sub: argparse.ArgumentParser, *, output_required: bool = True) -> None:
     """Add robot, recordings and the folder for results."""
-    sub.add_argument("robot", type=Path, metavar="ROBOT.urdf", help="what the simulator believes")
+    sub.add_argument("robot", type=Path, metavar="ROBOT.urdf", help="what the simulator believes: URDF, or MJCF")
     sub.add_argument(
         "recordings",
         nargs="+",

@@ -5,8 +5,9 @@
 with Y_b the independent columns of the regressor (``BaseParameters``) that joint j has, and s_j its torque's noise,
 which may be learnt afterwards, since joints are kept apart. Memory does not grow with the number of samples.
 
-Samples count as independent ones with exact states. What recordings need beyond that (filters, correlated noise,
-physical validity) is the work of ``torchrbd.identify``.
+Samples count as independent ones with exact states, and torques as those of the rigid body alone: what rotors and
+springs add is to be taken off (``RobotModel.known_torque``). What recordings need beyond that (filters, correlated
+noise, physical validity) is the work of ``torchrbd.identify``.
 """
 
 from __future__ import annotations

@@ -29,6 +29,7 @@ from torchrbd.inference.suspicions import NO_SUSPICIONS, Suspicions, suspicions
 from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, verdict_of
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.simulated import motion_doubts
+from torchrbd.model import RigidBodyDynamics, described_terms
 from torchrbd.parameters import base_parameters
 from torchrbd.recordings import NamedSource, RecordingSource, listed_sources
 from torchrbd.robot import RobotModel
@@ -96,10 +97,8 @@ def _by_moments(
     """Fit to second moments alone."""
     prepared = prepare_moments(robot, sources, settings, progress)
     progress("fitting", 0.0)
-    models, terms = (
-        {"rigid_body": prepared.fit()},
-        term_candidates(prepared.columns, [e.id for e in prepared.columns.effects]),
-    )
+    models = {"rigid_body": prepared.fit()}
+    terms = term_candidates(prepared.columns, [e.id for e in prepared.columns.effects])
     if terms:
         models["extended"] = prepared.fit(terms)
     return summarise(prepared, models, settings, progress)
@@ -203,7 +202,9 @@ def summarise(
 def _simulation(
     prepared: Prepared, models: Mapping[str, FittedModel], final: FittedModel, progress: Progress
 ) -> MotionErrors:
-    """Roll the URDF and fitted models forward on the blocks kept back."""
+    """Roll the URDF and fitted models forward on the blocks kept back, where recordings are at hand."""
+    if not prepared.recordings:
+        return MotionErrors((), ())
     progress("simulating motion", 0.0)
     width = final.module().rest_width
     modules = {"urdf": RigidBodyDynamics(prepared.robot, terms=described_terms(prepared.robot), rest_width=width)}

@@ -126,9 +126,10 @@ def _pieces(file: Path) -> Iterator[bytes]:
 
 
 def kinematics_sha256(robot: RobotModel) -> str:
-    """Return the SHA-256 of what the regressor depends on."""
+    """Return the SHA-256 of what moments take from a robot: where bodies are, and torque that is known."""
     joints = [
-        (j.name, j.kind, j.parent, j.child, j.pose.tolist(), j.axis.tolist(), j.mimic and asdict(j.mimic))
+        [j.name, j.kind, j.parent, j.child, j.pose.tolist(), j.axis.tolist(), j.armature, j.stiffness, j.rest]
         for j in robot.description.joints
     ]
-    return hashlib.sha256(json.dumps([joints, robot.joint_names, robot.body_names]).encode()).hexdigest()
+    mimics = [j.mimic and asdict(j.mimic) for j in robot.description.joints]
+    return hashlib.sha256(json.dumps([joints, mimics, robot.joint_names, robot.body_names]).encode()).hexdigest()

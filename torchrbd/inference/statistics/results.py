@@ -21,7 +21,7 @@ MOST_BLOCKS = 256
 _REMEDIES = {
     "version": "make all with one version of torchrbd",
     "robot": "they are of different robots",
-    "kinematics_sha256": "their URDFs differ in joints, axes or placements; make all with one URDF",
+    "kinematics_sha256": "their URDFs differ in joints, axes, placements, rotors or springs; make all with one URDF",
     "joints": "their URDFs differ in joints; make all with one URDF",
     "gravity": "make all with one --gravity",
     "cutoff_hz": "make all with one --cutoff",
@@ -42,7 +42,7 @@ class Conditions:
     Attributes:
         version: of torchrbd.
         robot: its name.
-        kinematics_sha256: of joints, axes, placements and bodies.
+        kinematics_sha256: of joints, axes, placements and bodies, and of rotors and springs that are known.
         joints: (n_dof,) names.
         gravity: (3,) [m/s^2].
         cutoff_hz: of the filters.
