@@ -17,6 +17,7 @@ __version__ = "0.1.0"
 _NAMES = {
     "diagnosis": ("Comparison", "Diagnosis", "Finding", "Ranking", "compare", "diagnose", "rank"),
     "errors": ("InputError", "OptionError", "PhysicalError", "RecordingError", "RobotError", "TorchRBDError"),
+    "excitation": ("Excitation", "excite"),
     "export": ("load_model", "save_model", "to_actuator_net", "to_mjcf", "to_urdf", "unsaid"),
     "inference": (
         "BaseRegression",

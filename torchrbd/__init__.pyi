@@ -1,5 +1,6 @@
 from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare, diagnose, rank
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
+from torchrbd.excitation import Excitation, excite
 from torchrbd.export import load_model, save_model, to_actuator_net, to_mjcf, to_urdf, unsaid
 from torchrbd.inference import (
     BaseRegression,
@@ -37,6 +38,7 @@ __all__ = [
     "Diagnosis",
     "DynamicsRegressor",
     "EstimatorComparison",
+    "Excitation",
     "Finding",
     "Identification",
     "InputError",
@@ -57,6 +59,7 @@ __all__ = [
     "compare_estimators",
     "diagnose",
     "effects",
+    "excite",
     "fit_residual",
     "identify",
     "identify_many",

@@ -13,6 +13,7 @@ from typing import TypeVar
 from rich.console import Console
 
 from torchrbd.cli.each import identify_each
+from torchrbd.cli.exciting import design
 from torchrbd.cli.exporting import export
 from torchrbd.cli.files import REPORT, write_results
 from torchrbd.cli.fleet import fleet
@@ -104,6 +105,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "diagnose": partial(_run, diagnose, print_diagnosis),
     "compare": _compare,
     "compare-estimators": _compare_estimators,
+    "excite": design,
     "export": export,
     "inspect": inspect,
     "simulate": simulate_recording,

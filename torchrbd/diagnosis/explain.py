@@ -6,11 +6,13 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
+import numpy as np
 import torch
 
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.friction import UNEVEN
+from torchrbd.diagnosis.hypotheses import whole
 from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Region, Where
@@ -19,6 +21,7 @@ from torchrbd.diagnosis.words import NO_CHANGE, finding_sentence, strongest_firs
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.physical.terms import told_parameters
 from torchrbd.likelihood.columns import Candidate, Columns
+from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.physics import Site, effect
 from torchrbd.robot import RobotModel
 
@@ -49,7 +52,8 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
             continue
         rest = _without(term, extended)
         before = judge(extended.prepared.judging, extended.prepared.fit(rest, model.noise_variance).x).nmse
-        finding = _finding(term, evidence, sure, extended, before, after, ends_s)
+        alike = _alternatives(term, sure, extended, found.fit)
+        finding = _finding(term, evidence, sure, extended, before, after, ends_s, alike)
         more = term.site.recordings is not None and (term.effect, replace(term.site, recordings=None)) in everywhere
         findings.append(replace(finding, statement=finding_sentence(finding, more=more)))
     trifling = [_trifling(f, extended) for f in findings]
@@ -118,6 +122,7 @@ def _finding(
     before: Mapping[str, float],
     after: Mapping[str, float],
     ends_s: Mapping[str, float],
+    alike: tuple[Alternative, ...],
 ) -> Finding:
     model = extended.model
     columns, robot = model.columns, model.columns.robot
@@ -127,11 +132,6 @@ def _finding(
         name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic), columns.urdf_value(term))
         for name, (value, std) in told_parameters(model, term).items()
     }
-    own = (term.effect.id, replace(term.site, window=None))
-    alike = [h.candidate for h, p in sure.laws if p > _LEAST_LAW and h.name != own]
-    if term.effect.id == UNEVEN:
-        # A constant torque, but for what happens within a reversal.
-        alike.append(columns.candidate(effect("torque_offset"), term.site, {}))
     touched = joints if term.place is not None else tuple(robot.joint_names)
     return Finding(
         effect=term.effect.id,
@@ -141,9 +141,7 @@ def _finding(
         log_evidence_gain=evidence,
         parameters=quantities,
         where=where(term, columns, quantities, ends_s),
-        indistinguishable_from=tuple(
-            dict.fromkeys(Alternative(c.effect.id, *places(robot, c.site), driven_by(c, robot)) for c in alike)
-        ),
+        indistinguishable_from=alike,
         nmse_before={name: value for name, value in before.items() if name in touched},
         nmse_after={name: value for name, value in after.items() if name in touched},
         statement="",
@@ -154,6 +152,23 @@ def _finding(
         laws=tuple(Law(h.candidate.effect.id, p) for h, p in sure.laws if p > _LEAST_LAW),
         torque_rms=torque_rms(term, extended),
     )
+
+
+def _alternatives(term: Candidate, sure: Inclusion, extended: Extended, fit: Likelihood) -> tuple[Alternative, ...]:
+    """Return what a term cannot be told from, the likeliest first, with the parameters that it would have."""
+    model, own = extended.model, (term.effect.id, replace(term.site, window=None))
+    alike = [(h.candidate, whole(h.candidate, h.coefficients, fit), p) for h, p in sure.laws if h.name != own]
+    if term.effect.id == UNEVEN:
+        # A constant torque, but for what happens within a reversal.
+        (_, half) = model.x[model.columns.of(term)].numpy()
+        alike.append((model.columns.candidate(effect("torque_offset"), term.site, {}), np.array([half]), 0.5))
+    found = []
+    for c, w, p in alike:
+        if p > _LEAST_LAW:
+            values = {name: float(v) for name, v in c.effect.parameters(torch.from_numpy(w), c.shape).items()}
+            where = (*places(model.columns.robot, c.site), driven_by(c, model.columns.robot))
+            found.append(Alternative(c.effect.id, *where, values, p))
+    return tuple(dict.fromkeys(found))
 
 
 def torque_rms(term: Candidate, extended: Extended) -> dict[str, float]:

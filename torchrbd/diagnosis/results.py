@@ -41,12 +41,18 @@ class Where:
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect that this data cannot tell from the finding; ``depends_on`` as there."""
+    """An effect that this data cannot tell from the finding; ``depends_on`` as there.
+
+    ``parameters`` are what it would have in the finding's place, in SI units, ``probability`` is given that one of
+    those that explain the same is there; neither counts in comparisons.
+    """
 
     effect: str
     joints: tuple[str, ...] = ()
     links: tuple[str, ...] = ()
     depends_on: tuple[str, ...] = ()
+    parameters: dict[str, float] = field(default_factory=dict, compare=False)
+    probability: float = field(default=0.0, compare=False)
 
 
 @dataclass(frozen=True)

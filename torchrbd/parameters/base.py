@@ -8,6 +8,7 @@ Source: Gautier, "Numerical calculation of the base inertial parameters of robot
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -72,19 +73,25 @@ def _term(factor: float, name: str) -> str:
     return f" {sign} {name}" if abs(size - 1.0) < 1e-9 else f" {sign} {size:.4g} {name}"
 
 
-def base_parameters(robot: RobotModel, *, seed: int = 0, tolerance: float = 1e-8) -> BaseParameters:
+def base_parameters(
+    robot: RobotModel, *, held: Mapping[int, float] | None = None, seed: int = 0, tolerance: float = 1e-8
+) -> BaseParameters:
     """Find a robot's base parameters from its regressor at random states.
 
     Args:
         robot: the robot; its gravity counts.
+        held: positions of joints that stand still, by index [rad or m]; the torques of the others tell.
         seed: of the random states.
         tolerance: a column whose part outside the span of the earlier ones is below this fraction of its norm depends
             on them.
     """
-    generator = torch.Generator().manual_seed(seed)
-    n_samples = 4 * robot.n_params // robot.n_dof + 20
+    held, generator = held or {}, torch.Generator().manual_seed(seed)
+    moving = [j for j in range(robot.n_dof) if j not in held]
+    n_samples = 4 * robot.n_params // len(moving) + 20
     q, qd, qdd = (3.0 * torch.randn(n_samples, robot.n_dof, generator=generator, dtype=torch.float64) for _ in range(3))
-    Y = robot.to(dtype=torch.float64, device="cpu").regressor(q, qd, qdd).reshape(-1, robot.n_params)
+    for joint, position in held.items():
+        q[:, joint], qd[:, joint], qdd[:, joint] = position, 0.0, 0.0
+    Y = robot.to(dtype=torch.float64, device="cpu").regressor(q, qd, qdd)[:, moving].reshape(-1, robot.n_params)
     norms = Y.norm(dim=0)
     visible = norms > tolerance * norms.max()
     scale = torch.where(visible, norms, torch.ones_like(norms))

@@ -77,7 +77,7 @@ def side_of(source: Diagnosis | str | Path, name: str) -> Side:
 
 def _check_verdict(name: str, verdict: object, statement: object) -> None:
     if verdict == "suspect":
-        raise InputError(f"{name}: its input is suspect, there is nothing to compare. {statement}")
+        raise InputError(f"{name}: its input is suspect, it tells nothing of the robot. {statement}")
 
 
 def _of_diagnosis(result: Diagnosis, name: str) -> Side:

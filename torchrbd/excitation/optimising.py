@@ -1,0 +1,160 @@
+"""Optimise a Fourier motion within limits: sequential quadratic programming from several starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.optimize import minimize
+from torch import Tensor
+
+from torchrbd.errors import OptionError
+from torchrbd.excitation.constraints import Constraints
+from torchrbd.excitation.fourier import Basis, FourierMotion
+
+Objective = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""What a motion with states q, qd, qdd (N, n) costs, a number."""
+
+# Samples of a period for each harmonic: for the optimiser, and for the last word on limits.
+SAMPLES, FINE_SAMPLES = 20, 200
+# Motions that are drawn for each start, the one nearest to its limits is taken; their size.
+_DRAWS, _STROKES, _CENTRES = 64, 0.3, 0.6
+_ITERATIONS, _TOLERANCE = 200, 1e-4
+_HALVINGS = 30
+
+
+def sampled(basis: Basis, samples: int) -> Tensor:
+    """Return the times of one period (N,) [s], without its end."""
+    return torch.arange(samples, dtype=torch.float64) * (basis.period_s / samples)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Least cost within limits, in coordinates x in which all that moves is of the order of one.
+
+    Attributes:
+        basis: of the motion.
+        objective: its cost.
+        constraints: what it keeps.
+        t: (N,) times of one period at which both are evaluated [s].
+    """
+
+    basis: Basis
+    objective: Objective
+    constraints: Constraints
+    t: Tensor
+
+    def motion(self, x: np.ndarray) -> FourierMotion:
+        """Return the motion of coordinates x (n (2 H - 1),)."""
+        return FourierMotion(self.basis, self.free(torch.from_numpy(x)))
+
+    def free(self, x: Tensor) -> Tensor:
+        """Return the free coefficients (n, 2 H - 1) of coordinates x."""
+        limits, n = self.constraints.limits, self.constraints.robot.n_dof
+        speed = torch.where(limits.moves, 0.5 * limits.fastest, 0.0).unsqueeze(1)
+        scale = torch.cat((limits.half.unsqueeze(1), speed.expand(n, self.basis.n - 1)), 1)
+        free = scale * x.reshape(n, self.basis.n)
+        return free + torch.nn.functional.pad(limits.middle.unsqueeze(1), (0, self.basis.n - 1))
+
+    def start(self, rng: np.random.Generator) -> np.ndarray:
+        """Return random coordinates, of several draws those that are furthest inside the limits."""
+        n, K = self.constraints.robot.n_dof, self.basis.n
+        draws = _STROKES * rng.standard_normal((_DRAWS, n, K))
+        draws[:, :, 0] = rng.uniform(-_CENTRES, _CENTRES, (_DRAWS, n))
+        at = self.basis.at(self.t)
+
+        def worst(x: np.ndarray) -> float:
+            q, qd, qdd = (part @ self.free(torch.from_numpy(x)).T for part in at)
+            return float(self.constraints.greatest(self.t, q, qd, qdd).max())
+
+        return min(draws, key=worst).ravel()
+
+    def solved(self, start: np.ndarray, report: Callable[[float], None]) -> FourierMotion:
+        """Return where the optimiser ends from a start; whether it keeps the limits is not said."""
+        at, steps = self.basis.at(self.t), 0
+
+        def states(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            free = self.free(x)
+            q, qd, qdd = (part @ free.T for part in at)
+            return q, qd, qdd
+
+        def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
+            z = torch.from_numpy(x.copy()).requires_grad_()
+            value = self.objective(*states(z))
+            return float(value.detach()), torch.autograd.grad(value, z)[0].numpy()
+
+        def room(x: np.ndarray) -> np.ndarray:
+            return 1.0 - self.constraints.smooth(self.t, *states(torch.from_numpy(x))).numpy()
+
+        def room_slopes(x: np.ndarray) -> np.ndarray:
+            z = torch.from_numpy(x.copy()).requires_grad_()
+            used = self.constraints.smooth(self.t, *states(z))
+            return -np.stack([torch.autograd.grad(u, z, retain_graph=True)[0].numpy() for u in used])
+
+        def step(_: np.ndarray) -> None:
+            nonlocal steps
+            steps += 1
+            report(min(steps / _ITERATIONS, 1.0))
+
+        found = minimize(
+            cost,
+            start,
+            jac=True,
+            method="SLSQP",
+            constraints={"type": "ineq", "fun": room, "jac": room_slopes},
+            callback=step,
+            options={"maxiter": _ITERATIONS, "ftol": _TOLERANCE},
+        )
+        return self.motion(found.x)
+
+
+def optimised(problem: Problem, starts: int, seed: int, report: Callable[[float], None]) -> FourierMotion:
+    """Return the motion of least cost of those found from several starts that keep every limit.
+
+    Args:
+        problem: what to solve.
+        starts: how many.
+        seed: of the starts.
+        report: told which part of the work is done.
+
+    Raises:
+        OptionError: no motion was found that keeps the limits; says which one was hardest.
+    """
+    rng = np.random.default_rng(seed)
+    fine = sampled(problem.basis, FINE_SAMPLES * problem.basis.harmonics)
+    best: tuple[float, FourierMotion] | None = None
+    nearest, hardest = np.inf, ""
+    for k in range(starts):
+        motion = problem.solved(problem.start(rng), lambda part, k=k: report((k + part) / starts))
+        used = problem.constraints.greatest(fine, *motion.states(fine))
+        if float(used.max()) < nearest:
+            nearest, hardest = float(used.max()), problem.constraints.labels[int(used.argmax())]
+        kept = _kept(problem.constraints, motion, fine)
+        if kept is not None:
+            cost = float(problem.objective(*kept.states(problem.t)))
+            best = min(best or (np.inf, kept), (cost, kept), key=lambda one: one[0])
+    if best is None:
+        raise OptionError(
+            f"no motion was found that keeps every limit; the hardest was {hardest}, by {nearest - 1.0:.0%} too much. "
+            "Give that more room, a smaller margin, another range of joints, or more starts"
+        )
+    return best[1]
+
+
+def _kept(constraints: Constraints, motion: FourierMotion, t: Tensor) -> FourierMotion | None:
+    """Return a motion with strokes as much smaller as its limits need; None if its centre does not keep them."""
+
+    def keeps(part: float) -> bool:
+        return bool((constraints.greatest(t, *motion.shrunk(part).states(t)) <= 1.0).all())
+
+    if keeps(1.0):
+        return motion
+    low, high = 0.0, 1.0
+    if not keeps(low):
+        return None
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if keeps(middle) else (low, middle)
+    return motion.shrunk(low) if low > 0.5 else None
