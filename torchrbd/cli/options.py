@@ -144,7 +144,7 @@ def _add_excite(sub: argparse.ArgumentParser) -> None:
         "--rate", dest="rate_hz", type=float, default=100.0, metavar="HZ", help="of the samples (default: 100)"
     )
     motion.add_argument("--joints", nargs="+", action="extend", metavar="JOINT", help="that move (default: all)")
-    motion.add_argument("--starts", type=int, metavar="N", help="of the optimiser (default: 6)")
+    motion.add_argument("--starts", type=int, metavar="N", help="of the optimiser (default: 4)")
     motion.add_argument("--seed", type=int, metavar="N", help="of these starts (default: 0)")
     motion.add_argument(
         "--gravity", type=float, nargs=3, metavar=("X", "Y", "Z"), help="in the base's axes (default: 0 0 -9.81)"

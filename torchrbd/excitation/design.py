@@ -44,7 +44,7 @@ def excite(
     box: Mapping[str, Range] | None = None,
     margin: float = 0.1,
     speed: float = 1.0,
-    starts: int = 6,
+    starts: int = 4,
     seed: int = 0,
     gravity: Sequence[float] | None = None,
     progress: Progress = lambda *_: None,

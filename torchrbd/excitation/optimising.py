@@ -19,8 +19,8 @@ Objective = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 # Samples of a period for each harmonic: for the optimiser, and for the last word on limits.
 SAMPLES, FINE_SAMPLES = 20, 200
-# Motions that are drawn for each start, the one nearest to its limits is taken; their size.
-_DRAWS, _STROKES, _CENTRES = 64, 0.3, 0.6
+# Postures that are tried; motions that are drawn for each start, and how large they are in the range and in speed.
+_POSTURES, _DRAWS, _CENTRES, _STROKES = 512, 64, 0.8, 0.3
 _ITERATIONS, _TOLERANCE = 200, 1e-4
 _HALVINGS = 30
 
@@ -58,11 +58,33 @@ class Problem:
         free = scale * x.reshape(n, self.basis.n)
         return free + torch.nn.functional.pad(limits.middle.unsqueeze(1), (0, self.basis.n - 1))
 
-    def start(self, rng: np.random.Generator) -> np.ndarray:
-        """Return random coordinates, of several draws those that are furthest inside the limits."""
+    def postures(self) -> np.ndarray:
+        """Return coordinates (postures, n) of the centres, of many, at which the robot can rest within its limits.
+
+        Raises:
+            OptionError: at none of them; says what the best of them breaks.
+        """
+        n = self.constraints.robot.n_dof
+        sobol = torch.quasirandom.SobolEngine(n, scramble=True, seed=0)
+        drawn = 2.0 * sobol.draw(_POSTURES, dtype=torch.float64) - 1.0
+        limits = self.constraints.limits
+        q = limits.middle + limits.half * drawn
+        still, begin = torch.zeros_like(q[:1]), torch.zeros(1, dtype=torch.float64)
+        used = torch.stack([self.constraints.greatest(begin, row.unsqueeze(0), still, still) for row in q])
+        best = used.amax(1).argmin()
+        if float(used[best].max()) > 1.0:
+            label, most = self.constraints.labels[int(used[best].argmax())], float(used[best].max()) - 1.0
+            raise OptionError(
+                f"the robot cannot even rest within its limits: of {_POSTURES} postures the best breaks {label}, by "
+                f"{most:.0%} of it or more; give that more room"
+            )
+        return drawn[used.amax(1) <= 1.0].numpy()
+
+    def start(self, rng: np.random.Generator, postures: np.ndarray) -> np.ndarray:
+        """Return random coordinates around one of some postures; of several draws those furthest inside the limits."""
         n, K = self.constraints.robot.n_dof, self.basis.n
         draws = _STROKES * rng.standard_normal((_DRAWS, n, K))
-        draws[:, :, 0] = rng.uniform(-_CENTRES, _CENTRES, (_DRAWS, n))
+        draws[:, :, 0] = _CENTRES * rng.choice(postures, _DRAWS)
         at = self.basis.at(self.t)
 
         def worst(x: np.ndarray) -> float:
@@ -122,12 +144,12 @@ def optimised(problem: Problem, starts: int, seed: int, report: Callable[[float]
     Raises:
         OptionError: no motion was found that keeps the limits; says which one was hardest.
     """
-    rng = np.random.default_rng(seed)
+    rng, postures = np.random.default_rng(seed), problem.postures()
     fine = sampled(problem.basis, FINE_SAMPLES * problem.basis.harmonics)
     best: tuple[float, FourierMotion] | None = None
     nearest, hardest = np.inf, ""
     for k in range(starts):
-        motion = problem.solved(problem.start(rng), lambda part, k=k: report((k + part) / starts))
+        motion = problem.solved(problem.start(rng, postures), lambda part, k=k: report((k + part) / starts))
         used = problem.constraints.greatest(fine, *motion.states(fine))
         if float(used.max()) < nearest:
             nearest, hardest = float(used.max()), problem.constraints.labels[int(used.argmax())]

@@ -117,8 +117,8 @@ class Separating:
         model = self.known.model
         plain = ((x.effect.id, x.site.joint, x.coefficients) for x in model.terms if x.site.always)
         friction = plain_friction(model.robot.n_dof, plain)
-        states = (x.T.contiguous() for x in (q, qd, qdd))
-        return Signals(model.robot, *states, self._rest_width, model.pi, self.t, friction=friction)
+        q, qd, qdd = (x.T.contiguous() for x in (q, qd, qdd))
+        return Signals(model.robot, q, qd, qdd, self._rest_width, model.pi, self.t, friction=friction)
 
     def _nuisances(self, question: Question, signals: Signals, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         """Return Z (P, rows N): base parameters, friction in each direction, and terms that are not in question."""
