@@ -13,18 +13,19 @@ _LINKS = (
 )
 
 
-def arm_urdf(*, limits: bool = True) -> str:
+def arm_urdf(*, limits: bool = True, friction: bool = True) -> str:
     """Return an arm of three revolute joints with a tool fixed to its last link."""
     tags = ['<link name="base"/>', '<link name="tool"/>']
-    for k, (origin, axis, centre, mass, (xx, yy, zz), reach, speed, torque, damping, friction) in enumerate(_LINKS, 1):
+    for k, (origin, axis, centre, mass, (xx, yy, zz), reach, speed, torque, viscous, coulomb) in enumerate(_LINKS, 1):
         parent = "base" if k == 1 else f"link{k - 1}"
         limit = f'<limit lower="{-reach}" upper="{reach}" velocity="{speed}" effort="{torque}"/>' if limits else ""
+        dynamics = f'<dynamics damping="{viscous}" friction="{coulomb}"/>' if friction else ""
         tags.append(
             f'<link name="link{k}"><inertial><origin xyz="{centre}"/><mass value="{mass}"/>'
             f'<inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
             f'<joint name="joint{k}" type="{"revolute" if limits else "continuous"}"><parent link="{parent}"/>'
             f'<child link="link{k}"/><origin xyz="{origin}"/><axis xyz="{axis}"/>{limit}'
-            f'<dynamics damping="{damping}" friction="{friction}"/></joint>'
+            f"{dynamics}</joint>"
         )
     tags.append(
         '<joint name="mount" type="fixed"><parent link="link3"/><child link="tool"/><origin xyz="0 0 0.4"/></joint>'

@@ -125,7 +125,7 @@ class Separating:
         Y = signals.robot.regressor(q, qd, qdd)[..., self._conditioning.independent].permute(2, 1, 0)
         direction = torch.tanh(signals.qd / self._rest_width.unsqueeze(1))
         each = torch.eye(len(q.T), dtype=q.dtype)
-        friction = [each.unsqueeze(2) * x for x in (signals.qd, direction.clamp_min(0.0), direction.clamp_max(0.0))]
+        friction = [each.unsqueeze(2) * x for x in (signals.qd, direction, direction.abs())]
         terms = [
             self._placed(phi, term.site.joint)
             for term in terms_beside(self.known.model, question)
