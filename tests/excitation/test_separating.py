@@ -74,7 +74,7 @@ def simulated(one: Separating, states: tuple[torch.Tensor, ...], true: int, draw
     logs = []
     for candidate in question.rivals:
         columns, std = one._columns(candidate, signals)
-        X = np.concatenate((1e3 * Z / np.linalg.norm(Z, axis=1, keepdims=True), std.numpy()[:, None] * columns.numpy()))
+        X = np.concatenate((Z, std.numpy()[:, None] * columns.numpy()))
         factor = cho_factor(np.eye(tau.size) + X.T @ X, lower=True)
         quadratic = (white * cho_solve(factor, white.T).T).sum(1)
         logs.append(-0.5 * quadratic - np.log(factor[0].diagonal()).sum())
@@ -148,14 +148,15 @@ def test_slopes_of_the_criterion_are_right() -> None:
 
 
 def test_what_is_equal_on_every_motion_stays_open_and_is_told() -> None:
-    """A rotor's inertia at the first joint is inertia of its link about the same axis."""
-    about = known(
-        rival("rotor_inertia", {"rotor_inertia": 0.3}, 0),
-        Rival(NOTHING, None, Site(), {}, torch.zeros(0).double(), 0.5),
+    """A power law with the exponent two is quadratic drag."""
+    drag, power = (
+        rival("quadratic_drag", {"drag": 2.0}),
+        rival("power_law_friction", {"friction": 2.0, "exponent": 2.0}),
     )
-    result = design(about)
-    assert abs(result.separations[0].log_bayes_factor) < 1e-3
-    assert any("may stay open" in note for note in result.notes)
+    result = design(known(drag, power))
+    assert abs(result.separations[0].log_bayes_factor) < 3.0
+    (note,) = result.notes
+    assert note.startswith("quadratic_drag at joint2 and power_law_friction at joint2 may stay open")
 
 
 def test_motion_beyond_the_cut_off_tells_nothing() -> None:

@@ -22,6 +22,8 @@ SAMPLES, FINE_SAMPLES = 20, 200
 # Postures that are tried; motions that are drawn for each start, and how large they are in the range and in speed.
 _POSTURES, _DRAWS, _CENTRES, _STROKES = 512, 64, 0.8, 0.3
 _ITERATIONS, _TOLERANCE = 200, 1e-4
+# No coordinate of a motion within its limits is larger than sqrt(8): sines of the greatest speed.
+_FURTHEST = 3.0
 _HALVINGS = 30
 
 
@@ -125,6 +127,7 @@ class Problem:
             start,
             jac=True,
             method="SLSQP",
+            bounds=[(-_FURTHEST, _FURTHEST)] * len(start),
             constraints={"type": "ineq", "fun": room, "jac": room_slopes},
             callback=step,
             options={"maxiter": _ITERATIONS, "ftol": _TOLERANCE},

@@ -1,7 +1,8 @@
 """How well a motion tells effects apart: the expected log Bayes factor of a recording of it.
 
-Torques, whitened by the noise that was learnt, are those of nuisances Z (base parameters, friction of every joint, all
-other terms; with a flat prior) and of one rival A or B: tau = Z z + Phi_A w_A + n, w_A ~ N(0, D_A^2). With M = Z'Z,
+Torques, whitened by the noise that was learnt, are those of nuisances Z (inertial parameters around the URDF's, friction
+of every joint and all other terms of any size; z ~ N(0, 1)) and of one rival A or B: tau = Z z + Phi_A w_A + n,
+w_A ~ N(0, D_A^2). With M = 1 + Z'Z,
 
     S_AB = Phi_A' Phi_B - Phi_A' Z M^-1 Z' Phi_B                   what nuisances cannot imitate
     E_A[log B_H] = 1/2 w_A' S_AH D_H K_H^-1 D_H S_HA w_A + 1/2 (k - tr K_H^-1) - 1/2 log det K_H,
@@ -26,12 +27,13 @@ from torchrbd.excitation.conditioning import REST_PART, Conditioning
 from torchrbd.excitation.limits import Limits
 from torchrbd.excitation.results import Separation
 from torchrbd.excitation.rivals import Known, Question, Rival, terms_beside
+from torchrbd.likelihood.sizes import inertial_scale
 from torchrbd.physics import Signals
 from torchrbd.physics.plain_friction import plain_friction
 
 # Coefficients may be so many times what the first recordings gave; a shape may differ by this part; slopes by steps.
 _SIZE, _SHAPE, _STEP = 3.0, 0.2, 0.01
-_LEAST, _RIDGE = 1e-12, 1e-10
+_LEAST, _ANY_SIZE, _ROUNDING = 1e-12, 1e4, 1e-12
 # A condition number e times as large is worth this part of what separates.
 _CONDITION = 0.1
 
@@ -65,6 +67,9 @@ class Separating:
         independent = 2.0 * known.cutoff_hz * duration / len(t)
         self._weight = independent**0.5 / known.noise_std[self._rows]
         self._rest_width = torch.maximum(known.model.rest_width, REST_PART * limits.fastest)
+        mean, index, scale = inertial_scale(known.model.robot)
+        self._inertial = torch.zeros(len(mean), len(index), dtype=torch.float64)
+        self._inertial[index] = torch.from_numpy(scale)
         self._kept = None
         if periodic:
             self._kept = torch.fft.rfftfreq(len(t), float(t[1] - t[0]), dtype=torch.float64) <= known.cutoff_hz
@@ -121,8 +126,8 @@ class Separating:
         return Signals(model.robot, q, qd, qdd, self._rest_width, model.pi, self.t, friction=friction)
 
     def _nuisances(self, question: Question, signals: Signals, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Return Z (P, rows N): base parameters, friction in each direction, and terms that are not in question."""
-        Y = signals.robot.regressor(q, qd, qdd)[..., self._conditioning.independent].permute(2, 1, 0)
+        """Return Z (P, rows N): inertial parameters, friction in each direction, and terms that are not in question."""
+        Y = (signals.robot.regressor(q, qd, qdd) @ self._inertial).permute(2, 1, 0)
         direction = torch.tanh(signals.qd / self._rest_width.unsqueeze(1))
         each = torch.eye(len(q.T), dtype=q.dtype)
         friction = [each.unsqueeze(2) * x for x in (signals.qd, direction, direction.abs())]
@@ -131,7 +136,9 @@ class Separating:
             for term in terms_beside(self.known.model, question)
             for phi in term.effect.features_at(signals, term.site, term.shape).values()
         ]
-        return self._white(torch.cat((Y, *friction, *(x.unsqueeze(0) for x in terms))))
+        free = self._white(torch.cat((*friction, *(x.unsqueeze(0) for x in terms))))
+        size = free.square().sum(1, keepdim=True).sqrt().clamp_min(_LEAST)
+        return torch.cat((self._white(Y), _ANY_SIZE * free / size))
 
     def _columns(self, rival: Rival, signals: Signals) -> tuple[Tensor, Tensor]:
         """Return a rival's columns (K, rows N), those of its shape last, and their prior standard deviations (K,)."""
@@ -169,13 +176,11 @@ class Separating:
 
 
 def _schur(Z: Tensor, Phi: Tensor) -> Tensor:
-    """Return Phi Phi' - Phi Z' (Z Z')^-1 Z Phi' of Z (P, M) and Phi (K, M); what is zero in Z does not count."""
-    size = Z.square().sum(1)
-    Z = Z / torch.where(size > _LEAST * size.max(), size, torch.inf).sqrt().unsqueeze(1)
-    M = Z @ Z.T + _RIDGE * torch.eye(len(Z), dtype=Z.dtype)
-    # Padded to one where a column is zero.
-    M = M + torch.diag((M.diagonal() < 0.5).to(M))
-    V = torch.linalg.solve_triangular(torch.linalg.cholesky(M), Z @ Phi.T, upper=False)
+    """Return Phi Phi' - Phi Z' (1 + Z Z')^-1 Z Phi' of rows Z (P, M) and Phi (K, M)."""
+    M = torch.eye(len(Z), dtype=Z.dtype) + Z @ Z.T
+    size = M.diagonal().rsqrt().unsqueeze(1)
+    F = torch.linalg.cholesky(size * M * size.T + _ROUNDING * torch.eye(len(Z), dtype=Z.dtype))
+    V = torch.linalg.solve_triangular(F, size * (Z @ Phi.T), upper=False)
     return Phi @ Phi.T - V.T @ V
 
 
