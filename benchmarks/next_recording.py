@@ -2,8 +2,8 @@
 
     python benchmarks/next_recording.py [--only NAME...] [--periods 2] [--rate 125] [--seed 0]
 
-An arm of three joints, its torques Pinocchio's, has friction that its URDF lacks, and one concealed effect at joint2. It
-is recorded on a small motion: 14 to 15 s, torque noise of 5 to 6 %. Cases were chosen, out of some 60 with fifteen
+An arm of three joints, its torques Pinocchio's, has friction that its URDF lacks, and one concealed effect at joint2.
+It is recorded on a small motion: 14 to 15 s, torque noise of 5 to 6 %. Cases were chosen, out of some 60 with fifteen
 effects, for what that recording leaves open. ``torchrbd excite`` designs a motion from the first diagnosis, and for
 comparison one without it; the same robot, with new noise, is recorded on both. Prints what each diagnosis says of the
 effect that is there.

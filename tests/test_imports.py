@@ -42,6 +42,7 @@ def modules_after(code: str) -> set[str]:
                 ["export", "--help"],
                 ["stats", "--help"],
                 ["fleet", "--help"],
+                ["excite", "--help"],
                 ["diagnose"],
             )
         ),

@@ -99,7 +99,7 @@ def test_diagnosis_keeps_its_keys_and_adds_curves(found: Identification, tmp_pat
     one = Finding(
         "joint_coupling", ("a",), (), 0.9, 4.0, {"stiffness": Quantity(1.0, 0.1, "N m/rad")},
         Where(None, ((0.0, 1.0),)),
-        (Alternative("payload", (), ("hand",)),), {"a": 0.2}, {"a": 0.1}, "x", ("q_b",), curve,
+        (Alternative("payload", (), ("hand",), (), {"mass": 0.5}, 0.2),), {"a": 0.2}, {"a": 0.1}, "x", ("q_b",), curve,
     )  # fmt: skip
     left = Unexplained(("a",), ("q_a",), Where(region=(Region("q_a", 0.0, 1.0),)), 0.4, "y", curve)
     write_diagnosis(Diagnosis(found, "missing_physics", "z", (one, replace(one, curve=None)), (left,)), tmp_path / "d")
@@ -111,7 +111,12 @@ def test_diagnosis_keeps_its_keys_and_adds_curves(found: Identification, tmp_pat
     }  # fmt: skip
     assert first["parameters"]["stiffness"].keys() >= {"value", "std", "unit"}
     assert first["where"] == {"recordings": None, "time_s": [[0.0, 1.0]], "region": None}
-    assert first["indistinguishable_from"] == [{"effect": "payload", "joints": [], "links": ["hand"], "depends_on": []}]
+    assert first["indistinguishable_from"] == [
+        {
+            "effect": "payload", "joints": [], "links": ["hand"], "depends_on": [], "parameters": {"mass": 0.5},
+            "probability": 0.2,
+        }
+    ]  # fmt: skip
     assert (first["depends_on"], second["curve"]) == (["q_b"], None)
     (rest,) = content["unexplained"]
     assert rest.keys() >= {"joints", "depends_on", "where", "share", "statement"}

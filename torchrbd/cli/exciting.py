@@ -16,7 +16,7 @@ from torchrbd.cli.progress import progress_bar
 from torchrbd.diagnosis.numbers import number
 from torchrbd.errors import OptionError
 from torchrbd.excitation import Excitation, excite
-from torchrbd.export.motion_files import write_motion
+from torchrbd.export.motion_files import check_rate, write_motion
 
 # Options that ``excite`` takes under the same names.
 _OPTIONS = ("frequency_hz", "harmonics", "periods", "joints", "margin", "speed", "starts", "seed", "gravity")
@@ -31,6 +31,7 @@ def design(options: argparse.Namespace) -> None:
     file: Path = options.output
     if file.is_dir() or file.suffix.lower() != ".csv":
         raise OptionError(f"output '{file}' is no CSV file; name one, e.g. {file.with_suffix('') / 'motion.csv'}")
+    check_rate(options.rate_hz)
     given: dict[str, Any] = {name: getattr(options, name) for name in _OPTIONS if getattr(options, name) is not None}
     given |= {
         "ranges": dict(_range("--range", word) for word in options.ranges),

@@ -6,8 +6,9 @@
 Columns of unit size make the number one of the motion, not of units: within a factor of sqrt(columns) no other scaling
 of columns has a smaller one (van der Sluis, "Condition numbers and equilibration of matrices", Numerische Mathematik
 1969). It says how well columns are told from each other, but not how large they are: without scaling, small ones count
-against a motion. So the mean of log kappa(W D), friction included, and log kappa(Y_b) is what a motion is designed by.
-The optimiser sees smooth upper bounds, with lambda the eigenvalues of the normal matrix:
+against a motion. So a motion is designed by the mean of log kappa(W D), friction included, and log kappa(Y_b), less a
+little of the mean logarithm of all columns' RMS: of motions that tell as well apart the larger one. The optimiser sees
+smooth upper bounds, with lambda the eigenvalues of the normal matrix:
 
     log kappa <= (1 / 2p) [log sum lambda^p + log sum lambda^-p]
 
@@ -27,6 +28,8 @@ from torchrbd.parameters import base_parameters
 from torchrbd.robot import RobotModel
 
 _P = 6.0
+# What columns e times as large are worth, in logarithms of the condition number.
+_LARGER = 0.2
 # Friction changes its direction over so large a part of the greatest speed: sharp, but not for the optimiser.
 REST_PART = 0.02
 _LEAST = 1e-14
@@ -69,12 +72,12 @@ class Conditioning:
         return torch.cat((Y, torch.diag_embed(speed), torch.diag_embed(torch.tanh(speed / self._rest_width))), -1)
 
     def objective(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Return a smooth upper bound of the mean logarithm of the scaled and the unscaled condition number."""
+        """Return what a motion is designed by, smooth: small where columns are told apart and large."""
         W, n = self.columns(q, qd, qdd).flatten(0, 1), len(self.independent)
-        G = W.T @ W
-        size = G.diagonal().clamp_min(_LEAST).rsqrt()
-        both = [size[:, None] * G * size, *([G[:n, :n] / G[:n, :n].trace().clamp_min(_LEAST)] if n else [])]
-        return torch.stack([_bound(A) for A in both]).mean()
+        G = W.T @ W / len(W)
+        size = G.diagonal().clamp_min(_LEAST).sqrt()
+        both = [G / size / size[:, None], *([G[:n, :n] / G[:n, :n].trace().clamp_min(_LEAST)] if n else [])]
+        return torch.stack([_bound(A) for A in both]).mean() - _LARGER * size.log().mean()
 
     def numbers(self, q: Tensor, qd: Tensor, qdd: Tensor) -> ConditionNumbers:
         """Return the condition numbers of a motion's samples (N, n)."""

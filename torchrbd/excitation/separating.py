@@ -1,8 +1,8 @@
 """How well a motion tells effects apart: the expected log Bayes factor of a recording of it.
 
-Torques, whitened by the noise that was learnt, are those of nuisances Z (inertial parameters around the URDF's, friction
-of every joint and all other terms of any size; z ~ N(0, 1)) and of one rival A or B: tau = Z z + Phi_A w_A + n,
-w_A ~ N(0, D_A^2). With M = 1 + Z'Z,
+Torques, whitened by the noise that was learnt, are those of nuisances Z (inertial parameters around the URDF's,
+friction of every joint and all other terms of any size; z ~ N(0, 1)) and of one rival A or B, w_A ~ N(0, D_A^2):
+tau = Z z + Phi_A w_A + n. With M = 1 + Z'Z,
 
     S_AB = Phi_A' Phi_B - Phi_A' Z M^-1 Z' Phi_B                   what nuisances cannot imitate
     E_A[log B_H] = 1/2 w_A' S_AH D_H K_H^-1 D_H S_HA w_A + 1/2 (k - tr K_H^-1) - 1/2 log det K_H,

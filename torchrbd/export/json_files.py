@@ -67,8 +67,9 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
     findings: strongest first (those likelier than not, then the others, by gain in both): list of effect, joints and
         links (none of either: the whole robot), probability, log_evidence_gain, parameters by name (value, std, unit,
         urdf), where (recordings, time_s, region: null for everywhere), indistinguishable_from (effect, joints, links,
-        depends_on; the likeliest first), nmse_before and nmse_after by joint, statement, depends_on (signals of other
-        joints), curve: the function that shows it best, or null, family, family_probability, laws (effect and
+        depends_on, parameters by name that it would have there [SI], probability given that one of those that explain
+        the same is there; the likeliest first), nmse_before and nmse_after by joint, statement, depends_on (signals of
+        other joints), curve: the function that shows it best, or null, family, family_probability, laws (effect and
         probability, of those that explain the same, given that one of them is there), torque_rms by joint, and share
         (of its joint's held-out squared error that it removes).
     trifling: effects as likely as findings that held-out time does not show, in the same form.
