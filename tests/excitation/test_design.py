@@ -25,7 +25,7 @@ BOX = {"z": (0.1, math.inf)}
 
 @pytest.fixture(scope="module")
 def result() -> Excitation:
-    return torchrbd.excite(URDF, box=BOX, periods=2, starts=2, margin=0.15)
+    return torchrbd.excite(URDF, box=BOX, periods=2, starts=1, margin=0.15)
 
 
 def test_every_limit_is_kept_between_the_samples(result: Excitation) -> None:
@@ -37,7 +37,7 @@ def test_every_limit_is_kept_between_the_samples(result: Excitation) -> None:
     used = np.abs(q - middle) / half, np.abs(qd) / robot.velocity.numpy()
     used = (*used, np.abs(pinocchio_torque(URDF, q[::10], qd[::10], qdd[::10])) / robot.effort.numpy())
     for one in used:
-        assert one.max() < 0.85 * (1 + 1e-4)
+        assert one.max() < 0.85
     assert pinocchio_origins(URDF, q[::10], ("link3", "tool"))[..., 2].min() > 0.1
     # Something is used up: nothing else stops the motion.
     assert max(one.max() for one in used) > 0.84
@@ -105,15 +105,15 @@ def test_the_criterion_bounds_the_condition_numbers_and_its_slopes_are_right() -
 
 
 def test_a_seed_makes_the_same_motion_again_and_another_seed_another() -> None:
-    one, again, other = (torchrbd.excite(URDF, starts=1, seed=seed).motion.free for seed in (3, 3, 4))
+    one, again, other = (torchrbd.excite(URDF, harmonics=2, starts=1, seed=seed).motion.free for seed in (3, 3, 4))
     assert torch.equal(one, again)
     assert not torch.allclose(one, other, atol=1e-3)
 
 
 def test_speed_slows_a_motion_down() -> None:
-    slow = torchrbd.excite(URDF, starts=1, speed=0.25, margin=0.0)
+    slow = torchrbd.excite(URDF, harmonics=3, starts=1, speed=0.25, margin=0.0)
     t = torch.linspace(0.0, 10.0, 5000, dtype=torch.float64)
-    assert (slow.motion.states(t)[1].abs().amax(0) <= 0.25 * slow.robot.velocity * (1 + 1e-6)).all()
+    assert (slow.motion.states(t)[1].abs().amax(0) <= 0.25 * slow.robot.velocity).all()
 
 
 def test_joints_that_stand_still_leave_what_the_others_tell() -> None:

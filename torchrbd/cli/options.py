@@ -13,6 +13,7 @@ from rich_argparse import RawDescriptionRichHelpFormatter
 from torchrbd import __version__
 from torchrbd.cli.fleet_options import add_fleet, add_merge, add_stats
 from torchrbd.cli.shared_options import RECORDING, add_shared
+from torchrbd.cli.excite_options import add_excite
 from torchrbd.estimators import COMPARABLE, ESTIMATORS, WITH_INTERVALS
 
 _FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint or only at PLACE (default: {})"
@@ -93,7 +94,7 @@ def parser() -> argparse.ArgumentParser:
     sub = command("simulate", "Roll a model forward from a recorded state under the recorded torque; write the motion.")
     _add_simulate(sub)
     sub = command("excite", "Design the motion to record next: within limits, from rest to rest.")
-    _add_excite(sub)
+    add_excite(sub)
     sub = command("inspect", "Say what a recording holds and what looks wrong; write a mapping to edit.")
     _add_inspect(sub)
     sub = command("stats", "Stream recordings into second moments, a small file each, for identify in place of them.")
@@ -119,50 +120,6 @@ def _add_compare(sub: argparse.ArgumentParser) -> None:
             help=f"folder that 'diagnose -o' wrote, or its diagnosis.json: {words}",
         )
     sub.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder for comparison.json and comparison.html")
-
-
-def _add_excite(sub: argparse.ArgumentParser) -> None:
-    words: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []}
-    sub.add_argument("robot", type=Path, metavar="ROBOT.urdf", help="the robot, with the limits that hold")
-    sub.add_argument(
-        "-d",
-        "--diagnosis",
-        type=Path,
-        metavar="DIR",
-        help="folder that 'diagnose -o' wrote: separate what it could not tell apart (default: tell the parameters)",
-    )
-    sub.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="CSV", help="t, q_, qd_, qdd_ of each joint; YAML beside it"
-    )
-    motion = sub.add_argument_group("motion")
-    motion.add_argument(
-        "--frequency", dest="frequency_hz", type=float, metavar="HZ", help="one over a period (default: 0.1)"
-    )
-    motion.add_argument("--harmonics", type=int, metavar="N", help="of the frequency in the motion (default: 5)")
-    motion.add_argument("--periods", type=int, metavar="N", help="to record (default: 3)")
-    motion.add_argument(
-        "--rate", dest="rate_hz", type=float, default=100.0, metavar="HZ", help="of the samples (default: 100)"
-    )
-    motion.add_argument("--joints", nargs="+", action="extend", metavar="JOINT", help="that move (default: all)")
-    motion.add_argument("--starts", type=int, metavar="N", help="of the optimiser (default: 4)")
-    motion.add_argument("--seed", type=int, metavar="N", help="of these starts (default: 0)")
-    motion.add_argument(
-        "--gravity", type=float, nargs=3, metavar=("X", "Y", "Z"), help="in the base's axes (default: 0 0 -9.81)"
-    )
-    limits = sub.add_argument_group("limits")
-    limits.add_argument("--speed", type=float, metavar="X", help="share of the speed limits to use (default: 1)")
-    limits.add_argument("--margin", type=float, metavar="X", help="part of every limit left free (default: 0.1)")
-    limits.add_argument(
-        "--range", dest="ranges", metavar="JOINT=LOW:HIGH", help="in place of the URDF's; LOW = HIGH holds it", **words
-    )
-    limits.add_argument("--velocity", dest="velocities", metavar="JOINT=V", help="in place of the URDF's", **words)
-    limits.add_argument("--effort", dest="efforts", metavar="JOINT=TAU", help="in place of the URDF's", **words)
-    limits.add_argument(
-        "--box",
-        metavar="AXIS=LOW:HIGH",
-        help="where the origins of all links stay [m], base's axes, e.g. z=0.05: x=-0.5:0.7",
-        **words,
-    )
 
 
 def _add_inspect(sub: argparse.ArgumentParser) -> None:

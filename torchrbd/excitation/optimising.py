@@ -25,6 +25,8 @@ _ITERATIONS, _TOLERANCE = 200, 1e-4
 # No coordinate of a motion within its limits is larger than sqrt(8): sines of the greatest speed.
 _FURTHEST = 3.0
 _HALVINGS = 30
+# Between two of the fine samples a sine rises by 1 - cos(pi / 200) at most.
+_BETWEEN = 2e-4
 
 
 def sampled(basis: Basis, samples: int) -> Tensor:
@@ -172,7 +174,7 @@ def _kept(constraints: Constraints, motion: FourierMotion, t: Tensor) -> Fourier
     """Return a motion with strokes as much smaller as its limits need; None if its centre does not keep them."""
 
     def keeps(part: float) -> bool:
-        return bool((constraints.greatest(t, *motion.shrunk(part).states(t)) <= 1.0).all())
+        return bool((constraints.greatest(t, *motion.shrunk(part).states(t)) <= 1.0 - _BETWEEN).all())
 
     if keeps(1.0):
         return motion
