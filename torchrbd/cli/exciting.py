@@ -89,8 +89,11 @@ def print_motion(result: Excitation, rate_hz: float) -> None:
     out.print(
         Text.assemble((f"{result.robot.name}:", "bold"), f" {period}, {rate_hz:g} samples a second, from rest to rest")
     )
+    parameters = (
+        "one base parameter" if condition.base_parameters == 1 else f"{condition.base_parameters} base parameters"
+    )
     out.print(
-        f"condition number of the regressor of {condition.base_parameters} base parameters: {number(condition.scaled)} "
+        f"condition number of the regressor of {parameters}: {number(condition.scaled)} "
         f"(columns scaled to unit RMS), {number(condition.unscaled)} (SI units), "
         f"{number(condition.with_friction)} with friction (scaled)",
         soft_wrap=True,

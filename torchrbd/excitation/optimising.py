@@ -21,6 +21,8 @@ Objective = Callable[[Tensor, Tensor, Tensor], Tensor]
 SAMPLES, FINE_SAMPLES = 20, 200
 # Postures that are tried; motions that are drawn for each start, and how large they are in the range and in speed.
 _POSTURES, _DRAWS, _CENTRES, _STROKES = 512, 64, 0.8, 0.3
+# Samples for which a posture is held.
+_RESTING = 16
 _ITERATIONS, _TOLERANCE = 200, 1e-4
 # No coordinate of a motion within its limits is larger than sqrt(8): sines of the greatest speed.
 _FURTHEST = 3.0
@@ -73,8 +75,9 @@ class Problem:
         drawn = 2.0 * sobol.draw(_POSTURES, dtype=torch.float64) - 1.0
         limits = self.constraints.limits
         q = limits.middle + limits.half * drawn
-        still, begin = torch.zeros_like(q[:1]), torch.zeros(1, dtype=torch.float64)
-        used = torch.stack([self.constraints.greatest(begin, row.unsqueeze(0), still, still) for row in q])
+        # A sequence, as effects with memory need one.
+        t, still = self.t[:_RESTING], torch.zeros(_RESTING, n, dtype=torch.float64)
+        used = torch.stack([self.constraints.greatest(t, row.expand(_RESTING, n), still, still) for row in q])
         best = used.amax(1).argmin()
         if float(used[best].max()) > 1.0:
             label, most = self.constraints.labels[int(used[best].argmax())], float(used[best].max()) - 1.0
