@@ -48,12 +48,13 @@ class Constraints:
         torque: what the actuators supply.
 
     Attributes:
+        robot, limits, torque: as given.
         labels: what each limit is, in words.
         points: origins of links that the box holds: those that move.
     """
 
     def __init__(self, robot: RobotModel, limits: Limits, torque: Torque) -> None:
-        self.robot, self.limits, self._torque = robot, limits, torque
+        self.robot, self.limits, self.torque = robot, limits, torque
         self._driven = limits.effort.isfinite().nonzero().flatten().tolist()
         self._faces = [(axis, end) for axis in range(3) for end in range(2) if bool(limits.box[axis, end].isfinite())]
         self.points = self._moving_points() if self._faces else ()
@@ -70,7 +71,7 @@ class Constraints:
         limits, moving = self.limits, self.limits.moving
         blocks = [(q - limits.middle)[:, moving] / limits.half[moving], qd[:, moving] / limits.fastest[moving]]
         if self._driven:
-            blocks.append(self._torque(t, q, qd, qdd)[:, self._driven] / limits.strongest[self._driven])
+            blocks.append(self.torque(t, q, qd, qdd)[:, self._driven] / limits.strongest[self._driven])
         used = [torch.cat((block, -block)) for block in blocks]
         if self._faces:
             p = self.positions(q).flatten(0, 1)
@@ -85,10 +86,6 @@ class Constraints:
     def greatest(self, t: Tensor, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         """Return what is used of each limit, (limits,)."""
         return torch.cat([u.amax(0) for u in self.uses(t, q, qd, qdd)])
-
-    def torque(self, t: Tensor, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Return the torque (N, n) that the actuators supply [N m or N]."""
-        return self._torque(t, q, qd, qdd)
 
     def positions(self, q: Tensor) -> Tensor:
         """Return where the points are, (N, points, 3) in the base's axes [m]."""

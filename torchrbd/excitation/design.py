@@ -26,7 +26,7 @@ from torchrbd.threads import single_threaded
 _MOST_SAMPLES = 600
 _LEAST_HARMONICS = 2
 # Rivals whose expected log Bayes factor is less than this stay open [nats].
-TOLD = 3.0
+_TOLD = 3.0
 
 
 @single_threaded()
@@ -162,5 +162,5 @@ def _notes(separations: Sequence[Separation]) -> list[str]:
         f"{one.one} and {one.other} may stay open: the expected log Bayes factor is {one.log_bayes_factor:.1f}; "
         "they are the same on any such motion, or other limits are needed"
         for one in separations
-        if one.log_bayes_factor < TOLD
+        if one.log_bayes_factor < _TOLD
     ]

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchrbd.diagnosis import Alternative, Diagnosis, Finding
 from torchrbd.diagnosis.changes.reading import side_of
+from torchrbd.diagnosis.screening import ORDINARY
 from torchrbd.diagnosis.words import joined, named
 from torchrbd.errors import InputError
 from torchrbd.model import RigidBodyDynamics
@@ -93,7 +94,10 @@ def known_from(diagnosis: Diagnosis | str | Path) -> Known:
         model, noise = RigidBodyDynamics.load(folder), _noise_of(folder / "parameters.json")
     robot, questions, notes = model.robot, [], []
     for finding in side.findings:
-        rivals = _rivals(robot, finding)
+        try:
+            rivals = _rivals(robot, finding)
+        except (KeyError, ValueError) as error:
+            raise InputError(f"{diagnosis}: finding '{finding.effect}' cannot be read ({error}); {_REMEDY}") from None
         if len(rivals) > 1:
             questions.append(Question(rivals))
         if any(not a.parameters for a in finding.indistinguishable_from):
@@ -120,14 +124,18 @@ def _noise_of(file: Path) -> dict[str, float]:
 
 
 def _rivals(robot: RobotModel, finding: Finding) -> tuple[Rival, ...]:
-    """Return a finding, the effects that it cannot be told from, and nothing if that may be."""
+    """Return a finding, the effects that it cannot be told from, and nothing if that may be.
+
+    Viscous and Coulomb friction are always in the model: with or without them is no question.
+    """
     alike = [a for a in finding.indistinguishable_from if a.parameters]
     others = sum(a.probability for a in alike)
     values = {name: one.value for name, one in finding.parameters.items()}
     own = Alternative(finding.effect, finding.joints, finding.links, finding.depends_on, values, max(1.0 - others, 0.0))
     found = [_rival(robot, one) for one in (own, *alike)]
+    found = [one for one in found if bool(one.coefficients.isfinite().all())]
     there = max(finding.probability, finding.family_probability)
-    if there < _SURE:
+    if there < _SURE and finding.effect not in ORDINARY and found:
         found = [replace(one, probability=there * one.probability) for one in found]
         found.append(Rival(NOTHING, None, Site(), {}, torch.zeros(0, dtype=torch.float64), 1.0 - there))
     return tuple(found)
