@@ -117,6 +117,7 @@ def design(about: Known, **options: object) -> torchrbd.Excitation:
         room.known_from = original
 
 
+@pytest.mark.slow
 def test_it_separates_more_than_the_motion_of_the_best_condition() -> None:
     """Friction that is told at slow motion only: a motion that tells parameters well is fast."""
     stribeck = {"coulomb": 0.5, "static": 1.0, "stribeck_speed": 0.3}
@@ -263,6 +264,24 @@ def test_rivals_without_parameters_are_told(diagnosis: Diagnosis) -> None:
     assert "joint spring at joint2: the diagnosis does not say what parameters its rivals would have" in about.notes[0]
 
 
+def test_what_is_no_question(diagnosis: Diagnosis) -> None:
+    """Friction that every model has, and rivals whose numbers are not known."""
+    result = open_diagnosis(diagnosis)
+    friction = replace(diagnosis.findings[0], indistinguishable_from=(), probability=0.6, family_probability=0.6)
+    assert friction.effect in ("viscous_friction", "coulomb_friction")
+    unknown = replace(result.findings[0].indistinguishable_from[0], parameters=dict.fromkeys(STOP, float("nan")))
+    spring = replace(result.findings[0], indistinguishable_from=(unknown,))
+    assert known_from(replace(result, findings=(friction, spring))).questions == ()
+
+
+def test_what_may_not_be_there_is_told_from_nothing(diagnosis: Diagnosis) -> None:
+    (one,) = open_diagnosis(diagnosis).findings
+    doubtful = replace(one, indistinguishable_from=(), probability=0.8, family_probability=0.9)
+    (question,) = known_from(replace(diagnosis, findings=(doubtful,))).questions
+    assert [rival.words for rival in question.rivals] == ["joint spring at joint2", NOTHING]
+    assert [rival.probability for rival in question.rivals] == pytest.approx([0.9, 0.1])
+
+
 def test_input_that_cannot_be_used_is_refused(diagnosis: Diagnosis, tmp_path: Path) -> None:
     with pytest.raises(torchrbd.InputError, match=re.escape("give the URDF that was diagnosed")):
         torchrbd.excite(URDF.replace("joint3", "elbow"), diagnosis)
@@ -272,6 +291,9 @@ def test_input_that_cannot_be_used_is_refused(diagnosis: Diagnosis, tmp_path: Pa
         torchrbd.excite(URDF, replace(diagnosis, verdict="suspect"))
     with pytest.raises(torchrbd.InputError, match="cannot be read"):
         torchrbd.excite(URDF, tmp_path)
+    elsewhere = replace(open_diagnosis(diagnosis).findings[0], joints=("joint9",))
+    with pytest.raises(torchrbd.InputError, match="finding 'joint_spring' cannot be read"):
+        torchrbd.excite(URDF, replace(diagnosis, findings=(elsewhere,)))
     write_results(diagnosis, tmp_path)
     (tmp_path / "parameters.json").write_text("{}")
     with pytest.raises(torchrbd.InputError, match=r"parameters.json"):
