@@ -60,6 +60,13 @@ def test_samples_begin_and_end_at_rest(result: Excitation) -> None:
     torch.testing.assert_close(torch.gradient(q, spacing=0.02, dim=0)[0][1:-1], qd[1:-1], rtol=0, atol=5e-3)
 
 
+def test_the_last_sample_is_at_rest_whatever_the_rate(result: Excitation) -> None:
+    t, q, qd, _ = result.states(7.77)
+    assert len(t) == 157
+    assert qd[-1].abs().max() < 1e-12
+    torch.testing.assert_close(q[-1], q[0], rtol=0, atol=1e-11)
+
+
 def test_condition_numbers_are_those_of_pinocchio_s_regressor(result: Excitation) -> None:
     t = torch.linspace(0.0, 10.0, 4001, dtype=torch.float64)[:-1]
     q, qd, qdd = (x.numpy() for x in result.motion.states(t))

@@ -118,6 +118,13 @@ def test_the_box_holds_the_origins_of_all_links_that_move_tools_included() -> No
     np.testing.assert_allclose(used, 1.0 + (beyond + 1e-3) / 0.25, rtol=1e-9)
 
 
+def test_a_box_around_what_does_not_move_asks_for_nothing() -> None:
+    """The first joint turns the others' links about its own axis."""
+    one = constraints(joints=["joint1"], box={"z": (9.0, math.inf)})
+    assert one.points == ()
+    assert all("box" not in label for label in one.labels)
+
+
 def test_the_smooth_bound_lies_just_above_and_its_slopes_are_right() -> None:
     one, (q, qd, qdd) = constraints(box={"z": (0.2, math.inf)}), states(3, 12)
     t = torch.arange(12.0, dtype=torch.float64)

@@ -56,8 +56,9 @@ class Constraints:
     def __init__(self, robot: RobotModel, limits: Limits, torque: Torque) -> None:
         self.robot, self.limits, self.torque = robot, limits, torque
         self._driven = limits.effort.isfinite().nonzero().flatten().tolist()
-        self._faces = [(axis, end) for axis in range(3) for end in range(2) if bool(limits.box[axis, end].isfinite())]
-        self.points = self._moving_points() if self._faces else ()
+        faces = [(axis, end) for axis in range(3) for end in range(2) if bool(limits.box[axis, end].isfinite())]
+        self.points = self._moving_points() if faces else ()
+        self._faces = faces if self.points else []
         names = robot.joint_names
         self.labels = (
             *(f"the range of {names[j]}" for j in limits.moving),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import torch
@@ -87,9 +88,9 @@ class Excitation:
         return self.periods * self.motion.period_s
 
     def states(self, rate_hz: float = 100.0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return t (N,), and q, qd, qdd (N, n) at so many samples a second, from rest to rest."""
-        t = torch.arange(int(self.duration_s * rate_hz + 1e-9) + 1, dtype=torch.float64) / rate_hz
-        return t, *self.motion.states(t)
+        """Return t (N,), and q, qd, qdd (N, n) at so many samples a second; the first and the last are at rest."""
+        t = torch.arange(math.ceil(self.duration_s * rate_hz - 1e-9) + 1, dtype=torch.float64) / rate_hz
+        return t, *self.motion.states(t.clamp_max(self.duration_s))
 
     def __repr__(self) -> str:
         return (
@@ -105,10 +106,8 @@ def joint_uses(constraints: Constraints, motion: FourierMotion, t: Tensor) -> tu
     half = 0.5 * (limits.upper - limits.lower)
     stroke = (q - 0.5 * (limits.lower + limits.upper)).abs().amax(0) / half
     used = torch.stack((stroke, greatest[0] / limits.velocity, greatest[2] / limits.effort))
-    used[:2, ~limits.moves] = torch.nan
-    used = torch.where(
-        torch.isfinite(used) & torch.isfinite(torch.stack((half, limits.velocity, limits.effort))), used, torch.nan
-    )
+    limited = torch.stack((limits.moves, limits.moves, limits.effort.isfinite()))
+    used = torch.where(limited, used, torch.nan)
     rows = torch.cat((torch.stack((q.amin(0), q.amax(0))), greatest, used)).T.tolist()
     return tuple(JointUse(name, *row) for name, row in zip(constraints.robot.joint_names, rows, strict=True))
 
