@@ -68,32 +68,37 @@ class Constraints:
         )
 
     def uses(self, t: Tensor, q: Tensor, qd: Tensor, qdd: Tensor) -> list[Tensor]:
-        """Return how much of its limits each sample uses: blocks (M, limits) in the order of ``labels``."""
+        """Return how much of its limits each sample uses: blocks (*batch, M, limits) in the order of ``labels``.
+
+        Args:
+            t: (N,) times.
+            q, qd, qdd: (*batch, N, n) states.
+        """
         limits, moving = self.limits, self.limits.moving
-        blocks = [(q - limits.middle)[:, moving] / limits.half[moving], qd[:, moving] / limits.fastest[moving]]
+        blocks = [(q - limits.middle)[..., moving] / limits.half[moving], qd[..., moving] / limits.fastest[moving]]
         if self._driven:
-            blocks.append(self.torque(t, q, qd, qdd)[:, self._driven] / limits.strongest[self._driven])
-        used = [torch.cat((block, -block)) for block in blocks]
+            blocks.append(self.torque(t, q, qd, qdd)[..., self._driven] / limits.strongest[self._driven])
+        used = [torch.cat((block, -block), -2) for block in blocks]
         if self._faces:
-            p = self.positions(q).flatten(0, 1)
-            out = [(p[:, axis] - limits.box[axis, end]) * (1.0 if end else -1.0) for axis, end in self._faces]
-            used.append(1.0 + (torch.stack(out, 1) + _ROOM) / _LENGTH)
+            p = self.positions(q).flatten(-3, -2)
+            out = [(p[..., axis] - limits.box[axis, end]) * (1.0 if end else -1.0) for axis, end in self._faces]
+            used.append(1.0 + (torch.stack(out, -1) + _ROOM) / _LENGTH)
         return used
 
     def smooth(self, t: Tensor, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Return a smooth upper bound of what is used of each limit, (limits,)."""
-        return torch.cat([torch.logsumexp(_RHO * u, 0) / _RHO for u in self.uses(t, q, qd, qdd)])
+        """Return a smooth upper bound of what is used of each limit, (*batch, limits)."""
+        return torch.cat([torch.logsumexp(_RHO * u, -2) / _RHO for u in self.uses(t, q, qd, qdd)], -1)
 
     def greatest(self, t: Tensor, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Return what is used of each limit, (limits,)."""
-        return torch.cat([u.amax(0) for u in self.uses(t, q, qd, qdd)])
+        """Return what is used of each limit, (*batch, limits)."""
+        return torch.cat([u.amax(-2) for u in self.uses(t, q, qd, qdd)], -1)
 
     def positions(self, q: Tensor) -> Tensor:
-        """Return where the points are, (N, points, 3) in the base's axes [m]."""
+        """Return where the points are, (*batch, points, 3) in the base's axes [m]."""
         R, p = self.robot.body_poses(q)
         at = [point.body for point in self.points]
         places = torch.stack([point.place for point in self.points])
-        return p[:, at] + torch.einsum("npij,pj->npi", R[:, at], places)
+        return p[..., at, :] + (R[..., at, :, :] @ places.unsqueeze(-1)).squeeze(-1)
 
     def _moving_points(self) -> tuple[Point, ...]:
         """Return the origins of links that the joints move."""

@@ -57,11 +57,11 @@ class Problem:
         return FourierMotion(self.basis, self.free(torch.from_numpy(x)))
 
     def free(self, x: Tensor) -> Tensor:
-        """Return the free coefficients (n, 2 H - 1) of coordinates x."""
+        """Return the free coefficients (*batch, n, 2 H - 1) of coordinates x (*batch, n (2 H - 1))."""
         limits, n = self.constraints.limits, self.constraints.robot.n_dof
         speed = torch.where(limits.moves, 0.5 * limits.fastest, 0.0).unsqueeze(1)
         scale = torch.cat((limits.half.unsqueeze(1), speed.expand(n, self.basis.n - 1)), 1)
-        free = scale * x.reshape(n, self.basis.n)
+        free = scale * x.unflatten(-1, (n, self.basis.n))
         return free + torch.nn.functional.pad(limits.middle.unsqueeze(1), (0, self.basis.n - 1))
 
     def postures(self) -> np.ndarray:
@@ -76,8 +76,9 @@ class Problem:
         limits = self.constraints.limits
         q = limits.middle + limits.half * drawn
         # A sequence, as effects with memory need one.
-        t, still = self.t[:_RESTING], torch.zeros(_RESTING, n, dtype=torch.float64)
-        used = torch.stack([self.constraints.greatest(t, row.expand(_RESTING, n), still, still) for row in q])
+        held = q.unsqueeze(1).repeat(1, _RESTING, 1)
+        still = torch.zeros_like(held)
+        used = self.constraints.greatest(self.t[:_RESTING], held, still, still)
         best = used.amax(1).argmin()
         if float(used[best].max()) > 1.0:
             label, most = self.constraints.labels[int(used[best].argmax())], float(used[best].max()) - 1.0
@@ -92,13 +93,9 @@ class Problem:
         n, K = self.constraints.robot.n_dof, self.basis.n
         draws = _STROKES * rng.standard_normal((_DRAWS, n, K))
         draws[:, :, 0] = _CENTRES * rng.choice(postures, _DRAWS)
-        at = self.basis.at(self.t)
-
-        def worst(x: np.ndarray) -> float:
-            q, qd, qdd = (part @ self.free(torch.from_numpy(x)).T for part in at)
-            return float(self.constraints.greatest(self.t, q, qd, qdd).max())
-
-        return min(draws, key=worst).ravel()
+        free = self.free(torch.from_numpy(draws).flatten(1))
+        q, qd, qdd = (part @ free.mT for part in self.basis.at(self.t))
+        return draws[int(self.constraints.greatest(self.t, q, qd, qdd).amax(1).argmin())].ravel()
 
     def solved(self, start: np.ndarray, report: Callable[[float], None]) -> FourierMotion:
         """Return where the optimiser ends from a start; whether it keeps the limits is not said."""
@@ -106,7 +103,7 @@ class Problem:
 
         def states(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             free = self.free(x)
-            q, qd, qdd = (part @ free.T for part in at)
+            q, qd, qdd = (part @ free.mT for part in at)
             return q, qd, qdd
 
         def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -118,9 +115,10 @@ class Problem:
             return 1.0 - self.constraints.smooth(self.t, *states(torch.from_numpy(x))).numpy()
 
         def room_slopes(x: np.ndarray) -> np.ndarray:
-            z = torch.from_numpy(x.copy()).requires_grad_()
+            # A copy of the motion for each limit: one pass backwards gives the slopes of all of them.
+            z = torch.from_numpy(x).expand(len(self.constraints.labels), -1).clone().requires_grad_()
             used = self.constraints.smooth(self.t, *states(z))
-            return -np.stack([torch.autograd.grad(u, z, retain_graph=True)[0].numpy() for u in used])
+            return -torch.autograd.grad(used.diagonal().sum(), z)[0].numpy()
 
         def step(_: np.ndarray) -> None:
             nonlocal steps
