@@ -11,9 +11,9 @@ from typing import NoReturn
 from rich_argparse import RawDescriptionRichHelpFormatter
 
 from torchrbd import __version__
+from torchrbd.cli.excite_options import add_excite
 from torchrbd.cli.fleet_options import add_fleet, add_merge, add_stats
 from torchrbd.cli.shared_options import RECORDING, add_shared
-from torchrbd.cli.excite_options import add_excite
 from torchrbd.estimators import COMPARABLE, ESTIMATORS, WITH_INTERVALS
 
 _FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint or only at PLACE (default: {})"

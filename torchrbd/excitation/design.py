@@ -18,8 +18,8 @@ from torchrbd.excitation.rivals import Known, known_from
 from torchrbd.excitation.separating import Separating
 from torchrbd.likelihood.reading import Progress
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.model.starting import urdf_friction
-from torchrbd.robot import STANDARD_GRAVITY, RobotModel
+from torchrbd.model.starting import described_terms
+from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded
 
 # Samples a period at most, where what separates lies at high frequencies.
@@ -88,7 +88,7 @@ def excite(
         margin=margin,
         speed=speed,
     )
-    model = RigidBodyDynamics(robot, terms=urdf_friction(robot)) if known is None else known.model
+    model = RigidBodyDynamics(robot, terms=described_terms(robot)) if known is None else known.model
     model.requires_grad_(False)
     constraints = Constraints(robot, limits, lambda t, q, qd, qdd: model(q, qd, qdd, t=t))
     conditioning, basis = Conditioning(model.robot, limits), Basis(1.0 / frequency_hz, harmonics)
@@ -139,8 +139,8 @@ def _read(robot: RobotModel | str | Path | bytes, known: Known | None, gravity: 
     if gravity is not None and (len(gravity) != 3 or not all(map(math.isfinite, gravity))):
         raise OptionError(f"gravity is {gravity}; expected three numbers, e.g. 0, 0 and -9.81")
     if not isinstance(robot, RobotModel):
-        own = STANDARD_GRAVITY if known is None else known.model.robot.gravity
-        robot = RobotModel.from_urdf(robot, gravity=own if gravity is None else gravity)
+        own = gravity if known is None else known.model.robot.gravity
+        robot = RobotModel.from_urdf(robot, gravity=own)
     if known is not None and robot.joint_names != known.model.robot.joint_names:
         raise InputError(
             f"robot '{robot.name}' has joints {', '.join(robot.joint_names)}, the diagnosis is of "
