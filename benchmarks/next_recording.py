@@ -20,10 +20,10 @@ import pinocchio as pin
 
 import torchrbd
 from torchrbd.diagnosis import Diagnosis
+from torchrbd.effects.registry import PLAIN
 from torchrbd.excitation.conditioning import Conditioning
 from torchrbd.excitation.rivals import known_from
 from torchrbd.excitation.separating import Separating
-from torchrbd.physics.registry import PLAIN
 from torchrbd.recordings import Recording
 
 JOINTS = ("joint1", "joint2", "joint3")

@@ -15,7 +15,7 @@ import torchrbd
 PACKAGE = Path(__file__).parent.parent / "torchrbd"
 ROOMS = (
     "errors", "estimators", "threads", "processes", "engines", "ranks", "outputs", "display", "rebuilding", "robot",
-    "recordings", "parameters", "physics", "model", "likelihood", "simulation", "inference", "diagnosis", "excitation",
+    "recordings", "parameters", "effects", "model", "likelihood", "simulation", "inference", "diagnosis", "excitation",
     "learning", "export", "report", "cli",
 )  # fmt: skip
 ONLY_IN = {"yourdfpy": "robot/urdf.py", "pytorch_kinematics": "robot/chain.py"}
@@ -99,7 +99,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
         ("robot/tree.py", "from ..cli import main"),
         ("robot/tree.py", "if TYPE_CHECKING:\n    from torchrbd.model import RigidBodyDynamics"),
         ("robot/tree.py", "def build():\n    from torchrbd.model import RigidBodyDynamics"),
-        ("physics/base.py", "from torchrbd import report"),
+        ("effects/base.py", "from torchrbd import report"),
         ("report/page.py", "import yourdfpy"),
         ("robot/model.py", "from pytorch_kinematics import Chain"),
         ("robot/model.py", "if TYPE_CHECKING:\n    from pytorch_kinematics import Chain"),

@@ -162,7 +162,7 @@ def test_effects_are_listed_with_their_torque(
     monkeypatch.setenv("COLUMNS", "160")
     assert main(["effects"]) == 0
     told = capsys.readouterr().out
-    for name, effect in torchrbd.effects().items():
+    for name, effect in torchrbd.known_effects().items():
         assert f"│ {name} " in told
         assert effect.words in told
     assert "c sign(qd)" in told

@@ -60,7 +60,7 @@ def test_every_public_name_is_there() -> None:
     for name in torchrbd.__all__:
         assert getattr(torchrbd, name) is not None
         assert name in dir(torchrbd)
-    for room in ("physics", "inference", "parameters"):
+    for room in ("effects", "inference", "parameters"):
         assert getattr(torchrbd, room) is import_module(f"torchrbd.{room}")
     with pytest.raises(AttributeError, match="'torchrbd' has no attribute 'identfy'"):
         torchrbd.identfy  # type: ignore[attr-defined]  # noqa: B018

@@ -41,7 +41,7 @@ _NAMES = {
     ),
     "model": ("RigidBodyDynamics",),
     "parameters": (),
-    "physics": ("effects", "register"),
+    "effects": ("known_effects", "register"),
     "recordings": ("Recording", "open_recording", "read_mapping"),
     "report": ("write_report",),
     "robot": ("RobotModel",),
@@ -61,7 +61,7 @@ Displayed.card = staticmethod(_card)
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name, or a room such as ``torchrbd.physics``, on first use (PEP 562)."""
+    """Import a public name, or a room such as ``torchrbd.effects``, on first use (PEP 562)."""
     if name in _NAMES:
         return import_module(f"torchrbd.{name}")
     if name not in _ROOM_OF:

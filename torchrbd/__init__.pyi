@@ -1,4 +1,5 @@
 from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare, diagnose, rank
+from torchrbd.effects import known_effects, register
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.excitation import Excitation, excite
 from torchrbd.export import load_model, save_model, to_actuator_net, to_mjcf, to_urdf, unsaid
@@ -23,7 +24,6 @@ from torchrbd.learning import (
     residual_dataset,
 )
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.physics import effects, register
 from torchrbd.recordings import Recording, open_recording, read_mapping
 from torchrbd.report import write_report
 from torchrbd.robot import RobotModel
@@ -58,11 +58,11 @@ __all__ = [
     "compare",
     "compare_estimators",
     "diagnose",
-    "effects",
     "excite",
     "fit_residual",
     "identify",
     "identify_many",
+    "known_effects",
     "load_model",
     "merge_statistics",
     "open_recording",

@@ -10,10 +10,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from torchrbd.effects import Effect, JointScale, Shape, Site, Window, known_effects
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.physics import Effect, JointScale, Shape, Site, Window, effects
 from torchrbd.robot import RobotModel
 
 Json = Mapping[str, Any]
@@ -68,7 +68,7 @@ def true_shape(effect: Effect, known: Mapping[str, float]) -> Shape | None:
 
 def told_effects(truth: Json, robot: RobotModel) -> list[Effect]:
     """Return what the library has of a case's effects, told where and how they are."""
-    known, found = effects(), []
+    known, found = known_effects(), []
     for number, true in enumerate((*truth["effects"], *truth["background"])):
         if true["effect"] not in known:
             continue
@@ -82,7 +82,7 @@ def told_effects(truth: Json, robot: RobotModel) -> list[Effect]:
 
 def offered(robot: RobotModel, found: Json) -> set[str]:
     """Return a concealed effect, or a finding, as ``diagnose`` is told it: with its places if it acts at all times."""
-    known = effects()[found["effect"]]
+    known = known_effects()[found["effect"]]
     places = {site.name(robot) for site in true_sites(known, found, robot) if site.always}
     return {f"{known.id}@{place}" for place in places} or {known.id}
 

@@ -22,10 +22,10 @@ from sklearn.model_selection import KFold
 from sklearn.neural_network import MLPRegressor
 from sklearn.preprocessing import StandardScaler
 
+from torchrbd.effects import known_effects
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.block_statistics import filtered_rows
-from torchrbd.physics import effects
 from torchrbd.robot import RobotModel
 
 from .rival_scores import range_errors
@@ -67,7 +67,7 @@ def read_series(urdf: Path, fit: Iterable[Path], holdout: Iterable[Path]) -> Ser
     """Fit the rigid body and evaluate the columns of all effects on every sample."""
     robot = RobotModel.from_urdf(urdf)
     settings = Settings.from_mapping({"holdout": list(holdout)}, "rivals")
-    prepared = prepare(robot, list(fit), settings, tuple(effects().values()))
+    prepared = prepare(robot, list(fit), settings, tuple(known_effects().values()))
     x, columns, n = prepared.fit().x, prepared.columns, robot.n_dof
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     states, held_out, steps = [], [], 0.0

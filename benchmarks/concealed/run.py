@@ -30,11 +30,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 import torchrbd
+from torchrbd.effects.registry import PLAIN
 from torchrbd.errors import InputError
 from torchrbd.export import write_diagnosis
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.physics.registry import PLAIN
 from torchrbd.robot import RobotModel
 
 from .oracle import offered, oracle_errors

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, NamedTuple
 
-from torchrbd.physics.registry import PLAIN_OR_UNEVEN
+from torchrbd.effects.registry import PLAIN_OR_UNEVEN
 
 from .matching import RIGID_BODY, Judgement, covers, judge, new_findings, relation
 from .overlap import end_errors, interval_iou, region_iou

@@ -14,7 +14,7 @@ from simulated import multisine
 
 import torchrbd
 from torchrbd.cli import main
-from torchrbd.physics import Site, Term, effect
+from torchrbd.effects import Site, Term, effect
 
 TERMS = (("viscous_friction", 0, 0.3), ("rotor_inertia", 1, 0.4))
 

@@ -7,11 +7,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
-from physics.sites import ROBOT, SCALE, signals, site_of, states
+from effects.sites import ROBOT, SCALE, signals, site_of, states
 
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
+from torchrbd.effects import Site, effect, known_effects
 from torchrbd.likelihood.columns import Candidate
-from torchrbd.physics import Site, effect, effects
 from torchrbd.report.cards import _sense
 
 
@@ -62,7 +62,7 @@ def test_what_acts_on_the_whole_robot_has_no_curve() -> None:
     assert fitted_curve(model(torch.ones(2).double(), torch.eye(2).double()), term("base_tilt", Site())) is None
 
 
-@pytest.mark.parametrize("identifier", effects())
+@pytest.mark.parametrize("identifier", known_effects())
 def test_data_is_drawn_only_where_the_curve_is_the_whole_torque(identifier: str) -> None:
     """A curve that is laid over data must be the term's torque at every sample, against the motion or not."""
     e = effect(identifier)

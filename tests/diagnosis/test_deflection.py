@@ -10,9 +10,9 @@ from simulated import inverse_dynamics, joint_names, multisine
 import torchrbd
 from torchrbd.diagnosis.deflection import deflections
 from torchrbd.diagnosis.springs import with_springs
+from torchrbd.effects import effect
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import prepare
-from torchrbd.physics import effect
 from torchrbd.recordings import Recording
 
 mujoco = pytest.importorskip("mujoco")

@@ -17,12 +17,12 @@ from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import curves, is_curve, stands_in
 from torchrbd.diagnosis.search import Term
+from torchrbd.effects import Site
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
 from torchrbd.inference.physical.terms import told_parameters
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.physics import Site
 from torchrbd.robot import RobotModel
 
 EVERY = ("smooth_torque_over_qd", "smooth_torque_over_load", "smooth_friction_over_load")

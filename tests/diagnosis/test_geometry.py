@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from physics import test_whole_robot_effects as robots
+from effects import test_whole_robot_effects as robots
 from simulated import record
 
 import torchrbd

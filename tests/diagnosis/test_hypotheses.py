@@ -31,6 +31,8 @@ from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.ranking import _ranked
 from torchrbd.diagnosis.screening import ORDINARY, refined, screened
 from torchrbd.diagnosis.search import _alike, _Search, sharpened, with_own_noise
+from torchrbd.effects import Site
+from torchrbd.effects.registry import effect, known_effects
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
@@ -38,10 +40,8 @@ from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.shapes import axes
 from torchrbd.likelihood.sizes import coefficient_std
-from torchrbd.physics import Site
-from torchrbd.physics.registry import effect, effects
 
-ALL = list(effects().values())
+ALL = list(known_effects().values())
 FOR_A_TIME, SHIFTS = {"payload", "external_wrench"}, {"time_delay", "actuator_lag"}
 
 

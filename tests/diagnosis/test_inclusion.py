@@ -22,11 +22,11 @@ from torchrbd.diagnosis.posterior import (
     probability_of,
     refit_matters,
 )
+from torchrbd.effects import Effect, Site, Window, effect, known_effects
+from torchrbd.effects.smooth_torque import SMOOTH
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.rows import Rows
-from torchrbd.physics import Effect, Site, Window, effect, effects
-from torchrbd.physics.smooth_torque import SMOOTH
 from torchrbd.robot import RobotModel
 
 ARM = RobotModel.from_urdf(random_urdf(3, 7, kinds=("revolute",), branching=0.0, massless=0.0))
@@ -135,7 +135,7 @@ def test_a_curve_that_is_three_nats_ahead_of_a_law_does_not_come_first(robot: Ro
     def places(e: Effect) -> int:
         return len(e.sites(robot, (Window("a"),)))
 
-    pairs = [(curve, law) for curve in SMOOTH for law in effects().values() if places(curve) == places(law)]
+    pairs = [(curve, law) for curve in SMOOTH for law in known_effects().values() if places(curve) == places(law)]
     assert len({curve.id for curve, _ in pairs}) == len(SMOOTH)
     ahead = [
         (curve.id, law.id) for curve, law in pairs if prior_log_odds(curve, robot) + lead >= prior_log_odds(law, robot)

@@ -13,7 +13,7 @@ from torchrbd.diagnosis.hypotheses import Hypothesis, told
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.results import Limit
 from torchrbd.diagnosis.search import Explanation, explained
-from torchrbd.physics import Site, effect
+from torchrbd.effects import Site, effect
 
 EFFECTS = (
     "rotor_inertia",

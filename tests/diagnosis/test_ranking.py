@@ -11,9 +11,9 @@ from likelihood.fits import DELAY_S, OPTIONS, URDF, at_joint, fitted, with_frict
 from simulated import joint_names, with_wrong_inertials
 
 from torchrbd.diagnosis.ranking import Ranking, _of_all, rank
+from torchrbd.effects.registry import known_effects
 from torchrbd.errors import InputError, OptionError
 from torchrbd.likelihood.clocks import Clocks
-from torchrbd.physics.registry import effects
 
 GIVEN = with_wrong_inertials(URDF, 1, 0.1).encode()
 FIRST, SECOND = joint_names(URDF)
@@ -34,7 +34,7 @@ def found() -> Ranking:
 @pytest.mark.parametrize(("late_s", "may"), [(0.004, {"time_delay"}), (-0.004, {"time_delay", "actuator_lag"})])
 def test_torque_that_all_joints_have_early_may_be_a_delay_or_a_lag(late_s: float, may: set[str]) -> None:
     clocks = Clocks(fitted(), {"simulated": late_s}, 50.0)
-    found = _of_all(clocks, list(effects().values()))
+    found = _of_all(clocks, list(known_effects().values()))
     assert {h.effect for h in found} == may
     for h in found:
         assert (h.joints, h.log_evidence) == ((), 50.0)

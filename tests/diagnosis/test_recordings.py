@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from physics.sites import ROBOT, SCALE, signals, states
+from effects.sites import ROBOT, SCALE, signals, states
 from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, multisine, record, with_wrong_inertials
 
 import torchrbd
 from torchrbd.diagnosis.results import Finding
+from torchrbd.effects import Site, Term, effect
+from torchrbd.effects.registry import PLAIN
 from torchrbd.export import load_model, save_model
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.physics import Site, Term, effect
-from torchrbd.physics.registry import PLAIN
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

@@ -15,9 +15,9 @@ from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.search import MOST_TERMS, Explanation, Term, explained
+from torchrbd.effects import Site, Window, effect
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
-from torchrbd.physics import Site, Window, effect
 
 EFFECTS = (
     "rotor_inertia",

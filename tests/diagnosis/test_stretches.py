@@ -10,15 +10,15 @@ from scipy.special import logsumexp
 
 from torchrbd.diagnosis.hypotheses import averaged, told
 from torchrbd.diagnosis.stretches import Stretches, in_recordings, in_stretches
+from torchrbd.effects import JointScale, Shape, Site, Window
+from torchrbd.effects.registry import effect
+from torchrbd.effects.stribeck_friction import StribeckFriction
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import coefficient_std
-from torchrbd.physics import JointScale, Shape, Site, Window
-from torchrbd.physics.registry import effect
-from torchrbd.physics.stribeck_friction import StribeckFriction
 
 
 @pytest.fixture(scope="module")

@@ -15,12 +15,12 @@ from scipy.linalg import cho_factor, cho_solve
 import torchrbd
 from torchrbd.cli.files import write_results
 from torchrbd.diagnosis import Alternative, Diagnosis
+from torchrbd.effects import Site, effect, known_effects
 from torchrbd.excitation.conditioning import Conditioning
 from torchrbd.excitation.fourier import Basis, FourierMotion
 from torchrbd.excitation.limits import limits_of
 from torchrbd.excitation.rivals import NOTHING, Known, Question, Rival, known_from
 from torchrbd.excitation.separating import Separating
-from torchrbd.physics import Site, effect, effects
 from torchrbd.recordings import Recording
 
 URDF = arm_urdf()
@@ -176,7 +176,7 @@ def test_motion_beyond_the_cut_off_tells_nothing() -> None:
     assert seen > 10.0 * unseen
 
 
-@pytest.mark.parametrize("name", sorted(effects()))
+@pytest.mark.parametrize("name", sorted(known_effects()))
 def test_every_effect_can_be_a_rival(name: str) -> None:
     """Its parameters bring it back, and its torque on a motion has slopes."""
     one = effect(name)

@@ -13,10 +13,10 @@ from simulated import multisine
 
 import torchrbd
 from torchrbd import RigidBodyDynamics, RobotModel
+from torchrbd.effects import Site, Term, effect
 from torchrbd.errors import InputError, OptionError
 from torchrbd.export.check import FileCheck, check_file
 from torchrbd.export.replay import replayed
-from torchrbd.physics import Site, Term, effect
 from torchrbd.recordings import Recording
 
 mujoco = pytest.importorskip("mujoco")

@@ -9,9 +9,9 @@ from robot.random_robots import random_urdf
 
 import torchrbd
 from torchrbd import RigidBodyDynamics, RobotModel
+from torchrbd.effects import Site, Term, effect
 from torchrbd.errors import InputError, RobotError
 from torchrbd.export import load_model, save_model, to_urdf
-from torchrbd.physics import Site, Term, effect
 
 URDF = """<?xml version="1.0"?>
 <!-- kept -->

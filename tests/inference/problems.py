@@ -11,10 +11,10 @@ from robot.random_robots import random_urdf
 from simulated import record
 from torch import Tensor
 
+from torchrbd.effects import JointScale, effect
 from torchrbd.likelihood.block_statistics import Block, BlockStatistics, block_statistics
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.urdf_prior import Prior, urdf_prior
-from torchrbd.physics import JointScale, effect
 from torchrbd.recordings import Filtering, Recording, States, survey, tiles
 from torchrbd.robot import RobotModel
 

@@ -8,6 +8,7 @@ import pytest
 from inference.problems import urdf_of
 from simulated import record, with_wrong_inertials
 
+from torchrbd.effects import effect
 from torchrbd.errors import OptionError
 from torchrbd.estimators import COMPARABLE
 from torchrbd.inference import comparison
@@ -16,7 +17,6 @@ from torchrbd.inference.estimators import Estimate, estimate
 from torchrbd.inference.physical.fitting import judge, term_candidates
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.physics import effect
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

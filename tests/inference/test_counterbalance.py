@@ -6,8 +6,8 @@ import pytest
 import torch
 from inference.truths import Truth, added_by, recovered
 
-from torchrbd.physics import Site, Term
-from torchrbd.physics.counterbalance import Counterbalance
+from torchrbd.effects import Site, Term
+from torchrbd.effects.counterbalance import Counterbalance
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from inference.problems import Dense, dense
 from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, joint_names, multisine, with_wrong_inertials
 
+from torchrbd.effects import effect
 from torchrbd.errors import OptionError
 from torchrbd.estimators import ESTIMATORS
 from torchrbd.inference.estimators import estimate, estimators, linear_problem
@@ -22,7 +23,6 @@ from torchrbd.inference.regression.classical import OrdinaryLeastSquares
 from torchrbd.inference.regression.moments import Moments
 from torchrbd.inference.settings import Settings
 from torchrbd.parameters import is_physical
-from torchrbd.physics import effect
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

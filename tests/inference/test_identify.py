@@ -12,6 +12,7 @@ import torch
 from inference.problems import urdf_of
 from simulated import Motion, joint_names, record, with_wrong_inertials
 
+from torchrbd.effects import effect
 from torchrbd.errors import InputError, OptionError, RecordingError
 from torchrbd.inference.identify import identify
 from torchrbd.inference.physical.fitting import judge, predict
@@ -19,7 +20,6 @@ from torchrbd.inference.preparation import prepare
 from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
 from torchrbd.parameters import base_parameters, is_physical
-from torchrbd.physics import effect
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

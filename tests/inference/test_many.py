@@ -14,11 +14,11 @@ from inference.problems import urdf_of
 from simulated import record, with_wrong_inertials
 
 import torchrbd
+from torchrbd.effects import registry
+from torchrbd.effects.viscous_friction import ViscousFriction
 from torchrbd.errors import OptionError, RecordingError, RobotError
 from torchrbd.inference.many import Outcome, identify_and, identify_many
 from torchrbd.inference.results import Identification
-from torchrbd.physics import registry
-from torchrbd.physics.viscous_friction import ViscousFriction
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

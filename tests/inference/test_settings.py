@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 from inference.problems import urdf_of
 
+from torchrbd.effects import known_effects
 from torchrbd.errors import OptionError
 from torchrbd.inference.data.payload import Payload
 from torchrbd.inference.identify import identify
 from torchrbd.inference.settings import Settings
-from torchrbd.physics import effects
 from torchrbd.robot import RobotModel
 
 
@@ -100,7 +100,7 @@ def test_numbers_out_of_range_are_told(options: dict[str, Any]) -> None:
 
 def test_effects_that_may_be_used() -> None:
     ids = lambda settings: [e.id for e in settings.chosen_effects()]  # noqa: E731
-    assert ids(Settings()) == list(effects())
+    assert ids(Settings()) == list(known_effects())
     assert ids(Settings(effects=("coulomb_friction", "rotor_inertia"))) == ["coulomb_friction", "rotor_inertia"]
     assert ids(Settings(effects=("coulomb_friction", "rotor_inertia"), exclude=("coulomb_friction",))) == [
         "rotor_inertia"

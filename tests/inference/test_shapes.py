@@ -8,9 +8,18 @@ import numpy as np
 import pytest
 import scipy.optimize
 import torch
+from effects.sites import ROBOT, SCALE
 from inference.truths import ALL, CUTOFF_HZ, Delay, Ripple, Truth, added_by, drawn, recovered, stribeck, told
-from physics.sites import ROBOT, SCALE
 
+from torchrbd.effects import (
+    Effect,
+    Site,
+    Term,
+    known_effects,
+    registry,
+)
+from torchrbd.effects.plain_friction import plain_friction
+from torchrbd.effects.stribeck_friction import StribeckFriction
 from torchrbd.inference.identify import identify
 from torchrbd.inference.physical.fitting import term_candidates
 from torchrbd.inference.physical.terms import term_parameters
@@ -19,15 +28,6 @@ from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.shapes import Axis, ShapeSlope, axes, slopes
-from torchrbd.physics import (
-    Effect,
-    Site,
-    Term,
-    effects,
-    registry,
-)
-from torchrbd.physics.plain_friction import plain_friction
-from torchrbd.physics.stribeck_friction import StribeckFriction
 from torchrbd.recordings import Recording
 
 
@@ -82,7 +82,7 @@ def dry(truth: Truth, part: float) -> list[Term]:
     for joint, size in enumerate(truth.rigid.std(0)):
         speed = float(truth.signals.qd[joint].std())
         for name, w in (("viscous_friction", part * size / speed), ("coulomb_friction", part * size)):
-            found.append(Term(effects()[name], Site(joint), torch.tensor([w], dtype=torch.float64), {}))
+            found.append(Term(known_effects()[name], Site(joint), torch.tensor([w], dtype=torch.float64), {}))
     return found
 
 
@@ -96,7 +96,7 @@ def dry(truth: Truth, part: float) -> list[Term]:
 )
 def test_what_is_done_to_a_torque_is_done_to_its_friction(name: str, parameters: dict[str, float], arm: Truth) -> None:
     """The effect and the friction of every joint within 2 %."""
-    friction, one = dry(arm, 0.2), effects()[name]
+    friction, one = dry(arm, 0.2), known_effects()[name]
     beside = plain_friction(4, [(t.effect.id, t.site.joint, t.coefficients) for t in friction])
     at = replace(arm.signals, friction=beside.detach())
     site = Site() if one.whole_robot else Site(1)

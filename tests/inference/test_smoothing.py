@@ -13,6 +13,7 @@ from scipy.interpolate import BSpline
 from simulated import record
 
 import torchrbd
+from torchrbd.effects import Site, effect
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.refine import refined_from
@@ -22,7 +23,6 @@ from torchrbd.inference.smoothing.information import eliminate
 from torchrbd.inference.smoothing.linearisation import linearise, residual
 from torchrbd.inference.smoothing.smoother import StateSmoother
 from torchrbd.inference.smoothing.stretch import Stretch, stretches
-from torchrbd.physics import Site, effect
 from torchrbd.robot import RobotModel
 
 URDF = development_robots(1)["random0"]

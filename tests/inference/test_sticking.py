@@ -12,6 +12,7 @@ import pytest
 import torch
 from inference.problems import columns_of, dense, recorded, statistics_of, stream
 
+from torchrbd.effects import effect
 from torchrbd.inference.identify import identify
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
@@ -21,7 +22,6 @@ from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.scales import covered_scales
 from torchrbd.likelihood.sticking import stick_weight, undetermined
 from torchrbd.likelihood.urdf_prior import data_prior
-from torchrbd.physics import effect
 from torchrbd.recordings import Filtering, Recording, survey
 from torchrbd.robot import RobotModel
 

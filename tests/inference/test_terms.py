@@ -9,9 +9,9 @@ import pytest
 from likelihood.arms import recorded
 from likelihood.fits import OPTIONS, URDF
 
+from torchrbd.effects import effect
 from torchrbd.inference.identify import identify
 from torchrbd.inference.physical import terms
-from torchrbd.physics import effect
 
 
 @pytest.mark.parametrize("load", [1.0, 40.0])

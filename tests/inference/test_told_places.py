@@ -10,13 +10,13 @@ import torch
 from inference.truths import ALL, CUTOFF_HZ, Ripple, Truth, added_by, stribeck, told
 from robot.random_robots import random_urdf
 
-from torchrbd.errors import OptionError
-from torchrbd.inference.identify import identify
-from torchrbd.physics import (
+from torchrbd.effects import (
     Site,
     Window,
 )
-from torchrbd.physics.told import ToldEffect, told_sites
+from torchrbd.effects.told import ToldEffect, told_sites
+from torchrbd.errors import OptionError
+from torchrbd.inference.identify import identify
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

@@ -12,12 +12,7 @@ import torch
 from robot.random_robots import random_urdf
 from simulated import Motion, inverse_dynamics, joint_names, multisine, with_wrong_inertials
 
-from torchrbd.inference.physical.fitting import term_candidates
-from torchrbd.inference.physical.terms import term_parameters
-from torchrbd.inference.preparation import prepare
-from torchrbd.inference.settings import Settings
-from torchrbd.inference.shapes.refine import fit_with_shapes, refined
-from torchrbd.physics import (
+from torchrbd.effects import (
     Effect,
     JointEffect,
     JointScale,
@@ -27,13 +22,18 @@ from torchrbd.physics import (
     Site,
     Term,
     Window,
-    effects,
+    known_effects,
 )
-from torchrbd.physics.stribeck_friction import StribeckFriction
+from torchrbd.effects.stribeck_friction import StribeckFriction
+from torchrbd.inference.physical.fitting import term_candidates
+from torchrbd.inference.physical.terms import term_parameters
+from torchrbd.inference.preparation import prepare
+from torchrbd.inference.settings import Settings
+from torchrbd.inference.shapes.refine import fit_with_shapes, refined
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
-ALL = effects()
+ALL = known_effects()
 DURATION_S, CUTOFF_HZ, REST_PART = 25.0, 20.0, 1e-3
 LARGEST_PART, LEAST_PART = 0.2, 0.01
 WINDOW = Window("simulated", 8.0, 16.0)

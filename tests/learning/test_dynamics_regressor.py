@@ -21,12 +21,12 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 
 import torchrbd
 from torchrbd import DynamicsRegressor
+from torchrbd.effects import JointScale, effect
 from torchrbd.errors import InputError, OptionError
 from torchrbd.inference.physical.fitting import fit_model
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.given_states import given_statistics
 from torchrbd.parameters import is_physical
-from torchrbd.physics import JointScale, effect
 from torchrbd.robot import RobotModel
 
 ONE_JOINT = random_urdf(1, 1, kinds=("revolute",), fixed=0.0)

@@ -23,6 +23,8 @@ from likelihood.fits import (
 from simulated import Motion, inverse_dynamics, multisine
 
 from torchrbd.diagnosis.hypotheses import averaged
+from torchrbd.effects import Site
+from torchrbd.effects.registry import effect
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
@@ -31,8 +33,6 @@ from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.noise import Tail, learnt
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
-from torchrbd.physics import Site
-from torchrbd.physics.registry import effect
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

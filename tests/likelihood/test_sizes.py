@@ -5,11 +5,11 @@ import pytest
 import torch
 from likelihood.arms import arm_urdf
 
+from torchrbd.effects import Site
+from torchrbd.effects.registry import effect
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.sizes import TORQUE_SCALES, UNIT_SCALES, coefficient_std, inertial_scale
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
-from torchrbd.physics import Site
-from torchrbd.physics.registry import effect
 from torchrbd.robot import RobotModel, from_pseudo_inertia, pseudo_inertia
 
 ROBOT = RobotModel.from_urdf(arm_urdf(0, 3))

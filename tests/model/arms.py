@@ -6,8 +6,8 @@ import torch
 from robot.random_robots import random_states, random_urdf
 from torch import Tensor
 
+from torchrbd.effects import Site, Term, effect
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.physics import Site, Term, effect
 from torchrbd.robot import RobotModel
 
 URDF = random_urdf(9, 4, mimic=0.3)

@@ -12,11 +12,11 @@ from robot.random_robots import random_urdf
 from torch import Tensor
 from torch.autograd import gradcheck
 
+from torchrbd.effects import Signals, Site, Term, effect, known_effects
 from torchrbd.errors import InputError, OptionError, PhysicalError
 from torchrbd.export import load_model, save_model
 from torchrbd.model import REST_WIDTH, RigidBodyDynamics
 from torchrbd.parameters import is_physical
-from torchrbd.physics import Signals, Site, Term, effect, effects
 from torchrbd.robot import RobotModel, pseudo_inertia
 
 MASSLESS = random_urdf(5, 6, massless=1.0, branching=0.0, fixed=0.0)
@@ -234,7 +234,7 @@ def test_terms_to_train_begin_at_nothing() -> None:
     assert all(t.coefficients.grad is not None and t.coefficients.grad.abs().max() > 0 for t in model.terms)
 
 
-@pytest.mark.parametrize("name", sorted(effects()))
+@pytest.mark.parametrize("name", sorted(known_effects()))
 def test_every_effect_begins_or_says_why(name: str) -> None:
     """At all its places, so that the model runs; or a message."""
     if name in ("payload", "external_wrench"):

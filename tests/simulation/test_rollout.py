@@ -11,10 +11,10 @@ from robot.random_robots import random_states, random_urdf
 from torch import Tensor
 
 import torchrbd
+from torchrbd.effects import Site, Term, effect, known_effects
+from torchrbd.effects.smooth_torque import HUM, SMOOTH
 from torchrbd.errors import PhysicalError
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.physics import Site, Term, effect, effects
-from torchrbd.physics.smooth_torque import HUM, SMOOTH
 from torchrbd.robot import RobotModel
 from torchrbd.simulation.plant import Conditions, Plant
 from torchrbd.simulation.rollout import Drive, rollout
@@ -165,9 +165,9 @@ def test_a_body_without_mass_is_told_with_its_joint() -> None:
 def test_effects_say_whether_they_have_memory() -> None:
     """Those that have none are defined on single states, the others are refused there."""
     still = torch.zeros(1, 2, ROBOT.n_dof, dtype=torch.float64)
-    for one in (*effects().values(), *SMOOTH, HUM):
-        shape = one.shapes(torchrbd.physics.JointScale(1.0, 1e-3, load_max=1.0, temperature=(20.0, 50.0)))[0]
-        windows = (torchrbd.physics.Window("a", 0.0, 1.0),)
+    for one in (*known_effects().values(), *SMOOTH, HUM):
+        shape = one.shapes(torchrbd.effects.JointScale(1.0, 1e-3, load_max=1.0, temperature=(20.0, 50.0)))[0]
+        windows = (torchrbd.effects.Window("a", 0.0, 1.0),)
         site = next(iter(one.sites(ROBOT, windows)))
         count = len(one.coefficients({name: 1.0 for name in one.units})[0])
         model = RigidBodyDynamics(ROBOT, terms=[Term(one, site, torch.ones(count, dtype=torch.float64), shape)])
@@ -194,7 +194,7 @@ def test_presliding_friction_moves_as_the_coulomb_friction_that_it_becomes() -> 
 
 def test_a_plant_has_the_mass_and_torques_of_its_model() -> None:
     """Terms by joint and terms of the module, at some time of a recording."""
-    window = torchrbd.physics.Window("day", 1.0, 2.0)
+    window = torchrbd.effects.Window("day", 1.0, 2.0)
     terms = [
         *RUBBING,
         term("asymmetric_coulomb_friction", 0, 0.7, 0.2),

@@ -14,8 +14,8 @@ from simulated import multisine, record
 
 import torchrbd
 from torchrbd.cli import main
+from torchrbd.effects import Site, Term, effect
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.physics import Site, Term, effect
 
 URDF = random_urdf(21, 2, kinds=("revolute", "prismatic"), branching=0.0, massless=0.0)
 

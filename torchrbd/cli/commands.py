@@ -30,11 +30,11 @@ from torchrbd.cli.tables import (
     print_identification,
 )
 from torchrbd.diagnosis import Comparison, Diagnosis, compare, diagnose
+from torchrbd.effects import known_effects
 from torchrbd.errors import OptionError
 from torchrbd.export import write_changes
 from torchrbd.inference import EstimatorComparison, Identification, compare_estimators, identify
 from torchrbd.outputs import OutputFolder
-from torchrbd.physics import effects
 from torchrbd.report import write_changes_report
 
 Result = TypeVar("Result", Identification, Diagnosis, EstimatorComparison)
@@ -112,7 +112,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "stats": stats,
     "merge": merge,
     "fleet": fleet,
-    "effects": lambda _: print_effects(effects().values()),
+    "effects": lambda _: print_effects(known_effects().values()),
     "demo": _demo,
 }
 """What each command does with its options."""

@@ -19,6 +19,7 @@ from torchrbd.cli.progress import progress_bar
 from torchrbd.diagnosis.fleet.compare import compare_fleet
 from torchrbd.diagnosis.fleet.results import FleetComparison
 from torchrbd.diagnosis.numbers import number
+from torchrbd.effects import Effect, known_effects, register
 from torchrbd.engines import Engine
 from torchrbd.errors import InputError, OptionError, TorchRBDError
 from torchrbd.export.json_files import write_fleet
@@ -27,7 +28,6 @@ from torchrbd.inference.robots_file import RobotEntry, read_robots
 from torchrbd.inference.statistics.building import digest
 from torchrbd.likelihood.reading import Progress
 from torchrbd.outputs import OutputFolder, write_whole
-from torchrbd.physics import Effect, effects, register
 from torchrbd.processes import Attempt
 from torchrbd.report.fleet import write_fleet_report
 
@@ -87,7 +87,7 @@ def identify_fleet(robots: Sequence[RobotEntry], output: Path, engine: Engine, p
         progress(words, sum(counted.values()) / max(1, len(tasks) + len(failed)))
 
     tell()
-    work = _Identified(output.absolute(), tuple(effects().values()))
+    work = _Identified(output.absolute(), tuple(known_effects().values()))
     for (one, _), attempt in zip(tasks, engine.done(work, tasks, told), strict=True):
         if attempt.error is not None:
             failed[one.name] = _reason(attempt.error)

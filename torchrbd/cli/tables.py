@@ -17,10 +17,10 @@ from torchrbd.diagnosis.numbers import number, unit
 from torchrbd.diagnosis.numbers import percent as exact_percent
 from torchrbd.diagnosis.results import Where
 from torchrbd.diagnosis.words import guessed, place, values, when
+from torchrbd.effects import Effect
 from torchrbd.export.check import FileCheck
 from torchrbd.inference import Identification
 from torchrbd.inference.comparison import EstimatorComparison
-from torchrbd.physics import Effect
 from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
 from torchrbd.report.changes import shown, title
 from torchrbd.report.considered import leading

@@ -22,6 +22,8 @@ from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect, tells_nothing
 from torchrbd.diagnosis.unexplained import unexplained
 from torchrbd.diagnosis.verdict_words import verdict_statement
+from torchrbd.effects import Site, effect
+from torchrbd.effects.registry import PLAIN
 from torchrbd.errors import OptionError
 from torchrbd.estimators import OF_RECORDINGS
 from torchrbd.inference.identify import read_arguments, summarise
@@ -29,8 +31,6 @@ from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.suspicions import suspicions
 from torchrbd.likelihood.reading import Progress
-from torchrbd.physics import Site, effect
-from torchrbd.physics.registry import PLAIN
 from torchrbd.recordings import RecordingSource
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded

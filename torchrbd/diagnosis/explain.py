@@ -18,11 +18,11 @@ from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Region, Where
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.words import NO_CHANGE, finding_sentence, strongest_first
+from torchrbd.effects import Site, effect
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.physical.terms import told_parameters
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.physics import Site, effect
 from torchrbd.robot import RobotModel
 
 # A law is told of, and an alternative, if it is so probable among what explains the same.

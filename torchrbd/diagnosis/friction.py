@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchrbd.diagnosis.posterior import probability_of
+from torchrbd.effects import Site, effect
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.physics import Site, effect
 
 VISCOUS, COULOMB, UNEVEN = "viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction"
 

@@ -15,13 +15,13 @@ import numpy as np
 import torch
 from scipy.special import logsumexp
 
+from torchrbd.effects import Site
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import coefficient_std
-from torchrbd.physics import Site
 
 # Columns that ordinary friction has too.
 SHARED = ("qd", "sign(qd)")

@@ -19,9 +19,9 @@ from scipy.special import expit
 
 from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.effects import Effect, Window
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
-from torchrbd.physics import Effect, Window
 from torchrbd.robot import RobotModel
 
 # At such a precision of the prior, inertial parameters are the URDF's.

@@ -14,6 +14,8 @@ import torch
 from torchrbd.diagnosis.hypotheses import Hypothesis, told, whole
 from torchrbd.diagnosis.screening import is_clocks
 from torchrbd.diagnosis.search import Explanation, explained, with_own_noise
+from torchrbd.effects import Effect, Site, Window
+from torchrbd.effects.registry import effect
 from torchrbd.errors import RecordingError
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import read
@@ -25,8 +27,6 @@ from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.misspecification import MISFIT, Misfit, TwoEstimates
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.rows import KeptBack, not_held_out
-from torchrbd.physics import Effect, Site, Window
-from torchrbd.physics.registry import effect
 from torchrbd.recordings import RecordingSource
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded

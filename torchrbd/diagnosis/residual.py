@@ -16,11 +16,11 @@ from scipy.optimize import OptimizeResult, minimize_scalar
 from scipy.signal import detrend, periodogram
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, averaged
+from torchrbd.effects import Site, Window
+from torchrbd.effects.smooth_torque import HUM, SMOOTH, SmoothTorque
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
-from torchrbd.physics import Site, Window
-from torchrbd.physics.smooth_torque import HUM, SMOOTH, SmoothTorque
 
 # Beyond these quantiles of a signal there are too few rows to tell a function.
 _ENDS = (0.01, 0.99)

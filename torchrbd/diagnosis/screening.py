@@ -10,12 +10,12 @@ import numpy as np
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, averaged, mean_of, told
 from torchrbd.diagnosis.stretches import in_recordings, in_windows, located
+from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.shapes import varied
-from torchrbd.physics import Effect, Site
 
 # The machine has these already, and an offset of the clocks: what moves the torques of all joints in time alike.
 ORDINARY = (*ORDINARY_EFFECTS, "coulomb_friction")

@@ -17,13 +17,13 @@ from torchrbd.diagnosis.hypotheses import Hypothesis, again, support
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
 from torchrbd.diagnosis.screening import refined, screened
+from torchrbd.effects import Effect, Site
+from torchrbd.effects.smooth_torque import HUM
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import truncated
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.noise import Noise
 from torchrbd.likelihood.rows import Rows
-from torchrbd.physics import Effect, Site
-from torchrbd.physics.smooth_torque import HUM
 
 # Hypotheses whose shapes are refined and whose noise is learnt anew, at each step.
 _LEADING = 5

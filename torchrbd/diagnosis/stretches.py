@@ -14,11 +14,11 @@ from itertools import product
 import numpy as np
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, told
+from torchrbd.effects import Effect, Window
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
-from torchrbd.physics import Effect, Window
 
 # Edges of the stretches of time in which something may act, spread over a recording.
 _MOST_EDGES = 33

@@ -15,9 +15,9 @@ from torchrbd.diagnosis.residual import depends_on, is_curve
 from torchrbd.diagnosis.results import Finding, Proof, Region, Unexplained, Where
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.words import NO_CHANGE, joined, number, percent, torque_unit
+from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.likelihood.columns import Candidate
-from torchrbd.physics.smooth_torque import HUM
 
 # A function acts where it is above this part of its largest departure from its middle.
 _ACTS = 0.5

@@ -9,9 +9,9 @@ from torchrbd.diagnosis.numbers import joined, percent
 from torchrbd.diagnosis.posterior import LIKELY
 from torchrbd.diagnosis.results import Finding, Unexplained, Where
 from torchrbd.diagnosis.words import alternatives, at, named, when, words_of
+from torchrbd.effects.registry import PLAIN
 from torchrbd.inference.suspicions.results import Suspicions
 from torchrbd.inference.torque_error import Fit
-from torchrbd.physics.registry import PLAIN
 
 _WRONG = "wrong "
 # Said together where they are found at the same joints.

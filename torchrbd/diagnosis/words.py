@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from torchrbd.diagnosis.numbers import joined, measure, number, percent, plain, with_unit
 from torchrbd.diagnosis.posterior import LIKELY
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
-from torchrbd.physics import effect, effects
+from torchrbd.effects import effect, known_effects
 from torchrbd.robot import RobotModel
 
 # What one sentence can hold; a card or table has the rest.
@@ -27,7 +27,7 @@ def torque_unit(robot: RobotModel, joint: int) -> str:
 
 def words_of(identifier: str) -> str:
     """Return an effect's name in words, whether or not it is registered here."""
-    return effect(identifier).words if identifier in effects() else identifier.replace("_", " ")
+    return effect(identifier).words if identifier in known_effects() else identifier.replace("_", " ")
 
 
 def named(item: Finding | Alternative) -> str:

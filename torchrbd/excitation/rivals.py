@@ -15,9 +15,9 @@ from torchrbd.diagnosis import Alternative, Diagnosis, Finding
 from torchrbd.diagnosis.changes.reading import side_of
 from torchrbd.diagnosis.screening import ORDINARY
 from torchrbd.diagnosis.words import joined, named
+from torchrbd.effects import Effect, Shape, Site, Term, effect
 from torchrbd.errors import InputError
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.physics import Effect, Shape, Site, Term, effect
 from torchrbd.robot import RobotModel
 
 # A finding less probable than this has "nothing" among its rivals.

@@ -23,13 +23,13 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torchrbd.effects import Signals
+from torchrbd.effects.plain_friction import plain_friction
 from torchrbd.excitation.conditioning import REST_PART, Conditioning
 from torchrbd.excitation.limits import Limits
 from torchrbd.excitation.results import Separation
 from torchrbd.excitation.rivals import Known, Question, Rival, terms_beside
 from torchrbd.likelihood.sizes import inertial_scale
-from torchrbd.physics import Signals
-from torchrbd.physics.plain_friction import plain_friction
 
 # Coefficients may be so many times what the first recordings gave; a shape may differ by this part; slopes by steps.
 _SIZE, _SHAPE, _STEP = 3.0, 0.2, 0.01

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from torchrbd.effects import Mjcf, Site, Term
 from torchrbd.export.drive import Drive
 from torchrbd.export.xml_text import Value, element_text
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.physics import Mjcf, Site, Term
 from torchrbd.robot import RobotModel
 
 _SAME = 1e-9

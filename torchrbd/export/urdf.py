@@ -8,12 +8,12 @@ import torch
 from lxml import etree
 from torch import Tensor
 
+from torchrbd.effects import Term
 from torchrbd.errors import RobotError
 from torchrbd.export.gathered import named
 from torchrbd.export.xml_text import comment, element_text
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
-from torchrbd.physics import Term
 from torchrbd.robot import STANDARD_GRAVITY, FoldedLink, RobotModel, inertia_matrix, transform_inertia
 
 _FRICTION = "damping", "friction"

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from torchrbd.effects import Effect
 from torchrbd.errors import OptionError, TorchRBDError
 from torchrbd.estimators import COMPARABLE, check_estimators
 from torchrbd.inference.estimators import Estimate, estimate, linear_problem
@@ -18,7 +19,6 @@ from torchrbd.inference.settings import Settings
 from torchrbd.inference.torque_error import Fit
 from torchrbd.inference.verdict import encoder_doubts, regime_of
 from torchrbd.likelihood.reading import Progress
-from torchrbd.physics import Effect
 from torchrbd.recordings import NamedSource, RecordingSource
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
+from torchrbd.effects import Effect, known_effects, register
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference.identify import identify, read_arguments
 from torchrbd.inference.ordinary import with_friction
 from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.reading import Progress
-from torchrbd.physics import Effect, effects, register
 from torchrbd.processes import Attempt, side_by_side
 from torchrbd.recordings import InMemory, NamedSource, Recording, RecordingSource, listed_sources
 from torchrbd.recordings.memory import is_data
@@ -133,7 +133,7 @@ def identify_and(
         progress(words, sum(counted.values()) / max(1, len(recordings)))
 
     tell()
-    work = _Work(then, options, tuple(effects().values()))
+    work = _Work(then, options, tuple(known_effects().values()))
     return side_by_side(work, list(zip(each, recordings, strict=True)), jobs=jobs, told=told)
 
 

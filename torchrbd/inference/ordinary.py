@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from torchrbd.effects import Effect, JointScale, effect
 from torchrbd.errors import RecordingError
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared
@@ -28,7 +29,6 @@ from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.rows import not_held_out, read_rows
 from torchrbd.likelihood.urdf_prior import data_prior
-from torchrbd.physics import Effect, JointScale, effect
 
 # Clocks that are apart by less than so many standard deviations are not.
 _TOLD = 3.0

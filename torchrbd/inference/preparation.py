@@ -15,6 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.effects import Effect, Site
+from torchrbd.effects.told import told_sites
 from torchrbd.errors import RecordingError
 from torchrbd.inference.data.holdout import held_out_blocks
 from torchrbd.inference.data.notes import input_notes
@@ -32,8 +34,6 @@ from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.scales import covered_scales, with_loads
 from torchrbd.likelihood.simulated import Simulated, check_motion, cut, read_simulated, simulation_notes
 from torchrbd.likelihood.urdf_prior import Prior, data_prior
-from torchrbd.physics import Effect, Site
-from torchrbd.physics.told import told_sites
 from torchrbd.recordings import Filtering, InMemory, Recording, RecordingSource, States, Survey, choose_cutoff, survey
 from torchrbd.robot import RobotModel
 

@@ -12,11 +12,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchrbd.effects import Effect, effect, known_effects
+from torchrbd.effects.told import ToldEffect
 from torchrbd.errors import OptionError
 from torchrbd.estimators import ESTIMATORS, check_estimators
 from torchrbd.inference.data.payload import Payload
-from torchrbd.physics import Effect, effect, effects
-from torchrbd.physics.told import ToldEffect
 from torchrbd.recordings import NamedSource, listed_sources
 from torchrbd.robot import RobotModel
 
@@ -36,7 +36,7 @@ class Settings:
         holdout_fraction: without ``holdout``, the part of each recording that is kept back, (0, 0.5]. Default: 0.25.
         time: use only this part of each recording, (from, to) [s] from its start. Default: all.
         joints: joints whose torque counts, by name. Default: all.
-        effects: by id, at all their places, or as "id@place"; ``torchrbd.effects()`` lists the ids, a place is a
+        effects: by id, at all their places, or as "id@place"; ``torchrbd.known_effects()`` lists the ids, a place is a
             joint, a pair "joint3_joint1" or a link. What acts for a time only is "id@place@recording=from:to" [s].
             ``identify`` fits them (default: viscous and Coulomb friction; ``[]`` for the rigid body alone), and so does
             ``compare_estimators`` (default: none); ``diagnose`` searches among them (default: all).
@@ -150,7 +150,7 @@ class Settings:
         """
         told = {one.effect.id: one.effect for one in self.told_effects()}
         excluded = {effect(name).id for name in self.exclude}
-        wanted = effects() if self.effects is None else told
+        wanted = known_effects() if self.effects is None else told
         chosen = tuple(e for name, e in wanted.items() if name not in excluded)
         if not chosen:
             raise OptionError("no effect is left to look for; name others with 'effects' or exclude fewer")

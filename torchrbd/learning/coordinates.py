@@ -15,11 +15,11 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from torchrbd.effects import Signals
+from torchrbd.effects.plain_friction import plain_friction
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky
-from torchrbd.physics import Signals
-from torchrbd.physics.plain_friction import plain_friction
 
 
 def flatten(model: RigidBodyDynamics) -> Tensor:

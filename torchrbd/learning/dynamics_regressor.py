@@ -16,6 +16,7 @@ from sklearn.utils.validation import _check_sample_weight, check_is_fitted, vali
 from torch import Tensor
 from typing_extensions import Self
 
+from torchrbd.effects import effect
 from torchrbd.errors import InputError
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
@@ -24,7 +25,6 @@ from torchrbd.likelihood.given_states import given_statistics
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.scales import joint_scales
 from torchrbd.likelihood.urdf_prior import KAPPA, data_prior
-from torchrbd.physics import effect
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded
 

@@ -15,10 +15,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchrbd.effects import Effect, JointScale, Shape, Signals, Site, Window, effect
+from torchrbd.effects.plain_friction import plain_friction
 from torchrbd.errors import InputError
 from torchrbd.likelihood.sticking import stick_weight, undetermined
-from torchrbd.physics import Effect, JointScale, Shape, Signals, Site, Window, effect
-from torchrbd.physics.plain_friction import plain_friction
 from torchrbd.recordings import States
 from torchrbd.robot import RobotModel
 

@@ -36,10 +36,10 @@ import torch
 from scipy.ndimage import maximum_filter1d
 from torch import Tensor
 
+from torchrbd.effects import Signals
 from torchrbd.likelihood.noise import Noise, drift_basis, predicted
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import inertial_scale
-from torchrbd.physics import Signals
 
 # Clocks are off by some samples; a position may be an average over so many.
 _TIMING_SAMPLES, _AVERAGE_SAMPLES = 3.0, 2.0

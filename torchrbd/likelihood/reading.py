@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from torchrbd.effects.time_delay import delayed
 from torchrbd.likelihood.block_statistics import BlockStatistics, block_statistics
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.simulated import Simulated
-from torchrbd.physics.time_delay import delayed
 from torchrbd.recordings import Filtering, Recording, States, Survey, tiles
 from torchrbd.robot import RobotModel
 

@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.effects import Signals
 from torchrbd.errors import RecordingError
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.reading import Reading
-from torchrbd.physics import Signals
 from torchrbd.recordings import Filtering, States, Survey
 
 # Samples of states that are kept at most, over all tiles.

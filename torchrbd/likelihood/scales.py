@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.effects import JointScale
 from torchrbd.likelihood.reading import Reading
-from torchrbd.physics import JointScale
 from torchrbd.recordings import Filtering, Survey
 
 # Below this many standard deviations of its noise a velocity has no direction.

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchrbd.effects import Shape, Signals
 from torchrbd.likelihood.columns import Candidate, Columns
-from torchrbd.physics import Shape, Signals
 
 # Of the distance between grid points: the step of the central difference.
 _STEP = 0.01

@@ -14,10 +14,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from torchrbd.effects import Site, Term, Window, effect
 from torchrbd.errors import InputError, RobotError
 from torchrbd.outputs import write_whole
 from torchrbd.parameters import from_log_cholesky
-from torchrbd.physics import Site, Term, Window, effect
 from torchrbd.robot import RobotModel
 
 NAME = "model.safetensors"

@@ -16,13 +16,13 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
+from torchrbd.effects import Signals, Term
+from torchrbd.effects.plain_friction import plain_friction
 from torchrbd.errors import InputError, OptionError
 from torchrbd.model.files import read_model, write_model
 from torchrbd.model.starting import REST_WIDTH, described_terms, starting_terms
 from torchrbd.model.stepping import implicit_velocity, runge_kutta
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, is_physical, to_log_cholesky
-from torchrbd.physics import Signals, Term
-from torchrbd.physics.plain_friction import plain_friction
 from torchrbd.robot import RobotModel
 
 METHODS = ("semi_implicit", "runge_kutta")
@@ -91,7 +91,8 @@ class RigidBodyDynamics(nn.Module):
         Args:
             source, gravity: as of ``RobotModel.from_urdf``.
             effects: terms to train from zero: "viscous_friction" at all its places, "joint_spring@joint2" at one;
-                ``torchrbd.effects()`` lists them. Nonlinear shapes are in the middle of what the URDF's limits allow.
+                ``torchrbd.known_effects()`` lists them. Nonlinear shapes are in the middle of what the URDF's limits
+                allow.
 
         Raises:
             RobotError: the file cannot be used.

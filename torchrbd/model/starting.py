@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import torch
 
+from torchrbd.effects import Effect, JointScale, Shape, Signals, Site, Term, effect
+from torchrbd.effects.told import ToldEffect
 from torchrbd.errors import OptionError
-from torchrbd.physics import Effect, JointScale, Shape, Signals, Site, Term, effect
-from torchrbd.physics.told import ToldEffect
 from torchrbd.robot import RobotModel
 
 REST_WIDTH = 1e-3

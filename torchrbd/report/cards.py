@@ -12,8 +12,8 @@ from torchrbd.diagnosis.numbers import measure, unit
 from torchrbd.diagnosis.posterior import LIKELY
 from torchrbd.diagnosis.results import Curve, Diagnosis, Finding, Unexplained
 from torchrbd.diagnosis.words import alternatives, at, guessed, most_changed, when, words_of
-from torchrbd.physics import effects
-from torchrbd.physics.registry import PLAIN
+from torchrbd.effects import known_effects
+from torchrbd.effects.registry import PLAIN
 from torchrbd.report.excerpt import telling_signal
 from torchrbd.report.inline import COLOURS, UNKNOWN
 from torchrbd.report.pictures import Pictures, Sense
@@ -116,7 +116,7 @@ def unexplained_cards(diagnosis: Diagnosis, pictures: Pictures) -> list[Card]:
 
 
 def _finding_card(finding: Finding, pictures: Pictures) -> Card:
-    known = effects().get(finding.effect)
+    known = known_effects().get(finding.effect)
     equation = known.equation if known else ""
     title = guessed(finding) + (at(finding.joints, finding.links) or " (whole robot)")
     own = [f"{key}_{j}" for key in re.findall(r"\bq(?:dd?)?\b", equation) for j in finding.joints]
@@ -187,7 +187,7 @@ def _pictures(
 
 def _sense(identifier: str, curve: Curve) -> Sense | None:
     """Return how a curve's torque acts if its signal, and at most the direction of motion, tell it."""
-    known = effects().get(identifier)
+    known = known_effects().get(identifier)
     if known is None:
         return None
     if curve.signal.startswith("qd"):

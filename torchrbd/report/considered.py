@@ -10,8 +10,8 @@ from torchrbd.diagnosis.numbers import MINUS, joined, measure, number, with_unit
 from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Finding, Where
 from torchrbd.diagnosis.words import at, named, when
+from torchrbd.effects import known_effects
 from torchrbd.likelihood.misspecification import MISFIT, Misfit
-from torchrbd.physics import effects
 from torchrbd.robot import RobotModel
 
 # Evidence at which a bar ends [nats], rows of a table, and parameters that one row names.
@@ -185,7 +185,7 @@ def _row(one: Ranked, found: Ranking, prismatic: Mapping[str, bool], *, adopted:
 
 def _parameters(one: Ranked, prismatic: Mapping[str, bool]) -> list[str]:
     """Return parameters with their units: "mass 0.5 kg"."""
-    known, slides = effects().get(one.effect), any(prismatic.get(j, False) for j in one.joints)
+    known, slides = known_effects().get(one.effect), any(prismatic.get(j, False) for j in one.joints)
     units = known.units if known else {}
     return [
         with_unit(

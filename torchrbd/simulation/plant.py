@@ -18,16 +18,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchrbd.effects import Term
+from torchrbd.effects.coulomb_friction import AsymmetricCoulombFriction, CoulombFriction
+from torchrbd.effects.presliding_hysteresis import PreslidingHysteresis
+from torchrbd.effects.registry import PLAIN_OR_UNEVEN
+from torchrbd.effects.rotor_inertia import RotorInertia
+from torchrbd.effects.smooth_torque import SmoothTorque
+from torchrbd.effects.torque_offset import TorqueOffset
+from torchrbd.effects.torque_saturation import TorqueSaturation
+from torchrbd.effects.viscous_friction import ViscousFriction
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.physics import Term
-from torchrbd.physics.coulomb_friction import AsymmetricCoulombFriction, CoulombFriction
-from torchrbd.physics.presliding_hysteresis import PreslidingHysteresis
-from torchrbd.physics.registry import PLAIN_OR_UNEVEN
-from torchrbd.physics.rotor_inertia import RotorInertia
-from torchrbd.physics.smooth_torque import SmoothTorque
-from torchrbd.physics.torque_offset import TorqueOffset
-from torchrbd.physics.torque_saturation import TorqueSaturation
-from torchrbd.physics.viscous_friction import ViscousFriction
 from torchrbd.recordings import States
 
 # Of a joint's width of rest; families whose torque does not depend on accelerations; effects that depend on time.

@@ -16,9 +16,9 @@ from vision_head.motion import Motion
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
+from torchrbd.effects import Site, effect
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.physics import Site, effect
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

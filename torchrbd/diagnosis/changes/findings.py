@@ -22,8 +22,8 @@ from torchrbd.diagnosis.changes.results import (
     verdict_of,
 )
 from torchrbd.diagnosis.results import Alternative, Finding, Limit, Quantity
+from torchrbd.effects import effect, known_effects
 from torchrbd.errors import InputError
-from torchrbd.physics import effect, effects
 
 Place = tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 
@@ -133,7 +133,7 @@ def _alike_in_shape(finding: Finding, limit: Limit) -> bool:
     """Say whether a limit holds for the shape that was found: a narrow bump may hide where a wide one would not."""
     if not limit.shape:
         return True
-    if finding.effect not in effects():
+    if finding.effect not in known_effects():
         return False
     _, shape = effect(finding.effect).coefficients({name: q.value for name, q in finding.parameters.items()})
     return all(
@@ -189,7 +189,7 @@ def _plain(finding: Finding) -> Finding | None:
 
 def _size(finding: Finding, name: str, quantity: Quantity) -> float:
     """Return how far a parameter is from what it is without the effect; of a place or shape, its own size."""
-    if finding.effect in effects():
+    if finding.effect in known_effects():
         known = effect(finding.effect)
         w, shape = known.coefficients({key: q.value for key, q in finding.parameters.items()})
         none = float(known.parameters(torch.zeros(len(w), dtype=torch.float64), shape)[name])

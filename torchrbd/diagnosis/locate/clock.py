@@ -11,7 +11,7 @@ import numpy as np
 from torchrbd.diagnosis.locate.intervals import Interval, best_interval
 from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.rows.regression import Fit
-from torchrbd.physics import Window
+from torchrbd.effects import Window
 
 MOST_EDGES, MOST_FINE_EDGES, EDGE_S = 40, 320, 0.4
 

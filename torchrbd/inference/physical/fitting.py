@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchrbd.effects import Site, Term
+from torchrbd.effects.registry import PLAIN_OR_UNEVEN
 from torchrbd.inference.physical.scatter import Scatter
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.torque_error import Fit
@@ -19,8 +21,6 @@ from torchrbd.likelihood.physical_fit import PhysicalFit, physical_fit
 from torchrbd.likelihood.shapes import ShapeSlope
 from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.model import RigidBodyDynamics, known_terms
-from torchrbd.physics import Site, Term
-from torchrbd.physics.registry import PLAIN_OR_UNEVEN
 from torchrbd.recordings import States
 
 _MOST_ROUNDS, _SETTLED = 6, 0.1

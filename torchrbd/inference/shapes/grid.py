@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.effects import Site
 from torchrbd.inference.preparation import Prepared
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.equations import linear_fit, scaled_equations
-from torchrbd.physics import Site
 
 _MOST_SWEEPS = 5
 

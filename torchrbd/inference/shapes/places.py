@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from torchrbd.effects.told import ToldEffect
 from torchrbd.errors import OptionError
 from torchrbd.likelihood.columns import Columns
-from torchrbd.physics.told import ToldEffect
 
 
 def check_seen(told: Sequence[ToldEffect], columns: Columns) -> None:

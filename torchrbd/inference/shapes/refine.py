@@ -19,6 +19,7 @@ import torch
 from scipy.optimize import lsq_linear
 from torch import Tensor
 
+from torchrbd.effects import Shape
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.scatter import block_scatter
 from torchrbd.inference.preparation import Prepared
@@ -29,7 +30,6 @@ from torchrbd.likelihood.columns import URDF_FRICTION, Candidate
 from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.shapes import ShapeSlope, axes, feature_slopes, slopes
-from torchrbd.physics import Shape
 
 _MOST_PASSES = 12
 # A shape has settled if its step is below this part of its standard deviation or of the distance of grid points.

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from torchrbd import __version__
+from torchrbd.effects import Effect
 from torchrbd.errors import OptionError
 from torchrbd.inference.ordinary import with_friction
 from torchrbd.inference.preparation import read
@@ -18,7 +19,6 @@ from torchrbd.inference.statistics.results import Conditions, Origin, Statistics
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.scales import covered_scales
-from torchrbd.physics import Effect
 from torchrbd.recordings import NamedSource
 from torchrbd.robot import RobotModel
 

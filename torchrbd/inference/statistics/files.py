@@ -13,11 +13,11 @@ from safetensors.torch import save
 from torch import Tensor
 
 from torchrbd import __version__
+from torchrbd.effects import JointScale
 from torchrbd.errors import InputError
 from torchrbd.inference.statistics.results import Conditions, Origin, Statistics
 from torchrbd.likelihood.block_statistics import Block
 from torchrbd.outputs import write_whole
-from torchrbd.physics import JointScale
 from torchrbd.rebuilding import rebuilt
 
 _FORMAT, _HEADER = "torchrbd-statistics-1", "statistics"

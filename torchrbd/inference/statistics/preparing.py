@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from torchrbd.effects import effect
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference.data.holdout import check_enough, held_out_recordings, held_out_runs
 from torchrbd.inference.input_noise import InputNoise
@@ -24,7 +25,6 @@ from torchrbd.inference.statistics.results import MOST_BLOCKS, Conditions, Stati
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.urdf_prior import data_prior
-from torchrbd.physics import effect
 from torchrbd.recordings import Filtering, InMemory, NamedSource, RecordingSource
 from torchrbd.recordings.formats import STATISTICS
 from torchrbd.robot import RobotModel

@@ -10,10 +10,10 @@ from functools import reduce
 import torch
 from torch import Tensor
 
+from torchrbd.effects import JointScale
 from torchrbd.errors import InputError
 from torchrbd.likelihood.block_statistics import Block, BlockStatistics, halved
 from torchrbd.likelihood.columns import Columns
-from torchrbd.physics import JointScale
 
 MOST_BLOCKS = 256
 """That a fit looks at, or one a recording."""

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchrbd.effects import effect
 from torchrbd.inference.physical.fitting import beside_constant, fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.suspicions.writing import Writing
@@ -27,7 +28,6 @@ from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.scales import covered_scales
 from torchrbd.likelihood.urdf_prior import Prior, data_prior
 from torchrbd.parameters import PARAMETERS_PER_BODY
-from torchrbd.physics import effect
 from torchrbd.recordings import States
 from torchrbd.robot import pseudo_inertia
 

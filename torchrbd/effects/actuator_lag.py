@@ -1,0 +1,57 @@
+"""An actuator that follows its command as a first-order system, where the command is what was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
+from torchrbd.effects.signals import JointScale, Signals
+from torchrbd.effects.sites import Site, Window
+from torchrbd.effects.time_delay import at_site, joints_and_all
+from torchrbd.robot import RobotModel
+
+
+class ActuatorLag(Effect):
+    """tau += T d(tau_s)/dt: with T d(tau_acting)/dt + tau_acting = tau_command, the command runs ahead.
+
+    The acting torque tau_s is all that is supplied, to the rigid body and to friction, whose jumps at reversals take
+    pulses of the command. A recorded torque that comes late, behind a filter, looks like a negative lag to first order:
+    that is a time delay.
+
+    Either the actuator of one joint lags, or all alike.
+    """
+
+    id = "actuator_lag"
+    family = "actuator and sensor"
+    words = "actuator lag"
+    equation = "T dtau_s/dt"
+    units: ClassVar[Mapping[str, str]] = {"time_constant": "s"}
+    whole_robot = True
+    uses_load = True
+    has_memory = True
+    sees_friction = True
+    shifts_clocks = True
+    prior = CoefficientPrior("An actuator follows, within hundredths of a second.", positive=(0,), std=(0.05,))
+    export_note = "of the actuator of one joint or, for the whole robot, of all"
+    _LONGEST_S = 0.2
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
+        return joints_and_all(robot)
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        return {f"dtau/dt {site.name(signals.robot)}": at_site(signals.rate(signals.supplied), site)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"time_constant": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["time_constant"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return 0 <= parameters["time_constant"] <= self._LONGEST_S
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"general": {"dyntype": "filterexact", "dynprm": (parameters["time_constant"],)}}

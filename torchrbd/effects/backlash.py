@@ -1,0 +1,192 @@
+"""Backlash: play between motor and link, in worn gears, splines and couplings.
+
+The motor's position q is recorded. While the gear transmits torque, the link sits at one side of the play and the
+motor is ahead of it by b/2 in the direction of that torque: q_link = q - b/2 sign(tau_load + f). When the torque
+changes sign, the link leaves its side and moves by its load and its friction f alone, until it meets one again:
+
+    x = q_link - q,  M_jj d2x/dt2 = -(tau_load + f) from rest at x = -+b/2,  held at x = +-b/2
+    f = d dq/dt + c sign(dq_link/dt) + o;  at rest (q_link held) where f can balance the rest
+
+The link's motion tells the torque: to first order in x
+
+    tau += A x + B dx/dt + M d2x/dt2
+
+with A, B, M the derivatives of the rigid body's torque with respect to the joint's q, qd, qdd. The time of flight grows
+with the cube root of the play, so that it matters for small play too: without it, what the torque does around its zeros
+is the wrong way round. Whether the joint's friction is the link's, which it then holds inside the play, or the motor's,
+the data says. Not contained: bouncing. Impacts are short: a torque sampled without an anti-aliasing filter misses them.
+
+Source: Nordin, Gutman, "Controlling mechanical systems with backlash: a survey", Automatica 2002, for the dead-zone
+    model with a stiff contact; worked out to first order here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrbd.effects.base import CoefficientPrior, Effect, Shape
+from torchrbd.effects.signals import JointScale, Signals
+from torchrbd.effects.sites import Site
+
+# Of the largest inertia of a motion.
+_LEAST_INERTIA = 1e-6
+
+
+class Backlash(Effect):
+    """tau = tau_load(q + x), x from side to side of the play, linear in its width b.
+
+    The coefficient is b; the play for which flights are worked out is a shape, and equal to b where the name is right.
+    So is ``link_friction``: 1 if the friction at the joint is the link's, 0 if it is the motor's.
+    """
+
+    id = "backlash"
+    family = "transmission"
+    words = "backlash"
+    equation = "tau_load(q + x) - tau_load(q), abs(x) <= b/2"
+    units: ClassVar[Mapping[str, str]] = {"backlash": "{q}", "flight": "{q}", "link_friction": "1"}
+    whole_robot = True
+    uses_load = True
+    has_memory = True
+    sees_friction = True
+    prior = CoefficientPrior("A play is not negative, and below a degree.", positive=(0,), std=(0.01,))
+    export_note = (
+        "a second joint on the axis, with range +-backlash/2, between the rotor (a body of its own) and the link"
+    )
+    _SMALLEST, _LARGEST, _GRID_POINTS, _MOST_APART = 2e-4, 4e-2, 7, 2.0
+
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        # The time of flight, which is what they differ by, goes with the cube root.
+        roots = np.linspace(np.cbrt(self._SMALLEST), np.cbrt(self._LARGEST), self._GRID_POINTS)
+        return tuple({"flight": float(b), "link_friction": f} for f in (0.0, 1.0) for b in roots**3)
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        t, play, joint = signals.sequence(), shape["flight"], site.joint
+        assert joint is not None
+        M = signals.load_slopes[2, joint, joint]
+        friction = M.new_zeros(3)
+        if signals.friction is not None and shape["link_friction"]:
+            friction = signals.friction[joint]
+        motion = signals.qd[joint], signals.qdd[joint]
+        x = deviation(signals.load[joint], M, motion, friction, float(t[1] - t[0]), play)
+        label = f"backlash({play:.6g}, {shape['link_friction']:.0f}) {site.name(signals.robot)}"
+        return {label: signals.deviating(site.joint, x / play)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"backlash": coefficients[0], **{name: coefficients.new_tensor(v) for name, v in shape.items()}}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["backlash"],), {name: parameters[name] for name in ("flight", "link_friction")}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["flight"] / self._MOST_APART <= parameters["backlash"] <= self._MOST_APART * self._LARGEST
+
+
+def deviation(
+    load: Tensor,
+    inertia: Tensor,
+    motion: tuple[Tensor, Tensor],
+    friction: Tensor,
+    dt: float,
+    play: float,
+) -> Tensor:
+    """Return how far a link is from the middle of its play, x (*batch, N) [rad, m].
+
+    Args:
+        load: (*batch, N) torque that the link takes where it moves as the motor [N m, N].
+        inertia: (*batch, N) that the joint moves while all others are held [kg m^2, kg].
+        motion: velocity and acceleration of the motor, (*batch, N) each.
+        friction: (3,) viscous and Coulomb coefficient and offset of the link.
+        dt: [s]. play: full width [rad, m].
+    """
+    # In double: a flight is a small difference of integrals over the whole sequence.
+    tau, M, qd, qdd = (v.double() for v in (load, inertia, *motion))
+    # Parameters that no body has may leave an inertia of nothing or less: such a link is over at once.
+    M = torch.maximum(M, _LEAST_INERTIA * M.abs().max() + torch.finfo(load.dtype).eps)
+    viscous, coulomb, offset = friction.double()
+    coulomb = coulomb.clamp_min(0.0)
+    driven = tau + viscous * qd + offset
+    signals = torch.stack((driven, M, qd, driven - M * qdd)).detach().cpu().reshape(4, -1, tau.shape[-1]).unbind(1)
+    courses = [_course(*row.tolist(), coulomb=coulomb.item(), dt=dt, play=play) for row in signals]
+    course = torch.from_numpy(np.array(courses, dtype=float)).to(tau)
+    side, left, begun, rests, direction, stuck = (column.reshape(tau.shape) for column in course.unbind(1))
+    free, left, begun = left >= 0, left.clamp_min(0).long(), begun.long()
+    speed = _integral(-(driven + coulomb * direction) / M, dt)
+    speed = speed - speed.gather(-1, begun) - rests * qd.gather(-1, begun)
+    way = _integral(torch.where(stuck > 0, -qd, speed), dt)
+    x = -side * play / 2 + torch.where(free, way - way.gather(-1, left), 0.0)
+    return x.clamp(-play / 2, play / 2).to(load)
+
+
+def _integral(x: Tensor, dt: float) -> Tensor:
+    return torch.nn.functional.pad(torch.cumulative_trapezoid(x, dx=dt, dim=-1), (1, 0))
+
+
+Course = tuple[list[float], list[int], list[int], list[float], list[float], list[float]]
+
+
+def _course(
+    driven: list[float],
+    inertia: list[float],
+    speed: list[float],
+    held: list[float],
+    *,
+    coulomb: float,
+    dt: float,
+    play: float,
+) -> Course:
+    """Follow a link through its play.
+
+    Args:
+        driven: (N,) load and friction but for the Coulomb part, of a link that moves as the motor.
+        inertia: (N,). speed: (N,) of the motor.
+        held: (N,) the first of a link at rest.
+        coulomb: level.
+        dt: [s]. play: full width.
+
+    Returns:
+        (N,) each: side of the contact that is or was last, sample at which it was left (-1 in contact), sample at which
+        the link began to slide, whether from rest (1, 0), the direction in which it slides, whether it rests (1, 0).
+    """
+    N, half = len(driven), play / 2
+    turned = [math.copysign(1.0, v) for v in speed]
+    sides = [math.copysign(1.0, v + coulomb * s) for v, s in zip(driven, turned, strict=True)]
+    course: Course = ([sides[0]] * N, [-1] * N, [0] * N, [0.0] * N, turned, [0.0] * N)
+    side_of, left, begun, rests, direction, stuck = course
+    k, side = 0, sides[0]
+    while k < N:
+        if sides[k] == side:
+            side_of[k] = side
+            k += 1
+            continue
+        start, begin, rest, way, rate, sticks = k, k, 0.0, turned[k], 0.0, False
+        x, pull = -side * half, -(driven[k] + coulomb * way) / inertia[k]
+        while True:
+            side_of[k], left[k], begun[k] = side, start, begin
+            rests[k], direction[k], stuck[k] = rest, way, float(sticks)
+            k += 1
+            if k == N:
+                return course
+            holds, before = abs(held[k]) <= coulomb, rate
+            if not sticks:
+                following = -(driven[k] + coulomb * way) / inertia[k]
+                rate, pull = rate + 0.5 * dt * (pull + following), following
+            turns = coulomb > 0 and (rate + speed[k]) * way < 0
+            if sticks or (turns and holds):
+                # At rest the link stays so or begins to slide the way it is dragged.
+                sticks, rate, rest, begin = holds, -speed[k], 1.0, k
+                way = math.copysign(1.0, -held[k])
+                pull = -(driven[k] + coulomb * way) / inertia[k]
+            elif turns:
+                way, rate = -way, rate + dt * coulomb * way / inertia[k]
+                pull = -(driven[k] + coulomb * way) / inertia[k]
+            x += 0.5 * dt * (before + rate)
+            if abs(x) >= half:
+                side = -math.copysign(1.0, x)
+                break
+    return course

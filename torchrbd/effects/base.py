@@ -1,0 +1,249 @@
+"""The one contract of everything a rigid body leaves out.
+
+An effect adds to the torque that the actuators must supply
+
+    tau_j += sum_k w_k phi_jk(q, qd, qdd, ...; shape)
+
+It is linear in its coefficients w, so that block statistics suffice to fit it, and has at most a few nonlinear shape
+parameters, each tried on a grid and refined. Most effects act on one joint and depend on its motion alone: those are a
+``JointEffect``. An ``Effect`` describes the physics and holds no numbers; a ``Term`` is an effect at a site with
+numbers, as a module.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from torchrbd.effects.signals import JointScale, JointState, Signals
+from torchrbd.effects.sites import Site, Window
+from torchrbd.robot import RobotModel
+
+Shape = Mapping[str, float]
+Mjcf = dict[str, dict[str, float | tuple[float, ...] | str]]
+"""MJCF elements and their attributes."""
+
+
+@dataclass(frozen=True)
+class CoefficientPrior:
+    """What is believed of an effect's coefficients before any data.
+
+    Attributes:
+        words: one sentence.
+        positive: indices of the coefficients that the physics keeps from being negative.
+        std: of each coefficient in its own unit, around zero; empty where it is enough that the torque that it makes
+            is no larger than the joint's. Of several coefficients the proportions count, and the torque sets the size.
+    """
+
+    words: str = "Of either sign, with a torque no larger than the joint's."
+    positive: tuple[int, ...] = ()
+    std: tuple[float, ...] = ()
+
+    @property
+    def proportions(self) -> tuple[float, ...]:
+        """Of several coefficients, their standard deviations; empty of one, or where each may be of any size."""
+        return self.std if len(self.std) > 1 else ()
+
+
+RESISTS = CoefficientPrior("It resists motion, with a torque no larger than the joint's.", positive=(0,))
+
+
+class Curve(NamedTuple):
+    """An effect as a function: y [the torque's unit] over x, the values of a signal."""
+
+    signal: str
+    x: Tensor
+    y: Tensor
+
+
+FAMILIES = (
+    "friction",
+    "inertia and load",
+    "spring",
+    "transmission",
+    "actuator and sensor",
+    "gravity and geometry",
+    "external force",
+    "other",
+    "unknown",
+)
+
+
+class Effect(ABC):
+    """Describe one kind of missing physics.
+
+    Class attributes:
+        id: the name in diagnosis.json.
+        family: of effects that people would call the same kind, see ``FAMILIES``.
+        prevalence: "ubiquitous", "common" or "rare" among machines.
+        words: the name in a sentence.
+        equation: the torque added, in field symbols.
+        units: of the physical parameters, with ``{tau}`` and ``{q}`` for the joint's own (N m and rad, or N and m).
+        dissipative: True if tau qd >= 0 for plausible parameters.
+        whole_robot: True if one coefficient adds to the torque of several joints.
+        uses_load: True if the features depend on the rigid body's torque, and so on the inertial parameters.
+        comes_and_goes: True if it may be there in some recordings of a robot and not in others: after service, in the
+            cold, with a cable, with a sensor set anew. What a robot is built of does not.
+        sees_friction: True if the features depend on the plain friction beside that torque (``Signals.supplied``).
+        has_memory: True if the features depend on a sequence of states, and not on the present one alone.
+        prior: what is believed of the coefficients.
+        shifts_clocks: True if, at all joints alike, it is to first order what an offset of clocks is.
+        first_order: the shape at which it is linear in its size, where that is small; None where shapes are free.
+        needs: what a recording must hold beside positions and torques, in words.
+        export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
+        exported_in_part: True if what ``mjcf`` writes makes a part of the torque only; ``export_note`` says which.
+        urdf_note: which part of the torque ``urdf_dynamics`` writes and which it leaves out; empty if it is all there.
+    """
+
+    id: ClassVar[str]
+    family: ClassVar[str] = "other"
+    prevalence: ClassVar[str] = "rare"
+    words: ClassVar[str]
+    equation: ClassVar[str]
+    units: ClassVar[Mapping[str, str]]
+    dissipative: ClassVar[bool] = False
+    whole_robot: ClassVar[bool] = False
+    uses_load: ClassVar[bool] = False
+    comes_and_goes: ClassVar[bool] = False
+    sees_friction: ClassVar[bool] = False
+    has_memory: ClassVar[bool] = False
+    shifts_clocks: ClassVar[bool] = False
+    prior: ClassVar[CoefficientPrior] = CoefficientPrior()
+    first_order: ClassVar[Shape | None] = None
+    needs: ClassVar[str] = ""
+    export_note: ClassVar[str] = ""
+    exported_in_part: ClassVar[bool] = False
+    urdf_note: ClassVar[str] = ""
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
+        """Return where on a robot the effect may sit; ``windows`` are stretches of time in which it may act."""
+        return tuple(Site(joint) for joint in range(robot.n_dof))
+
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        """Return the shape parameters to try in the range that a recording covers."""
+        return ({},)
+
+    @abstractmethod
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        """Return phi_k by label: (*batch) at the site's joint, (n, *batch) if ``whole_robot``.
+
+        Equal labels at one joint mean equal features, whichever effect they belong to; with ``whole_robot`` this holds
+        for the robot, so that a label names the site too.
+        """
+
+    def features_at(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        """Return ``features``, zero in recordings in which the site is not, under labels that say so."""
+        found = self.features(signals, site, shape)
+        if site.recordings is None:
+            return found
+        inside, names = float(signals.recording in site.recordings), ", ".join(site.recordings)
+        return {f"{label} in {names}": phi * inside for label, phi in found.items()}
+
+    @abstractmethod
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        """Return the physical parameters, one for each entry of ``units``, differentiable in w (K,)."""
+
+    @abstractmethod
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        """Return w and the shape of given physical parameters: the inverse of ``parameters``."""
+
+    @abstractmethod
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        """Say whether the physics allows these values (signs, order, ranges that the recording covers)."""
+
+    def region(self, parameters: Mapping[str, float], scale: JointScale) -> tuple[float, float] | None:
+        """Return the positions of its joint between which the effect acts [rad, m]; None if it acts everywhere."""
+        return None
+
+    def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        """Return what the term adds to the attributes of the URDF's <dynamics>; empty if URDF has no word for it.
+
+        "damping" is viscous friction, "friction" Coulomb friction.
+        """
+        return {}
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        """Return the MJCF elements and attributes that the term is; empty if MJCF has no word for it.
+
+        "joint" is the site's own, "body" what that joint moves (the base, for the whole robot), "general" or "dcmotor"
+        the joint's actuator, whose control is the recorded torque, "actuatorfrc" the sensor that records it, "fixed" a
+        tendon over the site's joints. Numbers add to those of other terms, a gain multiplies. Angles are in radians.
+        """
+        return {}
+
+    def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
+        """Return the function that shows the effect best, differentiable in w (K,).
+
+        Args:
+            coefficients, shape: as of a term.
+            scale: what the recordings cover at the joint on whose motion the effect depends.
+
+        Returns:
+            None if no signal of one joint tells the torque, or the range of that signal is not known.
+        """
+        return None
+
+    def unit(self, parameter: str, *, prismatic: bool) -> str:
+        """Return the SI unit of a physical parameter at a revolute or prismatic joint."""
+        return self.units[parameter].format(**({"tau": "N", "q": "m"} if prismatic else {"tau": "N m", "q": "rad"}))
+
+
+class JointEffect(Effect):
+    """An effect at one joint that depends on the signals of that joint alone.
+
+    ``drawn_over`` names the signal that its curve runs over, a field of ``JointState``.
+    """
+
+    drawn_over: ClassVar[str] = "qd"
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        return self.joint_features(signals.joint(site.joint, load=self.uses_load), shape)
+
+    def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
+        state = scale.sweep(self.drawn_over)
+        if state is None or (self.uses_load and state.load is None):
+            return None
+        phi = torch.stack(list(self.joint_features(state, shape).values()))
+        return Curve(self.drawn_over, getattr(state, self.drawn_over), coefficients.to(phi) @ phi)
+
+    @abstractmethod
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        """Return phi_k by label, of the shape of ``state.q``."""
+
+
+class Term(nn.Module):
+    """An effect at a site, with numbers: ``term(signals)`` is the torque it adds.
+
+    Args:
+        effect: the physics.
+        site: where it sits.
+        coefficients: w, (K,).
+        shape: values of the nonlinear parameters.
+    """
+
+    coefficients: nn.Parameter
+
+    def __init__(self, effect: Effect, site: Site, coefficients: Tensor, shape: Shape) -> None:
+        super().__init__()
+        self.effect, self.site, self.shape = effect, site, dict(shape)
+        self.coefficients = nn.Parameter(coefficients.detach().clone())
+
+    def forward(self, signals: Signals) -> Tensor:
+        """Return sum_k w_k phi_k, (*batch) or, if the effect is ``whole_robot``, (n, *batch), [N m] or [N]."""
+        features = self.effect.features_at(signals, self.site, self.shape)
+        w = self.coefficients.to(signals.q.dtype)
+        return sum(w_k * phi for w_k, phi in zip(w, features.values(), strict=True))  # type: ignore[return-value]
+
+    def parameters_by_name(self) -> dict[str, float]:
+        """Return the physical parameters in SI units."""
+        return {k: float(v) for k, v in self.effect.parameters(self.coefficients.detach(), self.shape).items()}
+
+    def extra_repr(self) -> str:
+        """Show effect, site and parameters."""
+        values = ", ".join(f"{k}={v:.4g}" for k, v in self.parameters_by_name().items())
+        return f"{self.effect.id}, {self.site}, {values}"

@@ -1,0 +1,48 @@
+"""A spring between a link and its parent: a counterbalance, a bent cable bundle, a preloaded seal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchrbd.effects.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.effects.signals import JointScale, JointState
+
+# A spring's rest lies within so many times the range that the joint has covered.
+_MOST_SPANS = 10.0
+
+
+class JointSpring(JointEffect):
+    """tau += k (q - q0) with k >= 0; linear in k and the torque at zero, -k q0."""
+
+    id = "joint_spring"
+    family = "spring"
+    prevalence = "common"
+    words = "joint spring"
+    equation = "k (q - q0)"
+    units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
+    comes_and_goes = True
+    drawn_over = "q"
+    prior = CoefficientPrior("A spring pushes back, and rests within ten ranges.", positive=(0,))
+    export_note = "springs of one joint have one springref: it is that of their sum"
+
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        return {"q": state.q, "1": torch.ones_like(state.q)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"stiffness": coefficients[0], "rest_position": -coefficients[1] / coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        stiffness = parameters["stiffness"]
+        return (stiffness, -stiffness * parameters["rest_position"]), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        """Say whether it pushes back, and is no constant torque: its rest is not too far from where the joint was."""
+        away = abs(parameters["rest_position"] - 0.5 * (scale.q_low + scale.q_high))
+        return parameters["stiffness"] >= 0 and away <= _MOST_SPANS * (scale.q_high - scale.q_low)
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"joint": {"stiffness": parameters["stiffness"], "springref": parameters["rest_position"]}}

@@ -1,0 +1,50 @@
+"""Load-dependent friction: gears and bearings resist in proportion to the torque that they carry.
+
+With the efficiency eta of a gear the actuator must supply |load| / eta to drive and saves (1 - eta) |load| when driven:
+the losses 1 / eta - 1 and 1 - eta have the mean k; half their difference, of second order in 1 - eta, acts as a torque
+gain. The load is the torque that the rigid body takes, never the measured one, which would explain itself.
+
+Source: Hamon, Gautier, Garrec, Janot, "Dynamic Modeling and Identification of Joint Drive with Load-Dependent Friction
+    Model", AIM 2010, with the same k in all four quadrants of torque and speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchrbd.effects.base import CoefficientPrior, JointEffect, Shape
+from torchrbd.effects.signals import JointScale, JointState
+
+
+class LoadDependentFriction(JointEffect):
+    """tau += k |load| sign(qd) with k >= 0."""
+
+    id = "load_dependent_friction"
+    family = "friction"
+    prevalence = "common"
+    words = "load-dependent friction"
+    equation = "k |load| sign(qd)"
+    units: ClassVar[Mapping[str, str]] = {"load_friction": "1"}
+    dissipative = True
+    uses_load = True
+    drawn_over = "load"
+    prior = CoefficientPrior(
+        "It resists motion; a gear loses some tenths of its load at most.", positive=(0,), std=(0.3,)
+    )
+    export_note = "MJCF has no friction that depends on the load"
+
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        assert state.load is not None
+        return {"|load| sign(qd)": state.load.abs() * state.direction()}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"load_friction": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["load_friction"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["load_friction"] >= 0

@@ -1,0 +1,50 @@
+"""Power-law friction: resistance that grows with a power of speed other than 0 (Coulomb), 1 (viscous) and 2 (drag).
+
+Below 1: lubricated seals and bearings, whose film gets thicker as they run, and shear-thinning grease. Above 1: oil or
+grease that a gearbox churns.
+
+Source: the Ostwald-de Waele power law of shear-thinning (a < 1) and shear-thickening (a > 1) fluids. |qd|^a has no
+slope at rest for a < 1, so it is softened there as the sign of the velocity is: |qd| is sqrt(qd^2 + rest_width^2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchrbd.effects.base import RESISTS, JointEffect, Shape
+from torchrbd.effects.signals import JointScale, JointState
+
+
+class PowerLawFriction(JointEffect):
+    """tau += k |qd|^a sign(qd) with k >= 0 and 0 < a < 2, a != 1; k is the torque at 1 rad/s or 1 m/s."""
+
+    id = "power_law_friction"
+    family = "friction"
+    prevalence = "common"
+    words = "power-law friction"
+    equation = "k |qd|^a sign(qd)"
+    units: ClassVar[Mapping[str, str]] = {"friction": "{tau} (s/{q})^a", "exponent": "1"}
+    dissipative = True
+    prior = RESISTS
+    export_note = "MJCF has polynomials of speed, no powers"
+    _EXPONENTS = (0.5, 1.5)
+
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        return tuple({"exponent": a} for a in self._EXPONENTS)
+
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        a = shape["exponent"]
+        speed_squared = state.qd**2 + state.rest_width**2
+        return {f"|qd|^{a:.6g} sign(qd)": state.qd * speed_squared ** (0.5 * (a - 1.0))}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"friction": coefficients[0], "exponent": coefficients.new_tensor(shape["exponent"])}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["friction"],), {"exponent": parameters["exponent"]}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["friction"] >= 0 and 0 < parameters["exponent"] < 2 and parameters["exponent"] != 1

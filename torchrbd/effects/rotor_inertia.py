@@ -1,0 +1,39 @@
+"""Rotor inertia (armature): the motor's own inertia seen through the gear, ratio squared times that of the rotor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from torch import Tensor
+
+from torchrbd.effects.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.effects.signals import JointScale, JointState
+
+
+class RotorInertia(JointEffect):
+    """tau += I_r qdd with I_r >= 0. At the first joint it *is* an inertia of the link, and no motion separates them."""
+
+    id = "rotor_inertia"
+    family = "inertia and load"
+    prevalence = "common"
+    words = "rotor inertia (armature)"
+    equation = "I_r qdd"
+    units: ClassVar[Mapping[str, str]] = {"rotor_inertia": "{tau} s^2/{q}"}
+    drawn_over = "qdd"
+    prior = CoefficientPrior("An inertia is not negative.", positive=(0,))
+
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        return {"qdd": state.qdd}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"rotor_inertia": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["rotor_inertia"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return parameters["rotor_inertia"] >= 0
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"joint": {"armature": parameters["rotor_inertia"]}}

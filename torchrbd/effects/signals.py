@@ -1,0 +1,282 @@
+"""What an effect may depend on: the signals of one joint, or of the whole robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+from torchrbd.effects.sites import Window
+from torchrbd.errors import InputError
+from torchrbd.robot import RobotModel
+
+# A joint moves if it reaches so many times the speed below which its direction is not told.
+_MOVES = 3.0
+# Points of a curve.
+_SWEEP = 1000
+
+
+T = TypeVar("T")
+
+
+class computed_once(Generic[T]):  # noqa: N801
+    """A property that is computed when it is first asked for: functools' ``cached_property`` without its lock, which no
+    compiler traces (Python 3.12 has dropped it)."""
+
+    def __init__(self, compute: Callable[[Any], T]) -> None:
+        self._compute, self.__doc__ = compute, compute.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: Any, owner: type) -> T:
+        value = instance.__dict__[self._name] = self._compute(instance)
+        return value
+
+
+@dataclass(frozen=True)
+class JointState:
+    """The signals of one joint; all but t have one common shape.
+
+    ``rest_width`` is the speed [rad/s, m/s] below which the direction of motion is not told: sign(qd) is tanh(qd /
+    rest_width). ``load`` is given to effects that use it, with the ``friction`` beside it where there is any;
+    ``temperature`` and ``t`` as in ``Signals``; ``turned`` (R,) are positions before the first one, at which the joint
+    turned [rad, m].
+    """
+
+    q: Tensor
+    qd: Tensor
+    qdd: Tensor
+    rest_width: Tensor | float
+    load: Tensor | None = None
+    temperature: Tensor | None = None
+    t: Tensor | None = None
+    friction: Tensor | None = None
+    turned: Tensor | None = None
+
+    @property
+    def supplied(self) -> Tensor:
+        """Torque that the actuator supplies: load and friction."""
+        assert self.load is not None
+        return self.load if self.friction is None else self.load + self.friction
+
+    def direction(self) -> Tensor:
+        """Return sign(qd), softened where the recording cannot tell it."""
+        return torch.tanh(self.qd / self.rest_width)
+
+    def times(self) -> Tensor:
+        """Return t, of any shape that goes with the samples.
+
+        Raises:
+            InputError: there is none.
+        """
+        return _times(self.t)
+
+    def sequence(self) -> Tensor:
+        """Return t (N,).
+
+        Raises:
+            InputError: the samples are no sequence.
+        """
+        return _sequence(self.t)
+
+
+@dataclass(frozen=True)
+class JointScale:
+    """What recordings cover at one joint: the range in which shapes are sought and parameters are plausible.
+
+    Attributes:
+        speed_max: [rad/s, m/s].
+        rest_width: see ``JointState``.
+        q_low, q_high: [rad, m].
+        load_max: largest torque that the actuator supplies [N m, N]; None where it is not known.
+        duration_s: of the longest recording.
+        temperature: coldest and warmest [deg C]; None where not recorded.
+    """
+
+    speed_max: float
+    rest_width: float
+    q_low: float = -math.pi
+    q_high: float = math.pi
+    load_max: float | None = None
+    duration_s: float = 300.0
+    temperature: tuple[float, float] | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether the joint moves faster than what passes for rest."""
+        return self.speed_max > _MOVES * self.rest_width
+
+    def sweep(self, signal: str) -> JointState | None:
+        """Return a joint in motion at its fastest while one of its signals runs through its range.
+
+        Positions stay in the middle, the load at its largest, the temperature at its lowest.
+
+        Args:
+            signal: a field of ``JointState``.
+
+        Returns:
+            (_SWEEP,) each; None if the range is not known.
+        """
+        middle, half = 0.5 * (self.q_low + self.q_high), 0.5 * (self.q_high - self.q_low)
+        fastest, load = self.speed_max, self.load_max
+        # The acceleration of a sine with this speed and range.
+        hardest = fastest**2 / half if half > 0 else fastest
+        ranges = {
+            "q": (self.q_low, self.q_high),
+            "qd": (-fastest, fastest),
+            "qdd": (-hardest, hardest),
+            "t": (0.0, self.duration_s),
+            **({} if load is None else {"load": (-load, load)}),
+            **({} if self.temperature is None else {"temperature": self.temperature}),
+        }
+        if signal not in ranges:
+            return None
+        still = {"q": middle, "qd": fastest, "qdd": 0.0, "t": 0.0, "load": load}
+        still["temperature"] = None if self.temperature is None else self.temperature[0]
+        at = {
+            name: torch.linspace(*(ranges[name] if name == signal else (value, value)), _SWEEP, dtype=torch.float64)
+            for name, value in still.items()
+            if value is not None
+        }
+        return JointState(**at, rest_width=self.rest_width)
+
+
+@dataclass(frozen=True)
+class Signals:
+    """The signals of a robot. Joints come first, time comes last where the samples are a sequence.
+
+    Attributes:
+        robot: the robot.
+        q, qd, qdd: (n, *batch) [rad, m] and per second, per second squared.
+        rest_width: (n,) see ``JointState``.
+        pi: (n_params,) inertial parameters that make the load; the robot's own if None.
+        t: (N,) times of the last dimension, evenly spaced [s]. Samples that are no sequence have none, or other shapes
+            that go with theirs: one time, or (1, N).
+        recording: its name; None outside of recordings.
+        temperature: (n, *batch) of the joints [deg C]; None where not recorded.
+        friction: (n, 3) viscous and Coulomb coefficient and offset of each joint that its actuator supplies beside the
+            load, see ``plain_friction``; none if None.
+        turned: per joint, where it has turned before the samples, see ``States``; empty where that is not known.
+    """
+
+    robot: RobotModel
+    q: Tensor
+    qd: Tensor
+    qdd: Tensor
+    rest_width: Tensor
+    pi: Tensor | None = None
+    t: Tensor | None = None
+    recording: str | None = None
+    temperature: Tensor | None = None
+    friction: Tensor | None = None
+    turned: tuple[Tensor, ...] = ()
+
+    def joint(self, joint: int | None, *, load: bool = False) -> JointState:
+        """Return the signals of one joint, with its load or without."""
+        assert joint is not None
+        warm = None if self.temperature is None else self.temperature[joint]
+        carried = self.load[joint] if load else None
+        beside = None if carried is None or self.friction is None else self.friction_torque[joint]
+        states = self.q[joint], self.qd[joint], self.qdd[joint]
+        before = self.turned[joint] if self.turned else None
+        return JointState(*states, self.rest_width[joint], carried, warm, self.t, beside, before)
+
+    @computed_once
+    def load(self) -> Tensor:
+        """Torque that the rigid body takes, (n, *batch) [N m] or [N]."""
+        return self.robot.inverse_dynamics(*self._states, self._own_pi).movedim(-1, 0)
+
+    @computed_once
+    def friction_torque(self) -> Tensor:
+        """Torque that ``friction`` takes, (n, *batch) [N m] or [N]."""
+        if self.friction is None:
+            return torch.zeros_like(self.qd)
+        return self._each(self.friction[:, 0]) * self.qd + self.coulomb_torque + self._each(self.friction[:, 2])
+
+    @property
+    def coulomb_torque(self) -> Tensor:
+        """Torque that Coulomb friction takes of it, (n, *batch) [N m] or [N]."""
+        if self.friction is None:
+            return torch.zeros_like(self.qd)
+        return self._each(self.friction[:, 1]) * torch.tanh(self.qd / self._each(self.rest_width))
+
+    def _each(self, values: Tensor) -> Tensor:
+        """Return values (n,) of the joints as they go with the samples, (n, 1, ...)."""
+        return values.to(self.qd).reshape(-1, *[1] * (self.qd.ndim - 1))
+
+    @property
+    def supplied(self) -> Tensor:
+        """Torque that the actuators supply to the rigid body and to friction, (n, *batch) [N m] or [N]."""
+        return self.load + self.friction_torque
+
+    @computed_once
+    def origin_slopes(self) -> Tensor:
+        """Derivatives of the load by shifts and turns of the joints' origins, (*batch, n, n, 6)."""
+        return self.robot.origin_slopes(*self._states, self._own_pi)
+
+    @computed_once
+    def regressor(self) -> Tensor:
+        """Regressor of the rigid body, (*batch, n, n_params)."""
+        return self.robot.regressor(*self._states)
+
+    @computed_once
+    def load_slopes(self) -> Tensor:
+        """Derivatives of the load of each joint by q, qd and qdd of each, (3, n, n, *batch)."""
+        return self.robot.torque_slopes(*self._states, self._own_pi).movedim((-3, -2, -1), (0, 1, 2))
+
+    def deviating(self, joint: int | None, shift: Tensor) -> Tensor:
+        """Return what the load changes by, (n, *batch), as a joint's link deviates by ``shift`` (*batch) over time."""
+        assert joint is not None
+        speed = self.rate(shift)
+        deviation = torch.stack((shift, speed, self.rate(speed)))
+        return (self.load_slopes[:, :, joint] * deviation[:, None]).sum(0)
+
+    @property
+    def _states(self) -> tuple[Tensor, Tensor, Tensor]:
+        return self.q.movedim(0, -1), self.qd.movedim(0, -1), self.qdd.movedim(0, -1)
+
+    @property
+    def _own_pi(self) -> Tensor | None:
+        return None if self.pi is None else self.pi.to(self.q)
+
+    def sequence(self) -> Tensor:
+        """Return t (N,).
+
+        Raises:
+            InputError: the samples are no sequence.
+        """
+        return _sequence(self.t)
+
+    def rate(self, x: Tensor) -> Tensor:
+        """Return dx/dt (..., N) by central differences."""
+        t = self.sequence()
+        return torch.gradient(x, spacing=float(t[1] - t[0]), dim=-1)[0]
+
+    def inside(self, window: Window | None) -> Tensor:
+        """Return 1 where a window is, 0 elsewhere, as the last dimension of q; 1 everywhere for None."""
+        if window is None:
+            return torch.ones_like(self.q[0])
+        if self.recording != window.recording:
+            return torch.zeros_like(self.q[0])
+        t = _times(self.t)
+        return ((t >= window.start_s) & (t <= window.end_s)).to(self.q).expand_as(self.q[0])
+
+
+def _times(t: Tensor | None) -> Tensor:
+    if t is None:
+        raise InputError("an effect that depends on time needs t: one time, or (N,) those of the last dimension [s]")
+    return t
+
+
+def _sequence(t: Tensor | None) -> Tensor:
+    if t is None or t.ndim != 1:
+        raise InputError(
+            "an effect with memory needs a sequence: give t (N,), evenly spaced seconds, with q, qd and qdd "
+            "(*batch, N, n_dof); it has no forward dynamics"
+        )
+    return t

@@ -1,0 +1,99 @@
+"""Torque and motion that were not recorded at the same time: the torque comes late, or early, by a constant time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
+from torchrbd.effects.signals import JointScale, Signals
+from torchrbd.effects.sites import Site, Window
+from torchrbd.robot import RobotModel
+
+
+class TimeDelay(Effect):
+    """tau += delay (tau_s(t - step) - tau_s(t)) / step: the torque comes later than the motion if delay > 0.
+
+    The torque tau_s that is late is all that the actuator supplies, to the rigid body and to friction. The delay
+    multiplies its slope, and is known well; the step is where the secant is taken, which only the curvature tells. For
+    a pure delay they are equal, and the term is exact; a longer step suffers less from noise in the accelerations.
+
+    Either the torque of one joint is late, or that of all.
+    """
+
+    id = "time_delay"
+    family = "actuator and sensor"
+    words = "time delay of the torque"
+    equation = "delay (tau_s(t - step) - tau_s(t)) / step"
+    units: ClassVar[Mapping[str, str]] = {"delay": "s", "step": "s"}
+    whole_robot = True
+    uses_load = True
+    has_memory = True
+    sees_friction = True
+    shifts_clocks = True
+    first_order: ClassVar[Shape] = {"step": 1e-3}
+    prior = CoefficientPrior("Some samples of a field bus, early or late.", std=(0.02,))
+    export_note = "delays need a history: nsample = delay / timestep; of one joint or, for the whole robot, of all"
+    _STEPS_S, _LARGEST_S, _MOST_APART = (-0.08, -0.04, -0.015, 0.015, 0.04, 0.08), 0.1, 5.0
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
+        return joints_and_all(robot)
+
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        return tuple({"step": step} for step in self._STEPS_S)
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        t, step = signals.sequence(), shape["step"]
+        torque = at_site(signals.supplied, site)
+        secant = (delayed(torque, step / float(t[1] - t[0])) - torque) / step
+        return {f"delayed({step:.6g}) {site.name(signals.robot)}": secant}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"delay": coefficients[0], "step": coefficients.new_tensor(shape["step"])}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["delay"],), {"step": parameters["step"]}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        delay, step = parameters["delay"], parameters["step"]
+        return abs(delay) <= self._LARGEST_S and abs(step) / self._MOST_APART <= delay * math.copysign(1.0, step)
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        delay = parameters["delay"]
+        return {"actuatorfrc": {"delay": delay}} if delay > 0 else {"general": {"delay": -delay}}
+
+
+def joints_and_all(robot: RobotModel) -> tuple[Site, ...]:
+    """Return each joint and the robot as a whole."""
+    joints = tuple(Site(joint) for joint in range(robot.n_dof))
+    return joints if len(joints) == 1 else (*joints, Site())
+
+
+def at_site(torque: Tensor, site: Site) -> Tensor:
+    """Return torques (n, *batch) with zeros at other joints than the site's, if it has one."""
+    if site.joint is None:
+        return torque
+    only = torch.zeros(len(torque), *[1] * (torque.ndim - 1), dtype=torque.dtype, device=torque.device)
+    only[site.joint] = 1.0
+    return torque * only
+
+
+def delayed(x: Tensor, steps: float) -> Tensor:
+    """Return x (..., N) later by a number of samples, by cubics through four neighbours; straight on at the ends."""
+    whole = math.floor(steps)
+    part, reach = steps - whole, abs(whole) + 2
+    outwards = torch.arange(1, reach + 1, dtype=x.dtype, device=x.device)
+    before = x[..., :1] - outwards.flip(0) * (x[..., 1:2] - x[..., :1])
+    after = x[..., -1:] + outwards * (x[..., -1:] - x[..., -2:-1])
+    padded, n = torch.cat((before, x, after), -1), x.shape[-1]
+    result = torch.zeros_like(x)
+    nodes = (-1, 0, 1, 2)
+    for node in nodes:
+        weight = math.prod((part - other) / (node - other) for other in nodes if other != node)
+        first = reach - whole - node
+        result = result + weight * padded[..., first : first + n]
+    return result

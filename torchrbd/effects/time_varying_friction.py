@@ -1,0 +1,72 @@
+"""Time-varying friction: Coulomb friction that settles as a joint warms up, or rises as a brake or a seal tightens.
+
+Every recording starts cold, at its own time zero, and all settle at one rate: a first-order thermal model. Where the
+joint's temperature is recorded, ``ThermalViscosity`` says more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrbd.effects.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.effects.signals import JointScale, JointState
+
+
+class TimeVaryingFriction(JointEffect):
+    """tau += (c_end + (c_start - c_end) exp(-t/T)) sign(qd) with c_end, c_start >= 0; t from the recording's start."""
+
+    id = "time_varying_friction"
+    family = "friction"
+    prevalence = "common"
+    words = "friction that changes with time"
+    equation = "(c_end + (c_start - c_end) exp(-t/T)) sign(qd)"
+    units: ClassVar[Mapping[str, str]] = {
+        "coulomb_end": "{tau}",
+        "coulomb_start": "{tau}",
+        "time_constant": "s",
+    }
+    dissipative = True
+    drawn_over = "t"
+    prior = CoefficientPrior("It resists motion; with time it may rise or fall.", positive=(0,))
+    export_note = "frictionloss is what friction settles to; MJCF has no word for time"
+    exported_in_part = True
+    urdf_note = "friction is what it settles to; its change with time is left out"
+    # Parts of the longest recording: a grease film that settles to a joint that warms through. Slower, it is a straight
+    # line in time, and all slower ones are alike.
+    _FASTEST, _SLOWEST, _GRID_POINTS, _PLAUSIBLE = 0.03, 1.0, 4, 10.0
+
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        grid = scale.duration_s * np.geomspace(self._FASTEST, self._SLOWEST, self._GRID_POINTS)
+        return tuple({"time_constant": float(v)} for v in grid)
+
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        direction, T = state.direction(), shape["time_constant"]
+        decay = torch.exp(-state.times() / T).to(direction)
+        return {"sign(qd)": direction, f"sign(qd) exp(-t/{T:.6g})": direction * decay}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        end, extra = coefficients
+        return {
+            "coulomb_end": end,
+            "coulomb_start": end + extra,
+            "time_constant": coefficients.new_tensor(shape["time_constant"]),
+        }
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        end, start = parameters["coulomb_end"], parameters["coulomb_start"]
+        return (end, start - end), {"time_constant": parameters["time_constant"]}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        friction, slowest = (parameters["coulomb_end"], parameters["coulomb_start"]), self._PLAUSIBLE * scale.duration_s
+        return min(friction) >= 0 and 0 < parameters["time_constant"] <= slowest
+
+    def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        return {"friction": parameters["coulomb_end"]}
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"joint": {"frictionloss": parameters["coulomb_end"]}}

@@ -1,0 +1,107 @@
+"""Effects as a user names them, and the places on a robot that are meant.
+
+EFFECT                              at all its places
+EFFECT@PLACE                        PLACE as ``Site.name`` has it: joint3, joint3_joint1, link5, robot
+EFFECT@PLACE@RECORDING[=FROM:TO]    for effects that act for a time only, [s] from the recording's start
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torchrbd.effects.base import Effect
+from torchrbd.effects.registry import effect
+from torchrbd.effects.sites import Site, Window
+from torchrbd.errors import OptionError
+from torchrbd.robot import RobotModel
+
+_SOME_TIME = Window("")
+
+
+@dataclass(frozen=True)
+class ToldEffect:
+    """An effect, and where it sits if the user says so."""
+
+    effect: Effect
+    place: str | None = None
+    window: Window | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> ToldEffect:
+        """Read what the module's head describes.
+
+        Raises:
+            OptionError: an unknown effect, or a stretch of time that is none.
+        """
+        name, *rest = text.split("@", 2)
+        if not all(rest):
+            raise OptionError(f"effect '{text}': expected EFFECT, EFFECT@PLACE or EFFECT@PLACE@RECORDING=FROM:TO")
+        return cls(effect(name), rest[0] if rest else None, _window(rest[1], text) if len(rest) > 1 else None)
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window]) -> tuple[Site, ...]:
+        """Return where the effect is meant to sit.
+
+        Args:
+            robot: the robot.
+            windows: stretches of time that this or other effects were told.
+
+        Raises:
+            OptionError: it cannot sit there.
+        """
+        sites, name = self.effect.sites(robot, windows), self.effect.id
+        if self.place is None:
+            return sites
+        if not sites and self.effect.sites(robot, (_SOME_TIME,)):
+            raise OptionError(f"'{name}' acts for a time only; tell it as {name}@{self.place}@RECORDING=FROM:TO")
+        places = tuple(dict.fromkeys(site.name(robot) for site in sites))
+        if self.place not in places:
+            close = difflib.get_close_matches(self.place, places, 1)
+            hint = f"did you mean '{close[0]}'? " if close else ""
+            raise OptionError(
+                f"'{name}' has no place '{self.place}' on robot '{robot.name}'; {hint}"
+                f"its places are: {', '.join(places) or 'none'}"
+            )
+        found = tuple(s for s in sites if s.name(robot) == self.place and self.window in (None, s.window))
+        if not found:
+            raise OptionError(f"'{name}' acts all the time; tell it as {name}@{self.place}")
+        return found
+
+
+def _window(text: str, whole: str) -> Window:
+    recording, told, span = text.partition("=")
+    try:
+        start, end = span.split(":") if told else ("", "")
+        window = Window(recording, float(start or -math.inf), float(end or math.inf))
+    except ValueError:
+        raise OptionError(f"effect '{whole}': expected FROM:TO in seconds after '{recording}=', e.g. 2:30") from None
+    if not window.start_s < window.end_s:
+        raise OptionError(f"effect '{whole}': the end must come after the start")
+    return window
+
+
+def told_sites(
+    told: Sequence[ToldEffect], robot: RobotModel, recordings: Sequence[str]
+) -> tuple[dict[str, tuple[Site, ...]], tuple[Window, ...]]:
+    """Return the places of told effects by the effects' ids, and the stretches of time among them.
+
+    Args:
+        told: the effects.
+        robot: the robot.
+        recordings: their names.
+
+    Raises:
+        OptionError: a place or a recording that does not exist.
+    """
+    windows = tuple(dict.fromkeys(one.window for one in told if one.window is not None))
+    for window in windows:
+        if window.recording not in recordings:
+            raise OptionError(
+                f"effect in recording '{window.recording}', which is none here; there are: {', '.join(recordings)}"
+            )
+    found: dict[str, dict[Site, None]] = {}
+    for one in told:
+        found.setdefault(one.effect.id, {}).update(dict.fromkeys(one.sites(robot, windows)))
+    return {name: tuple(sites) for name, sites in found.items()}, windows

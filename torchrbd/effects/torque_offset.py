@@ -1,0 +1,41 @@
+"""Torque offset: a constant error of the torque or current sensor, or a constant load at the joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchrbd.effects.base import JointEffect, Mjcf, Shape
+from torchrbd.effects.mjcf import affine
+from torchrbd.effects.signals import JointScale, JointState
+
+
+class TorqueOffset(JointEffect):
+    """tau += tau_0."""
+
+    id = "torque_offset"
+    family = "actuator and sensor"
+    prevalence = "common"
+    words = "constant torque offset"
+    equation = "tau_0"
+    units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}
+    comes_and_goes = True
+    drawn_over = "q"
+
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        return {"1": torch.ones_like(state.q)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"offset": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["offset"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return True
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        return {"general": affine(-parameters["offset"])}

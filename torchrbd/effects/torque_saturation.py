@@ -1,0 +1,70 @@
+"""Torque saturation: beyond a limit the recorded torque and the one that acts grow at different rates.
+
+    slope > 0    recorded is a current or a command, and the actuator gives less and less of it: iron saturates, a
+                 limiter sets in
+    slope = -1   recorded is clipped: a sensor or an amplifier's reading ends at the limit
+
+A command far beyond a hard limit cannot be told from the motion, which knows the limit but not the command. The load is
+the torque that the actuator supplies, to the rigid body and to friction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+from torch import Tensor
+
+from torchrbd.effects.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.effects.signals import JointScale, JointState
+
+
+class TorqueSaturation(JointEffect):
+    """tau += slope sign(load) max(0, |load| - limit) with slope >= -1."""
+
+    id = "torque_saturation"
+    family = "actuator and sensor"
+    words = "torque saturation"
+    equation = "slope sign(load) max(0, |load| - limit)"
+    units: ClassVar[Mapping[str, str]] = {"limit": "{tau}", "slope": "1"}
+    uses_load = True
+    sees_friction = True
+    drawn_over = "load"
+    prior = CoefficientPrior("From a clipped reading to an actuator that gives half of what is asked.", std=(1.0,))
+    export_note = "a hard limit in place of a gradual one: of the actuator, or of the reading if the slope is negative"
+    exported_in_part = True
+    # In parts of the largest load. Lower, it is a gain of the torque; higher, hardly ever met.
+    _LOWEST, _HIGHEST, _GRID_POINTS = 0.35, 0.88, 4
+    # A clipped reading is at the bound: its estimate lies beyond as often as not.
+    _LEAST_SLOPE = -1.1
+    # Of a joint whose load is not known, from a desktop arm's wrist to a large arm's shoulder [N m, N].
+    _LEAST_LOAD, _MOST_LOAD, _MOST_POINTS = 0.3, 300.0, 28
+
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        if scale.load_max is None:
+            grid = np.geomspace(self._LEAST_LOAD, self._MOST_LOAD, self._MOST_POINTS)
+        else:
+            grid = scale.load_max * np.linspace(self._LOWEST, self._HIGHEST, self._GRID_POINTS)
+        return tuple({"limit": float(v)} for v in grid if v > 0)
+
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        limit, load = shape["limit"], state.supplied
+        return {f"load beyond {limit:.6g}": load - load.clamp(-limit, limit)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"limit": coefficients.new_tensor(shape["limit"]), "slope": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["slope"],), {"limit": parameters["limit"]}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        most = math.inf if scale.load_max is None else scale.load_max
+        return 0 < parameters["limit"] < most and parameters["slope"] >= self._LEAST_SLOPE
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        limit = parameters["limit"]
+        if parameters["slope"] < 0:
+            return {"actuatorfrc": {"cutoff": limit}}
+        return {"general": {"forcerange": (-limit, limit)}}
