@@ -155,8 +155,8 @@ def score_injected(
     new = new_findings(findings, known)
     # What was not there before is new, though it contains friction that was.
     new += [f for f in findings if f not in new and any(relation(f, e, joints) is not None for e in truth["effects"])]
-    before = {(tuple(u["joints"]), u["depends_on"][0]) for u in baseline.get("unexplained", ())}
-    left = [u for u in diagnosis.get("unexplained", ()) if (tuple(u["joints"]), u["depends_on"][0]) not in before]
+    before = [(u["joints"], u["depends_on"][:1]) for u in baseline.get("unexplained", ())]
+    left = [u for u in diagnosis.get("unexplained", ()) if (u["joints"], u["depends_on"][:1]) not in before]
     score = score_case(truth, {**diagnosis, "findings": new, "unexplained": left}, seconds)
     if told is None:
         return score

@@ -260,10 +260,10 @@ def test_times_of_what_is_left_count_where_nothing_is_named() -> None:
 
 def test_injected_counts_what_is_new() -> None:
     case = truth(effect("torque_ripple", "b"), tier="injected", baseline="0")
-    before = diagnosis(finding("stribeck_friction", "a"), left=(left_at("c", "q_c"),))
+    left = (left_at("c", "q_c"), left_at("d"))
+    before = diagnosis(finding("stribeck_friction", "a"), left=left)
     after = diagnosis(
-        finding("torque_ripple", "b"), finding("coulomb_friction", "a"), finding("joint_spring", "c"),
-        left=(left_at("c", "q_c"),),
+        finding("torque_ripple", "b"), finding("coulomb_friction", "a"), finding("joint_spring", "c"), left=left,
     )  # fmt: skip
     score = score_injected(case, after, before, 1.0)
     assert score is not None

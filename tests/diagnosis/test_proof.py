@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import torch
 
+from torchrbd.diagnosis.explain import is_trifling
 from torchrbd.diagnosis.proof import doubt, proofs
 from torchrbd.diagnosis.results import Finding, Where
 from torchrbd.inference.results import TorqueSeries
@@ -87,3 +92,23 @@ def test_a_model_that_does_worse_where_something_was_found_is_told_of() -> None:
     assert doubt(better, [here]) == doubt(worse, [elsewhere]) == doubt((), [here]) == ""
     assert "at hinge (1.44 times, 1.44 to 1.44): what was found there does not carry over." in doubt(worse, [here])
     assert doubt(worse, [finding("base_tilt")])
+
+
+@pytest.mark.parametrize(
+    ("recordings", "after", "trifling"),
+    [(None, 0.05, False), (None, 0.1, True), (("a",), 0.05, False), (("a",), 0.1, False), (("a",), 0.11, True)],
+)
+def test_held_out_time_that_contradicts_a_finding_sets_it_apart(
+    recordings: tuple[str, ...] | None, after: float, trifling: bool
+) -> None:
+    """Of what acts for a time it may see nothing; worse it must not become."""
+    one = replace(
+        finding("payload", "hinge"),
+        where=Where(recordings),
+        nmse_before={"hinge": 0.1},
+        nmse_after={"hinge": after},
+        torque_rms={"hinge": 1.0},
+    )
+    torque = torch.tensor([[[100.0, 0.0, 100.0]]], dtype=torch.float64)
+    prepared = SimpleNamespace(training=SimpleNamespace(torque=torque), robot=SimpleNamespace(joint_names=("hinge",)))
+    assert is_trifling(one, SimpleNamespace(prepared=prepared)) is trifling  # type: ignore[arg-type]

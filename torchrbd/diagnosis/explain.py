@@ -56,7 +56,7 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
         finding = _finding(term, evidence, sure, extended, before, after, ends_s, alike)
         more = term.site.recordings is not None and (term.effect, replace(term.site, recordings=None)) in everywhere
         findings.append(replace(finding, statement=finding_sentence(finding, more=more)))
-    trifling = [_trifling(f, extended) for f in findings]
+    trifling = [is_trifling(f, extended) for f in findings]
     return tuple(
         strongest_first(f for f, small in zip(findings, trifling, strict=True) if small is kind)
         for kind in (False, True)
@@ -70,13 +70,13 @@ def _without(term: Candidate, extended: Extended) -> list[Candidate]:
     return [c for c in terms if c is not term and not gone & set(columns.of(c))]
 
 
-def _trifling(finding: Finding, extended: Extended) -> bool:
+def is_trifling(finding: Finding, extended: Extended) -> bool:
     """Say whether held-out time does not show a finding, or hardly and it carries next to nothing of any torque.
 
     Other inertial parameters, or other friction, do as well then. Of what acts for a time only, or in some recordings,
-    held-out time may have seen nothing.
+    held-out time may have seen nothing; but then it changes nothing there, and does not make it worse.
     """
-    if finding.where.recordings is None and finding.share < NO_CHANGE:
+    if finding.share < (NO_CHANGE if finding.where.recordings is None else -NO_CHANGE):
         return True
     torque = extended.prepared.training.torque.sum(0)
     rms = dict(zip(extended.prepared.robot.joint_names, (torque[:, 2] / torque[:, 0]).sqrt().tolist(), strict=True))
