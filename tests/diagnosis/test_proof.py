@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchrbd.diagnosis.explain import is_trifling
+from torchrbd.diagnosis.explain import is_trifling, set_apart
 from torchrbd.diagnosis.proof import doubt, proofs
 from torchrbd.diagnosis.results import Finding, Where
 from torchrbd.inference.results import TorqueSeries
@@ -112,3 +113,21 @@ def test_held_out_time_that_contradicts_a_finding_sets_it_apart(
     torque = torch.tensor([[[100.0, 0.0, 100.0]]], dtype=torch.float64)
     prepared = SimpleNamespace(training=SimpleNamespace(torque=torque), robot=SimpleNamespace(joint_names=("hinge",)))
     assert is_trifling(one, SimpleNamespace(prepared=prepared)) is trifling  # type: ignore[arg-type]
+
+
+def test_of_findings_that_stand_in_for_each_other_one_is_told() -> None:
+    """Each alone may go; both may not. What nothing needs goes with the less likely one."""
+    gains = {"viscous_friction": 90.0, "power_law_friction": 60.0, "torque_ripple": 20.0, "joint_spring": 10.0}
+    terms = {name: SimpleNamespace(place=0, name=name) for name in gains}
+    told = [(terms[k], replace(finding(k, "hinge"), log_evidence_gain=gain)) for k, gain in gains.items()]
+
+    def error_without(gone: Sequence[SimpleNamespace]) -> dict[str, float]:
+        names = {one.name for one in gone}
+        friction = 0.5 * ({"viscous_friction", "power_law_friction"} <= names)
+        return {"hinge": 0.01 + friction + 0.2 * ("joint_spring" in names), "other": 0.1}
+
+    kept, apart = set_apart(told, error_without, lambda one: one.share < 0.02)  # type: ignore[arg-type]
+    assert [one.effect for _, one in kept] == ["viscous_friction", "joint_spring"]
+    assert [one.effect for _, one in apart] == ["torque_ripple", "power_law_friction"]
+    assert kept[0][1].nmse_before == {"hinge": 0.51}
+    assert {one.nmse_after["hinge"] for _, one in (*kept, *apart)} == {0.01}

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -40,34 +41,76 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
         extended: the fit with it.
 
     Returns:
-        Findings, the largest gain first, and others that are as certain but trifling.
+        Findings, the largest gain first, and others that are as certain but trifling, all of these together.
     """
-    reading, model = extended.prepared.reading, extended.model
+    reading = extended.prepared.reading
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
-    after, findings = judge(extended.prepared.judging, extended.first.x).nmse, []
     terms = list(_sure(found, extended))
     everywhere = {(c.effect, c.site) for c, _, _ in terms}
+    told: list[tuple[Candidate, Finding]] = []
     for term, evidence, sure in terms:
-        if max(sure.probability, sure.family_probability) <= LIKELY:
-            continue
-        rest = _without(term, extended)
-        before = judge(extended.prepared.judging, extended.prepared.fit(rest, model.noise_variance).x).nmse
-        alike = _alternatives(term, sure, extended, found.fit)
-        finding = _finding(term, evidence, sure, extended, before, after, ends_s, alike)
-        more = term.site.recordings is not None and (term.effect, replace(term.site, recordings=None)) in everywhere
-        findings.append(replace(finding, statement=finding_sentence(finding, more=more)))
-    trifling = [is_trifling(f, extended) for f in findings]
-    return tuple(
-        strongest_first(f for f, small in zip(findings, trifling, strict=True) if small is kind)
-        for kind in (False, True)
-    )  # type: ignore[return-value]
+        if max(sure.probability, sure.family_probability) > LIKELY:
+            alike = _alternatives(term, sure, extended, found.fit)
+            told.append((term, _finding(term, evidence, sure, extended, ends_s, alike)))
+    kept, apart = set_apart(told, partial(_error_without, extended), lambda one: is_trifling(one, extended))
+
+    def worded(chosen: Sequence[tuple[Candidate, Finding]]) -> tuple[Finding, ...]:
+        sentences = []
+        for term, one in chosen:
+            more = term.site.recordings is not None and (term.effect, replace(term.site, recordings=None)) in everywhere
+            sentences.append(replace(one, statement=finding_sentence(one, more=more)))
+        return strongest_first(sentences)
+
+    return worded(kept), worded(apart)
 
 
-def _without(term: Candidate, extended: Extended) -> list[Candidate]:
-    """Return the terms but one; without ordinary friction, a law that refines it has nothing to refine."""
-    terms, columns = extended.first.terms, extended.first.columns
-    gone = set(columns.of(term)) if term in terms[: len(extended.friction)] else set()
-    return [c for c in terms if c is not term and not gone & set(columns.of(c))]
+def set_apart(
+    told: Sequence[tuple[Candidate, Finding]],
+    error_without: Callable[[Sequence[Candidate]], Mapping[str, float]],
+    trifling: Callable[[Finding], bool],
+) -> tuple[list[tuple[Candidate, Finding]], list[tuple[Candidate, Finding]]]:
+    """Set findings apart that are trifling together: of two that stand in for each other, one is not.
+
+    Args:
+        told: terms and what is told of them; their errors are given here.
+        error_without: nmse by joint of the model without some terms.
+        trifling: says whether a finding is, of its errors with it and without it.
+
+    Returns:
+        Those that count, their errors beside all others that do, and those that are set apart, the least likely first.
+    """
+    whole, apart = error_without([]), list[tuple[Candidate, Finding]]()
+
+    def beside(term: Candidate, one: Finding, gone: Sequence[Candidate], after: Mapping[str, float]) -> Finding:
+        before, touched = error_without([*gone, term]), one.joints if term.place is not None else whole.keys()
+        return replace(
+            one,
+            nmse_before={name: x for name, x in before.items() if name in touched},
+            nmse_after={name: x for name, x in after.items() if name in touched},
+        )
+
+    kept = [(term, beside(term, one, [], whole)) for term, one in told]
+    for pair in sorted((p for p in kept if trifling(p[1])), key=lambda p: p[1].log_evidence_gain):
+        term, one = pair
+        gone = [other for other, _ in apart]
+        again = beside(term, one, gone, error_without(gone)) if apart else one
+        if trifling(again):
+            apart.append((term, again))
+            kept = [other for other in kept if other is not pair]
+    gone = [term for term, _ in apart]
+    if gone:
+        kept = [(term, beside(term, one, gone, error_without(gone))) for term, one in kept]
+    return kept, apart
+
+
+def _error_without(extended: Extended, gone: Sequence[Candidate]) -> Mapping[str, float]:
+    """Return held-out nmse without some terms, and without laws that refine ordinary friction which is not there."""
+    judging, terms, columns = extended.prepared.judging, extended.first.terms, extended.first.columns
+    if not gone:
+        return judge(judging, extended.first.x).nmse
+    shared = {k for c in terms[: len(extended.friction)] if c in gone for k in columns.of(c)}
+    rest = [c for c in terms if c not in gone and not shared & set(columns.of(c))]
+    return judge(judging, extended.prepared.fit(rest, extended.model.noise_variance).x).nmse
 
 
 def is_trifling(finding: Finding, extended: Extended) -> bool:
@@ -119,11 +162,10 @@ def _finding(
     evidence: float,
     sure: Inclusion,
     extended: Extended,
-    before: Mapping[str, float],
-    after: Mapping[str, float],
     ends_s: Mapping[str, float],
     alike: tuple[Alternative, ...],
 ) -> Finding:
+    """Describe a term but for the errors without it and with it."""
     model = extended.model
     columns, robot = model.columns, model.columns.robot
     joints, links = places(robot, term.site)
@@ -132,7 +174,6 @@ def _finding(
         name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic), columns.urdf_value(term))
         for name, (value, std) in told_parameters(model, term).items()
     }
-    touched = joints if term.place is not None else tuple(robot.joint_names)
     return Finding(
         effect=term.effect.id,
         joints=joints,
@@ -142,8 +183,8 @@ def _finding(
         parameters=quantities,
         where=where(term, columns, quantities, ends_s),
         indistinguishable_from=alike,
-        nmse_before={name: value for name, value in before.items() if name in touched},
-        nmse_after={name: value for name, value in after.items() if name in touched},
+        nmse_before={},
+        nmse_after={},
         statement="",
         depends_on=driven_by(term, robot),
         curve=fitted_curve(model, term),
