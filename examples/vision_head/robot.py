@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchrbd import Recording, RigidBodyDynamics, RobotModel, to_urdf
-from torchrbd.model import urdf_friction
+from torchrbd.model import described_terms
 from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 
@@ -71,7 +71,7 @@ class RealHead:
 
     def __init__(self, robot: RobotModel, pi: Tensor, effects: Iterable[str] = ()) -> None:
         self.robot, self.pi = robot, pi
-        urdf = to_urdf(RigidBodyDynamics(robot, pi, urdf_friction(robot)))
+        urdf = to_urdf(RigidBodyDynamics(robot, pi, described_terms(robot)))
         self.mujoco = mujoco.MjModel.from_xml_string(urdf.decode())
         self.mujoco.opt.timestep = DT
         self.mujoco.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
