@@ -59,7 +59,12 @@ CONCEALED = {
 }
 
 
-@pytest.mark.parametrize("effect", CONCEALED)
+FAST = ("coulomb_friction", "stribeck_friction")
+
+
+@pytest.mark.parametrize(
+    "effect", [*FAST, *(pytest.param(e, marks=pytest.mark.slow) for e in CONCEALED if e not in FAST)]
+)
 def test_concealed_effect_is_named(effect: str) -> None:
     torque, truth = CONCEALED[effect]
     urdf, joint = serial_arm(7, 4), "joint3"
