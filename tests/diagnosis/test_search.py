@@ -262,6 +262,36 @@ def test_terms_that_are_swapped_for_ever_are_those_of_the_model(rows: Rows, monk
     assert len(fit) == 2
 
 
+def test_a_term_is_judged_again_where_others_on_its_torque_have_changed(rows: Rows, monkeypatch) -> None:
+    """B takes the place of A at the first joint, where F is; C is at the second."""
+    asked: list[str] = []
+
+    def worth(name: str, beside: frozenset[str]) -> float:
+        asked.append(name)
+        return {"A": 30.0, "B": 50.0}.get(name, 40.0)
+
+    fit, terms = settled(rows, monkeypatch, worth, "CFA", ["", "", "B"])
+    assert fit == {"B", "C", "F"}
+    assert names(terms) == "CFB"
+    assert (asked.count("C"), asked.count("F"), asked.count("B")) == (1, 2, 2)
+
+
+def test_what_is_far_below_the_likeliest_is_not_learnt_anew(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither is what is no likelier than not; what comes near when the likeliest has lost is."""
+    first, then, learnt = {"A": 60.0, "B": 56.0, "C": 45.0, "D": 30.0}, {"A": 40.0, "B": 39.0, "C": 44.0}, []
+
+    def with_own_noise(fit: Any, rows: Rows, h: Hypothesis) -> Hypothesis:
+        learnt.append(letter(h))
+        return replace(h, log_evidence=then[letter(h)])
+
+    monkeypatch.setattr(search, "at_a_glance", lambda fit, rows, h: replace(h, log_evidence=first[letter(h)]))
+    monkeypatch.setattr(search, "with_own_noise", with_own_noise)
+    found = [Hypothesis(candidate(rows, *SITES[name]), 99.0, np.zeros(2), np.ones(2), 1.0, 1) for name in first]
+    judged = Table(rows, (), lambda _: None).judged(cast(Any, frozenset()), found)
+    assert learnt == ["A", "B", "C"]
+    assert [h.log_evidence for h in judged] == [40.0, 39.0, 44.0, 30.0]
+
+
 def test_a_term_that_is_swapped_for_another_time_is_that_of_the_model(rows: Rows, monkeypatch) -> None:
     """A load from 2 s on in the place of one from 1 s on: effect and link are the same, the model is not."""
     early, late = (

@@ -109,7 +109,7 @@ def test_widths_are_told_anew_where_columns_are_and_are_elsewhere_as_given(fit: 
     found = beside.settled_at(extra.joints).hyper.rest_width
     assert found[0] == given[0]
     assert found[1] == pytest.approx(fit.settled.hyper.rest_width[1], rel=0.3)
-    np.testing.assert_array_equal(beside.settled_at(extra.joints, given).hyper.rest_width, given)
+    np.testing.assert_array_equal(beside.settled_with(given).hyper.rest_width, given)
     whole = np.zeros((1, *fit.machine.rows.qd.shape))
     whole[0, 0] = 1.0
     assert Extra(None, whole, np.ones(1)).joints == [0]

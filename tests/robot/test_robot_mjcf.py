@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
-import textwrap
 from pathlib import Path
 
 import mujoco
@@ -12,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from robot.random_robots import random_states
+from watched import read_alone
 
 import torchrbd
 from torchrbd.errors import OptionError, RobotError
@@ -175,18 +174,7 @@ def test_meshes_are_left_out_where_a_body_has_its_inertia(tmp_path: Path) -> Non
     (tmp_path / "arm.xml").write_text(arm(inside=geoms, head=shapes))
     robot = RobotModel.from_urdf(tmp_path / "arm.xml")
     torch.testing.assert_close(robot.pi, RobotModel.from_urdf(arm()).pi)
-    code = """
-        import sys
-        import mujoco, torchrbd, torchrbd.robot.mjcf
-        torchrbd.RobotModel
-        seen = []
-        sys.addaudithook(lambda event, given: seen.append((event, str(given))))
-        torchrbd.RobotModel.from_urdf(sys.argv[1])
-        told = [one for one in seen if one[0].startswith(("socket", "urllib")) or one[0] == "open"]
-        assert any("arm.xml" in one[1] for one in told), told
-        assert not any("nowhere" in one[1] or one[0] != "open" for one in told), told
-    """
-    subprocess.run([sys.executable, "-c", textwrap.dedent(code), str(tmp_path / "arm.xml")], check=True)
+    read_alone(tmp_path / "arm.xml", "nowhere", "import mujoco, torchrbd.robot.mjcf")
 
 
 def test_without_mujoco_the_remedy_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

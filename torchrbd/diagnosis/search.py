@@ -102,8 +102,8 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     dispersion, widths = extended.hyper.dispersion, (base.hyper.rest_width, extended.hyper.rest_width)
     with_it, without = [extended], [base.dispersed(dispersion)]
     if not np.allclose(*widths):
-        with_it.append(beside.settled_at(at, widths[0]).dispersed(dispersion))
-        without.append(fit.settled_at(at, widths[1]).dispersed(dispersion))
+        with_it.append(beside.settled_with(widths[0]).dispersed(dispersion))
+        without.append(fit.settled_with(widths[1]).dispersed(dispersion))
     return _weighed(fit, rows, h, beside, with_it, without)
 
 
@@ -283,10 +283,10 @@ class _Search:
                     continue
                 term = self._judged_again(base, chosen, k, seen[k])
                 own, best = term.own, term.best(self.rows)
-                if best is not own:
+                needless = log_odds(best, self.rows) <= 0.0
+                if needless or best is not own:
                     changed += [own.candidate, best.candidate]
-                if log_odds(best, self.rows) <= 0.0:
-                    changed.append(own.candidate)
+                if needless:
                     chosen, seen = [*chosen[:k], *chosen[k + 1 :]], [*seen[:k], *seen[k + 1 :]]
                     continue
                 if best is not own and self._beside_a_curve(base, chosen, own, best):

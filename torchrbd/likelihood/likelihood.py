@@ -348,17 +348,15 @@ class Likelihood:
         """The same model with noise, widths, bodies and slopes learnt once more, beside the columns it has."""
         return self.renoised().rewidened().relinearised().renoised(dispersed=True)
 
-    def settled_at(self, joints: Sequence[int], widths: np.ndarray | None = None) -> Likelihood:
-        """Return the same model with all but its slopes learnt once more beside columns of some joints.
+    def settled_with(self, widths: np.ndarray) -> Likelihood:
+        """Return the same model with noise and bodies learnt once more beside known widths (n,) [rad/s] or [m/s]."""
+        return self.renoised().with_(rest_width=widths).plausible().renoised(dispersed=True)
 
-        What those change of the load, and so of the slopes, is of second order.
+    def settled_at(self, joints: Sequence[int]) -> Likelihood:
+        """Return the same model with noise and bodies learnt once more, and the widths of some joints.
 
-        Args:
-            joints: where widths are told anew.
-            widths: (n,) of all sign changes, if they are known [rad/s] or [m/s].
+        Slopes stay: what further columns change of the load, and so of the slopes, is of second order.
         """
-        if widths is not None:
-            return self.renoised().with_(rest_width=widths).plausible().renoised(dispersed=True)
         key = tuple(joints)
         if key not in self._settled:
             self._settled[key] = self.renoised().rewidened(key).plausible().renoised(dispersed=True)
