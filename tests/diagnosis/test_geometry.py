@@ -15,6 +15,7 @@ RIGHT = robots.TestSites.UPRIGHT.urdf.decode()
 SHIFT_M = 0.03
 
 
+@pytest.mark.slow
 def test_the_second_joint_of_an_upright_robot_is_found_off() -> None:
     """A shift along the first axis, which is vertical, moves everything up: it stays open."""
     joint = RIGHT.index('name="j1"')

@@ -13,8 +13,8 @@ def serial_arm(seed: int, n_joints: int = 7) -> str:
     return random_urdf(seed, n_joints, kinds=("revolute",), branching=0.0, massless=0.0)
 
 
-def check_no_false_alarm(seed: int) -> None:
-    urdf = serial_arm(seed)
+def check_no_false_alarm(seed: int, n_joints: int = 7) -> None:
+    urdf = serial_arm(seed, n_joints)
     recording = record(urdf, seed)
     explained = torchrbd.diagnose(urdf, recording)
     assert (explained.verdict, explained.findings, explained.unexplained) == ("consistent", (), ())
@@ -25,12 +25,12 @@ def check_no_false_alarm(seed: int) -> None:
 
 
 def test_no_false_alarm() -> None:
-    check_no_false_alarm(100)
+    check_no_false_alarm(100, 4)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(101, 121))
-def test_no_false_alarm_in_twenty_seeds(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(100, 121))
+def test_no_false_alarm_at_seven_joints(seed: int) -> None:
     check_no_false_alarm(seed)
 
 
