@@ -56,6 +56,14 @@ def look(tmp_path, capsys, monkeypatch):
     return run
 
 
+def test_a_joint_without_torque_hides_no_other(tmp_path, look):
+    without = {name: x for name, x in columns().items() if name != "tau_lift"}
+    told = look(write(tmp_path / "r.csv", without), tmp_path / "arm.urdf")
+    noise = re.search(r"tau_turn │ \S+ │ \S+ │ (\S+) │ – │ 0 │", told)
+    assert noise is not None
+    assert float(noise[1]) == pytest.approx(0.05, rel=0.1)
+
+
 def test_a_sound_recording(tmp_path, look):
     write(tmp_path / "r.csv", columns())
     told = look(tmp_path / "r.csv", tmp_path / "arm.urdf", "-o", tmp_path / "map.yaml")

@@ -114,11 +114,30 @@ def table(of: Arrays) -> Arrays:
     return {"t": of["t"]} | {f"{s}_{n}": of[s][:, k] for s in ("q", "tau") for k, n in enumerate(NAMES)}
 
 
-def test_the_remedy_mends(tmp_path: Path) -> None:
-    flipped = table({**arrays(), **times("tau", -1, 2)})
-    (one,) = suspected(URDF, flipped).found
-    (tmp_path / "map.yaml").write_text(one.remedy.split("'")[1])
+@pytest.mark.parametrize(
+    ("now", "entry"),
+    [
+        ("", "{column: tau_joint3, sign: -1}"),
+        ("{joints: {joint3: {tau: {column: tau_joint3, sign: -1}}}}", "{column: tau_joint3, sign: 1}"),
+        (
+            "{joints: {joint3: {tau: {current: tau_joint3, torque_constant: 0.25, offset: 0.5}}}}",
+            "{column: tau_joint3, scale: -0.25, offset: -0.5}",
+        ),
+    ],
+    ids=["none", "a sign", "a current"],
+)
+def test_the_remedy_mends(tmp_path: Path, now: str, entry: str) -> None:
+    """What a mapping converts already stays converted."""
+    read = arrays()["tau"][:, 2]
+    column = {"": -read, "sign": read, "current": -(read + 0.5) / 0.25}[
+        next((k for k in ("sign", "current") if k in now), "")
+    ]
+    flipped = {**table(arrays()), "tau_joint3": column}
+    (tmp_path / "now.yaml").write_text(now or "{}")
+    (one,) = suspected(URDF, flipped, mapping=tmp_path / "now.yaml").found
     assert one.statement.startswith("tau_joint3 fits ")
+    assert entry in one.remedy
+    (tmp_path / "map.yaml").write_text(one.remedy.split("'")[1])
     assert suspected(URDF, flipped, mapping=tmp_path / "map.yaml").found == ()
 
 

@@ -111,20 +111,24 @@ class _Scan:
         self._changes += (np.diff(x, axis=0) != 0).sum(axis=0)
         self._pairs += len(x) - 1
         if len(x) > 8:
-            third = np.abs(np.diff(x, n=3, axis=0))
-            rows = third[~np.isnan(third).any(axis=1)] if np.isnan(third).any() else third
-            self._noise.append(_MAD * np.median(rows, axis=0) / _THIRD if len(rows) else np.full(len(self.low), np.nan))
+            self._noise.append(_MAD * _median(np.abs(np.diff(x, n=3, axis=0))) / _THIRD)
 
     @property
     def noise_std(self) -> np.ndarray:
-        known = [one for one in self._noise if not np.isnan(one).any()]
-        return np.median(known, axis=0) if known else np.full(len(self.low), np.nan)
+        return _median(np.array(self._noise).reshape(-1, len(self.low)))
 
     @property
     def held_rows(self) -> np.ndarray:
         """For how many rows a value stays, NaN where it never changes."""
         share = np.where(self._changes > 0, self._changes / max(self._pairs, 1), np.nan)
         return np.where(share < _HELD, 1 / share, np.where(np.isnan(share), np.nan, 1.0))
+
+
+def _median(x: np.ndarray) -> np.ndarray:
+    """Return the median of what is known of x (N, n), channel by channel, NaN where nothing is."""
+    found, seen = np.full(x.shape[1], np.nan), ~np.isnan(x).all(axis=0)
+    found[seen] = np.nanmedian(x[:, seen], axis=0)
+    return found
 
 
 class _Limits:

@@ -112,11 +112,8 @@ def _remedy(h: Hypothesis, joints: Sequence[str], prepared: Prepared) -> str:
     if h.kind == "gravity":
         return f"if the robot is mounted so, or the URDF upside down, give '--gravity {_vector(h)}'"
     if h.kind == "torque gain":
-        entry = {
-            joints[0]: {
-                "tau": {"current": _column(prepared, "tau", joints[0]), "torque_constant": "K", "gear_ratio": "N"}
-            }
-        }
+        current = _source(prepared, "tau", joints[0]).column
+        entry = {joints[0]: {"tau": {"current": current, "torque_constant": "K", "gear_ratio": "N"}}}
         return (
             "if they are currents or of another unit, say so in the mapping, e.g. "
             f"'{_yaml({'joints': entry})}', or 'unit: mN m'; if not, check the URDF's masses"
@@ -128,16 +125,29 @@ def _remedy(h: Hypothesis, joints: Sequence[str], prepared: Prepared) -> str:
     for name, other in zip(joints, reversed(joints), strict=True):
         own = entries.setdefault(name, {})
         if h.kind in ("swapped torques", "swapped joints"):
-            own["tau"] = _column(prepared, "tau", other)
+            own["tau"] = _entry(_source(prepared, "tau", other))
         if h.kind in ("swapped positions", "swapped joints"):
-            own["q"] = _column(prepared, "q", other)
+            own["q"] = _entry(_source(prepared, "q", other))
         if h.unit:
-            own["q"] = {"column": _column(prepared, "q", name), "unit": h.unit}
+            own["q"] = _entry(_source(prepared, "q", name), unit=h.unit)
         for signal, kinds in (("tau", ("torque sign", "direction")), ("q", ("position sign", "direction"))):
             if h.kind in kinds:
-                sign = -int(math.copysign(1.0, _source(prepared, signal, name).scale))
-                own[signal] = {"column": _column(prepared, signal, name), "sign": sign}
+                own[signal] = _entry(_source(prepared, signal, name), turned=True)
     return f"if so, give --mapping a file with '{_yaml({'joints': _general(entries, prepared)})}'"
+
+
+def _entry(source: Source, *, unit: str = "", turned: bool = False) -> dict[str, Any] | str:
+    """Return the entry of a mapping that reads a column as it is read now, but for its unit or its direction."""
+    scale = math.copysign(1.0, source.scale) if unit else source.scale
+    scale, offset = (-scale, -source.offset) if turned else (scale, source.offset)
+    entry: dict[str, Any] = {"column": source.column} | ({"unit": unit} if unit else {})
+    if abs(scale) != 1.0:
+        entry["scale"] = scale
+    elif turned or scale < 0:
+        entry["sign"] = int(scale)
+    if offset:
+        entry["offset"] = offset
+    return entry if len(entry) > 1 else source.column
 
 
 def _general(entries: dict[str, dict[str, Any]], prepared: Prepared) -> dict[str, dict[str, Any]]:
@@ -155,10 +165,6 @@ def _general(entries: dict[str, dict[str, Any]], prepared: Prepared) -> dict[str
 def _source(prepared: Prepared, signal: str, joint: str) -> Source:
     found = (recording.source(signal, joint) for recording in prepared.recordings)
     return next(filter(None, found), Source(f"{signal}_{joint}"))
-
-
-def _column(prepared: Prepared, signal: str, joint: str) -> str:
-    return _source(prepared, signal, joint).column
 
 
 def _yaml(value: Any) -> str:
