@@ -115,6 +115,11 @@ class Columns:
             for j in range(robot.n_dof)
         )
 
+    @property
+    def labels_of_joint(self) -> tuple[tuple[str, ...], ...]:
+        """Per joint, labels of its features and of shared ones, in the order of ``of_joint``."""
+        return tuple((*own, *self.shared) for own in self.labels)
+
     def _grid(self) -> Iterator[Candidate]:
         for e in {e.id: e for e in self.effects}.values():
             for site in self.sites.get(e.id, e.sites(self.robot, self.windows)):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from torchrbd import __version__
-from torchrbd.effects import Effect
+from torchrbd.effects import Effect, JointScale
 from torchrbd.errors import OptionError
 from torchrbd.inference.ordinary import with_friction
 from torchrbd.inference.preparation import read
@@ -23,6 +23,9 @@ from torchrbd.recordings import NamedSource
 from torchrbd.robot import RobotModel
 
 _PIECE = 1 << 20
+# Two recordings that cover different ranges: an effect with a grid of shapes has another one for each.
+_WIDE = JointScale(1.0, 1e-3, -1.0, 1.0, load_max=10.0, duration_s=60.0, temperature=(20.0, 30.0))
+_NARROW = JointScale(0.3, 1e-2, 0.0, 0.4, load_max=3.0, duration_s=20.0, temperature=(15.0, 20.0))
 
 
 def conditions(robot: RobotModel, settings: Settings) -> Conditions:
@@ -56,7 +59,7 @@ def moment_effects(settings: Settings) -> tuple[Effect, ...]:
     """Return the effects that have columns.
 
     Raises:
-        OptionError: one of them depends on the load, on a place or on the time.
+        OptionError: one of them depends on the load, on a place, on the time or on what a recording covers.
     """
     placed = [text for text in settings.effects or () if "@" in text]
     if placed:
@@ -65,6 +68,13 @@ def moment_effects(settings: Settings) -> tuple[Effect, ...]:
     loaded = [e.id for e in found if e.uses_load]
     if loaded:
         raise OptionError(f"{', '.join(loaded)}: depends on the load, which moments do not have; leave it out")
+    shaped = [e.id for e in found if e.shapes(_WIDE) != e.shapes(_NARROW)]
+    if shaped:
+        raise OptionError(
+            f"{', '.join(shaped)}: its shapes are sought in the range that a recording covers, so that moments of two "
+            "recordings would be of other columns; leave it out, or identify from the recordings with another "
+            "--estimator"
+        )
     return found
 
 
@@ -94,7 +104,9 @@ def of_reading(reading: Reading, settings: Settings, made: Conditions, progress:
     )
     found = reading.statistics(columns, progress)
     place = str(recording.path or recording.name)
-    return Statistics(made, (origin,), columns.scales, found.blocks, found.moments, found.torque, place)
+    return Statistics(
+        made, (origin,), columns.scales, columns.labels_of_joint, found.blocks, found.moments, found.torque, place
+    )
 
 
 def payload_words(name: str, settings: Settings) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from torchrbd.likelihood.block_statistics import Block
 from torchrbd.outputs import write_whole
 from torchrbd.rebuilding import rebuilt
 
-_FORMAT, _HEADER = "torchrbd-statistics-1", "statistics"
+_FORMAT, _HEADER = "torchrbd-statistics-2", "statistics"
 
 
 def write_file(found: Statistics, path: str | Path) -> None:
@@ -28,8 +28,8 @@ def write_file(found: Statistics, path: str | Path) -> None:
 
     Tensors: ``moments.<joint>`` (B, p, p), the last row and column the torque's; ``torque`` (B, n_dof, 3), see
     ``BlockStatistics``; ``time`` (B, 2) [s] and ``recording`` (B,), index into the origins. Metadata, as JSON under
-    ``statistics``: ``format``, ``conditions`` and ``origins`` (see ``results.py``), and ``scales``, what each joint
-    covers. What is equal makes equal files.
+    ``statistics``: ``format``, ``conditions``, ``origins``, ``scales`` and ``labels``, see ``results.py``. What is
+    equal makes equal files.
     """
     number = {one.name: k for k, one in enumerate(found.origins)}
     tensors = {f"moments.{joint}": own for joint, own in zip(found.conditions.joints, found.moments, strict=True)}
@@ -41,6 +41,7 @@ def write_file(found: Statistics, path: str | Path) -> None:
         "conditions": asdict(found.conditions),
         "origins": [asdict(one) for one in found.origins],
         "scales": [asdict(one) for one in found.scales],
+        "labels": found.labels,
     }
     # One entry: safetensors writes several in an order that differs from run to run.
     metadata = {_HEADER: json.dumps(header)}
@@ -53,7 +54,7 @@ def read_statistics(path: str | Path) -> Statistics:
     Raises:
         InputError: no such file, none of ours, or of another version.
     """
-    made, origins, scales = read_header(path)
+    made, origins, scales, labels = read_header(path)
     if made.version != __version__:
         raise InputError(
             f"{path}: was made by torchrbd {made.version}, this is {__version__}; make it anew with 'torchrbd stats'"
@@ -61,12 +62,14 @@ def read_statistics(path: str | Path) -> Statistics:
     try:
         with safe_open(path, framework="pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        return _statistics(made, origins, scales, tensors, str(path))
+        return _statistics(made, origins, scales, labels, tensors, str(path))
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, IndexError, RuntimeError) as error:
         raise _damaged(path, error) from None
 
 
-def read_header(path: str | Path) -> tuple[Conditions, tuple[Origin, ...], tuple[JointScale, ...]]:
+def read_header(
+    path: str | Path,
+) -> tuple[Conditions, tuple[Origin, ...], tuple[JointScale, ...], tuple[tuple[str, ...], ...]]:
     """Return what a file says of itself, without its moments.
 
     Raises:
@@ -81,12 +84,14 @@ def read_header(path: str | Path) -> tuple[Conditions, tuple[Origin, ...], tuple
         header = json.loads(text)
         if header.get("format") != _FORMAT:
             raise InputError(
-                f"{path}: is no statistics file of torchrbd; expected format '{_FORMAT}', got '{header.get('format')}'"
+                f"{path}: is no statistics file of torchrbd {__version__}; expected format '{_FORMAT}', got "
+                f"'{header.get('format')}'; make it anew with 'torchrbd stats'"
             )
         return (
             rebuilt(Conditions, header["conditions"]),
             rebuilt(tuple[Origin, ...], header["origins"]),
             rebuilt(tuple[JointScale, ...], header["scales"]),
+            rebuilt(tuple[tuple[str, ...], ...], header["labels"]),
         )
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         if isinstance(error, InputError):
@@ -103,6 +108,7 @@ def _statistics(
     made: Conditions,
     origins: tuple[Origin, ...],
     scales: tuple[JointScale, ...],
+    labels: tuple[tuple[str, ...], ...],
     tensors: Mapping[str, Tensor],
     place: str,
 ) -> Statistics:
@@ -110,8 +116,8 @@ def _statistics(
     count, sizes = len(torque), [m.shape[-1] for m in moments]
     if [tuple(m.shape) for m in moments] != [(count, p, p) for p in sizes]:
         raise ValueError("moments are no square matrices, one a block")
-    if torque.shape != (count, len(moments), 3) or len(scales) != len(moments):
-        raise ValueError("torques or scales are not those of the joints")
+    if torque.shape != (count, len(moments), 3) or not len(scales) == len(labels) == len(moments):
+        raise ValueError("torques, scales or labels are not those of the joints")
     if not all(x.dtype == torch.float64 and bool(torch.isfinite(x).all()) for x in (*moments, torque)):
         raise ValueError("moments are not finite numbers of 64 bits")
     blocks = tuple(
@@ -120,4 +126,4 @@ def _statistics(
     )
     if len(blocks) != count:
         raise ValueError(f"{len(blocks)} blocks for {count} moments")
-    return Statistics(made, origins, scales, blocks, moments, torque, place)
+    return Statistics(made, origins, scales, labels, blocks, moments, torque, place)

@@ -157,7 +157,7 @@ def _is_up_to_date(file: Path, recording: Path, made: Conditions, settings: Sett
     if not file.is_file():
         return False
     try:
-        own, origins, _ = read_header(file)
+        own, origins, *_ = read_header(file)
     except InputError:
         return False
     if own != made or len(origins) != 1:

@@ -19,7 +19,7 @@ from torchrbd.inference.data.holdout import check_enough, held_out_recordings, h
 from torchrbd.inference.input_noise import InputNoise
 from torchrbd.inference.preparation import Prepared, read
 from torchrbd.inference.settings import Settings
-from torchrbd.inference.statistics.building import conditions, of_reading
+from torchrbd.inference.statistics.building import conditions, moment_effects, of_reading
 from torchrbd.inference.statistics.files import read_statistics
 from torchrbd.inference.statistics.results import MOST_BLOCKS, Conditions, Statistics, added
 from torchrbd.likelihood.columns import Columns
@@ -139,6 +139,7 @@ def _made(
     robot: RobotModel, sources: Sequence[RecordingSource | InMemory], settings: Settings, progress: Progress
 ) -> list[Statistics]:
     """Make statistics of recordings, each as if it were alone, as their files would have them."""
+    moment_effects(settings)
     reading, _ = read(robot, sources, settings, progress)
     made, parts = conditions(robot, replace(settings, cutoff_hz=reading.filtering.cutoff_hz)), []
     for k, (recording, seen) in enumerate(zip(reading.recordings, reading.surveys, strict=True)):

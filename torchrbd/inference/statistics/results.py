@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import reduce
+from itertools import zip_longest
 
 import torch
 from torch import Tensor
@@ -113,6 +114,7 @@ class Statistics:
         conditions: what all of them depend on.
         origins: the recordings, in the order of the blocks.
         scales: (n_dof,) what they cover.
+        labels: per joint (k_j,), of the columns behind the inertial ones.
         blocks: (B,) where each block sits.
         moments: per joint (B, p_j + 1, p_j + 1), see ``BlockStatistics``.
         torque: (B, n_dof, 3), see there.
@@ -122,6 +124,7 @@ class Statistics:
     conditions: Conditions
     origins: tuple[Origin, ...]
     scales: tuple[JointScale, ...]
+    labels: tuple[tuple[str, ...], ...]
     blocks: tuple[Block, ...]
     moments: tuple[Tensor, ...]
     torque: Tensor
@@ -140,7 +143,8 @@ class Statistics:
         Raises:
             InputError: they are of other columns.
         """
-        if [m.shape[-1] - 1 for m in self.moments] != [len(own) for own in columns.of_joint]:
+        own = [m.shape[-1] - 1 for m in self.moments]
+        if self.labels != columns.labels_of_joint or own != [len(one) for one in columns.of_joint]:
             raise InputError(f"{self.place}: moments are not of this robot's columns; make them anew")
         return BlockStatistics(columns, self.blocks, self.moments, self.torque)
 
@@ -156,6 +160,7 @@ def added(parts: Sequence[Statistics]) -> Statistics:
     first, *others = parts
     for one in others:
         first.conditions.check(one.conditions, first.place, one.place)
+        _check_labels(first, one)
         if [m.shape[1:] for m in one.moments] != [m.shape[1:] for m in first.moments]:
             raise InputError(f"{first.place} and {one.place} hold moments of other columns; make them anew")
     check_names([(origin.name, one.place) for one in parts for origin in one.origins])
@@ -163,11 +168,22 @@ def added(parts: Sequence[Statistics]) -> Statistics:
         conditions=first.conditions,
         origins=tuple(origin for one in parts for origin in one.origins),
         scales=tuple(reduce(_wider, own) for own in zip(*(one.scales for one in parts), strict=True)),
+        labels=first.labels,
         blocks=tuple(block for one in parts for block in one.blocks),
         moments=tuple(torch.cat(own) for own in zip(*(one.moments for one in parts), strict=True)),
         torque=torch.cat([one.torque for one in parts]),
         place=f"{first.place} and {len(others)} more" if others else first.place,
     )
+
+
+def _check_labels(one: Statistics, other: Statistics) -> None:
+    for joint, *labels in zip(one.conditions.joints, one.labels, other.labels, strict=True):
+        for a, b in zip_longest(*labels, fillvalue="nothing"):
+            if a != b:
+                raise InputError(
+                    f"{one.place} has '{a}' at {joint}, {other.place} has '{b}': moments of other columns do not add; "
+                    "leave out the effect of which it is"
+                )
 
 
 def check_names(named: Iterable[tuple[str, str]]) -> None:
