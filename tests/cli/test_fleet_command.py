@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -92,3 +93,56 @@ def test_what_changed_since_an_earlier_time(case: Path, tmp_path: Path, capsys: 
     assert "1 changed" in capsys.readouterr().out
     assert main(["fleet", str(listed), "-o", str(out), "--before", str(tmp_path / "none")]) == 2
     assert "expected the folder of an earlier 'torchrbd fleet -o'" in capsys.readouterr().err
+
+
+def test_results_that_are_gone_are_made_again(case: Path) -> None:
+    made = case / "out" / "arm3"
+    for name in ("parameters.json", "identified.urdf", "model.safetensors"):
+        (made / name).unlink()
+        assert main(["fleet", str(case / "robots.yaml"), "-o", str(case / "out"), "-j", "1"]) == 0
+        assert (made / name).is_file()
+
+
+def test_results_that_cannot_be_read_are_one_robots_failure(
+    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, then = tmp_path / "out", tmp_path / "then"
+    for folder in (out, then):
+        shutil.copytree(case / "out", folder)
+    (out / "arm3" / "parameters.json").write_text("{")
+    (then / "arm2" / "parameters.json").write_text("{")
+    command = ["fleet", str(case / "robots.yaml"), "-o", str(out), "-j", "1", "--before", str(then)]
+    assert main(command) == 2
+    told = capsys.readouterr().err
+    assert f"1 of {ROBOTS} robots could not be identified" in told
+    assert "arm3: " in told
+    assert "parameters.json: is not JSON" in told
+    found = members(out)
+    assert [name for name, one in found.items() if one["error"]] == ["arm3"]
+    assert [name for name, one in found.items() if one["changes"] is None] == ["arm2", "arm3"]
+    assert "arm2/parameters.json: is not JSON" in found["arm2"]["statement"]
+    assert (out / "fleet.html").is_file()
+
+
+def test_estimators_without_intervals_are_refused_before_any_work(
+    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    listed, text = case / "ridge.yaml", (case / "robots.yaml").read_text()
+    for content, robot in (
+        (text.replace("moments, effects: viscous_friction", "ridge"), "robot 1, 'arm0'"),
+        (text.replace("arm4.npz}", "arm4.npz, options: {estimator: ridge}}"), "robot 5, 'arm4'"),
+    ):
+        listed.write_text(content)
+        assert main(["fleet", str(listed), "-o", str(tmp_path / "out"), "-j", "1"]) == 2
+        told = capsys.readouterr().err
+        assert f"ridge.yaml: {robot}: estimator 'ridge' tells no intervals, which a comparison" in told
+        assert "take one of auto, physical, smoother, moments" in told
+        assert not (tmp_path / "out").exists()
+
+
+def test_the_earlier_time_is_another_folder(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    same = case / "out" / ".." / "out"
+    assert main(["fleet", str(case / "robots.yaml"), "-o", str(case / "out"), "--before", str(same)]) == 2
+    assert (
+        "--before is the folder of -o, so that nothing could have changed; give the folder" in capsys.readouterr().err
+    )

@@ -15,7 +15,7 @@ from simulated import Motion, joint_names, record
 
 import torchrbd
 from torchrbd.diagnosis.changes.inertia import inertial_differences, load_like
-from torchrbd.diagnosis.changes.reading import Inertia, Side, rebuilt, side_of
+from torchrbd.diagnosis.changes.reading import Inertia, rebuilt, side_of
 from torchrbd.diagnosis.changes.results import CHANGE, TRIFLE, Change, Comparison, probability_of_change
 from torchrbd.diagnosis.results import Alternative, Curve, Finding, Limit, Quantity, Region, Unexplained, Where
 from torchrbd.export import write_changes
@@ -226,7 +226,7 @@ def test_files_say_what_was_written(tmp_path: Path) -> None:
     assert side.findings == (whole,)
 
 
-def body(urdf: str, rng: np.random.Generator, added: np.ndarray | None = None, std: float = 1e-3) -> Side:
+def body(urdf: str, rng: np.random.Generator, added: np.ndarray | None = None, std: float = 1e-3) -> Inertia:
     """Return what a diagnosis would say of a robot's inertia: base parameters with correlated errors."""
     robot = RobotModel.from_urdf(urdf)
     base = base_parameters(robot)
@@ -235,11 +235,7 @@ def body(urdf: str, rng: np.random.Generator, added: np.ndarray | None = None, s
     L = std * (np.eye(len(K)) + 0.3 * np.tril(rng.standard_normal((len(K), len(K))), -1))
     beta = K @ pi + L @ rng.standard_normal(len(K))
     units = ("",) * len(K)
-    inertia = Inertia(
-        tuple(robot.parameter_names), K, pi, beta, L @ L.T, np.zeros(len(K)), tuple(base.expressions), units
-    )
-    bodies = tuple(np.repeat(robot.body_names, 10).tolist())
-    return Side("one", "arm", JOINTS, (), 5.0, (), (), (), (), inertia, bodies)
+    return Inertia(tuple(robot.parameter_names), K, pi, beta, L @ L.T, np.zeros(len(K)), tuple(base.expressions), units)
 
 
 @pytest.mark.parametrize(("seed", "mass"), [(1, 0.5), (2, -0.3), (3, 1.0)])
@@ -250,9 +246,10 @@ def test_a_load_is_found_on_its_link(seed: int, mass: float) -> None:
     I = mass * (c @ c * np.eye(3) - np.outer(c, c))  # noqa: E741
     added[10 * at : 10 * at + 10] = [mass, *(mass * c), I[0, 0], I[0, 1], I[1, 1], I[0, 2], I[1, 2], I[2, 2]]
     before, after = body(urdf, rng), body(urdf, rng, added)
-    load = load_like(before, after)
+    bodies = RobotModel.from_urdf(urdf).body_names
+    load = load_like(before, after, np.repeat(bodies, 10).tolist())
     assert load is not None
-    assert before.bodies[10 * at] in load.links
+    assert bodies[at] in load.links
     assert load.mass == pytest.approx(mass, abs=4 * load.std)
     assert max(d.probability for d in (inertial_differences(before, after) or {}).values()) > 0.99
 

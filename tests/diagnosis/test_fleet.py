@@ -14,7 +14,8 @@ from scipy.stats import t as student
 
 from torchrbd import InputError, RobotModel
 from torchrbd.diagnosis.changes.reading import Inertia
-from torchrbd.diagnosis.fleet.compare import compare_fleet, read_member
+from torchrbd.diagnosis.fleet.compare import compare_fleet
+from torchrbd.diagnosis.fleet.reading import read_member
 from torchrbd.diagnosis.fleet.results import Member
 from torchrbd.diagnosis.fleet.sisters import LEAST_SISTERS, deviations, median_inertia, sisters
 from torchrbd.diagnosis.fleet.words import name
@@ -212,6 +213,59 @@ def test_a_page_says_who_differs_what_changed_and_escapes_every_name(tmp_path: P
     read = json.loads((tmp_path / "fleet.json").read_text())
     assert [one["name"] for one in read["members"]] == names
     assert read["members"][7]["deviations"][0]["chance"] < 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"robot": "other"}, "not compared with the earlier time: it was of robot 'other'"),
+        (
+            {"inertia": {"K": 2.0 * K}},
+            "nothing that was compared has changed; inertial parameters are not compared, they were of other bodies or "
+            "kinematics",
+        ),
+        (
+            {"inertia": {"K": 2.0 * K}, "terms": {}},
+            "not compared with the earlier time: inertial parameters are not compared, they were of other bodies or "
+            "kinematics, and no term is in both",
+        ),
+        (
+            {"inertia": {"share": np.ones(len(K))}, "terms": {}},
+            "not compared with the earlier time: no combination of inertial parameters is told by the data of both, "
+            "and no term is in both",
+        ),
+        ({}, "nothing has changed"),
+    ],
+)
+def test_what_was_not_compared_is_not_called_unchanged(tmp_path: Path, change: dict, words: str) -> None:
+    (now,) = fleet(1, 1)
+    then = dataclasses.replace(
+        now, **{**change, "inertia": dataclasses.replace(now.inertia, **change.get("inertia", {}))}
+    )
+    written(tmp_path / "now", [now])
+    written(tmp_path / "then", [then])
+    (found,) = compare_fleet(tmp_path / "now", [now.name], before=tmp_path / "then").members
+    assert found.statement == f"has no sisters, too few to compare with; {words}"
+    assert (found.changes is None) == words.startswith("not compared")
+
+
+@pytest.mark.parametrize("torn", ["{", "[]", '{"base_covariance": 1}'])
+def test_a_member_that_cannot_be_read_leaves_the_others(tmp_path: Path, torn: str) -> None:
+    names = written(tmp_path, fleet(8, 1))
+    (tmp_path / "arm2" / "parameters.json").write_text(torn)
+    (tmp_path / "arm5" / "parameters.json").unlink()
+    result = compare_fleet(tmp_path, names)
+    errors = {one.name: one.error for one in result.members if one.error}
+    assert list(errors) == ["arm2", "arm5"]
+    assert "arm2/parameters.json: " in errors["arm2"]
+    assert "arm5/parameters.json: is missing" in errors["arm5"]
+    assert {one.sisters for one in result.members} == {0, 6}
+    file = tmp_path / "arm0" / "parameters.json"
+    content = json.loads(file.read_text())
+    content["base_covariance"][0][0] = None
+    file.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"arm0/parameters.json: .*not finite"):
+        read_member(tmp_path / "arm0", "arm0")
 
 
 def test_members_without_intervals_are_refused(tmp_path: Path) -> None:

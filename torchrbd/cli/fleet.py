@@ -14,7 +14,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from torchrbd import __version__
-from torchrbd.cli.files import write_identified
+from torchrbd.cli.files import IDENTIFIED, write_identified
 from torchrbd.cli.progress import progress_bar
 from torchrbd.diagnosis.fleet.compare import compare_fleet
 from torchrbd.diagnosis.fleet.results import FleetComparison
@@ -45,7 +45,7 @@ def fleet(options: argparse.Namespace) -> None:
     """
     robots = read_robots(options.robots)
     engine = Engine(options.engine, options.jobs, options.scheduler, options.retries)
-    _check_before(options.before)
+    _check_before(options.before, options.output)
     with OutputFolder(options.output) as folder, progress_bar(time_left=True) as progress:
         failed = identify_fleet(robots, options.output, engine, progress)
         if len(failed) == len(robots):
@@ -54,6 +54,7 @@ def fleet(options: argparse.Namespace) -> None:
         names = [one.name for one in robots]
         result = compare_fleet(options.output, names, before=options.before, failed=failed)
         folder.fill(partial(_write, result))
+    failed = {one.name: one.error for one in result.members if one.error}
     _print(result)
     words = f"wrote fleet.json and fleet.html to {options.output}, and what was identified to {options.output}/<robot>"
     Console(highlight=False, soft_wrap=True).print(words, markup=False)
@@ -72,8 +73,7 @@ def identify_fleet(robots: Sequence[RobotEntry], output: Path, engine: Engine, p
         except OSError as error:
             failed[one.name] = f"{error.filename}: {error.strerror}"
             continue
-        file = output / one.name / _MADE_FROM
-        if not file.is_file() or file.read_bytes() != made_from.encode():
+        if not _is_there(output / one.name, made_from):
             tasks.append((one, made_from))
     counted = {"identified": 0, "failed": len(failed)}
 
@@ -131,9 +131,22 @@ def _made_from(entry: RobotEntry) -> str:
     return json.dumps(content, indent=1, sort_keys=True, default=str)
 
 
-def _check_before(before: Path | None) -> None:
-    if before is not None and not before.is_dir():
+def _is_there(folder: Path, made_from: str) -> bool:
+    """Say whether a robot's files are all there, made from the same."""
+    files = [folder / name for name in (*IDENTIFIED, _MADE_FROM)]
+    return all(file.is_file() for file in files) and files[-1].read_bytes() == made_from.encode()
+
+
+def _check_before(before: Path | None, output: Path) -> None:
+    if before is None:
+        return
+    if not before.is_dir():
         raise OptionError(f"--before '{before}': expected the folder of an earlier 'torchrbd fleet -o'")
+    if before.resolve() == output.resolve():
+        raise OptionError(
+            f"--before is the folder of -o, so that nothing could have changed; give the folder of an earlier time, "
+            f"or another -o than '{output}'"
+        )
 
 
 def _write(result: FleetComparison, folder: Path) -> None:

@@ -26,6 +26,7 @@ from typing import Any
 import yaml
 
 from torchrbd.errors import OptionError
+from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.settings import Settings
 from torchrbd.recordings.strict_yaml import strict_yaml
 
@@ -87,7 +88,12 @@ def _entry(content: Any, number: int, shared: Mapping[str, Any], path: Path) -> 
     options = {**shared, **_options(content.get("options"), place)}
     if content.get("mapping") is not None:
         options["mapping"] = _file(content["mapping"], "mapping", place, path)
-    Settings.from_mapping(options, place)
+    estimator = Settings.from_mapping(options, place).estimator
+    if estimator not in WITH_INTERVALS:
+        raise OptionError(
+            f"{place}: estimator '{estimator}' tells no intervals, which a comparison of robots needs; take one of "
+            f"{', '.join(WITH_INTERVALS)}"
+        )
     return RobotEntry(name, _file(content["urdf"], "urdf", place, path), tuple(files), options)
 
 

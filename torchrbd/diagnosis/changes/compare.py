@@ -54,11 +54,11 @@ def _check(before: Side, after: Side) -> None:
 
 
 def _inertia(before: Side, after: Side) -> Iterator[Change]:
-    parameters = inertial_differences(before, after)
+    parameters = inertial_differences(before.inertia, after.inertia)
     if parameters:
         probability = most(parameters.values())
         verdict = verdict_of(probability)
-        load = load_like(before, after) if verdict == "changed" else None
+        load = load_like(before.inertia, after.inertia, before.bodies) if verdict == "changed" else None
         if load is None and sum(d.probability >= CERTAIN for d in parameters.values()) < LEAST_CHANGED:
             verdict = "unchanged" if verdict == "unchanged" else "open"
         statement = words.of_inertia(verdict, probability, parameters, load)
@@ -91,7 +91,7 @@ def _notes(before: Side, after: Side) -> Iterator[str]:
         )
     if bool(before.simulated) != bool(after.simulated):
         yield "one was compared with a simulation, the other with the URDF: what the simulator has is a difference too"
-    if inertial_differences(before, after) is None:
+    if inertial_differences(before.inertia, after.inertia) is None:
         yield "inertial parameters are not compared: parameters.json is missing, without intervals, or of other bodies"
     if not all(side.limits for side in (before, after)):
         yield "one of the two does not say how large what it has not found could be; diagnose the recordings again"

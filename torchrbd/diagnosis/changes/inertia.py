@@ -9,13 +9,14 @@ which is sought on every body; the one that explains d best, if it explains it, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
-from torchrbd.diagnosis.changes.reading import Side
+from torchrbd.diagnosis.changes.reading import Inertia
 from torchrbd.diagnosis.changes.results import INERTIAL_TRIFLE, Difference, difference
 from torchrbd.diagnosis.results import Quantity
 from torchrbd.parameters import PARAMETERS_PER_BODY
@@ -37,14 +38,11 @@ class Load:
     std: float
 
 
-def inertial_differences(before: Side, after: Side) -> dict[str, Difference] | None:
+def inertial_differences(one: Inertia | None, other: Inertia | None) -> dict[str, Difference] | None:
     """Return the combinations that both tell; None where they cannot be compared."""
-    told = _told(before, after)
-    if told is None:
+    if one is None or other is None or not one.alike(other):
         return None
-    one, other = before.inertia, after.inertia
-    assert one is not None
-    assert other is not None
+    told = _told(one, other)
     # A combination that happens to be small is as large as what it is made of.
     size, found = np.abs(one.K) @ np.maximum(np.abs(one.pi), np.abs(other.pi)), {}
     for k in told:
@@ -55,14 +53,18 @@ def inertial_differences(before: Side, after: Side) -> dict[str, Difference] | N
     return found
 
 
-def load_like(before: Side, after: Side) -> Load | None:
-    """Return the load that explains the change of the inertial parameters; None if none does."""
-    told = _told(before, after)
+def load_like(one: Inertia | None, other: Inertia | None, bodies: Sequence[str]) -> Load | None:
+    """Return the load that explains the change of the inertial parameters; None if none does.
+
+    Args:
+        one, other: before and after.
+        bodies: (n_params,) owners of their columns.
+    """
+    if one is None or other is None or not one.alike(other):
+        return None
+    told = _told(one, other)
     if not told:
         return None
-    one, other = before.inertia, after.inertia
-    assert one is not None
-    assert other is not None
     C = (one.covariance + other.covariance)[np.ix_(told, told)]
     size = np.sqrt(C.diagonal())
     root = np.linalg.cholesky(C / np.outer(size, size) + 1e-9 * np.eye(len(told)))
@@ -71,7 +73,7 @@ def load_like(before: Side, after: Side) -> Load | None:
         for x in ((other.beta - one.beta)[told] / size, one.K[told] / size[:, None])
     )
     found = [
-        (*_load(d, K[:, first : first + PARAMETERS_PER_BODY]), before.bodies[first])
+        (*_load(d, K[:, first : first + PARAMETERS_PER_BODY]), bodies[first])
         for first in range(0, K.shape[1], PARAMETERS_PER_BODY)
     ]
     best = min(found, key=lambda one: one[0])
@@ -81,13 +83,8 @@ def load_like(before: Side, after: Side) -> Load | None:
     return Load(tuple(links), best[1], best[2])
 
 
-def _told(before: Side, after: Side) -> list[int] | None:
-    """Return the rows that both data sets tell; None where they are of different combinations, or not known."""
-    one, other = before.inertia, after.inertia
-    if one is None or other is None or one.columns != other.columns or one.K.shape != other.K.shape:
-        return None
-    if not np.allclose(one.K, other.K, rtol=1e-6, atol=1e-9):
-        return None
+def _told(one: Inertia, other: Inertia) -> list[int]:
+    """Return the rows that both data sets tell."""
     return np.flatnonzero(np.maximum(one.share, other.share) < MOST_OF_URDF).tolist()
 
 

@@ -13,7 +13,7 @@ from torchrbd.diagnosis.results import Diagnosis, Finding, Limit, Unexplained
 from torchrbd.errors import InputError
 from torchrbd.rebuilding import rebuilt
 
-_FILE, _PARAMETERS = "diagnosis.json", "parameters.json"
+_FILE, PARAMETERS = "diagnosis.json", "parameters.json"
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,12 @@ class Inertia:
     share: np.ndarray
     expressions: tuple[str, ...]
     units: tuple[str, ...]
+
+    def alike(self, other: Inertia) -> bool:
+        """Say whether both are the same combinations of the same parameters, to rounding."""
+        if self.columns != other.columns or self.K.shape != other.K.shape:
+            return False
+        return bool(np.allclose(self.K, other.K, rtol=1e-6, atol=1e-9))
 
 
 @dataclass(frozen=True)
@@ -131,7 +137,7 @@ def _of_file(path: Path) -> Side:
             f"{file}: is no diagnosis.json as 'torchrbd diagnose' writes it ({type(error).__name__}: {error}); "
             "diagnose the recordings again"
         ) from None
-    inertia, bodies = read_inertia(file.parent / _PARAMETERS)
+    inertia, bodies = read_inertia(file.parent / PARAMETERS)
     return Side(name=str(path), inertia=inertia, bodies=bodies, **known)
 
 

@@ -87,10 +87,7 @@ def sisters(members: Sequence[Member]) -> list[list[Member]]:
 
 
 def _alike(one: Member, other: Member) -> bool:
-    a, b = one.inertia, other.inertia
-    if one.robot != other.robot or a.columns != b.columns or a.K.shape != b.K.shape:
-        return False
-    return bool(np.allclose(a.K, b.K, rtol=1e-6, atol=1e-9))
+    return one.robot == other.robot and one.inertia.alike(other.inertia)
 
 
 def deviations(group: Sequence[Member]) -> dict[str, list[Deviation]]:

@@ -12,28 +12,34 @@ from torchrbd.diagnosis.numbers import joined, measure, number, with_unit
 _MOST_NAMED = 3
 
 
-def of_member(
-    off: Sequence[Deviation],
-    load: Load | None,
-    changes: Mapping[str, Difference] | None,
-    sisters: int,
-    least: int,
-    earlier: bool,
-) -> str:
-    """Say of one robot how it differs from its sisters, and what changed."""
+def of_sisters(off: Sequence[Deviation], load: Load | None, sisters: int, least: int) -> str:
+    """Say of one robot how it differs from its sisters."""
     if sisters < least:
-        said = f"has {sisters - 1 or 'no'} sisters, too few to compare with"
-    elif not off:
-        said = f"is like its {sisters - 1} sisters"
-    else:
-        said = f"differs: {joined(_deviation(d) for d in off[:_MOST_NAMED])}{_more(len(off))}"
-        if load is not None:
-            said += f"; as if {' or '.join(load.links)} had {with_unit(measure(load.mass, 1.96 * load.std), 'kg')} more"
-    if changes is not None:
-        said += f"; {_changed(changes)}"
-    elif earlier:
-        said += "; of the earlier time nothing is known"
+        return f"has {sisters - 1 or 'no'} sisters, too few to compare with"
+    if not off:
+        return f"is like its {sisters - 1} sisters"
+    said = f"differs: {joined(_deviation(d) for d in off[:_MOST_NAMED])}{_more(len(off))}"
+    if load is not None:
+        said += f"; as if {' or '.join(load.links)} had {with_unit(measure(load.mass, 1.96 * load.std), 'kg')} more"
     return said
+
+
+def of_changes(changes: Mapping[str, Difference] | None, why: str) -> str:
+    """Say what changed since the earlier time; ``why`` something was not compared, empty if all was."""
+    if changes is None:
+        return f"not compared with the earlier time: {why}"
+    if changes:
+        said = f"changed: {joined(map(_change, [*changes.items()][:_MOST_NAMED]))}{_more(len(changes))}"
+    else:
+        said = "nothing that was compared has changed" if why else "nothing has changed"
+    return f"{said}; {why}" if why else said
+
+
+def not_compared(inertial: Mapping[str, Difference] | None) -> str:
+    """Say why no inertial parameters were compared: None for other ones, empty where the data tell none."""
+    if inertial is None:
+        return "inertial parameters are not compared, they were of other bodies or kinematics"
+    return "no combination of inertial parameters is told by the data of both"
 
 
 def of_fleet(members: Sequence[MemberResult]) -> str:
@@ -66,15 +72,11 @@ def _deviation(d: Deviation) -> str:
     )
 
 
-def _changed(changes: Mapping[str, Difference]) -> str:
-    if not changes:
-        return "nothing has changed"
-    said = []
-    for parameter, d in list(changes.items())[:_MOST_NAMED]:
-        assert d.before is not None
-        assert d.after is not None
-        said.append(f"{name(parameter)} {number(d.before.value)} → {with_unit(number(d.after.value), d.after.unit)}")
-    return f"changed: {joined(said)}{_more(len(changes))}"
+def _change(item: tuple[str, Difference]) -> str:
+    parameter, d = item
+    assert d.before is not None
+    assert d.after is not None
+    return f"{name(parameter)} {number(d.before.value)} → {with_unit(number(d.after.value), d.after.unit)}"
 
 
 def _more(count: int) -> str:
