@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from fractions import Fraction
 
 import numpy as np
@@ -137,7 +138,41 @@ def test_bad_samples_are_refused_whole() -> None:
     with pytest.raises(InputError, match=r"qd has shape \(100, 3\); expected \(100, 4\), a column for each of joint1"):
         regression.take(given[0], given[1][:, :3], given[2], given[3])
     assert regression.samples == 0
-    with pytest.raises(InputError, match=r"0 samples for \d+ base parameters of robot .*; take in more"):
+    with pytest.raises(InputError, match=r"0 samples for \d+ base parameters of robot .* and their noise; take in"):
         regression.solve()
-    with pytest.raises(InputError, match="only regressions of one robot"):
+    with pytest.raises(
+        InputError, match="regressions with square_root and without cannot be added; make all with the same"
+    ):
         regression + BaseRegression(ROBOT, square_root=True)
+
+
+def test_only_regressions_of_one_robot_and_gravity_add() -> None:
+    origin = re.search(r'<joint name="joint2".*?<origin xyz="([^ ]+)', URDF, re.S)
+    assert origin is not None
+    taller = f"{URDF[: origin.start(1)]}{float(origin[1]) + 0.3}{URDF[origin.end(1) :]}"
+    regression, other = BaseRegression(ROBOT), BaseRegression(RobotModel.from_urdf(taller.encode()))
+    assert [c.tolist() for c in regression._columns] == [c.tolist() for c in other._columns]
+    with pytest.raises(InputError, match=r"regressions of '.*' and '.*' cannot be added: their joints, axes, plac"):
+        regression + other
+    light = BaseRegression(RobotModel.from_urdf(URDF.encode(), gravity=(0.0, 0.0, -1.6)))
+    with pytest.raises(
+        InputError, match=r"of gravity \[0.0, 0.0, -9.81\] and \[0.0, 0.0, -1.6\] cannot be added; make"
+    ):
+        regression + light
+    assert (regression + BaseRegression(RobotModel.from_urdf(URDF.encode()))).samples == 0
+
+
+@pytest.mark.parametrize("joints", [1, 4])
+@pytest.mark.parametrize("square_root", [False, True])
+def test_noise_is_learnt_only_where_samples_are_left(joints: int, square_root: bool) -> None:
+    regression = BaseRegression(RobotModel.from_urdf(urdf_of(2, joints).encode()), square_root=square_root)
+    n = len(regression.base.independent)
+    given = torch.randn(4, n + 1, joints, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    regression.take(*given[:, :n])
+    with pytest.raises(InputError, match=rf"{n} samples for {n} base parameters .* noise; take in {n + 1} or more"):
+        regression.solve()
+    known = regression.solve(torch.ones(joints))
+    assert bool(known.value.isfinite().all() and known.covariance.isfinite().all())
+    regression.take(*given[:, n:])
+    found = regression.solve()
+    assert bool((found.noise_std.isfinite() & (found.noise_std > 0)).all())

@@ -21,6 +21,7 @@ from torchrbd.errors import InputError
 from torchrbd.inference.regression.square_root import SquareRoot
 from torchrbd.parameters import BaseParameters, base_parameters
 from torchrbd.robot import RobotModel
+from torchrbd.robot.identity import kinematics_sha256
 
 # Samples at a time, and numbers of their regressor: few enough for the processor's cache.
 _TILE, _MOST_NUMBERS = 1024, 2_000_000
@@ -114,12 +115,20 @@ class BaseRegression:
         """Return what has taken in the samples of both.
 
         Raises:
-            InputError: they are of other robots, or of other kinds.
+            InputError: they are of other robots, of other gravity, or of other kinds.
         """
-        if self.square_root != other.square_root or [c.tolist() for c in self._columns] != [
-            c.tolist() for c in other._columns
-        ]:
-            raise InputError("only regressions of one robot, all with square_root or all without, can be added")
+        if self.square_root != other.square_root:
+            raise InputError("regressions with square_root and without cannot be added; make all with the same")
+        robots = self.robot, other.robot
+        if len({kinematics_sha256(robot) for robot in robots}) > 1:
+            names = " and ".join(f"'{robot.name}'" for robot in robots)
+            raise InputError(
+                f"regressions of {names} cannot be added: their joints, axes, placements, rotors or springs differ; "
+                "make all with one URDF"
+            )
+        if not torch.equal(self.robot.gravity, other.robot.gravity):
+            one, two = (robot.gravity.tolist() for robot in robots)
+            raise InputError(f"regressions of gravity {one} and {two} cannot be added; make all with one")
         joined = BaseRegression(self.robot, square_root=self.square_root)
         joined.samples = self.samples + other.samples
         joined._kept = [
@@ -135,12 +144,14 @@ class BaseRegression:
             noise_std: (n_dof,) of the torques [N m or N]; learnt in turns with the parameters if not given.
 
         Raises:
-            InputError: fewer samples than there are base parameters.
+            InputError: fewer samples than there are base parameters, or as many where noise is to be learnt.
         """
-        if self.samples < len(self.base.independent):
+        least = len(self.base.independent) + (noise_std is None)
+        if self.samples < least:
+            why = "" if noise_std is not None else " and their noise"
             raise InputError(
                 f"{self.samples} samples for {len(self.base.independent)} base parameters of robot "
-                f"'{self.robot.name}'; take in more"
+                f"'{self.robot.name}'{why}; take in {least} or more"
             )
         std = torch.ones(self.robot.n_dof, dtype=torch.float64) if noise_std is None else noise_std.double()
         value, root = self._solved(std)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.scales import covered_scales
 from torchrbd.recordings import NamedSource
 from torchrbd.robot import RobotModel
+from torchrbd.robot.identity import kinematics_sha256
 
 _PIECE = 1 << 20
 # Two recordings that cover different ranges: an effect with a grid of shapes has another one for each.
@@ -135,13 +135,3 @@ def _pieces(file: Path) -> Iterator[bytes]:
     with file.open("rb") as content:
         while piece := content.read(_PIECE):
             yield piece
-
-
-def kinematics_sha256(robot: RobotModel) -> str:
-    """Return the SHA-256 of what moments take from a robot: where bodies are, and torque that is known."""
-    joints = [
-        [j.name, j.kind, j.parent, j.child, j.pose.tolist(), j.axis.tolist(), j.armature, j.stiffness, j.rest]
-        for j in robot.description.joints
-    ]
-    mimics = [j.mimic and asdict(j.mimic) for j in robot.description.joints]
-    return hashlib.sha256(json.dumps([joints, mimics, robot.joint_names, robot.body_names]).encode()).hexdigest()
