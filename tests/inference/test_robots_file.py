@@ -36,6 +36,14 @@ robots:
     assert other.options == {"cutoff_hz": 8, "kappa": 2, "holdout_fraction": 0.3, "mapping": tmp_path / "m.yaml"}
 
 
+def test_files_are_found_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written(tmp_path, f"robots: [{ROBOT[:-1]}, mapping: m.yaml}}]")
+    monkeypatch.chdir(tmp_path)
+    (one,) = read_robots(Path("robots.yaml"))
+    files = one.urdf, *one.recordings, one.options["mapping"]
+    assert files == tuple(tmp_path / name for name in ("arm.urdf", "a.csv", "m.yaml"))
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -11,7 +11,7 @@
         mapping: driver.yaml             # optional
         options: {encoder-noise: 1e-4}   # optional: these win over those of all
 
-Files are sought from the YAML file's folder.
+Files are sought from the YAML file's folder, wherever the work is done.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def _entry(content: Any, number: int, shared: Mapping[str, Any], path: Path) -> 
 def _file(value: Any, key: str, place: str, path: Path) -> Path:
     if not isinstance(value, str):
         raise OptionError(f"{place}: {key}: expected the name of a file, got {value!r:.50}")
-    return path.parent / value
+    return path.absolute().parent / value
 
 
 def _options(content: Any, place: str) -> dict[str, Any]:
