@@ -50,6 +50,22 @@ def write_whole(path: str | Path, content: bytes) -> None:
         raise
 
 
+def check_file(path: Path) -> None:
+    """Make the folder of a file, and see that it can be written there, before any work is done.
+
+    Raises:
+        OptionError: it cannot; says why.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OptionError(f"output '{path}': its folder cannot be made ({_reason(error)}); name another") from None
+    if path.is_dir():
+        raise OptionError(f"output '{path}' is a folder; name a file")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise OptionError(f"output '{path}': '{path.parent}' is not a folder that can be written; name another")
+
+
 class OutputFolder:
     """A folder for one set of files, and for one process at a time.
 

@@ -25,10 +25,10 @@ from torchrbd.errors import InputError, OptionError, TorchRBDError
 from torchrbd.export.json_files import write_fleet
 from torchrbd.inference import identify
 from torchrbd.inference.robots_file import RobotEntry, read_robots
-from torchrbd.inference.statistics.building import digest
 from torchrbd.likelihood.reading import Progress
 from torchrbd.outputs import OutputFolder, write_whole
 from torchrbd.processes import Attempt
+from torchrbd.recordings.contents import digest
 from torchrbd.report.fleet import write_fleet_report
 
 # What a robot's files were made from, beside them; the last that is written.

@@ -78,10 +78,8 @@ class BlockStatistics:
         times = halvings(self.blocks, limit)
         if not times:
             return self
-        blocks, sums = self.blocks, (*self.moments, self.torque)
-        for _ in range(times):
-            blocks, sums = halved(blocks, sums)
-        return replace(self, blocks=blocks, moments=sums[:-1], torque=sums[-1])
+        blocks, (*moments, torque) = halved(self.blocks, (*self.moments, self.torque), times)
+        return replace(self, blocks=blocks, moments=tuple(moments), torque=torque)
 
     def squared_error(self, x: Tensor) -> Tensor:
         """Return the weighted sum of squared torque errors of coefficients x (n,): (B, n_dof), [(N m)^2] or [N^2]."""
@@ -130,8 +128,14 @@ def halvings(blocks: Sequence[Block], limit: int) -> int:
     return times
 
 
-def halved(blocks: Sequence[Block], sums: Sequence[Tensor]) -> tuple[tuple[Block, ...], tuple[Tensor, ...]]:
-    """Merge neighbours of the same recording two by two, and add what belongs to them, (B, ...) each."""
+def halved(blocks: Sequence[Block], sums: Sequence[Tensor], times: int) -> tuple[tuple[Block, ...], tuple[Tensor, ...]]:
+    """Merge neighbours of the same recording two by two, so many times, and add what belongs to them, (B, ...) each."""
+    for _ in range(times):
+        blocks, sums = _halved(blocks, sums)
+    return tuple(blocks), tuple(sums)
+
+
+def _halved(blocks: Sequence[Block], sums: Sequence[Tensor]) -> tuple[tuple[Block, ...], tuple[Tensor, ...]]:
     pairs: list[list[Block]] = []
     target = []
     for block in blocks:

@@ -49,7 +49,7 @@ class LeRobotTable:
         self.columns = ("t", *(name for name in self._slots if name != _TIME))
         rate = info.get("fps")
         self._pause = max(_PAUSE, _FRAMES / rate) if isinstance(rate, (int, float)) and rate > 0 else _PAUSE
-        self._files = sorted(path.glob(_DATA))
+        _, *self._files = files(path)
         if not self._files:
             raise RecordingError(f"{path}: no files {_DATA}; download the whole data set")
         self._episodes = None if mapping.episodes is None else np.array(mapping.episodes)
@@ -97,6 +97,11 @@ class LeRobotTable:
         except pa.ArrowException:
             raise RecordingError(f"{file}: column '{feature}' holds {column.type}; expected numbers") from None
         return numbers.reshape(batch.num_rows, width)
+
+
+def files(path: Path) -> list[Path]:
+    """Return the files that are read of a data set, its information first."""
+    return [path / INFO, *sorted(path.glob(_DATA))]
 
 
 class _Clock:

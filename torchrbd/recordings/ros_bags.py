@@ -14,6 +14,7 @@ from torchrbd.errors import RecordingError
 from torchrbd.recordings.extras import needed
 from torchrbd.recordings.mapping import Mapping, chosen_topic
 
+_INDEX, _STORAGE = "metadata.yaml", {".db3", ".mcap"}
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _SIGNALS = {"q": "position", "qd": "velocity", "tau": "effort"}
 # Messages from which joints and their signals are learnt; several nodes may take turns on one topic.
@@ -22,6 +23,11 @@ _FIRST_MESSAGES = 500
 _MOST_LAYOUTS = 256
 _NS = 1_000_000_000
 _Part = tuple[int, np.ndarray, np.ndarray]
+
+
+def files(path: Path) -> list[Path]:
+    """Return the files that are read of a ROS 2 bag's folder: its index, and messages, compressed or not."""
+    return [one for one in sorted(path.iterdir()) if one.name == _INDEX or _STORAGE.intersection(one.suffixes)]
 
 
 class _Message(NamedTuple):

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from torchrbd import __version__
@@ -18,11 +15,11 @@ from torchrbd.inference.statistics.results import Conditions, Origin, Statistics
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.scales import covered_scales
-from torchrbd.recordings import NamedSource
+from torchrbd.recordings import NamedSource, read_mapping
+from torchrbd.recordings.contents import digest
 from torchrbd.robot import RobotModel
 from torchrbd.robot.identity import kinematics_sha256
 
-_PIECE = 1 << 20
 # Two recordings that cover different ranges: an effect with a grid of shapes has another one for each.
 _WIDE = JointScale(1.0, 1e-3, -1.0, 1.0, load_max=10.0, duration_s=60.0, temperature=(20.0, 30.0))
 _NARROW = JointScale(0.3, 1e-2, 0.0, 0.4, load_max=3.0, duration_s=20.0, temperature=(15.0, 20.0))
@@ -33,6 +30,7 @@ def conditions(robot: RobotModel, settings: Settings) -> Conditions:
 
     Raises:
         OptionError: an option that moments cannot have.
+        RecordingError: a mapping that cannot be read.
     """
     if settings.cutoff_hz is None:
         raise OptionError(
@@ -40,6 +38,8 @@ def conditions(robot: RobotModel, settings: Settings) -> Conditions:
             "of the recordings says which it chooses"
         )
     counts, mapping = settings.used_joints(robot).tolist(), settings.mapping
+    if mapping is not None:
+        read_mapping(mapping)
     return Conditions(
         version=__version__,
         robot=robot.name,
@@ -50,7 +50,7 @@ def conditions(robot: RobotModel, settings: Settings) -> Conditions:
         effects=tuple(e.id for e in moment_effects(settings)),
         used=tuple(name for name, one in zip(robot.joint_names, counts, strict=True) if one),
         time=settings.time,
-        mapping_sha256=digest(mapping)[1] if mapping is not None and mapping.is_file() else None,
+        mapping_sha256=None if mapping is None else digest(mapping)[1],
         encoder_noise=known(settings.known_encoder_noise(robot)),
     )
 
@@ -84,18 +84,22 @@ def statistics_of(
     """Return the moments of one recording under conditions that have been checked."""
     own = replace(settings, holdout=(), simulated=(), payload=_own_payload(source, settings), cutoff_hz=made.cutoff_hz)
     reading, _ = read(robot, [source], own, progress)
-    return of_reading(reading, own, made, progress)
+    found = of_reading(reading, own, made, progress)
+    (recording,), (origin,) = reading.recordings, found.origins
+    if recording.path is None:
+        return found
+    size, sha256 = digest(recording.path)
+    return replace(found, origins=(replace(origin, size=size, sha256=sha256),))
 
 
 def of_reading(reading: Reading, settings: Settings, made: Conditions, progress: Progress) -> Statistics:
-    """Return the moments of the one recording of a reading."""
+    """Return the moments of the one recording of a reading, whose content nobody asks for."""
     (recording,), (seen,) = reading.recordings, reading.surveys
     columns = Columns(reading.robot, moment_effects(settings), covered_scales(reading.surveys, reading.filtering))
-    size, sha256 = (None, None) if recording.path is None else digest(recording.path)
     origin = Origin(
         name=recording.name,
-        size=size,
-        sha256=sha256,
+        size=None,
+        sha256=None,
         rows=seen.rows,
         duration_s=seen.duration_s,
         position_noise=tuple(seen.q_noise_std.tolist()),
@@ -116,22 +120,3 @@ def payload_words(name: str, settings: Settings) -> tuple[str, ...]:
 
 def _own_payload(source: NamedSource, settings: Settings) -> tuple[Any, ...]:
     return tuple(one for one in settings.payload if one.recording == source.name)
-
-
-def digest(path: Path) -> tuple[int, str]:
-    """Return size [bytes] and SHA-256 of a file, or of all files of a folder with their names."""
-    files = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
-    found, size = hashlib.sha256(), 0
-    for file in files:
-        if path.is_dir():
-            found.update(f"{file.relative_to(path).as_posix()}\0".encode())
-        for piece in _pieces(file):
-            found.update(piece)
-            size += len(piece)
-    return size, found.hexdigest()
-
-
-def _pieces(file: Path) -> Iterator[bytes]:
-    with file.open("rb") as content:
-        while piece := content.read(_PIECE):
-            yield piece

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
-from torch import Tensor
 
 from torchrbd import __version__
 from torchrbd.effects import JointScale
@@ -21,6 +20,7 @@ from torchrbd.outputs import write_whole
 from torchrbd.rebuilding import rebuilt
 
 _FORMAT, _HEADER = "torchrbd-statistics-2", "statistics"
+_LABELS = tuple[tuple[str, ...], ...]
 
 
 def write_file(found: Statistics, path: str | Path) -> None:
@@ -54,76 +54,74 @@ def read_statistics(path: str | Path) -> Statistics:
     Raises:
         InputError: no such file, none of ours, or of another version.
     """
-    made, origins, scales, labels = read_header(path)
-    if made.version != __version__:
-        raise InputError(
-            f"{path}: was made by torchrbd {made.version}, this is {__version__}; make it anew with 'torchrbd stats'"
-        )
+    head = read_head(path)
     try:
         with safe_open(path, framework="pt") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        return _statistics(made, origins, scales, labels, tensors, str(path))
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError, IndexError, RuntimeError) as error:
+            *moments, torque = (file.get_tensor(name) for name in _numbers(head.conditions))
+    except (OSError, SafetensorError) as error:
         raise _damaged(path, error) from None
+    if not all(bool(torch.isfinite(x).all()) for x in (*moments, torque)):
+        raise _damaged(path, ValueError("numbers are not finite"))
+    return replace(head, moments=tuple(moments), torque=torque)
 
 
-def read_header(
-    path: str | Path,
-) -> tuple[Conditions, tuple[Origin, ...], tuple[JointScale, ...], tuple[tuple[str, ...], ...]]:
-    """Return what a file says of itself, without its moments.
+def read_head(path: str | Path) -> Statistics:
+    """Read what a file says of itself and of its blocks: all but its numbers, of which there are none, (0, ...) each.
 
     Raises:
-        InputError: no such file, or none of ours.
+        InputError: no such file, none of ours, or of another version.
     """
     try:
         with safe_open(path, framework="pt") as file:
-            text = (file.metadata() or {}).get(_HEADER, "{}")
+            header = _header(path, (file.metadata() or {}).get(_HEADER, "{}"))
+            return _head(header, file, str(path))
+    except InputError:
+        raise
     except (OSError, SafetensorError) as error:
         raise InputError(f"{path}: cannot be read as statistics ({error})") from None
-    try:
-        header = json.loads(text)
-        if header.get("format") != _FORMAT:
-            raise InputError(
-                f"{path}: is no statistics file of torchrbd {__version__}; expected format '{_FORMAT}', got "
-                f"'{header.get('format')}'; make it anew with 'torchrbd stats'"
-            )
-        return (
-            rebuilt(Conditions, header["conditions"]),
-            rebuilt(tuple[Origin, ...], header["origins"]),
-            rebuilt(tuple[JointScale, ...], header["scales"]),
-            rebuilt(tuple[tuple[str, ...], ...], header["labels"]),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, RuntimeError, RecursionError) as error:
         raise _damaged(path, error) from None
+
+
+def _header(path: str | Path, text: str) -> dict[str, Any]:
+    """Return the metadata of a file of this version."""
+    header = json.loads(text)
+    if header.get("format") != _FORMAT:
+        raise InputError(
+            f"{path}: is no statistics file of torchrbd {__version__}; expected format '{_FORMAT}', got "
+            f"'{header.get('format')}'; make it anew with 'torchrbd stats'"
+        )
+    version = header["conditions"]["version"]
+    if version != __version__:
+        raise InputError(
+            f"{path}: was made by torchrbd {version}, this is {__version__}; make it anew with 'torchrbd stats'"
+        )
+    return header
+
+
+def _head(header: dict[str, Any], file: Any, place: str) -> Statistics:
+    """Return what a file that is open holds beside its numbers, whose shapes and kinds are checked."""
+    made, origins = rebuilt(Conditions, header["conditions"]), rebuilt(tuple[Origin, ...], header["origins"])
+    scales, labels = rebuilt(tuple[JointScale, ...], header["scales"]), rebuilt(_LABELS, header["labels"])
+    time, recording = (file.get_tensor(name).tolist() for name in ("time", "recording"))
+    blocks = tuple(Block(origins[k].name, start, end) for k, (start, end) in zip(recording, time, strict=True))
+    slices = [file.get_slice(name) for name in _numbers(made)]
+    *shapes, torque = (tuple(one.get_shape()) for one in slices)
+    if any(shape != (len(blocks), shape[-1], shape[-1]) for shape in shapes):
+        raise ValueError("moments are no square matrices, one a block")
+    if torque != (len(blocks), len(shapes), 3) or not len(scales) == len(labels) == len(shapes):
+        raise ValueError("torques, scales or labels are not those of the joints")
+    if {one.get_dtype() for one in slices} != {"F64"}:
+        raise ValueError("moments are not numbers of 64 bits")
+    *moments, torque = (torch.zeros(0, *shape[1:], dtype=torch.float64) for shape in (*shapes, torque))
+    return Statistics(made, origins, scales, labels, blocks, tuple(moments), torque, place)
+
+
+def _numbers(made: Conditions) -> tuple[str, ...]:
+    """Return the names of the tensors that grow with the columns."""
+    return (*(f"moments.{joint}" for joint in made.joints), "torque")
 
 
 def _damaged(path: str | Path, error: Exception) -> InputError:
     words = f"{path}: is damaged ({type(error).__name__}: {error}); make it anew with 'torchrbd stats'"
     return InputError(words)
-
-
-def _statistics(
-    made: Conditions,
-    origins: tuple[Origin, ...],
-    scales: tuple[JointScale, ...],
-    labels: tuple[tuple[str, ...], ...],
-    tensors: Mapping[str, Tensor],
-    place: str,
-) -> Statistics:
-    moments, torque = tuple(tensors[f"moments.{joint}"] for joint in made.joints), tensors["torque"]
-    count, sizes = len(torque), [m.shape[-1] for m in moments]
-    if [tuple(m.shape) for m in moments] != [(count, p, p) for p in sizes]:
-        raise ValueError("moments are no square matrices, one a block")
-    if torque.shape != (count, len(moments), 3) or not len(scales) == len(labels) == len(moments):
-        raise ValueError("torques, scales or labels are not those of the joints")
-    if not all(x.dtype == torch.float64 and bool(torch.isfinite(x).all()) for x in (*moments, torque)):
-        raise ValueError("moments are not finite numbers of 64 bits")
-    blocks = tuple(
-        Block(origins[k].name, start, end)
-        for k, (start, end) in zip(tensors["recording"].tolist(), tensors["time"].tolist(), strict=True)
-    )
-    if len(blocks) != count:
-        raise ValueError(f"{len(blocks)} blocks for {count} moments")
-    return Statistics(made, origins, scales, labels, blocks, moments, torque, place)

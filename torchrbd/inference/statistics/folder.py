@@ -8,18 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from torchrbd.errors import InputError, OptionError
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.settings import Settings
-from torchrbd.inference.statistics.building import conditions, digest, payload_words, statistics_of
-from torchrbd.inference.statistics.files import read_header, read_statistics, write_file
-from torchrbd.inference.statistics.results import MOST_BLOCKS, Conditions, Origin, Statistics, added
-from torchrbd.likelihood.block_statistics import halvings
+from torchrbd.inference.statistics import merging
+from torchrbd.inference.statistics.building import conditions, payload_words, statistics_of
+from torchrbd.inference.statistics.files import read_head, write_file
+from torchrbd.inference.statistics.results import Conditions, Statistics
 from torchrbd.likelihood.reading import Progress
+from torchrbd.outputs import check_file
 from torchrbd.ranks import Ranks
 from torchrbd.recordings import NamedSource
+from torchrbd.recordings.contents import digest
 from torchrbd.recordings.formats import STATISTICS
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded
@@ -55,7 +55,7 @@ def write_statistics(
         the files, in the order of the recordings.
 
     Raises:
-        InputError: a robot, recording or option that cannot be used.
+        InputError: a robot, recording or option that cannot be used, or a place for the sum that cannot be written.
     """
     robot, sources, settings = read_arguments(robot, recordings, options, "stats")
     if settings.holdout or settings.simulated:
@@ -66,6 +66,8 @@ def write_statistics(
     paths = [_path(source) for source in sources]
     _check_names(paths)
     _check_payloads(paths, settings)
+    if merged is not None:
+        check_file(Path(merged))
     files = [folder / f"{path.name}{STATISTICS}" for path in paths]
     folder.mkdir(parents=True, exist_ok=True)
     own = ranks.own(list(zip(paths, files, strict=True)))
@@ -86,9 +88,10 @@ def merge_statistics(files: Sequence[str | Path], output: str | Path) -> Statist
 
     Raises:
         InputError: a file that cannot be read, or files that were made under different conditions.
+        OptionError: the sum cannot be written there.
     """
-    found = added([read_statistics(file) for file in files])
-    found = found.halved(halvings(found.blocks, MOST_BLOCKS))
+    check_file(Path(output))
+    found = merging.merged([read_head(file) for file in files])
     write_file(found, output)
     return found
 
@@ -98,34 +101,13 @@ def write_merged(files: Sequence[Path], output: Path, ranks: Ranks) -> None:
 
     Every block is filled by one process and zero in the others, so that sums are exact, whatever the number of them.
     """
-    own = {k: read_statistics(files[k]) for k in ranks.own(range(len(files)))}
-    every = _of_all({k: _head(one) for k, one in own.items()}, ranks)
-    times = halvings([block for k in sorted(every) for block in every[k].blocks], MOST_BLOCKS)
-    own = {k: one.halved(times) for k, one in own.items()}
-    every = _of_all({k: _head(one) for k, one in own.items()}, ranks)
-    whole = added([every[k] for k in sorted(every)])
-    sizes = [m.shape[1:] for m in (*whole.moments, whole.torque)]
-    sums = [torch.zeros(len(whole.blocks), *size, dtype=torch.float64) for size in sizes]
-    first = 0
-    for k in sorted(every):
-        last = first + len(every[k].blocks)
-        if k in own:
-            for total, part in zip(sums, (*own[k].moments, own[k].torque), strict=True):
-                total[first:last] = part
-        first = last
-    *moments, torque = map(ranks.summed, sums)
+    own = ranks.own(range(len(files)))
+    every = {k: head for part in ranks.gathered({k: read_head(files[k]) for k in own}) for k, head in part.items()}
+    found = merging.merged([every[k] for k in sorted(every)], own)
+    *moments, torque = map(ranks.summed, (*found.moments, found.torque))
     if ranks.first:
-        write_file(replace(whole, moments=tuple(moments), torque=torque), output)
+        write_file(replace(found, moments=tuple(moments), torque=torque), output)
     ranks.wait()
-
-
-def _head(one: Statistics) -> Statistics:
-    """Return statistics without their numbers."""
-    return replace(one, moments=tuple(m[:0].clone() for m in one.moments), torque=one.torque[:0].clone())
-
-
-def _of_all(own: dict[int, Statistics], ranks: Ranks) -> dict[int, Statistics]:
-    return {k: one for part in ranks.gathered(own) for k, one in part.items()}
 
 
 def _path(source: NamedSource) -> Path:
@@ -157,12 +139,12 @@ def _is_up_to_date(file: Path, recording: Path, made: Conditions, settings: Sett
     if not file.is_file():
         return False
     try:
-        own, origins, *_ = read_header(file)
+        head = read_head(file)
     except InputError:
         return False
-    if own != made or len(origins) != 1:
+    if head.conditions != made or len(head.origins) != 1:
         return False
-    (origin,) = origins
+    (origin,) = head.origins
     return (origin.name, origin.payload, (origin.size, origin.sha256)) == (
         recording.name,
         payload_words(recording.name, settings),
@@ -171,8 +153,7 @@ def _is_up_to_date(file: Path, recording: Path, made: Conditions, settings: Sett
 
 
 def _rows(file: Path) -> int:
-    origins: tuple[Origin, ...] = read_header(file)[1]
-    return sum(one.rows for one in origins)
+    return sum(one.rows for one in read_head(file).origins)
 
 
 def _told(progress: Progress, total: int) -> Callable[[float, int], None]:

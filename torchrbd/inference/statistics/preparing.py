@@ -20,7 +20,8 @@ from torchrbd.inference.input_noise import InputNoise
 from torchrbd.inference.preparation import Prepared, read
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.statistics.building import conditions, moment_effects, of_reading
-from torchrbd.inference.statistics.files import read_statistics
+from torchrbd.inference.statistics.files import read_head
+from torchrbd.inference.statistics.merging import merged
 from torchrbd.inference.statistics.results import MOST_BLOCKS, Conditions, Statistics, added
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.reading import Progress, Reading
@@ -71,10 +72,11 @@ def prepare_moments(
     if settings.simulated:
         raise OptionError(f"simulated recordings need recordings of the robot and another estimator than '{MOMENTS}'")
     if any(map(is_statistics, sources)):
-        parts = _read(robot, sources, settings, progress)
+        parts = _heads(robot, sources, settings)
+        whole = merged(parts, progress=progress)
     else:
         parts = _made(robot, sources, settings, progress)
-    whole = added(parts)
+        whole = added(parts)
     made = whole.conditions
     columns = Columns(robot, [effect(name) for name in made.effects], whole.scales)
     statistics = whole.of_columns(columns).coarsened(MOST_BLOCKS)
@@ -108,18 +110,15 @@ def prepare_moments(
     )
 
 
-def _read(
-    robot: RobotModel, sources: Sequence[NamedSource], settings: Settings, progress: Progress
-) -> list[Statistics]:
-    """Read files, and see that they are of this robot and of what the options ask for."""
-    files, parts = [*sources, *settings.holdout], []
-    for k, source in enumerate(files):
-        progress("reading statistics", k / len(files))
+def _heads(robot: RobotModel, sources: Sequence[NamedSource], settings: Settings) -> list[Statistics]:
+    """Read the heads of files, and see that they are of this robot and of what the options ask for."""
+    heads = []
+    for source in (*sources, *settings.holdout):
         assert isinstance(source, Path)
-        parts.append(read_statistics(source))
-        own = parts[-1].conditions
+        heads.append(read_head(source))
+        own = heads[-1].conditions
         own.check(_asked(robot, own, settings), str(source), "what was asked for")
-    return parts
+    return heads
 
 
 def _asked(robot: RobotModel, made: Conditions, settings: Settings) -> Conditions:

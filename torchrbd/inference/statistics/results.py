@@ -87,8 +87,8 @@ class Origin:
 
     Attributes:
         name: as results call it.
-        size: of the file [bytes], of all files of a folder; None for data in memory.
-        sha256: of its content; None for data in memory.
+        size: of its files [bytes]; None where its content was not asked for, as for data in memory.
+        sha256: of their content; None likewise.
         rows: that were read.
         duration_s: of its uninterrupted pieces together.
         position_noise: (n_dof,) standard deviations [rad, m].
@@ -132,10 +132,8 @@ class Statistics:
 
     def halved(self, times: int) -> Statistics:
         """Return the same with neighbouring blocks of each recording merged two by two, so many times."""
-        blocks, sums = self.blocks, (*self.moments, self.torque)
-        for _ in range(times):
-            blocks, sums = halved(blocks, sums)
-        return replace(self, blocks=blocks, moments=sums[:-1], torque=sums[-1])
+        blocks, (*moments, torque) = halved(self.blocks, (*self.moments, self.torque), times)
+        return replace(self, blocks=blocks, moments=tuple(moments), torque=torque)
 
     def of_columns(self, columns: Columns) -> BlockStatistics:
         """Return the moments for fits.
