@@ -13,10 +13,14 @@ from inference.problems import urdf_of
 from scipy.stats import t as student
 
 from torchrbd import InputError, RobotModel
+from torchrbd.diagnosis.changes import words as change_words
+from torchrbd.diagnosis.changes.inertia import Load
 from torchrbd.diagnosis.changes.reading import Inertia
+from torchrbd.diagnosis.changes.results import difference
+from torchrbd.diagnosis.fleet import words as fleet_words
 from torchrbd.diagnosis.fleet.compare import compare_fleet
 from torchrbd.diagnosis.fleet.reading import read_member
-from torchrbd.diagnosis.fleet.results import Member
+from torchrbd.diagnosis.fleet.results import Deviation, Member
 from torchrbd.diagnosis.fleet.sisters import LEAST_SISTERS, deviations, median_inertia, sisters
 from torchrbd.diagnosis.fleet.words import name
 from torchrbd.diagnosis.results import Quantity
@@ -213,6 +217,19 @@ def test_a_page_says_who_differs_what_changed_and_escapes_every_name(tmp_path: P
     read = json.loads((tmp_path / "fleet.json").read_text())
     assert [one["name"] for one in read["members"]] == names
     assert read["members"][7]["deviations"][0]["chance"] < 0.01
+
+
+@pytest.mark.parametrize("module", [fleet_words, change_words])
+def test_a_link_has_more_or_less_but_never_minus_more(module) -> None:
+    for mass, words in ((0.5, "had 0.50 ± 0.04 kg more"), (-0.5, "had 0.50 ± 0.04 kg less")):
+        load = Load(("link2", "link3"), mass, 0.02)
+        if module is fleet_words:
+            off = [Deviation("m_link2", "inertia", Quantity(1.0, 0.1, "kg"), 1.5, 0.1, -5.0, 1e-6)]
+            said = fleet_words.of_sisters(off, load, 8, 6)
+        else:
+            one = Quantity(1.0, 0.1, "kg")
+            said = change_words.of_inertia("changed", 0.99, {"m_link2": difference(one, one, 1.0, among=1)}, load)
+        assert f"as if link2 or link3 {words}" in said
 
 
 @pytest.mark.parametrize(

@@ -113,10 +113,14 @@ def of_inertia(verdict: str, probability: float, parameters: Mapping[str, Differ
         )
     words = f"Inertial parameters changed, in {len(changed)} of {len(parameters)} combinations that both data sets tell"
     if load is not None:
-        more = "more" if load.mass > 0 else "less"
-        mass = with_unit(measure(abs(load.mass), 1.96 * load.std), "kg")
-        words += f", as if {joined(load.links, 'or')} had {mass} {more}"
+        words += f", {as_if(load)}"
     return f"{words}; certainty {certainty(probability)}."
+
+
+def as_if(load: Load) -> str:
+    """Return "as if link2 or link3 had 0.50 ± 0.04 kg less"."""
+    mass = with_unit(measure(abs(load.mass), 1.96 * load.std), "kg")
+    return f"as if {joined(load.links, 'or')} had {mass} {'more' if load.mass > 0 else 'less'}"
 
 
 def overall(changes: Sequence[Change]) -> str:

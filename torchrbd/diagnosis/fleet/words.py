@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 
 from torchrbd.diagnosis.changes.inertia import Load
 from torchrbd.diagnosis.changes.results import Difference
+from torchrbd.diagnosis.changes.words import as_if
 from torchrbd.diagnosis.fleet.results import Deviation, MemberResult
-from torchrbd.diagnosis.numbers import joined, measure, number, with_unit
+from torchrbd.diagnosis.numbers import joined, number, with_unit
 
 _MOST_NAMED = 3
 
@@ -20,7 +21,7 @@ def of_sisters(off: Sequence[Deviation], load: Load | None, sisters: int, least:
         return f"is like its {sisters - 1} sisters"
     said = f"differs: {joined(_deviation(d) for d in off[:_MOST_NAMED])}{_more(len(off))}"
     if load is not None:
-        said += f"; as if {' or '.join(load.links)} had {with_unit(measure(load.mass, 1.96 * load.std), 'kg')} more"
+        said += f"; {as_if(load)}"
     return said
 
 
