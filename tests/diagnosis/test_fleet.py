@@ -301,6 +301,7 @@ def test_members_without_intervals_are_refused(tmp_path: Path) -> None:
         ("viscous_friction_joint1.viscous", "viscous friction joint1"),
         ("asymmetric_coulomb_friction_joint1.coulomb_plus", "asymmetric coulomb friction joint1, coulomb plus"),
         ("mcz_link2 + 0.53 m_link3", "mcz_link2 + 0.53 m_link3"),
+        ("mcx_link3", "mcx_link3"),
     ],
 )
 def test_parameters_are_named_for_people(parameter: str, words: str) -> None:

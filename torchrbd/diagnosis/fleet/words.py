@@ -60,8 +60,8 @@ def of_fleet(members: Sequence[MemberResult]) -> str:
 
 def name(parameter: str) -> str:
     """Return a parameter as a person reads it: "viscous friction joint1"; a combination of inertial ones as it is."""
-    term, _, own = parameter.rpartition(".")
-    if not own.isidentifier():
+    term, dot, own = parameter.rpartition(".")
+    if not dot or not own.isidentifier():
         return parameter
     more = f", {own}" if own not in term else ""
     return f"{term}{more}".replace("_", " ")
