@@ -124,10 +124,10 @@ def test_what_rows_do_not_tell_stays_finite() -> None:
     assert float(root[2].norm()) == 0.0
 
 
-def test_moments_of_a_root_are_those_of_its_rows() -> None:
+def test_roots_add_as_their_rows_do() -> None:
     rows = torch.randn(50, 4, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     root = SquareRoot.empty(4).with_rows(rows[:20]) + SquareRoot.empty(4).with_rows(rows[20:])
-    torch.testing.assert_close(root.moments, rows.T @ rows)
+    torch.testing.assert_close(root.factor.T @ root.factor, rows.T @ rows)
 
 
 def test_bad_samples_are_refused_whole() -> None:

@@ -39,11 +39,6 @@ class SquareRoot:
     def __add__(self, other: SquareRoot) -> SquareRoot:
         return self.with_rows(other.factor)
 
-    @property
-    def moments(self) -> Tensor:
-        """The second moments R'R, (d + 1, d + 1)."""
-        return self.factor.T @ self.factor
-
     def solve(self) -> tuple[Tensor, Tensor]:
         """Return the least squares solution (d,), and a root S (d, d) of its covariance S S' at unit noise.
 
