@@ -1,5 +1,10 @@
 """Typed exceptions: what was expected, what came, where, and what to do about it."""
 
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
 
 class TorchRBDError(Exception):
     """Base of everything torchrbd raises on purpose."""
@@ -23,3 +28,14 @@ class OptionError(InputError):
 
 class PhysicalError(TorchRBDError, ValueError):
     """Inertial parameters that no rigid body can have, where a computation needs a physical one."""
+
+
+def closest(name: str, known: Iterable[str]) -> str:
+    """Return "did you mean 'x'?" for the one of those known that is most like a name; empty if none is alike."""
+    alike = difflib.get_close_matches(name, list(known), n=1)
+    return f"did you mean '{alike[0]}'?" if alike else ""
+
+
+def reason(error: Exception) -> str:
+    """Return an error in its own words if it was foreseen, else with its type."""
+    return str(error) if isinstance(error, TorchRBDError | OSError) else f"{type(error).__name__}: {error}"

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 
-from torchrbd.errors import OptionError
+from torchrbd.errors import OptionError, closest
 
 ESTIMATORS = {
     "auto": "the default: smoother where the recordings' position noise matters, physical where not",
@@ -43,6 +42,5 @@ def check_estimators(names: Iterable[str], known: tuple[str, ...]) -> None:
     """Raise OptionError for a name that is not known, with the closest one that is."""
     for name in names:
         if name not in known:
-            close = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(known)}"
+            hint = closest(name, known) or f"known: {', '.join(known)}"
             raise OptionError(f"unknown estimator '{name}'; {hint}")

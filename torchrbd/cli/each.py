@@ -15,7 +15,7 @@ from torchrbd.cli.files import IDENTIFIED, REPORT, write_results
 from torchrbd.cli.progress import progress_bar
 from torchrbd.cli.settings import settings_of
 from torchrbd.cli.tables import print_each
-from torchrbd.errors import InputError, OptionError, TorchRBDError
+from torchrbd.errors import InputError, OptionError, reason
 from torchrbd.inference import Identification
 from torchrbd.inference.many import identify_and
 from torchrbd.outputs import OutputFolder
@@ -82,5 +82,5 @@ def _write_brief(folder: Path, result: Identification, recording: Path) -> Brief
 
 def _reason(file: Path, error: Exception) -> str:
     """Say why a recording failed; an error that was foreseen says it in its own words, most name the file."""
-    words = str(error) if isinstance(error, TorchRBDError | OSError) else f"{type(error).__name__}: {error}"
+    words = reason(error)
     return words if str(file) in words else f"{file}: {words}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -19,15 +18,14 @@ from torchrbd.cli.progress import progress_bar
 from torchrbd.diagnosis.fleet.compare import compare_fleet
 from torchrbd.diagnosis.fleet.results import FleetComparison
 from torchrbd.diagnosis.numbers import number
-from torchrbd.effects import Effect, known_effects, register
 from torchrbd.engines import Engine
-from torchrbd.errors import InputError, OptionError, TorchRBDError
+from torchrbd.errors import InputError, OptionError, reason
 from torchrbd.export.json_files import write_fleet
 from torchrbd.inference import identify
+from torchrbd.inference.many import WithEffects, counted
 from torchrbd.inference.robots_file import RobotEntry, read_robots
 from torchrbd.likelihood.reading import Progress
 from torchrbd.outputs import OutputFolder, write_whole
-from torchrbd.processes import Attempt
 from torchrbd.recordings.contents import digest
 from torchrbd.report.fleet import write_fleet_report
 
@@ -75,42 +73,23 @@ def identify_fleet(robots: Sequence[RobotEntry], output: Path, engine: Engine, p
             continue
         if not _is_there(output / one.name, made_from):
             tasks.append((one, made_from))
-    counted = {"identified": 0, "failed": len(failed)}
-
-    def told(attempt: Attempt[None]) -> None:
-        counted["identified" if attempt.error is None else "failed"] += 1
-        tell()
-
-    def tell() -> None:
-        there = len(robots) - len(tasks) - len(failed)
-        words = f"{there} there, {counted['identified']} identified, {counted['failed']} failed, of {len(robots)}"
-        progress(words, sum(counted.values()) / max(1, len(tasks) + len(failed)))
-
-    tell()
-    work = _Identified(output.absolute(), tuple(known_effects().values()))
+    there = len(robots) - len(tasks) - len(failed)
+    work, told = WithEffects(partial(_identify, output.absolute())), counted(progress, len(tasks), f"{there} there, ")
     for (one, _), attempt in zip(tasks, engine.done(work, tasks, told), strict=True):
         if attempt.error is not None:
-            failed[one.name] = _reason(attempt.error)
+            failed[one.name] = reason(attempt.error)
     return failed
 
 
-@dataclass(frozen=True)
-class _Identified:
-    """Identify one robot and write its files, in any process; all know the same effects."""
-
-    output: Path
-    known: tuple[Effect, ...]
-
-    def __call__(self, task: tuple[RobotEntry, str]) -> None:
-        for one in self.known:
-            register(one)
-        entry, made_from = task
-        found = identify(entry.urdf, entry.recordings, **entry.options)
-        folder = self.output / entry.name
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / _MADE_FROM).unlink(missing_ok=True)
-        write_identified(found, folder)
-        write_whole(folder / _MADE_FROM, made_from.encode())
+def _identify(output: Path, task: tuple[RobotEntry, str]) -> None:
+    """Identify one robot and write its files."""
+    entry, made_from = task
+    found = identify(entry.urdf, entry.recordings, **entry.options)
+    folder = output / entry.name
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / _MADE_FROM).unlink(missing_ok=True)
+    write_identified(found, folder)
+    write_whole(folder / _MADE_FROM, made_from.encode())
 
 
 def _made_from(entry: RobotEntry) -> str:
@@ -166,10 +145,6 @@ def _print(result: FleetComparison) -> None:
         out.print(table)
     if len(told) > _MOST_ROBOTS:
         out.print(f"and {len(told) - _MOST_ROBOTS} more in fleet.json", markup=False)
-
-
-def _reason(error: Exception) -> str:
-    return str(error) if isinstance(error, TorchRBDError | OSError) else f"{type(error).__name__}: {error}"
 
 
 def _reasons(failed: Mapping[str, str]) -> str:

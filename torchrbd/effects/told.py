@@ -7,7 +7,6 @@ EFFECT@PLACE@RECORDING[=FROM:TO]    for effects that act for a time only, [s] fr
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from dataclasses import dataclass
 from torchrbd.effects.base import Effect
 from torchrbd.effects.registry import effect
 from torchrbd.effects.sites import Site, Window
-from torchrbd.errors import OptionError
+from torchrbd.errors import OptionError, closest
 from torchrbd.robot import RobotModel
 
 _SOME_TIME = Window("")
@@ -58,11 +57,9 @@ class ToldEffect:
             raise OptionError(f"'{name}' acts for a time only; tell it as {name}@{self.place}@RECORDING=FROM:TO")
         places = tuple(dict.fromkeys(site.name(robot) for site in sites))
         if self.place not in places:
-            close = difflib.get_close_matches(self.place, places, 1)
-            hint = f"did you mean '{close[0]}'? " if close else ""
+            hints = closest(self.place, places), f"its places are: {', '.join(places) or 'none'}"
             raise OptionError(
-                f"'{name}' has no place '{self.place}' on robot '{robot.name}'; {hint}"
-                f"its places are: {', '.join(places) or 'none'}"
+                f"'{name}' has no place '{self.place}' on robot '{robot.name}'; {' '.join(filter(None, hints))}"
             )
         found = tuple(s for s in sites if s.name(robot) == self.place and self.window in (None, s.window))
         if not found:

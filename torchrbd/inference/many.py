@@ -6,8 +6,9 @@ robot with its own number of turns) is not work that can be stacked over robots;
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
@@ -26,6 +27,7 @@ from torchrbd.robot import RobotModel
 Robot = RobotModel | str | Path | bytes
 Value = TypeVar("Value")
 Sources = TypeVar("Sources")
+Task = TypeVar("Task")
 
 
 @dataclass(frozen=True)
@@ -121,35 +123,45 @@ def identify_and(
             raise OptionError(
                 f"{place}: {len(each)} robots for {len(recordings)} recordings; give one for all, or one for each"
             )
-    counted = {"identified": 0, "failed": 0}
-
-    def told(attempt: Attempt[Value]) -> None:
-        counted["identified" if attempt.error is None else "failed"] += 1
-        tell()
-
-    def tell() -> None:
-        failed = f", {counted['failed']} failed" if counted["failed"] else ""
-        words = f"identified {counted['identified']} of {len(recordings)}{failed}"
-        progress(words, sum(counted.values()) / max(1, len(recordings)))
-
-    tell()
-    work = _Work(then, options, tuple(known_effects().values()))
+    work, told = WithEffects(partial(_identified, then, options)), counted(progress, len(recordings))
     return side_by_side(work, list(zip(each, recordings, strict=True)), jobs=jobs, told=told)
 
 
+def _identified(
+    then: Callable[[Identification, Sources], Value], options: Mapping[str, Any], task: tuple[Robot, Sources]
+) -> Value:
+    robot, sources = task
+    return then(identify(robot, cast(Any, sources), **options), sources)
+
+
 @dataclass(frozen=True)
-class _Work(Generic[Sources, Value]):
-    """One identification and what follows, in any process; all know the same effects."""
+class WithEffects(Generic[Task, Value]):
+    """Work that knows, in any process, the effects that are known where it is made."""
 
-    then: Callable[[Identification, Sources], Value]
-    options: dict[str, Any]
-    known: tuple[Effect, ...]
+    work: Callable[[Task], Value]
+    known: tuple[Effect, ...] = field(default_factory=lambda: tuple(known_effects().values()))
 
-    def __call__(self, task: tuple[Robot, Sources]) -> Value:
+    def __call__(self, task: Task) -> Value:
         for one in self.known:
             register(one)
-        robot, sources = task[0], cast(Any, task[1])
-        return self.then(identify(robot, sources, **self.options), sources)
+        return self.work(task)
+
+
+def counted(progress: Progress, total: int, before: str = "") -> Callable[[Attempt[Any]], None]:
+    """Tell how many of so many have been identified, behind what was ``before``; return what is told of each."""
+    counts = {"identified": 0, "failed": 0}
+
+    def tell() -> None:
+        failed = f", {counts['failed']} failed" if counts["failed"] else ""
+        words = f"{before}identified {counts['identified']} of {total}{failed}"
+        progress(words, sum(counts.values()) / max(1, total))
+
+    def told(attempt: Attempt[Any]) -> None:
+        counts["identified" if attempt.error is None else "failed"] += 1
+        tell()
+
+    tell()
+    return told
 
 
 def _itself(identification: Identification, _: object) -> Identification:

@@ -16,7 +16,6 @@ Files are sought from the YAML file's folder, wherever the work is done.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from typing import Any
 
 import yaml
 
-from torchrbd.errors import OptionError
+from torchrbd.errors import OptionError, closest
 from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.settings import Settings
 from torchrbd.recordings.strict_yaml import strict_yaml
@@ -123,6 +122,5 @@ def _check_keys(content: Any, known: tuple[str, ...], place: str) -> None:
         raise OptionError(f"{place}: expected keys {', '.join(known)}; got {content!r:.50}")
     for key in content:
         if key not in known:
-            close = difflib.get_close_matches(str(key), known, 1)
-            hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(known)}"
+            hint = closest(str(key), known) or f"known: {', '.join(known)}"
             raise OptionError(f"{place}: unknown key '{key}'; {hint}")

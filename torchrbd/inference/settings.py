@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
@@ -14,7 +13,7 @@ from torch import Tensor
 
 from torchrbd.effects import Effect, effect, known_effects
 from torchrbd.effects.told import ToldEffect
-from torchrbd.errors import OptionError
+from torchrbd.errors import OptionError, closest
 from torchrbd.estimators import ESTIMATORS, check_estimators
 from torchrbd.inference.data.payload import Payload
 from torchrbd.recordings import NamedSource, listed_sources
@@ -101,11 +100,8 @@ class Settings:
         known = cls.names()
         for key in options:
             if key not in known:
-                close = difflib.get_close_matches(key, known, 1)
-                raise OptionError(
-                    f"{place}: unknown setting '{key}'"
-                    + (f"; did you mean '{close[0]}'?" if close else f"; known: {', '.join(sorted(known))}")
-                )
+                hint = closest(key, known) or f"known: {', '.join(sorted(known))}"
+                raise OptionError(f"{place}: unknown setting '{key}'; {hint}")
         values = dict(options)
         for key, word in (("holdout", "held-out recording"), ("simulated", "simulated recording")):
             values[key] = tuple(listed_sources(values.get(key), word))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -11,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from torchrbd.errors import RecordingError
+from torchrbd.errors import RecordingError, closest
 from torchrbd.recordings.strict_yaml import strict_yaml
 
 SIGNALS = ("q", "qd", "qdd", "tau", "q_ref", "q_link", "temperature")
@@ -78,7 +77,7 @@ class Mapping:
         for name in self.joints:
             if name != _EVERY_JOINT and name not in joints:
                 raise RecordingError(
-                    f"{self.file}: joints: the robot has no joint '{name}'{closest(name, joints)}; "
+                    f"{self.file}: joints: the robot has no joint '{name}'{meant(name, joints)}; "
                     f"its joints are {', '.join(joints)}"
                 )
 
@@ -114,10 +113,10 @@ def read_mapping(path: str | Path) -> Mapping:
     return Mapping(str(path), time, joints, reader.topic(top.get("topic")), reader.episodes(top.get("episodes")))
 
 
-def closest(name: str, candidates: Iterable[str]) -> str:
-    """Return " (did you mean 'x'?)" for the candidate most like `name`, or nothing if none is alike."""
-    alike = difflib.get_close_matches(name, list(candidates), n=1)
-    return f" (did you mean '{alike[0]}'?)" if alike else ""
+def meant(name: str, known: Iterable[str]) -> str:
+    """Return `closest` in brackets, behind a space."""
+    hint = closest(name, known)
+    return f" ({hint})" if hint else ""
 
 
 def chosen_topic(topics: dict[str, str], mapping: Mapping, place: str) -> str:
@@ -141,7 +140,7 @@ def chosen_topic(topics: dict[str, str], mapping: Mapping, place: str) -> str:
         )
     if mapping.topic not in topics:
         raise RecordingError(
-            f"{place}: topic: no joint states in '{mapping.topic}'{closest(mapping.topic, topics)}; there are {listed}"
+            f"{place}: topic: no joint states in '{mapping.topic}'{meant(mapping.topic, topics)}; there are {listed}"
         )
     return mapping.topic
 
@@ -163,7 +162,7 @@ class _Reader:
             if not isinstance(key, str):
                 raise self.fail(f"{where}: the key {key!r} must be text; put it in quotes")
             if keys is not None and key not in keys:
-                hint = closest(key, keys)
+                hint = meant(key, keys)
                 raise self.fail(f"{where}: unknown key '{key}'{hint}; valid keys are {', '.join(keys)}")
         return value
 

@@ -9,7 +9,7 @@ from itertools import compress
 import numpy as np
 
 from torchrbd.errors import RecordingError
-from torchrbd.recordings.mapping import Mapping, Source, closest
+from torchrbd.recordings.mapping import Mapping, Source, meant
 
 OPTIONAL_SIGNALS = ("qd", "qdd", "q_ref")
 """What all joints have or none."""
@@ -56,7 +56,7 @@ def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place
     missing = list(dict.fromkeys(source.column for source in required if source.column not in present))
     if missing:
         raise RecordingError(
-            f"{place}: missing columns: {', '.join(missing)}{closest(missing[0], columns)}; "
+            f"{place}: missing columns: {', '.join(missing)}{meant(missing[0], columns)}; "
             f"present: {', '.join(columns)}; give a mapping if they have other names"
         )
     there = {key: np.array([s.column in present for s in wanted[key]]) for key in ("tau", *PARTIAL_SIGNALS)}
