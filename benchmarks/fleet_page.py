@@ -14,6 +14,7 @@ import json
 import os
 import re
 import time
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,6 +27,9 @@ from rich.console import Console
 from simulated import Motion, joint_names, record, with_wrong_inertials
 
 from torchrbd.cli import main as torchrbd
+from torchrbd.diagnosis.fleet.compare import compare_fleet
+from torchrbd.inference.robots_file import read_robots
+from torchrbd.report.fleet import write_fleet_report
 
 VISCOUS, COULOMB, SCATTER = 0.3, 0.8, 0.1
 LINK, JOINT = "forearm", 4
@@ -76,6 +80,20 @@ def write_fleet(folder: Path, robots: int, seconds: float) -> dict[str, str]:
     return planted
 
 
+def listing_s(listed: Path) -> float:
+    """Return the seconds that reading a list of robots takes."""
+    start = time.perf_counter()
+    read_robots(listed)
+    return time.perf_counter() - start
+
+
+def page_s(folder: Path, names: Sequence[str]) -> float:
+    """Return the seconds that comparing robots which are identified and writing their page take."""
+    start = time.perf_counter()
+    write_fleet_report(compare_fleet(folder, names), folder / "again.html")
+    return time.perf_counter() - start
+
+
 def main() -> None:
     """Print seconds and what was told."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -100,6 +118,11 @@ def main() -> None:
         console.print(
             f"exit code {code}; {given.robots} robots: {seconds:.0f} s, {seconds / given.robots:.2f} s a robot, "
             f"{spent / given.robots:.2f} processor seconds a robot; load {os.getloadavg()[0]:.1f}"
+        )
+        size = sum(file.stat().st_size for file in (folder / "out").rglob("*")) / given.robots
+        console.print(
+            f"{size / 1e6:.2f} MB a robot; by one process: reading the list {listing_s(listed):.2f} s, comparing and "
+            f"writing the page {page_s(folder / 'out', [one['name'] for one in found]):.2f} s"
         )
         for name, what in planted.items():
             console.print(f"planted in {name}: {what}; told: {', '.join(told.pop(name, [])) or 'nothing'}")
