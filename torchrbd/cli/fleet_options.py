@@ -12,8 +12,9 @@ DIR/<recording>.stats holds second moments, what the recording is (name, size, S
 on: kinematics and gravity of the robot, cut-off, options, version. From them,
   torchrbd identify ROBOT.urdf DIR/*.stats -o OUT
 gives, to rounding, what 'identify ROBOT.urdf RECORDING... --estimator moments --cutoff HZ' gives. Clocks, sticking,
-units and position noise are not looked into; 'diagnose' needs the recordings. Files that are there and up to date are
-not made again. Several processes, on one machine or on more that share the folders:
+units and position noise are not looked into; effects whose shape is sought in a recording's range (Stribeck's friction,
+ripple, stops) are refused; 'diagnose' needs the recordings. Files that are there and up to date are not made again.
+Several processes, on one machine or on more that share the folders:
   torchrun --nproc-per-node 2 -m torchrbd stats ROBOT.urdf RECORDING... --cutoff HZ -o DIR"""
 
 

@@ -13,10 +13,14 @@ part of u is the error of the median. A robot differs where
 
     N P p(z_ik) < 0.01   and   |x_ik - m_k| > f v_k
 
-with N robots and P parameters (Bonferroni), so that of a hundred fleets of equal robots one has a false alarm. p is the
-two-sided probability of Student's t with 0.37 (n - 1) L (1 + u^2 / t^2)^2 degrees of freedom (Welch, Satterthwaite;
-0.37 is the efficiency of a median of absolute deviations). f is a trifle that nobody would call a difference, 2 % of a
-coefficient and 0.5 % of the bodies in a base parameter. Medians want more than half of the sisters to be sound.
+with N robots and P parameters (Bonferroni). p is the two-sided probability of Student's t with
+0.37 (n - 1) L (1 + u^2 / t^2)^2 degrees of freedom (Welch, Satterthwaite; 0.37 is the efficiency of a median of
+absolute deviations). f is a trifle that nobody would call a difference, 2 % of a coefficient and 0.5 % of the bodies in
+a base parameter. Medians want more than half of the sisters to be sound.
+
+Of a hundred fleets of equal robots one should have a false alarm. That is so where sisters are many, and fewer have one
+where only errors make them differ; of small fleets that scatter more do, three of a hundred with six robots, since t is
+then hardly known (``benchmarks/fleet_alarms.py``).
 
 Source: Rousseeuw, Croux, "Alternatives to the median absolute deviation", JASA 1993: 1.4826, 0.37; Croux, Rousseeuw,
 "Time-efficient algorithms for two highly robust estimators of scale", COMPSTAT 1992: b, there for n > 9.
@@ -38,9 +42,9 @@ from torchrbd.diagnosis.fleet.results import Deviation, Member
 from torchrbd.diagnosis.results import Quantity
 
 LEVEL = 0.01
-"""Probability of a false alarm in a fleet."""
+"""Probability of a false alarm in a fleet that is aimed at."""
 LEAST_SISTERS = 6
-"""Of five that scatter, nine fleets of a hundred had a false alarm."""
+"""Fewer tell too little of how far they scatter."""
 _NORMAL, _EFFICIENCY, _LEAST_SHARE = 1.4826, 0.37, 1e-9
 
 
