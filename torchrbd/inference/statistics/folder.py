@@ -101,7 +101,7 @@ def write_merged(files: Sequence[Path], output: Path, ranks: Ranks) -> None:
 
     Every block is filled by one process and zero in the others, so that sums are exact, whatever the number of them.
     """
-    own = ranks.own(range(len(files)))
+    own = frozenset(ranks.own(range(len(files))))
     every = {k: head for part in ranks.gathered({k: read_head(files[k]) for k in own}) for k, head in part.items()}
     found = merging.merged([every[k] for k in sorted(every)], own)
     *moments, torque = map(ranks.summed, (*found.moments, found.torque))
