@@ -28,7 +28,7 @@ from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.smoothing import smooth, smoothable
 from torchrbd.inference.stick_levels import stick_levels
-from torchrbd.likelihood.block_statistics import BlockStatistics
+from torchrbd.likelihood.block_statistics import BlockStatistics, nearest_block
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.scales import covered_scales, with_loads
@@ -111,20 +111,9 @@ class Prepared:
         return self.reading.tiles(k)
 
     def kept_back(self, recording: str, t: Tensor) -> Tensor:
-        """Say which times (N,) of a recording lie in held-out blocks, bool.
-
-        Between blocks and beyond them, where another filter may have outputs, the nearest block counts.
-        """
-        own = [
-            (block.start_s, block.end_s, held)
-            for block, held in zip(self.statistics.blocks, self.held_out.tolist(), strict=True)
-            if block.recording == recording
-        ]
-        if not own:
-            return torch.zeros(len(t), dtype=torch.bool)
-        starts, ends, held = zip(*sorted(own), strict=True)
-        between = [0.5 * (end + start) for end, start in zip(ends[:-1], starts[1:], strict=True)]
-        return torch.tensor(held)[torch.bucketize(t.contiguous(), torch.tensor(between, dtype=t.dtype))]
+        """Say which times (N,) of a recording lie in held-out blocks, bool."""
+        block = nearest_block(self.statistics.blocks, recording, t)
+        return (block >= 0) & self.held_out[block]
 
 
 def prepare(

@@ -103,6 +103,19 @@ class BlockStatistics:
         return second / weight - (first / weight) ** 2
 
 
+def nearest_block(blocks: Sequence[Block], recording: str, t: Tensor) -> Tensor:
+    """Return which of a recording's blocks is nearest to each time (N,), its number among all; -1 if it has none.
+
+    Between blocks and beyond them another filter than that of the blocks may have outputs.
+    """
+    own = sorted((block.start_s, block.end_s, k) for k, block in enumerate(blocks) if block.recording == recording)
+    if not own:
+        return torch.full((len(t),), -1)
+    starts, ends, numbers = zip(*own, strict=True)
+    between = [0.5 * (end + start) for end, start in zip(ends[:-1], starts[1:], strict=True)]
+    return torch.tensor(numbers)[torch.bucketize(t.contiguous(), torch.tensor(between, dtype=t.dtype))]
+
+
 def assemble(columns: Columns, totals: Sequence[Tensor], weights: Tensor) -> tuple[Tensor, Tensor]:
     """Return the normal equations H = sum_j w_j A_j (n, n) and h = sum_j w_j a_j' tau_j (n,).
 

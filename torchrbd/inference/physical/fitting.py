@@ -227,12 +227,21 @@ def beside_constant(fitted: BlockStatistics, judged: BlockStatistics, x: Tensor)
         judged: blocks to predict.
         x: coefficients (n,).
     """
+    squares, constant = squares_beside_constant(fitted, judged, x)
+    return torch.where(constant > 0, squares / constant.clamp_min(1e-300), torch.nan)
+
+
+def squares_beside_constant(fitted: BlockStatistics, judged: BlockStatistics, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the squared errors of coefficients x and of a constant, (n_dof,) each, as of ``beside_constant``.
+
+    Both are zero where it is not a number.
+    """
     count, total, _ = fitted.torque.sum(0).unbind(-1)
     mean = total / count.clamp_min(1e-300)
     n, first, second = judged.torque.sum(0).unbind(-1)
     constant = second - 2.0 * mean * first + mean.square() * n
     told = (count > 0) & (constant > _LEAST_VARIANCE * second)
-    return torch.where(told, judged.squared_error(x).sum(0) / constant.clamp_min(1e-300), torch.nan)
+    return told * judged.squared_error(x).sum(0), told * constant
 
 
 def predict(columns: Columns, x: Tensor, states: States) -> Tensor:

@@ -6,7 +6,8 @@ Two models are tried. The shape alone, joint by joint, with the URDF's torque s_
 
 costs one recursion over the samples and tells which writings are worth the second: the rigid body re-fitted with the
 URDF's inertials as its prior, always physical, and friction that may differ by direction. Samples that are spread over
-all recordings stand for long ones.
+all recordings stand for long ones. It is judged on four parts of the time, each left out of the fit in turn: that a
+recording is short does not leave it untold.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ import torch
 from torch import Tensor
 
 from torchrbd.effects import effect
-from torchrbd.inference.physical.fitting import beside_constant, fit_model, term_candidates
+from torchrbd.inference.physical.fitting import fit_model, squares_beside_constant, term_candidates
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.suspicions.writing import Writing
-from torchrbd.likelihood.block_statistics import Block, BlockStatistics
+from torchrbd.likelihood.block_statistics import Block, BlockStatistics, nearest_block
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.scales import covered_scales
@@ -35,7 +36,8 @@ from torchrbd.robot import pseudo_inertia
 _MOST_STATES, _LEAST_RATE_HZ, _RATE_CYCLES = 30_000, 60.0, 10.0
 # A part of a torque's power that is none.
 _NOTHING = 1e-9
-_PARTS = (Block("fitted", 0.0, 0.0), Block("held out", 0.0, 0.0))
+# Parts of the time that are left out of the fit in turn.
+_MOST_PARTS = 4
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,9 @@ class Explained:
     """How well a re-fitted ordinary model explains a writing.
 
     Attributes:
-        error: (n_dof,) squared error on held-out time over that of a constant, the mean of what was fitted; NaN for a
-            joint that is not judged.
-        divergence: D of the bodies from the URDF's, see ``urdf_prior``.
+        error: (n_dof,) squared error on time left out of the fit over that of a constant, the mean of what was fitted;
+            NaN for a joint that is not judged.
+        divergence: D of the bodies from the URDF's, see ``urdf_prior``, the mean over the fits.
     """
 
     error: Tensor
@@ -90,8 +92,8 @@ class Samples:
 
     Attributes:
         robot: as the URDF gives it.
-        judged: (n_dof,) bool, joints with torque both where it is fitted and where it is held out.
-        blocks: of held-out time.
+        judged: (n_dof,) bool, joints whose torque varies in two parts of the time or more.
+        blocks: of time, whose errors are independent.
         kappa: weight of the URDF's inertials.
     """
 
@@ -102,6 +104,8 @@ class Samples:
         effects = [effect(name) for name in ORDINARY_EFFECTS]
         self._columns = Columns(self.robot, effects, covered_scales(reading.surveys, reading.filtering))
         self._terms = term_candidates(self._columns, ORDINARY_EFFECTS)
+        self.blocks = len(prepared.statistics)
+        self._parts = min(self.blocks, _MOST_PARTS)
         self._tiles: list[States] = []
         parts: list[tuple[Tensor, ...]] = []
         features: list[list[Tensor]] = []
@@ -110,16 +114,15 @@ class Samples:
             self._tiles.append(thin)
             measured = reading.measured(k).unsqueeze(1)
             weight = reading.filtering.effective_rate * states.dt_out * self._columns.weight(thin) * measured
-            held = prepared.kept_back(states.recording, states.t_out)
-            parts.append((states.decimate(torch.nan_to_num(states.tau)), weight, held.unsqueeze(0)))
+            block = nearest_block(prepared.statistics.blocks, states.recording, states.t_out)
+            part = block * self._parts // self.blocks
+            parts.append((states.decimate(torch.nan_to_num(states.tau)), weight, part.unsqueeze(0)))
             features.append([thin.decimate(f) for f in self._columns.features(thin)])
-        self._tau, self._weight, held = (torch.cat(x, 1) for x in zip(*parts, strict=True))
-        self._held = held.flatten()
+        self._tau, self._weight, part = (torch.cat(x, 1) for x in zip(*parts, strict=True))
+        self._in_part = part.flatten() == torch.arange(self._parts).unsqueeze(1)
         self._features = [torch.cat(x, 1) for x in zip(*features, strict=True)]
         self._design: tuple[object, list[Tensor]] = None, []
-        fitted, judged = (self._varies(part) for part in (~self._held, self._held))
-        self.judged = fitted & judged
-        self.blocks = int(prepared.held_out.sum())
+        self.judged = torch.stack([self._varies(part) for part in self._in_part]).sum(0) > 1
 
     def _varies(self, part: Tensor) -> Tensor:
         """Return the joints whose torque varies in a part of the samples, (n_dof,) bool."""
@@ -149,31 +152,33 @@ class Samples:
         return Shape(left, share, gain)
 
     def explained(self, writing: Writing, tightness: float = 1.0) -> Explained:
-        """Re-fit the ordinary model to a writing and judge it on held-out time.
+        """Re-fit the ordinary model to a writing, without each part of the time in turn, and judge it there.
 
         Args:
             writing: what the columns are to mean.
             tightness: how many times the URDF's inertials weigh what the user lets them.
         """
         whole = self._statistics(writing)
-        fitted, held = (whole.select(torch.tensor(part)) for part in ((True, False), (False, True)))
-        prior = data_prior(fitted, self._trusted, tightness * self.kappa)
-        x = fit_model(fitted, prior, self._terms).x
-        error = beside_constant(fitted, held, x)
-        return Explained(torch.where(self.judged, error, torch.nan), _divergence(prior, x))
+        squares, divergence = torch.zeros(2, self.robot.n_dof, dtype=torch.float64), 0.0
+        for left_out in torch.eye(self._parts, dtype=torch.bool):
+            fitted = whole.select(~left_out)
+            prior = data_prior(fitted, self._trusted, tightness * self.kappa)
+            x = fit_model(fitted, prior, self._terms).x
+            squares += torch.stack(squares_beside_constant(fitted, whole.select(left_out), x))
+            divergence += _divergence(prior, x) / self._parts
+        return Explained(torch.where(self.judged, squares[0] / squares[1], torch.nan), divergence)
 
     def _statistics(self, writing: Writing) -> BlockStatistics:
-        """Return the moments of what is fitted and of what is held out, one block each."""
+        """Return the moments of the parts of the time, one block each."""
         tau, weight = writing.torque(self._tau), self._weight[list(writing.tau_order)]
-        parts = ~self._held, self._held
         moments = []
         for row, t, w in zip(self._rows(writing), tau, weight, strict=True):
             a = torch.cat((row, t.unsqueeze(0)))
-            moments.append(torch.stack([(a[:, part] * w[part]) @ a[:, part].T for part in parts]))
+            moments.append(torch.stack([(a[:, part] * w[part]) @ a[:, part].T for part in self._in_part]))
         powers = torch.stack((weight, weight * tau, weight * tau.square()), -1)
-        return BlockStatistics(
-            self._columns, _PARTS, tuple(moments), torch.stack([powers[:, part].sum(1) for part in parts])
-        )
+        blocks = tuple(Block(f"part {k}", 0.0, 0.0) for k in range(self._parts))
+        torque = torch.stack([powers[:, part].sum(1) for part in self._in_part])
+        return BlockStatistics(self._columns, blocks, tuple(moments), torque)
 
     def _rows(self, writing: Writing) -> list[Tensor]:
         """Return the regressor and friction's features of each joint, (p_j, M); the last ones are remembered."""
