@@ -42,6 +42,11 @@ class Hypothesis:
     writing: Writing
     unit: str = ""
 
+    @property
+    def is_swap(self) -> bool:
+        """Say whether columns of two joints are exchanged."""
+        return self.kind.startswith("swapped")
+
 
 def hypotheses(
     robot: RobotModel, now: Writing, worst: Sequence[int], converted: Collection[str]

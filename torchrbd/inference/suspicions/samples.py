@@ -13,7 +13,7 @@ recording is short does not leave it untold.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -36,6 +36,7 @@ from torchrbd.robot import pseudo_inertia
 _MOST_STATES, _LEAST_RATE_HZ, _RATE_CYCLES = 30_000, 60.0, 10.0
 # A part of a torque's power that is none.
 _NOTHING = 1e-9
+_SPRING = "joint_spring"
 # Parts of the time that are left out of the fit in turn.
 _MOST_PARTS = 4
 
@@ -101,9 +102,12 @@ class Samples:
         reading = prepared.reading
         self.robot, self.kappa = reading.robot, prepared.prior.kappa
         self._trusted = {name for b, name in enumerate(self.robot.body_names) if b not in prepared.prior.bodies}
-        effects = [effect(name) for name in ORDINARY_EFFECTS]
+        effects = [effect(name) for name in (*ORDINARY_EFFECTS, _SPRING)]
         self._columns = Columns(self.robot, effects, covered_scales(reading.surveys, reading.filtering))
-        self._terms = term_candidates(self._columns, ORDINARY_EFFECTS)
+        self._terms, springs = (term_candidates(self._columns, of) for of in (ORDINARY_EFFECTS, (_SPRING,)))
+        self._with_springs = (*self._terms, *springs)
+        of_springs = {label for c in springs for label in c.labels}
+        self._plain = [torch.tensor([label not in of_springs for label in own]) for own in self._columns.labels]
         self.blocks = len(prepared.statistics)
         self._parts = min(self.blocks, _MOST_PARTS)
         self._tiles: list[States] = []
@@ -141,7 +145,7 @@ class Samples:
         for j, place in enumerate(writing.q_order):
             for i in torch.nonzero(self.judged).flatten().tolist():
                 w = self._weight[i].sqrt()
-                F, _ = torch.linalg.qr((self._features[place] * w).T)
+                F, _ = torch.linalg.qr((self._features[place][self._plain[place]] * w).T)
                 s, t = modelled[j] * w, self._tau[i] * w
                 power, torque = float(s @ s), float(t @ t)
                 s, t = s - F @ (F.T @ s), t - F @ (F.T @ t)
@@ -151,26 +155,33 @@ class Samples:
                     share[j, i] = gain[j, i] * abs(float(s @ t)) / torque
         return Shape(left, share, gain)
 
-    def explained(self, writing: Writing, tightness: float = 1.0) -> Explained:
+    def explained(
+        self, writing: Writing, *, tightness: float = 1.0, springs: bool = False, unread: Sequence[int] = ()
+    ) -> Explained:
         """Re-fit the ordinary model to a writing, without each part of the time in turn, and judge it there.
 
         Args:
             writing: what the columns are to mean.
             tightness: how many times the URDF's inertials weigh what the user lets them.
+            springs: whether every joint has one.
+            unread: joints whose torque is taken for that of something else: a constant explains it as well.
         """
-        whole = self._statistics(writing)
+        whole, terms = self._statistics(writing, unread), self._with_springs if springs else self._terms
         squares, divergence = torch.zeros(2, self.robot.n_dof, dtype=torch.float64), 0.0
         for left_out in torch.eye(self._parts, dtype=torch.bool):
             fitted = whole.select(~left_out)
             prior = data_prior(fitted, self._trusted, tightness * self.kappa)
-            x = fit_model(fitted, prior, self._terms).x
+            x = fit_model(fitted, prior, terms).x
             squares += torch.stack(squares_beside_constant(fitted, whole.select(left_out), x))
             divergence += _divergence(prior, x) / self._parts
-        return Explained(torch.where(self.judged, squares[0] / squares[1], torch.nan), divergence)
+        error = torch.where(self.judged, squares[0] / squares[1], torch.nan)
+        error[list(unread)] = 1.0
+        return Explained(error, divergence)
 
-    def _statistics(self, writing: Writing) -> BlockStatistics:
+    def _statistics(self, writing: Writing, unread: Sequence[int] = ()) -> BlockStatistics:
         """Return the moments of the parts of the time, one block each."""
         tau, weight = writing.torque(self._tau), self._weight[list(writing.tau_order)]
+        weight[list(unread)] = 0.0
         moments = []
         for row, t, w in zip(self._rows(writing), tau, weight, strict=True):
             a = torch.cat((row, t.unsqueeze(0)))

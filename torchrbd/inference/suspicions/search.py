@@ -4,9 +4,10 @@ A writing h of the table is likelier than another, 0, by
 
     log odds = sum_j N/2 log(e_j0 / e_jh) + 3 sum_j log(l_j0 / l_jh)
 
-with e the squared error of the re-fitted ordinary model on held-out time, or that of a constant where it is less: a
-writing has to beat knowing nothing too. Each held-out block counts once, but no more than 8 of them: what a model
-leaves out it leaves out in all of them, so that more of the same does not tell more. l is max(1, how many times a joint
+with e the squared error of the re-fitted ordinary model on time that is left out of the fit, or that of a constant
+where it is less: a writing has to beat knowing nothing too, and its rivals (``rivals.py``). Each of the N blocks counts
+once, but no more than 8 of them: what a model leaves out it leaves out in all of them, so that more of the same does
+not tell more. l is max(1, how many times a joint
 goes beyond the URDF's limits of position and of speed), or the clock beyond those of robots, 5 Hz to 20 kHz. Limits are
 often wrong by a factor, rarely by ten: the probability to be x times beyond falls as x^-3.
 
@@ -15,7 +16,7 @@ Torques in another unit are told by the bodies, whose divergence D from the URDF
     log odds = kappa D_0 - 10 kappa D_h - 5 per gain + sum_j N/2 log(e_j0 / e_jh)
 
 both fitted at ten times the weight of the URDF: what is left of the divergence must be a tenth. A gain costs what it
-takes to choose it among many decades. That torques have the shape of the URDF's at all must have the same odds.
+takes to choose it among many decades. That a joint's torque has the shape of the URDF's at all must have the same odds.
 
 A table is suspected from odds of 1000 on, whatever the hypothesis: that is how rare wrong tables are among those that
 look otherwise.
@@ -35,6 +36,7 @@ from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.suspicions import words
 from torchrbd.inference.suspicions.hypotheses import TESTED, Hypothesis, gains, hypotheses
 from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicion, Suspicions
+from torchrbd.inference.suspicions.rivals import rivals
 from torchrbd.inference.suspicions.samples import Explained, Samples
 from torchrbd.inference.suspicions.writing import Writing
 from torchrbd.recordings import Survey
@@ -74,10 +76,9 @@ def suspicions(prepared: Prepared) -> Suspicions:
     base = samples.explained(now)
     found: list[Suspicion] = []
     while len(found) < _MOST_TOLD:
-        tried = _tried(samples, prepared, now, base)
-        likely = [one for one in tried if one.log_odds > BOUND]
+        likely = [one for one in _tried(samples, prepared, now, base) if _is_told(one, samples, now)]
         best, alike = (likely or [None])[0], [one for one in likely[1:] if one.log_odds > likely[0].log_odds - BOUND]
-        if best is None or (_is_swap(best) and any(_is_swap(o) and not _same_joints(o, best) for o in alike)):
+        if best is None or (best.hypothesis.is_swap and any(_swaps_others(one, best) for one in alike)):
             break
         found.append(words.told(best.hypothesis, [o.hypothesis for o in alike], best.log_odds, best.ratio, prepared))
         now, base = best.hypothesis.writing, best.explained
@@ -91,31 +92,43 @@ def suspicions(prepared: Prepared) -> Suspicions:
     return Suspicions(tuple(found), TESTED)
 
 
-def _is_swap(one: _Tried) -> bool:
-    return one.hypothesis.kind.startswith("swapped")
+def _is_told(one: _Tried, samples: Samples, now: Writing) -> bool:
+    """Say whether a hypothesis is far likelier than the table as it stands, and than its rivals."""
+    if one.log_odds <= BOUND:
+        return False
+    against = (_nats(samples, rival, held) for rival, held in rivals(one.hypothesis, one.explained, samples, now))
+    return all(odds > BOUND for odds in against)
 
 
-def _same_joints(one: _Tried, other: _Tried) -> bool:
-    return one.hypothesis.joints == other.hypothesis.joints
+def _swaps_others(one: _Tried, best: _Tried) -> bool:
+    return one.hypothesis.is_swap and one.hypothesis.joints != best.hypothesis.joints
+
+
+def _nats(samples: Samples, before: Explained, after: Explained) -> float:
+    """Return sum_j N/2 log(e_before / e_after)."""
+    return _weight(samples) * float((before.known / after.known)[samples.judged].log().sum())
+
+
+def _weight(samples: Samples) -> float:
+    """Return N/2, how much the log of an error counts."""
+    return 0.5 * min(samples.blocks, _MOST_BLOCKS)
 
 
 def _other_unit(samples: Samples, now: Writing) -> _Tried | None:
     """Return torques in another unit, if that explains why the bodies are far from the URDF's."""
-    number, shape = 0.5 * min(samples.blocks, _MOST_BLOCKS), samples.shape(now)
-    if number * float(shape.likeness(now)[samples.judged].log().sum()) < BOUND:
-        return None
-    base, gain = samples.explained(now, _TIGHT), shape.gain
-    signs = [math.copysign(1.0, x) for x in now.tau_scale]
+    shape, signs = samples.shape(now), [math.copysign(1.0, x) for x in now.tau_scale]
+    alike = samples.judged & (_weight(samples) * shape.likeness(now).log() > BOUND)
     told = [
-        sign * float(gain[j, i]) if bool(samples.judged[j]) else 0.0
+        sign * float(shape.gain[j, i]) if bool(alike[j]) else 0.0
         for j, (i, sign) in enumerate(zip(now.tau_order, signs, strict=True))
     ]
+    base = samples.explained(now, tightness=_TIGHT)
     best = None
     for h in gains(now, told):
-        one = samples.explained(h.writing, _TIGHT)
-        ratio = (base.known / one.known)[samples.judged].log().sum()
+        one = samples.explained(h.writing, tightness=_TIGHT)
         cost = _GAIN_COST * (1 if h.unit == "all" else len(h.joints))
-        odds = samples.kappa * (base.divergence - _TIGHT * one.divergence) - cost + number * float(ratio)
+        bodies = samples.kappa * (base.divergence - _TIGHT * one.divergence)
+        odds = bodies - cost + _nats(samples, base, one)
         if odds > max(BOUND, best.log_odds if best else 0.0):
             best = _Tried(h, one, odds, base.known / one.known)
     return best
@@ -123,7 +136,7 @@ def _other_unit(samples: Samples, now: Writing) -> _Tried | None:
 
 def _tried(samples: Samples, prepared: Prepared, now: Writing, base: Explained) -> list[_Tried]:
     """Return the hypotheses that explain the shape of the torques better than now, re-fitted, the likeliest first."""
-    robot, number = samples.robot, 0.5 * min(samples.blocks, _MOST_BLOCKS)
+    robot = samples.robot
     surveys, converted = prepared.reading.surveys, _converted(prepared)
     shape, beyond = samples.shape(now), _beyond(robot, surveys, now)
     own = shape.error(now)
@@ -135,16 +148,15 @@ def _tried(samples: Samples, prepared: Prepared, now: Writing, base: Explained) 
             shapes[h.writing.motion] = samples.shape(h.writing)
         ratio = own / shapes[h.writing.motion].error(h.writing)
         limits = _LIMIT_POWER * (beyond - _beyond(robot, surveys, h.writing))
-        odds = number * float(ratio[samples.judged].log().sum()) + limits
+        odds = _weight(samples) * float(ratio[samples.judged].log().sum()) + limits
         if odds > 0:
             promising.append((odds, h))
     found = []
     for _, h in sorted(promising, key=lambda pair: -pair[0])[:_MOST_FITTED]:
         explained = samples.explained(h.writing)
-        ratio = base.known / explained.known
-        times = float(ratio[samples.judged].log().sum())
         limits = _LIMIT_POWER * (beyond - _beyond(robot, surveys, h.writing))
-        found.append(_Tried(h, explained, number * times + limits, ratio))
+        odds = _nats(samples, base, explained) + limits
+        found.append(_Tried(h, explained, odds, base.known / explained.known))
     return sorted(found, key=lambda one: -one.log_odds)
 
 
