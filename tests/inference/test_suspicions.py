@@ -185,6 +185,31 @@ def test_right_tables_are_not_suspected(seed: int) -> None:
         assert suspected(given, recording).found == ()
 
 
+def test_springs_are_not_another_gravity() -> None:
+    """Springs at slides are imitated by joints that gravity turns, if it is along another axis."""
+    urdf = random_urdf(304, 7, kinds=("revolute", "prismatic"), branching=0.2, massless=0.0)
+    recording = record(urdf, 4, extra=lambda motion: 2.0 * np.sign(motion.qd) + 3.0 * (motion.q - 0.4), duration_s=20.0)
+    assert suspected(urdf, recording).found == ()
+
+
+@pytest.mark.parametrize("samples", [1, -2])
+def test_torques_of_another_sample(samples: int, tmp_path: Path) -> None:
+    """They are said, leave no doubt, and the mapping that is told reads them with their motion."""
+    late = {**table(arrays()), **{f"tau_{n}": np.roll(arrays()["tau"][:, k], samples) for k, n in enumerate(NAMES)}}
+    late = {name: column[5:-5] for name, column in late.items()}
+    found = torchrbd.identify(URDF, late)
+    (one,) = found.suspicions.found
+    way = "1 sample later" if samples == 1 else "2 samples earlier"
+    assert one.statement.startswith(f"the torques are {way} than the motion (")
+    assert not one.settles
+    assert found.doubts == ()
+    assert one.words in found.notes
+    (tmp_path / "map.yaml").write_text(one.remedy.split("'")[1])
+    mended = torchrbd.identify(URDF, late, mapping=tmp_path / "map.yaml")
+    assert mended.suspicions.found == ()
+    assert "torques of an earlier or a later sample" in mended.suspicions.tested
+
+
 def test_the_demo_is_not_suspected() -> None:
     found = suspected(DEMO / "arm.urdf", DEMO / "fit.parquet", holdout=DEMO / "holdout.parquet")
     assert found.found == ()
@@ -210,6 +235,28 @@ def test_real_recordings_are_not_suspected(folder: str, files: list[str], option
     held = {"holdout": [at / f for f in options["holdout"]]} if "holdout" in options else {}
     found = suspected(at / "robot.urdf", [at / f for f in files], **{**options, **held})
     assert found.found == ()
+
+
+@needs_data
+@pytest.mark.parametrize(("one", "other"), [("A1", "A2"), ("A3", "A5"), ("A4", "A6")])
+def test_exchanged_torques_of_one_short_real_recording(one: str, other: str, tmp_path: Path) -> None:
+    """Ten seconds, and as a mapping does it."""
+    assert DATA is not None
+    at = DATA / "kuka_kr300"
+    entries = f"{one}: {{tau: tau_{other}}}, {other}: {{tau: tau_{one}}}"
+    (tmp_path / "map.yaml").write_text(f"joints: {{{entries}}}")
+    (found,) = suspected(at / "robot.urdf", at / "A.csv", mapping=tmp_path / "map.yaml").found
+    assert (found.kind, found.joints) == ("swapped torques", (one, other))
+    assert f"{one}: {{tau: tau_{one}}}" in found.remedy
+
+
+@needs_data
+@pytest.mark.parametrize("name", ["C_20220914_172144_acrobot_lqr.csv", "C_20220914_184506_acrobot_tvlqr.csv"])
+def test_a_joint_that_is_not_driven_is_not_suspected(name: str) -> None:
+    """Its torque is none, and of no other joint or unit."""
+    assert DATA is not None
+    at = DATA / "dfki_double_pendulum"
+    assert suspected(at / "robot_C.urdf", at / name).found == ()
 
 
 @needs_data

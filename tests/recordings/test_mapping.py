@@ -73,10 +73,20 @@ def test_short_form_and_precedence(tmp_path):
     assert np.concatenate([chunk.q[0], chunk.tau[0]]).tolist() == [1, 2, 3, 4]
 
 
+def test_delay_of_torques(tmp_path):
+    mapping = read_mapping(write(tmp_path, "torque_delay: -0.004"))
+    path = tmp_path / "r.csv"
+    path.write_text("t,q_a,tau_a\n0,1,2\n")
+    assert open_recording(path, ["a"], mapping=mapping).torque_delay_s == -0.004
+    assert open_recording(path, ["a"], mapping=mapping).of_joints(["a"]).torque_delay_s == -0.004
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("jonts: {}", r"the file: unknown key 'jonts' \(did you mean 'joints'\?\); valid keys are time, joints"),
+        ("torque_delay: true", "torque_delay: expected a number, got True"),
+        ("torque_delay: 4", "torque_delay: expected seconds, at most 1 either way, got 4"),
         ("joints: {a: {tua: x}}", r"joints.a: unknown key 'tua' \(did you mean 'tau'\?\)"),
         ("joints: {a: {q: {column: x, units: deg}}}", r"joints.a.q: unknown key 'units' \(did you mean 'unit'\?\)"),
         (
@@ -93,7 +103,7 @@ def test_short_form_and_precedence(tmp_path):
         ("joints: [a]", r"joints: expected one key for each joint, got \['a'\]"),
         ("joints: {1: {}}", "the key 1 must be text"),
         ("time: {column: t, unit: h}", "time.unit: unknown unit 'h'; valid units are s, ms, us, ns"),
-        ("", "the file: expected time or joints or topic or episodes, got None"),
+        ("", "the file: expected time or joints or topic or episodes or torque_delay, got None"),
         ("a: [", "not valid YAML"),
     ],
 )

@@ -1,5 +1,7 @@
 """Check the chain from rows to tiles."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -34,6 +36,21 @@ def test_states_and_torque_match_the_motion():
         assert np.abs(part.qd.numpy().T - qd).max() < 1e-3
         assert np.abs(part.qdd.numpy().T - qdd).max() < 1e-2
         assert np.allclose(part.tau.numpy().T, torque(part.t.numpy()), atol=1e-9)
+
+
+@pytest.mark.parametrize("delay", [0.004, -0.008, 0.0133])
+@pytest.mark.parametrize("rows", [1, 333, 100000])
+def test_torques_that_are_written_late_are_those_of_the_motion(delay, rows):
+    written = dataclasses.replace(clean_recording(CLOCK, tau=torque(CLOCK - delay)), torque_delay_s=delay)
+    t, got = outputs(written, rows)
+    t_on_time, got_on_time = outputs(clean_recording(CLOCK), rows)
+    error, on_time = np.abs(got - truth(t)).max(1), np.abs(got_on_time - truth(t_on_time)).max(1)
+    assert np.allclose(error, on_time, rtol=1e-3)
+    unaware = outputs(dataclasses.replace(written, torque_delay_s=0.0), rows)[1]
+    assert np.abs(unaware[6:] - truth(t)[6:]).max() > 2 * on_time[6:].max()
+    # An end that lacks the torque is left out.
+    last = max(float(part.t[-1]) for part in tiles(written, survey(written), FILTERING, rows))
+    assert last <= CLOCK[-1] - max(delay, 0.0)
 
 
 def test_linear_relation_survives_the_chain():

@@ -25,7 +25,7 @@ from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.places import check_seen
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined
 from torchrbd.inference.statistics.preparing import MOMENTS, of_moments, prepare_moments
-from torchrbd.inference.suspicions import NO_SUSPICIONS, Suspicions, suspicions
+from torchrbd.inference.suspicions import NO_SUSPICIONS, Suspicions, suspicions, with_late_torque
 from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, verdict_of
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.simulated import motion_doubts
@@ -154,6 +154,7 @@ def summarise(
         progress: told how far the work is.
         suspected: of the recordings.
     """
+    suspected = with_late_torque(suspected, prepared)
     coefficients = {"urdf": prepared.prior.reference, **{name: model.x for name, model in models.items()}}
     final = list(models.values())[-1]
     sure = bool(torch.isfinite(final.covariance).all())
@@ -164,7 +165,7 @@ def summarise(
     simulation = _simulation(prepared, models, final, progress)
     biased = prepared.input_noise.matters and prepared.states is None
     doubts = (
-        *(one.words for one in suspected.found),
+        *(one.words for one in suspected.found if one.settles),
         *doubts_of(prepared, final, fits),
         *motion_doubts(prepared.reading.simulated),
         *encoder_doubts(prepared, settings),
@@ -193,7 +194,7 @@ def summarise(
         model=final.module(),
         posterior=Posterior(prepared.prior, final) if sure else None,
         doubts=doubts,
-        notes=(*prepared.notes, *simulation.notes),
+        notes=(*prepared.notes, *simulation.notes, *(one.words for one in suspected.found if not one.settles)),
         suspicions=suspected,
         simulation=simulation.errors,
     )

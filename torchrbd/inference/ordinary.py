@@ -65,8 +65,9 @@ def with_machine(
     sticky = torch.tensor([_sticks(plain, joint) for joint in range(prepared.robot.n_dof)])
     found, wide = _told_by_what_is_fast(prepared, _learnt(prepared, held) if known is None else known)
     late = {} if not found else of_one_machine(found, [r.name for r in prepared.recordings])
-    reading = replace(prepared.reading, delay_s={name: d for name, (d, std) in late.items() if abs(d) > _TOLD * std})
-    prepared = replace(prepared, reading=reading)
+    late = {name: (d, std) for name, (d, std) in late.items() if abs(d) > _TOLD * std}
+    reading = replace(prepared.reading, delay_s={name: d for name, (d, _) in late.items()})
+    prepared = replace(prepared, reading=reading, late=late)
     # What is fast may tell a width that what is slow contradicts: each joint has that which leaves less.
     narrow = prepared.columns.scales
     better = _left(prepared, wide, effects, held) < _left(prepared, narrow, effects, held)

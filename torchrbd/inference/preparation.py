@@ -57,6 +57,8 @@ class Prepared:
         notes: what the user should know of the input.
         believed: by effect and site, standard deviations (K,) of its coefficients, where more is known of them than
             that their torque is no larger than the joint's.
+        late: by recording, how much later its torque is than its motion and the standard deviation [s], where that is
+            told: it is read so much earlier. None if it was not asked.
     """
 
     robot: RobotModel
@@ -71,6 +73,7 @@ class Prepared:
     states: UncertainStates | None
     notes: tuple[str, ...]
     believed: Mapping[tuple[str, Site], Sequence[float]] = field(default_factory=dict)
+    late: Mapping[str, tuple[float, float]] | None = None
 
     @property
     def recordings(self) -> tuple[Recording, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchrbd.errors import RecordingError
-from torchrbd.recordings.blocks import Block, Ends, split
+from torchrbd.recordings.blocks import Block, split
 from torchrbd.recordings.encoder_steps import between_steps
 from torchrbd.recordings.recording import Chunk, Recording
 
@@ -152,7 +152,8 @@ def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = N
     """Yield the clean rows interpolated onto `t_k = t_start + k dt` within each segment.
 
     Local cubics through the four nearest rows; a sample that lies on a row is that row. The result does not depend on
-    how the rows were chunked. Segments of fewer than four rows are left out.
+    how the rows were chunked. Segments of fewer than four rows are left out, and ends of segments that lack a torque
+    which is written later or earlier than the motion.
     """
     held: _Resampler | None = None
     for block in between_steps(clean_blocks(recording, clock, census), np.array(clock.step)):
@@ -160,7 +161,7 @@ def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = N
             yield from held.advance(last=True)
             held = None
         if held is None:
-            held = _Resampler(block.segment, clock.dt, block.t[0], block.ends)
+            held = _Resampler(recording, clock.dt, block)
         held.append(block)
         yield from held.advance(last=False)
     if held is not None:
@@ -168,10 +169,19 @@ def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = N
 
 
 class _Resampler:
-    """Interpolate one segment as its rows arrive."""
+    """Interpolate one segment as its rows arrive.
 
-    def __init__(self, segment: int, dt: float, start: float, ends: Ends):
-        self.segment, self._dt, self._start, self._next, self._ends = segment, dt, start, 0, ends
+    Args:
+        recording: whose torques may be written later than the motion.
+        dt: interval of the uniform clock [s].
+        first: the segment's first rows.
+    """
+
+    def __init__(self, recording: Recording, dt: float, first: Block):
+        n, self._late = len(recording.joints), recording.torque_delay_s
+        early = dt * np.ceil(max(0.0, -self._late) / dt - 1e-6)
+        self.segment, self._dt, self._start, self._next = first.segment, dt, float(first.t[0] + early), 0
+        self._ends, self._torques = first.ends, slice(n, 2 * n)
         self._t, self._x = np.empty(0), np.empty((0, 0))
 
     def append(self, block: Block) -> None:
@@ -182,19 +192,25 @@ class _Resampler:
         """Yield the samples whose four nearest rows are known."""
         if len(self._t) < _STENCIL:
             return
-        end = self._t[-1] + 1e-6 * self._dt if last else self._t[-2]
+        end = (self._t[-1] + 1e-6 * self._dt if last else self._t[-2]) - max(0.0, self._late)
         count = max(0, int((end - self._start) / self._dt) + 2 - self._next)
         t = self._start + self._dt * np.arange(self._next, self._next + count)
         t = t[t <= end] if last else t[t < end]
         if not len(t):
             return
+        used, x = self._at(t, self._x)
+        if self._late:
+            of_torque, x[self._torques] = self._at(t + self._late, self._x[self._torques])
+            used = min(used, of_torque)
+        self._next += len(t)
+        self._t, self._x = self._t[used:], self._x[:, used:]
+        yield split(self.segment, t, x, self._ends)
+
+    def _at(self, t: np.ndarray, x: np.ndarray) -> tuple[int, np.ndarray]:
+        """Return from where on rows are still needed, and rows x (C, K) interpolated at t (M,), (C, M)."""
         first = np.clip(np.searchsorted(self._t, t, side="right") - 2, 0, len(self._t) - _STENCIL)
         weights = _cubic_weights(self._t[first[:, None] + np.arange(_STENCIL)].T, t)
-        x = sum(weights[k] * self._x[:, first + k] for k in range(_STENCIL))
-        self._next += len(t)
-        used = max(0, int(first[-1]))
-        self._t, self._x = self._t[used:], self._x[:, used:]
-        yield split(self.segment, t, np.asarray(x), self._ends)
+        return max(0, int(first[-1])), np.asarray(sum(weights[k] * x[:, first + k] for k in range(_STENCIL)))
 
 
 def _held(x: np.ndarray, before: np.ndarray) -> np.ndarray:

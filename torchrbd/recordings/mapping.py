@@ -27,6 +27,8 @@ _UNITS = {
 }
 _UNITS["q_ref"] = _UNITS["q_link"] = _UNITS["q"]
 _UNITS["temperature"] = {"degC": 1.0}
+_TOP_KEYS = ("time", "joints", "topic", "episodes", "torque_delay")
+_LONGEST_DELAY_S = 1.0
 _SIGNAL_KEYS = ("column", "unit", "sign", "scale", "offset", "gear_ratio")
 _CURRENT_KEYS = ("current", "unit", "torque_constant", "sign", "scale", "offset", "gear_ratio")
 
@@ -51,6 +53,7 @@ class Mapping:
             its source.
         topic: the topic of a ROS bag or of a PlotJuggler export; None for the only one of joint states.
         episodes: those of a LeRobot data set, numbered from 0; None for all.
+        torque_delay_s: how much later torques are written than the positions that they belong to [s].
     """
 
     file: str = ""
@@ -58,6 +61,7 @@ class Mapping:
     joints: dict[str, dict[str, Source]] = field(default_factory=dict)
     topic: str | None = None
     episodes: tuple[int, ...] | None = None
+    torque_delay_s: float = 0.0
 
     def source(self, joint: str, index: int, signal: str) -> Source:
         """Return the source of a joint's signal; `{joint}` and `{index}` in a column's name are filled in."""
@@ -92,6 +96,8 @@ def read_mapping(path: str | Path) -> Mapping:
     `tau = motor * gear_ratio`. A torque may come from a current: `{current, torque_constant, unit, gear_ratio, sign,
     offset}`, `tau = current * torque_constant * gear_ratio`. Offsets are added last, in SI units of the joint.
     `topic` chooses among several of a ROS bag or PlotJuggler export, `episodes: [0, 3]` among those of a LeRobot set.
+    `torque_delay: 0.004` is how much later [s] torques are written than the positions that they belong to, less than
+    zero if earlier.
 
     Raises: RecordingError naming the file, the key and the closest valid one.
     """
@@ -103,14 +109,15 @@ def read_mapping(path: str | Path) -> Mapping:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
     reader = _Reader(str(path))
-    top = reader.table(content, "the file", ("time", "joints", "topic", "episodes"))
+    top = reader.table(content, "the file", _TOP_KEYS)
     time = reader.time(top["time"]) if "time" in top else Source("t")
     joints = {}
     for joint, signals in reader.table(top.get("joints", {}), "joints").items():
         where = f"joints.{joint}"
         table = reader.table(signals, where, SIGNALS)
         joints[joint] = {name: reader.signal(entry, name, f"{where}.{name}") for name, entry in table.items()}
-    return Mapping(str(path), time, joints, reader.topic(top.get("topic")), reader.episodes(top.get("episodes")))
+    delay, topic, episodes = reader.delay(top), reader.topic(top.get("topic")), reader.episodes(top.get("episodes"))
+    return Mapping(str(path), time, joints, topic, episodes, delay)
 
 
 def meant(name: str, known: Iterable[str]) -> str:
@@ -185,10 +192,16 @@ class _Reader:
             raise self.fail(f"episodes: expected numbers from 0 such as [0, 3], got {value!r}")
         return tuple(numbers)
 
+    def delay(self, top: dict[str, Any]) -> float:
+        found = self.number(top, "torque_delay", "", 0.0)
+        if abs(found) > _LONGEST_DELAY_S:
+            raise self.fail(f"torque_delay: expected seconds, at most {_LONGEST_DELAY_S:g} either way, got {found:g}")
+        return found
+
     def number(self, table: dict[str, Any], key: str, where: str, default: float = 1.0) -> float:
         value = table.get(key, default)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise self.fail(f"{where}.{key}: expected a number, got {value!r}")
+            raise self.fail(f"{'.'.join(filter(None, (where, key)))}: expected a number, got {value!r}")
         return float(value)
 
     def factor(self, table: dict[str, Any], key: str, where: str) -> float:

@@ -34,6 +34,8 @@ def mapping_text(found: Inspection, mapping: Mapping, sliding: tuple[str, ...] =
         lines.append(f"topic: {json.dumps(mapping.topic)}")
     if mapping.episodes is not None:
         lines.append(f"episodes: {list(mapping.episodes)}")
+    if mapping.torque_delay_s:
+        lines.append(f"torque_delay: {mapping.torque_delay_s!r}")
     lines += _found(found, sliding) if found.recording is not None else _guessed(found)
     return "\n".join(lines) + "\n"
 

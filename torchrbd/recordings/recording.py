@@ -59,6 +59,8 @@ class Recording:
         thermal: (n,) bool, which joints have a temperature.
         time: the part that is used, seconds since the first row; None for all.
         notes: what was left aside on opening.
+        torque_delay_s: how much later torques are written than the positions that they belong to [s]; rows are as
+            written, states have both at one time.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Recording:
     notes: tuple[str, ...]
     _table: Table
     _sources: dict[str, tuple[Source, ...]]
+    torque_delay_s: float = 0.0
 
     @staticmethod
     def from_arrays(
@@ -312,4 +315,5 @@ def connect(
         notes=found.notes,
         _table=table,
         _sources=found.sources,
+        torque_delay_s=mapping.torque_delay_s,
     )

@@ -54,7 +54,9 @@ def headline(result: Identification | Diagnosis) -> tuple[str, str]:
 def suspicion_comments(result: Identification) -> list[str]:
     """Return what a reader of the identified URDF has to know first, if the input is suspected."""
     return [
-        f"the recordings are suspect, and these numbers with them: {one.statement}" for one in result.suspicions.found
+        f"the recordings are suspect, and these numbers with them: {one.statement}"
+        for one in result.suspicions.found
+        if one.settles
     ]
 
 

@@ -11,7 +11,7 @@ class Suspicion:
 
     Attributes:
         kind: "degrees", "radians", "millimetres", "time unit", "torque sign", "position sign", "direction",
-            "swapped torques", "swapped positions", "swapped joints", "gravity", "torque gain", "speed".
+            "swapped torques", "swapped positions", "swapped joints", "gravity", "torque gain", "speed", "late torque".
         joints: where; none if it concerns the whole table.
         log_odds: against a table that means what it says, in nats.
         times: by which factor the squared error on held-out time falls, the geometric mean over the joints that it
@@ -19,7 +19,7 @@ class Suspicion:
         statement: the evidence in a sentence.
         remedy: the option or the mapping entry that corrects it.
         settles: whether nothing can be said of the robot before it is settled; the other suspicions are of things that
-            a diagnosis can name as an effect too.
+            fits allow for: they are noted and leave no doubt.
         alternatives: what these recordings cannot tell it from, in words.
     """
 

@@ -1,0 +1,31 @@
+"""What else may explain a table that seems to mean something else, and has to be far less likely too.
+
+Exchanged columns are two joints' torques that fit each other's place better. A torque that is none, of a joint that is
+not driven or whose sensor is dead, fits any place as well as its own, and spoils what its neighbours tell: that one of
+the two, or both, are read for nothing is the rival. Gravity along another axis makes torques that depend on positions,
+as springs and cables do: both directions are tried beside a spring at every joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from torchrbd.inference.suspicions.hypotheses import Hypothesis
+from torchrbd.inference.suspicions.samples import Explained, Samples
+from torchrbd.inference.suspicions.writing import Writing
+
+
+def rivals(h: Hypothesis, tried: Explained, samples: Samples, now: Writing) -> Iterator[tuple[Explained, Explained]]:
+    """Yield explanations of the table as it stands that have to be far less likely, each with what it is held against.
+
+    Args:
+        h: the hypothesis.
+        tried: what it explains.
+        samples: of the table.
+        now: how the table is read now.
+    """
+    if h.is_swap:
+        for unread in (*((j,) for j in h.joints), h.joints):
+            yield samples.explained(now, unread=unread), tried
+    if h.kind == "gravity":
+        yield samples.explained(now, springs=True), samples.explained(h.writing, springs=True)
