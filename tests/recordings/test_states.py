@@ -46,8 +46,8 @@ def test_torques_that_are_written_late_are_those_of_the_motion(delay, rows):
     t_on_time, got_on_time = outputs(clean_recording(CLOCK), rows)
     error, on_time = np.abs(got - truth(t)).max(1), np.abs(got_on_time - truth(t_on_time)).max(1)
     assert np.allclose(error, on_time, rtol=1e-3)
-    unaware = outputs(dataclasses.replace(written, torque_delay_s=0.0), rows)[1]
-    assert np.abs(unaware[6:] - truth(t)[6:]).max() > 2 * on_time[6:].max()
+    t, unaware = outputs(dataclasses.replace(written, torque_delay_s=0.0), rows)
+    assert np.abs(unaware - truth(t))[6:].max() > 2 * on_time[6:].max()
     # An end that lacks the torque is left out.
     last = max(float(part.t[-1]) for part in tiles(written, survey(written), FILTERING, rows))
     assert last <= CLOCK[-1] - max(delay, 0.0)
