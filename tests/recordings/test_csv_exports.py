@@ -71,14 +71,21 @@ def test_utf16(tmp_path):
 
 
 def plotjuggler(topics, others=1):
-    """Return what PlotJuggler exports: a row for each message of any topic, empty cells for the other topics."""
-    fields = "effort", "position", "velocity"
-    names = [f"{topic}/{joint}/{field}" for topic in topics for joint in JOINTS for field in fields]
-    lines = [",".join(["__time", *names, "/odometry/speed"])]
+    """Return what PlotJuggler exports, in the form that its plugin for CSV gives it (StatePublisherCSV, version 3).
+
+    Series in the order of their names; a row for each moment at which any has a sample, empty cells for the others;
+    times with 6 decimals, values with 9, no line's end lacking. Written after its source: the tool is not run here.
+    """
+    fields = {"effort": TAU, "position": Q, "velocity": QD}
+    series = {f"{topic}/{j}/{f}": x[:, i] for topic in topics for i, j in enumerate(JOINTS) for f, x in fields.items()}
+    series |= {f"{topic}/header/stamp": 1.7e9 + CLOCK for topic in topics}
+    names = sorted([*series, "/odometry/twist/linear/x"])
+    lines = [",".join(["__time", *names])]
     for k, t in enumerate(CLOCK):
-        cells = [f"{x[k, i]:.12f}" for _ in topics for i in range(2) for x in (TAU, Q, QD)]
-        lines.append(",".join([f"{1.7e9 + t:.6f}", *cells, ""]))
-        lines += [",".join([f"{1.7e9 + t + 0.003:.6f}", *[""] * len(cells), "0.5"])] * others
+        cells = ["" if name not in series else f"{series[name][k]:.9f}" for name in names]
+        lines.append(",".join([f"{1.7e9 + t:.6f}", *cells]))
+        speed = ["0.500000000" if name not in series else "" for name in names]
+        lines += [",".join([f"{1.7e9 + t + 0.006:.6f}", *speed])] * others
     return "\n".join(lines) + "\n"
 
 
@@ -87,7 +94,7 @@ def test_plotjuggler(tmp_path):
     is_the_motion(tmp_path / "r.csv", atol=1e-6)
     found = survey(open_recording(tmp_path / "r.csv", JOINTS))
     assert (found.rate_hz, found.incomplete, found.duplicates) == (pytest.approx(100, rel=1e-4), 0, 0)
-    assert found.notes == ("columns not used: /odometry/speed",)
+    assert found.notes == ("columns not used: /joint_states/header/stamp, /odometry/twist/linear/x",)
 
 
 def test_plotjuggler_with_two_topics(tmp_path):
@@ -98,13 +105,17 @@ def test_plotjuggler_with_two_topics(tmp_path):
 
 
 def echo(names=("b", "a"), arrays=(Q, QD, TAU)):
-    """Return what 'ros2 topic echo --csv /joint_states' prints."""
+    """Return what 'ros2 topic echo --csv /joint_states' prints, as ``rosidl_runtime_py.message_to_csv`` has it.
+
+    Fields in the order of the message, arrays element by element, an empty array (None) or text as nothing between two
+    commas; numbers as Python's ``str`` has them. Written after its source: ROS is not run here.
+    """
     order = [JOINTS.index(name) for name in names]
     lines = []
     for k, t in enumerate(CLOCK):
         ns = 990_000_000 + round(t * 1e9)
-        cells = [str(float(x[k, i])) for x in arrays for i in order]
-        lines.append(",".join([str(1_700_000_000 + ns // 10**9), str(ns % 10**9), "", *names, *cells]))
+        fields = [",".join(str(float(x[k, i])) for i in order) if x is not None else "" for x in arrays]
+        lines.append(",".join([str(1_700_000_000 + ns // 10**9), str(ns % 10**9), "", *names, *fields]))
     return "\n".join(lines) + "\n"
 
 
@@ -112,6 +123,25 @@ def test_echo(tmp_path):
     (tmp_path / "r.csv").write_text(echo())
     is_the_motion(tmp_path / "r.csv")
     assert open_recording(tmp_path / "r.csv", JOINTS).has_velocity
+
+
+def test_echo_without_velocities(tmp_path):
+    (tmp_path / "r.csv").write_text(echo(arrays=(Q, None, TAU)))
+    is_the_motion(tmp_path / "r.csv")
+    assert not open_recording(tmp_path / "r.csv", JOINTS).has_velocity
+
+
+def test_echo_of_one_joint_without_velocities(tmp_path):
+    (tmp_path / "r.csv").write_text(echo(("b",), (Q, None, TAU)))
+    recording = open_recording(tmp_path / "r.csv", ["b"])
+    assert not recording.has_velocity
+    np.testing.assert_array_equal(np.concatenate([chunk.tau for chunk in recording.chunks()]), TAU[:, 1:])
+
+
+def test_echo_without_efforts(tmp_path):
+    (tmp_path / "r.csv").write_text(echo(arrays=(Q, QD, None)))
+    with pytest.raises(RecordingError, match=r"no joint has a torque; .*; present: t, q_b, q_a, qd_b, qd_a$"):
+        open_recording(tmp_path / "r.csv", JOINTS)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,7 @@
-"""Read what ``ros2 topic echo --csv`` prints of ``sensor_msgs/JointState``: rows without a header."""
+"""Read what ``ros2 topic echo --csv`` prints of ``sensor_msgs/JointState``: rows without a header.
+
+Stamp, frame and arrays follow each other, elements too; an array without elements leaves one empty cell.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from torchrbd.recordings.csv_head import Head, first_lines, is_number
 
 _STAMP = ("stamp.sec", "stamp.nanosec")
 _FIXED = (*_STAMP, "frame_id")
-_SIGNALS = {1: ("q",), 3: ("q", "qd", "tau")}
+_ARRAYS_OF = ("q", "qd", "tau")
 _ARRAYS = "its columns are header.stamp.sec, nanosec, frame_id, names, positions, velocities, efforts"
 
 
@@ -32,18 +35,11 @@ class EchoTable:
         self.path = path
         rest = _first_row(path)[len(_FIXED) :]
         count = next((k for k, cell in enumerate(rest) if is_number(cell)), len(rest))
-        self._joints, arrays = tuple(cell.strip() for cell in rest[:count]), (len(rest) - count) / count
-        if arrays == 2:
-            raise RecordingError(
-                f"{path}: two arrays for {count} joints; whether the latter is velocity or effort cannot be told: "
-                "record a bag with 'ros2 bag record', or put a header above rows of t, positions and efforts"
-            )
-        if arrays not in _SIGNALS:
-            raise RecordingError(f"{path}: {len(rest) - count} numbers for {count} joint names in row 1; {_ARRAYS}")
+        self._joints = tuple(cell.strip() for cell in rest[:count])
         self._names = tuple(f"name[{index}]" for index in range(count))
-        signals = tuple(f"{signal}_{joint}" for signal in _SIGNALS[int(arrays)] for joint in self._joints)
-        self._csv = CsvTable(path, Head(0, ",", ".", (*_FIXED, *self._names, *signals)))
-        self.columns = ("t", *signals)
+        found = self._arrays(rest[count:])
+        self._csv = CsvTable(path, Head(0, ",", ".", (*_FIXED, *self._names, *found)))
+        self.columns = ("t", *(name for name in found if name not in _ARRAYS_OF))
 
     def batches(self, columns: Sequence[str], rows: int) -> Iterator[np.ndarray]:
         signals, start, row = [name for name in columns if name != "t"], None, 1
@@ -55,6 +51,26 @@ class EchoTable:
             numbers["t"] = (seconds - start) + 1e-9 * nanoseconds
             row += batch.num_rows
             yield np.stack([numbers[name] for name in columns])
+
+    def _arrays(self, cells: list[str]) -> list[str]:
+        """Return the columns of the arrays that these cells of row 1 are; one without elements has its signal's name.
+
+        Raises:
+            RecordingError: they are none of positions, velocities and efforts.
+        """
+        count, found, rest = len(self._joints), list[str](), [cell.strip() for cell in cells]
+        for signal in _ARRAYS_OF:
+            full = len(rest) >= count and all(rest[:count])
+            found += [f"{signal}_{joint}" for joint in self._joints] if full else [signal]
+            rest = rest[count if full else 1 :] if full or rest[:1] == [""] else ["missing"]
+        if len(cells) == 2 * count and all(cells):
+            raise RecordingError(
+                f"{self.path}: two arrays for {count} joints; whether the latter is velocity or effort cannot be told: "
+                "record a bag with 'ros2 bag record', or put a header above rows of t, positions and efforts"
+            )
+        if rest:
+            raise RecordingError(f"{self.path}: {len(cells)} numbers for {count} joint names in row 1; {_ARRAYS}")
+        return found
 
     def _check_names(self, batch: pa.RecordBatch, row: int) -> None:
         for name, joint in zip(self._names, self._joints, strict=True):
