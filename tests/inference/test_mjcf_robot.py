@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -13,6 +14,7 @@ from simulated import multisine
 import torchrbd
 from torchrbd.cli import main
 
+FRICTION = ("viscous_friction", "coulomb_friction")
 JOINTS = 'axis="0 1 0" armature="{armature}" damping="0.5" stiffness="{stiffness}" springref="0.3"'
 
 
@@ -99,3 +101,42 @@ def test_the_regressor_for_scikit_learn_knows_it_too() -> None:
     X = np.hstack((motion.q, motion.qd, motion.qdd))
     found = torchrbd.DynamicsRegressor(arm(0.4, 20.0, 4.0).encode()).fit(X, tau)
     np.testing.assert_allclose(found.predict(X), tau, atol=1e-2 * np.abs(tau).max())
+
+
+def simulation(text: str, rate_hz: float) -> torchrbd.Recording:
+    """Record the motion of ``recording`` in MuJoCo: rotors, springs and damping are its own."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data, motion = mujoco.MjData(model), multisine(2, 4, duration_s=30.0, rate_hz=rate_hz)
+    tau = []
+    for data.qpos[:], data.qvel[:], data.qacc[:] in zip(motion.q, motion.qd, motion.qdd, strict=True):
+        mujoco.mj_inverse(model, data)
+        tau.append(data.qfrc_inverse.copy())
+    return torchrbd.Recording.from_arrays("mujoco", ("j1", "j2"), motion.t, motion.q, np.array(tau))
+
+
+@pytest.mark.parametrize(("rotor", "rate_hz"), [(0.4, 200.0), (0.1, 500.0)], ids=["of the file", "of its own"])
+def test_a_simulation_of_it_stands_for_it(recording: torchrbd.Recording, rotor: float, rate_hz: float) -> None:
+    """What the file tells of rotors and springs is in both torques, and taken off both once."""
+    simulated = simulation(arm(rotor, 20.0, 4.0), rate_hz)
+    effects = [*FRICTION, *(["rotor_inertia@j2"] if rotor != 0.4 else [])]
+    found = torchrbd.identify(arm(0.4, 20.0, 4.0).encode(), recording, simulated=simulated, effects=effects)
+    values = {p.name: p.value for p in found.parameters}
+    assert values["mcx_upper"] + 0.4 * values["m_lower"] == pytest.approx(5.0 * 0.2 + 0.4 * 1.5, rel=0.01)
+    assert [values[f"coulomb_friction_{j}.coulomb"] for j in ("j1", "j2")] == pytest.approx([1.2, 1.2], rel=0.05)
+    if rotor != 0.4:
+        assert values["rotor_inertia_j2.rotor_inertia"] == pytest.approx(0.4 - rotor, rel=0.05)
+    assert found.fits["extended"].mean_nmse < 1e-3 < 0.01 * found.fits["urdf"].mean_nmse
+    assert found.doubts == ()
+    assert any(note.startswith("compared with the simulation mujoco (for day)") for note in found.notes)
+
+
+def test_a_diagnosis_against_a_simulation_of_it(recording: torchrbd.Recording) -> None:
+    """Findings are the difference; the motion is rolled forward with all that the file tells."""
+    simulated = simulation(arm(0.4, 20.0, 4.0), 200.0)
+    found = torchrbd.diagnose(arm(0.4, 20.0, 4.0).encode(), recording, simulated=simulated, effects=FRICTION)
+    assert found.simulated == ("mujoco",)
+    assert {(f.effect, f.joints) for f in found.findings} == {("coulomb_friction", (j,)) for j in ("j1", "j2")}
+    assert found.statement.startswith("The simulation leaves out Coulomb friction at all joints.")
+    errors = found.identification.simulation[0].errors
+    for joint in ("j1", "j2"):
+        assert errors["extended"][joint].median < 0.02 * errors["urdf"][joint].median
