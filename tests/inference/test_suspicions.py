@@ -210,6 +210,24 @@ def test_torques_of_another_sample(samples: int, tmp_path: Path) -> None:
     assert "torques of an earlier or a later sample" in mended.suspicions.tested
 
 
+def test_a_torque_that_is_cut_off() -> None:
+    tau = arrays()["tau"].copy()
+    limit = 0.6 * np.abs(tau[:, 1]).max()
+    tau[:, 1] = np.clip(tau[:, 1], -limit, limit)
+    urdf = with_wrong_inertials(URDF, 21, 0.2)
+    given = torchrbd.identify(urdf, Recording.from_arrays("day", NAMES, **{**arrays(), "tau": tau}), cutoff_hz=4.0)
+    (one,) = given.suspicions.found
+    assert (one.kind, one.joints, one.settles) == ("clipped torque", ("joint2",), False)
+    assert f"tau_joint2 is cut off at {limit:.4g} N m" in one.statement or f"{-limit:.4g} N m" in one.statement
+    assert given.verdict == "doubtful"
+    assert one.words in given.doubts
+    emptied = tau.copy()
+    emptied[np.abs(tau[:, 1]) >= limit * (1 - 1e-9), 1] = np.nan
+    assert (
+        suspected(urdf, Recording.from_arrays("day", NAMES, **{**arrays(), "tau": emptied}), cutoff_hz=4.0).found == ()
+    )
+
+
 def test_the_demo_is_not_suspected() -> None:
     found = suspected(DEMO / "arm.urdf", DEMO / "fit.parquet", holdout=DEMO / "holdout.parquet")
     assert found.found == ()

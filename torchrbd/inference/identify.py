@@ -165,7 +165,7 @@ def summarise(
     simulation = _simulation(prepared, models, final, progress)
     biased = prepared.input_noise.matters and prepared.states is None
     doubts = (
-        *(one.words for one in suspected.found if one.settles),
+        *(one.words for one in suspected.found if one.spoils),
         *doubts_of(prepared, final, fits),
         *motion_doubts(prepared.reading.simulated),
         *encoder_doubts(prepared, settings),
@@ -194,7 +194,7 @@ def summarise(
         model=final.module(),
         posterior=Posterior(prepared.prior, final) if sure else None,
         doubts=doubts,
-        notes=(*prepared.notes, *simulation.notes, *(one.words for one in suspected.found if not one.settles)),
+        notes=(*prepared.notes, *simulation.notes, *(one.words for one in suspected.found if not one.spoils)),
         suspicions=suspected,
         simulation=simulation.errors,
     )

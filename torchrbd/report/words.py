@@ -56,7 +56,7 @@ def suspicion_comments(result: Identification) -> list[str]:
     return [
         f"the recordings are suspect, and these numbers with them: {one.statement}"
         for one in result.suspicions.found
-        if one.settles
+        if one.spoils
     ]
 
 

@@ -22,6 +22,7 @@ TESTED = (
     "columns of two joints exchanged",
     "another direction of gravity",
     "currents or other units for torques",
+    "torques that are cut off",
 )
 """What is looked for, in words."""
 

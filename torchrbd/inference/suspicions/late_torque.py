@@ -53,6 +53,7 @@ def late_torque(prepared: Prepared) -> Suspicion | None:
         f"({1e3 * abs(mean):.3g} ± {1.96e3 * sum(weights) ** -0.5:.2g} ms)",
         f"fits allow for it; if the table was written so, give --mapping a file with '{{torque_delay: {delay:.4g}}}'",
         settles=False,
+        spoils=False,
     )
 
 

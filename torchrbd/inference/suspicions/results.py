@@ -11,15 +11,16 @@ class Suspicion:
 
     Attributes:
         kind: "degrees", "radians", "millimetres", "time unit", "torque sign", "position sign", "direction",
-            "swapped torques", "swapped positions", "swapped joints", "gravity", "torque gain", "speed", "late torque".
+            "swapped torques", "swapped positions", "swapped joints", "gravity", "torque gain", "speed", "late torque",
+            "clipped torque".
         joints: where; none if it concerns the whole table.
         log_odds: against a table that means what it says, in nats.
         times: by which factor the squared error on held-out time falls, the geometric mean over the joints that it
             concerns; NaN where something else than the error tells it.
         statement: the evidence in a sentence.
         remedy: the option or the mapping entry that corrects it.
-        settles: whether nothing can be said of the robot before it is settled; the other suspicions are of things that
-            fits allow for: they are noted and leave no doubt.
+        settles: whether nothing can be said of the robot before it is settled.
+        spoils: whether fits are to be doubted where it is so; those that allow for it note it.
         alternatives: what these recordings cannot tell it from, in words.
     """
 
@@ -30,6 +31,7 @@ class Suspicion:
     statement: str
     remedy: str
     settles: bool = True
+    spoils: bool = True
     alternatives: tuple[str, ...] = ()
 
     @property

@@ -12,8 +12,7 @@ recording is short does not leave it untold.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -22,6 +21,7 @@ from torch import Tensor
 from torchrbd.effects import effect
 from torchrbd.inference.physical.fitting import fit_model, squares_beside_constant, term_candidates
 from torchrbd.inference.preparation import Prepared
+from torchrbd.inference.suspicions.spread import spread, thinning
 from torchrbd.inference.suspicions.writing import Writing
 from torchrbd.likelihood.block_statistics import Block, BlockStatistics, nearest_block
 from torchrbd.likelihood.columns import Columns
@@ -32,8 +32,6 @@ from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.recordings import States
 from torchrbd.robot import pseudo_inertia
 
-# Samples of states that are looked at, about, and how many a second, at least and for each Hz of the band.
-_MOST_STATES, _LEAST_RATE_HZ, _RATE_CYCLES = 30_000, 60.0, 10.0
 # A part of a torque's power that is none.
 _NOTHING = 1e-9
 _SPRING = "joint_spring"
@@ -96,6 +94,8 @@ class Samples:
         judged: (n_dof,) bool, joints whose torque varies in two parts of the time or more.
         blocks: of time, whose errors are independent.
         kappa: weight of the URDF's inertials.
+        recording, t: (M,) the number of each sample's recording, and its time there [s].
+        tau: (n_dof, M) torques, known ones taken off.
     """
 
     def __init__(self, prepared: Prepared) -> None:
@@ -113,24 +113,25 @@ class Samples:
         self._tiles: list[States] = []
         parts: list[tuple[Tensor, ...]] = []
         features: list[list[Tensor]] = []
-        for k, states in _spread(prepared):
-            thin = states.thinned(_thinning(states, reading.filtering.cutoff_hz))
+        for k, states in spread(prepared):
+            thin = states.thinned(thinning(states, reading.filtering.cutoff_hz))
             self._tiles.append(thin)
             measured = reading.measured(k).unsqueeze(1)
             weight = reading.filtering.effective_rate * states.dt_out * self._columns.weight(thin) * measured
             block = nearest_block(prepared.statistics.blocks, states.recording, states.t_out)
-            part = block * self._parts // self.blocks
-            parts.append((states.decimate(torch.nan_to_num(states.tau)), weight, part.unsqueeze(0)))
+            where = torch.stack((torch.full_like(states.t_out, k), states.t_out, block * self._parts // self.blocks))
+            parts.append((states.decimate(torch.nan_to_num(states.tau)), weight, where))
             features.append([thin.decimate(f) for f in self._columns.features(thin)])
-        self._tau, self._weight, part = (torch.cat(x, 1) for x in zip(*parts, strict=True))
-        self._in_part = part.flatten() == torch.arange(self._parts).unsqueeze(1)
+        self.tau, self._weight, where = (torch.cat(x, 1) for x in zip(*parts, strict=True))
+        self.recording, self.t, part = where
+        self._in_part = part == torch.arange(self._parts).unsqueeze(1)
         self._features = [torch.cat(x, 1) for x in zip(*features, strict=True)]
         self._design: tuple[object, list[Tensor]] = None, []
         self.judged = torch.stack([self._varies(part) for part in self._in_part]).sum(0) > 1
 
     def _varies(self, part: Tensor) -> Tensor:
         """Return the joints whose torque varies in a part of the samples, (n_dof,) bool."""
-        tau = torch.where(self._weight[:, part] > 0, self._tau[:, part], torch.nan)
+        tau = torch.where(self._weight[:, part] > 0, self.tau[:, part], torch.nan)
         return torch.tensor([bool(len(t := row[~row.isnan()]) > 1 and t.max() > t.min()) for row in tau])
 
     def shape(self, writing: Writing) -> Shape:
@@ -146,7 +147,7 @@ class Samples:
             for i in torch.nonzero(self.judged).flatten().tolist():
                 w = self._weight[i].sqrt()
                 F, _ = torch.linalg.qr((self._features[place][self._plain[place]] * w).T)
-                s, t = modelled[j] * w, self._tau[i] * w
+                s, t = modelled[j] * w, self.tau[i] * w
                 power, torque = float(s @ s), float(t @ t)
                 s, t = s - F @ (F.T @ s), t - F @ (F.T @ t)
                 left[j, i], own = float(t @ t) / torque, float(s @ s)
@@ -178,10 +179,28 @@ class Samples:
         error[list(unread)] = 1.0
         return Explained(error, divergence)
 
-    def _statistics(self, writing: Writing, unread: Sequence[int] = ()) -> BlockStatistics:
+    def predicted(self, writing: Writing, without: Tensor) -> Tensor:
+        """Return what the re-fitted model predicts of each part of the time, fitted to the others, (n_dof, M).
+
+        Args:
+            writing: what the columns are to mean.
+            without: (n_dof, M) bool, torques that are left out of the fits.
+        """
+        whole, found = self._statistics(writing, without=without), torch.zeros_like(self.tau)
+        for part, left_out in zip(self._in_part, torch.eye(self._parts, dtype=torch.bool), strict=True):
+            fitted = whole.select(~left_out)
+            x = fit_model(fitted, data_prior(fitted, self._trusted, self.kappa), self._terms).x
+            for j, (rows, own) in enumerate(zip(self._rows(writing), self._columns.of_joint, strict=True)):
+                found[j, part] = x[own] @ rows[:, part]
+        return found
+
+    def _statistics(
+        self, writing: Writing, unread: Sequence[int] = (), without: Tensor | None = None
+    ) -> BlockStatistics:
         """Return the moments of the parts of the time, one block each."""
-        tau, weight = writing.torque(self._tau), self._weight[list(writing.tau_order)]
+        tau, weight = writing.torque(self.tau), self._weight[list(writing.tau_order)]
         weight[list(unread)] = 0.0
+        weight = weight if without is None else weight.masked_fill(without, 0.0)
         moments = []
         for row, t, w in zip(self._rows(writing), tau, weight, strict=True):
             a = torch.cat((row, t.unsqueeze(0)))
@@ -214,25 +233,3 @@ def _divergence(prior: Prior, x: Tensor) -> float:
     ratio = prior.inverse_inertia @ pseudo_inertia(x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY))
     trace = ratio.diagonal(dim1=-2, dim2=-1).sum(-1)
     return float((trace - torch.linalg.slogdet(ratio)[1] - 4.0).sum())
-
-
-def _spread(prepared: Prepared) -> Iterator[tuple[int, States]]:
-    """Yield every tile with its recording's number, or some that are spread over long recordings."""
-    reading = prepared.reading
-    total = sum(s.duration_s * min(s.rate_hz, _rate(reading.filtering.cutoff_hz)) for s in reading.surveys)
-    step, number = max(1, math.ceil(total / _MOST_STATES)), 0
-    for k in range(len(reading.recordings)):
-        for states in reading.tiles(k):
-            if number % step == 0:
-                yield k, states
-            number += 1
-
-
-def _rate(band_hz: float) -> float:
-    return max(_LEAST_RATE_HZ, _RATE_CYCLES * band_hz)
-
-
-def _thinning(states: States, band_hz: float) -> int:
-    """Return by how much a clock may be coarser that has the same outputs."""
-    most = max(1, math.floor(1.0 / (states.dt * _rate(band_hz)) + 1e-6))
-    return max(d for d in range(1, most + 1) if states.stride % d == 0)

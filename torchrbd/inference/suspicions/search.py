@@ -34,6 +34,7 @@ from torch import Tensor
 
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.suspicions import words
+from torchrbd.inference.suspicions.clipping import clipped_torques
 from torchrbd.inference.suspicions.hypotheses import TESTED, Hypothesis, gains, hypotheses
 from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicion, Suspicions
 from torchrbd.inference.suspicions.rivals import rivals
@@ -82,6 +83,8 @@ def suspicions(prepared: Prepared) -> Suspicions:
             break
         found.append(words.told(best.hypothesis, [o.hypothesis for o in alike], best.log_odds, best.ratio, prepared))
         now, base = best.hypothesis.writing, best.explained
+    if not found:
+        found += clipped_torques(prepared, samples, now, BOUND)
     gained = _other_unit(samples, now)
     if gained is not None:
         found.append(words.told(gained.hypothesis, (), gained.log_odds, None, prepared))
