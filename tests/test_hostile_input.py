@@ -106,3 +106,30 @@ def test_a_key_that_stands_twice_in_a_mapping(case: Path, tmp_path: Path, capsys
 def test_a_negative_seed_on_the_command_line(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = refused(capsys, "identify", case / "arm.urdf", case / "day.csv", "-o", tmp_path / "o", "--seed", "-1")
     assert "seed is -1" in told
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("excite arm.urdf --seed -3 -o m.csv", "seed is -3; expected a whole number that is not negative"),
+        ("simulate arm.urdf day.csv -o day.csv", "'day.csv' is the recording; name another file for the motion"),
+        ("simulate arm.urdf day.csv -o ./day.csv", "is the recording; name another file for the motion"),
+        ("simulate arm.urdf day.csv --rate 1e12 -o m.csv", "rate is 1e+12; expected at most 100000 samples a second"),
+        ("identify arm.urdf day.csv day.csv -o o", "'day.csv' is given twice; give it once"),
+        ("identify arm.urdf day.csv ./day.csv -o o", "'day.csv' is given twice; give it once"),
+        ("export day.csv --to mjcf -o m.xml", "give the folder that 'torchrbd identify -o' wrote, or its model"),
+        ("simulate . day.csv -o m.csv", "give the folder that 'torchrbd identify -o' wrote, or its model"),
+        ("identify arm.urdf empty.csv -o o", "1600 of 1600 rows dropped: a value is missing, in all rows of q_joint1"),
+    ],
+)
+def test_slips_are_told_with_what_to_do(
+    command: str, words: str, case: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = (case / "day.csv").read_bytes()
+    (case / "empty.csv").write_text(
+        f"t,q_{NAMES[0]},q_{NAMES[1]},tau_{NAMES[0]},tau_{NAMES[1]}\n"
+        + "".join(f"{k / 100},,{k % 7},1,{k % 3}\n" for k in range(1600))
+    )
+    monkeypatch.chdir(case)
+    assert words in refused(capsys, *command.split())
+    assert (case / "day.csv").read_bytes() == before

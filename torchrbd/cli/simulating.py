@@ -23,6 +23,8 @@ def simulate_recording(options: argparse.Namespace) -> None:
         InputError: a model, recording or option that cannot be used.
     """
     check_suffix(options.file)
+    if options.file.exists() and options.recording.exists() and options.file.samefile(options.recording):
+        raise OptionError(f"output '{options.file}' is the recording; name another file for the motion")
     model = _model(options.model, options.gravity)
     with progress_bar() as progress:
         found = simulate(

@@ -75,7 +75,7 @@ def excite(
     Raises:
         InputError: a robot, diagnosis or option that cannot be used, or limits that no motion was found to keep.
     """
-    _check_series(frequency_hz, harmonics, periods, starts)
+    _check_series(frequency_hz, harmonics, periods, starts, seed)
     known = None if diagnosis is None else known_from(diagnosis)
     robot = _read(robot, known, gravity)
     limits = limits_of(
@@ -115,7 +115,7 @@ def excite(
     )
 
 
-def _check_series(frequency_hz: float, harmonics: int, periods: int, starts: int) -> None:
+def _check_series(frequency_hz: float, harmonics: int, periods: int, starts: int, seed: int) -> None:
     if not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
         raise OptionError(f"frequency is {frequency_hz:g} Hz; expected a positive number, e.g. 0.1")
     for name, value, least in (
@@ -125,6 +125,8 @@ def _check_series(frequency_hz: float, harmonics: int, periods: int, starts: int
     ):
         if value < least:
             raise OptionError(f"{name} is {value}; expected at least {least}")
+    if seed < 0:
+        raise OptionError(f"seed is {seed}; expected a whole number that is not negative")
 
 
 def _read(robot: RobotModel | str | Path | bytes, known: Known | None, gravity: Sequence[float] | None) -> RobotModel:

@@ -80,7 +80,10 @@ def read_model(path: str | Path) -> Parts:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (OSError, SafetensorError) as error:
-        raise InputError(f"{path}: cannot be read as a model ({error})") from None
+        raise InputError(
+            f"{path}: cannot be read as a model ({error}); give the folder that 'torchrbd identify -o' wrote, or its "
+            f"{NAME}"
+        ) from None
     if metadata.get("format") != _FORMAT:
         raise InputError(
             f"{path}: is no model of torchrbd; expected format '{_FORMAT}', got '{metadata.get('format')}'"

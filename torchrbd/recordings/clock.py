@@ -76,12 +76,14 @@ class Census:
 
     Attributes:
         rows, duplicates, incomplete: rows read; of these, dropped as repeated in time, or lacking a value.
+        missing: (2 n,) rows without a number in a position or a torque.
         wrapped: joints whose full turns were unwrapped.
         resolution, tau_resolution: (n,) quantisation steps of positions and torques, NaN where none is seen.
     """
 
     def __init__(self, n: int):
         self.rows = self.duplicates = self.incomplete = 0
+        self.missing = np.zeros(2 * n, dtype=int)
         self.wrapped: set[int] = set()
         self.resolution, self.tau_resolution = np.full((2, n), np.nan)
 
@@ -124,6 +126,7 @@ def clean_blocks(recording: Recording, clock: Clock, census: Census | None = Non
         census.rows += len(t)
         complete = ~(np.isnan(t) | np.isnan(x[_required(recording, len(x))]).any(axis=0))
         census.incomplete += int(len(t) - complete.sum())
+        census.missing += np.isnan(x[: 2 * n]).sum(axis=1)
         t, x = t[complete], x[:, complete]
         fresh = np.diff(t, prepend=latest) >= clock.duplicate
         census.duplicates += int(len(t) - fresh.sum())

@@ -240,7 +240,11 @@ def _notes(recording: Recording, census: Census, segments: int) -> tuple[str, ..
     if census.duplicates:
         notes.append(f"{census.duplicates} of {census.rows} rows dropped: their time repeats the row before")
     if census.incomplete:
-        notes.append(f"{census.incomplete} of {census.rows} rows dropped: a value is missing")
+        channels = [(signal, joint) for signal in ("q", "tau") for joint in recording.joints]
+        sources = (recording.source(*channels[k]) for k in np.flatnonzero(census.missing == census.rows))
+        empty = [source.column for source in sources if source is not None]
+        everywhere = f", in all rows of {', '.join(empty)}" if empty else ""
+        notes.append(f"{census.incomplete} of {census.rows} rows dropped: a value is missing{everywhere}")
     if segments > 1:
         notes.append(f"gaps in time: {segments} separate pieces, nothing is interpolated between them")
     if census.wrapped:

@@ -33,7 +33,7 @@ from torchrbd.simulation.windows import STEP_S, driving, pieces
 
 SUFFIXES = (".parquet", ".csv", ".npz")
 """Of the files that a motion can be written to."""
-_STEPS_AT_ONCE = 200
+_STEPS_AT_ONCE, _MOST_RATE_HZ = 200, 1e5
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def simulate(
 
     Raises:
         RecordingError: a recording that cannot be used, or that has no torque, or nothing at that time.
-        OptionError: a length or rate that is not positive.
+        OptionError: a length or rate that is not positive, or a rate beyond 100 kHz.
         PhysicalError: the mass matrix is not positive definite.
 
     Example:
@@ -143,6 +143,8 @@ def simulate(
     for name, value in (("seconds", seconds), ("rate", rate_hz)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise OptionError(f"{name} is {value:g}; expected more than zero")
+    if rate_hz is not None and rate_hz > _MOST_RATE_HZ:
+        raise OptionError(f"rate is {rate_hz:g}; expected at most {_MOST_RATE_HZ:.0f} samples a second")
     opened = _opened(recording, model, mapping)
     seen = survey(opened)
     measured = torch.from_numpy(opened.measured)

@@ -55,6 +55,8 @@ def open_all(
         for other in fitted[:k]:
             if isinstance(source, InMemory) and _same(source) == _same(other):
                 raise RecordingError(f"{_words(other)} and {_words(source)} are the same data; give them once")
+            if isinstance(source, Path) and isinstance(other, Path) and source.resolve() == other.resolve():
+                raise RecordingError(f"'{other}' is given twice; give it once")
     found = [*map(opened, fitted), *map(opened, settings.holdout)]
     names = [r.name for r in found]
     for k, name in enumerate(names):
