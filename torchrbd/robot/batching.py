@@ -43,3 +43,8 @@ def zeros(like: Tensor, *shape: int) -> Tensor:
         return like.new_zeros(shape)
     # numpy asks the system for zeroed pages, huge ones: zeros that nobody writes to then cost neither time nor memory.
     return torch.from_numpy(np.zeros(shape, numpy_dtype))
+
+
+def is_ordinary(x: Tensor) -> bool:
+    """Say whether a tensor may be kept: it is none of a tracer's, which mean nothing later, nor of inference mode."""
+    return not torch.compiler.is_compiling() and type(x) is Tensor and not x.is_inference()

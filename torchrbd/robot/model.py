@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from torchrbd.errors import InputError, PhysicalError
+from torchrbd.errors import InputError
 from torchrbd.robot import compiled, dynamics, eager, kinematics
-from torchrbd.robot.batching import batch_first, batch_last, tiled
+from torchrbd.robot.acceleration import accelerations
+from torchrbd.robot.batching import batch_first, batch_last, is_ordinary, tiled
 from torchrbd.robot.description import Description
 from torchrbd.robot.inertia import PARAMETERS
 from torchrbd.robot.reading import read_robot
-from torchrbd.robot.tree import FoldedLink, build_tree
+from torchrbd.robot.tree import FoldedLink, build_tree, parent_axes
 
 if TYPE_CHECKING:
     from torchrbd.robot.chain import Chain
@@ -276,18 +277,7 @@ class RobotModel:
         Raises:
             PhysicalError: a mass matrix is not positive definite.
         """
-        try:
-            factor = torch.linalg.cholesky(mass)
-        except torch.linalg.LinAlgError:  # pyright: ignore[reportPrivateImportUsage]
-            _, info = torch.linalg.cholesky_ex(mass)
-            joint = self.joint_names[int(info[info > 0].flatten()[0]) - 1]
-            raise PhysicalError(
-                f"robot '{self.name}': the mass matrix is not positive definite at {int((info > 0).sum())} of "
-                f"{info.numel()} positions, first at joint '{joint}': what it moves is massless or has inertial "
-                "parameters that no rigid body can have; give it mass and inertia or the joint a rotor "
-                "inertia, or use physically valid parameters"
-            ) from None
-        return torch.cholesky_solve(tau.unsqueeze(-1), factor).squeeze(-1)
+        return accelerations(mass, tau, self.name, self.joint_names)
 
     def body_poses(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Return where the bodies' frames are in the base's.
@@ -350,15 +340,8 @@ class RobotModel:
         self.check(q, qd, qdd)
         pi, gravity = self._parameters(pi).to(q), self.gravity.to(q)
         by_body = eager.origin_slopes(self._geometry(q), q, qd, qdd, pi, gravity)[..., self.joint_bodies, :]
-        axes = torch.stack([self._parent_axes(joint) for joint in range(self.n_dof)]).to(by_body)
+        axes = torch.stack([parent_axes(self.description, self.folded, name) for name in self.joint_names]).to(by_body)
         return torch.einsum("...djsx,jxk->...djsk", by_body.unflatten(-1, (2, 3)), axes).flatten(-2)
-
-    def _parent_axes(self, joint: int) -> Tensor:
-        """Return the axes of a driving joint's parent link in the body that the link is part of, (3, 3)."""
-        name = self.joint_names[joint]
-        parent = next(j.parent for j in self.description.joints if j.name == name)
-        poses = {link.name: link.pose for links in self.folded.values() for link in links}
-        return poses[parent][:3, :3] if parent in poses else torch.eye(3, dtype=torch.float64)
 
     def with_gravity(self, gravity: Sequence[float] | Tensor) -> RobotModel:
         """Return the same robot under another gravity (3,) [m/s^2], such as on a tilted base."""
@@ -392,7 +375,7 @@ class RobotModel:
         """Return the geometry in the dtype and on the device of `like`."""
         key = (like.dtype, like.device)
         geometry = self._geometries.get(key) or self._geometries[EXACT].to(*key)
-        if _is_ordinary(geometry.axis):
+        if is_ordinary(geometry.axis):
             self._geometries[key] = geometry
         return geometry
 
@@ -412,8 +395,3 @@ class RobotModel:
                 f"{', '.join(self.body_names)}"
             )
         return pi
-
-
-def _is_ordinary(x: Tensor) -> bool:
-    """Say whether a tensor may be kept: it is none of a tracer's, which mean nothing later, nor of inference mode."""
-    return not torch.compiler.is_compiling() and type(x) is Tensor and not x.is_inference()

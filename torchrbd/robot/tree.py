@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -109,6 +110,19 @@ def _walk(description: Description) -> tuple[list[Joint], list[int], list[Tensor
             folded[body].append(FoldedLink(joint.child, pose, links[joint.child].pi))
         stack.extend((child, body, pose) for child in reversed(below[joint.child]))
     return moving, parents, poses, folded
+
+
+def parent_axes(description: Description, folded: Mapping[str, Sequence[FoldedLink]], joint: str) -> Tensor:
+    """Return the axes of a joint's parent link in the body that the link is part of, (3, 3).
+
+    Args:
+        description: of the robot.
+        folded: the links of each body.
+        joint: its name.
+    """
+    parent = next(one.parent for one in description.joints if one.name == joint)
+    poses = {link.name: link.pose for links in folded.values() for link in links}
+    return poses[parent][:3, :3] if parent in poses else torch.eye(3, dtype=torch.float64)
 
 
 def _driver(joint: Joint, moving: list[Joint], source: str) -> tuple[Joint, float, float]:
