@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import real_recordings as real
+import torch
 from robot.random_robots import random_urdf
 from simulated import joint_names, record, with_wrong_inertials
 
@@ -226,6 +227,26 @@ def test_a_torque_that_is_cut_off() -> None:
     assert (
         suspected(urdf, Recording.from_arrays("day", NAMES, **{**arrays(), "tau": emptied}), cutoff_hz=4.0).found == ()
     )
+
+
+@pytest.mark.slow
+def test_an_actuator_at_its_limit_is_not_cut_off() -> None:
+    """Its torque is what moves the arm, also where it is no more than the limit."""
+    robot, dt = torchrbd.RobotModel.from_urdf(URDF), 1e-3
+    holding = robot.inverse_dynamics(*torch.zeros(3, 3, dtype=torch.float64)).abs()
+    limit, rows = 1.2 * holding + 2.0, []
+    q, qd = torch.zeros(2, 3, dtype=torch.float64)
+    for k in range(25_000):
+        wanted = torch.tensor([np.sin(0.9 * k * dt), np.cos(0.6 * k * dt), np.sin(1.3 * k * dt)])
+        tau = (60.0 * (wanted - q) - 4.0 * qd).clamp(-limit, limit)
+        rows.append(torch.cat((q, tau)))
+        qd = qd + dt * robot.forward_dynamics(q, qd, tau)
+        q = q + dt * qd
+    table = torch.stack(rows)[::5].numpy()
+    tau = table[:, 3:]
+    assert (np.abs(tau) >= limit.numpy()).mean(axis=0).max() > 0.05
+    q = table[:, :3] + 1e-5 * np.random.default_rng(0).standard_normal((len(table), 3))
+    assert suspected(URDF, Recording.from_arrays("day", NAMES, 5 * dt * np.arange(len(table)), q, tau)).found == ()
 
 
 def test_the_demo_is_not_suspected() -> None:

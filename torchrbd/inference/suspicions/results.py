@@ -15,8 +15,8 @@ class Suspicion:
             "clipped torque".
         joints: where; none if it concerns the whole table.
         log_odds: against a table that means what it says, in nats.
-        times: by which factor the squared error on held-out time falls, the geometric mean over the joints that it
-            concerns; NaN where something else than the error tells it.
+        times: by which factor the squared error on time left out of the fit falls, the geometric mean over the joints
+            that it concerns; NaN where something else than the error tells it.
         statement: the evidence in a sentence.
         remedy: the option or the mapping entry that corrects it.
         settles: whether nothing can be said of the robot before it is settled.
