@@ -2,9 +2,10 @@
 
     TORCHRBD_DATA=/path/to/recordings python -m benchmarks.concealed.real --count 12 --sizes .15 .08 --seed 0 -o DIR
 
-The torque that an effect adds along the measured, smoothed motion is added to the *measured* torque; what sensors do
-is done to what they measured. Each data set also makes an untouched case: what a diagnosis of it finds is there anyway,
-and against it exactly the hidden effect must be new. Folders are those of the other cases (``cases``, ``truth``).
+The torque that an effect adds along the measured motion, as far as that rises above noise, is added to the *measured*
+torque; what sensors do is done to what they measured. Each data set also makes an untouched case: what a diagnosis of
+it finds is there anyway, and against it exactly the hidden effect must be new. Folders are those of the other cases
+(``cases``, ``truth``).
 """
 
 from __future__ import annotations
@@ -120,7 +121,7 @@ def write_case(folder: Path, robot: Robot, recordings: Sequence[Taken], effect: 
         table = dict(taken.table)
         if effect is not None:
             torque = np.stack([table[f"tau_{joint}"] for joint in robot.joints], axis=1)
-            torque = torque + added(effect, taken.motion, table["t"], torque)
+            torque = torque + added(effect, taken.moved, table["t"], torque)
             table |= {f"tau_{joint}": column for joint, column in zip(robot.joints, torque.T, strict=True)}
         parquet.write_table(pa.table(table), folder / taken.motion.file)
 

@@ -10,10 +10,10 @@ from concealed import run
 from concealed.effects import EFFECTS
 from concealed.oracle import oracle_errors
 from concealed.real import RealYardstick, added, draw_hidden, generate, write_case
-from concealed.real_data import DATA_SETS, DataSet, RealRobot, take
+from concealed.real_data import DATA_SETS, DataSet, RealRobot, take, told_hz
 from concealed.score import score_case
 from pyarrow import csv, parquet
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, chirp, sosfiltfilt
 from simulated import Motion, inverse_dynamics, multisine
 
 URDF = """<robot name="two">
@@ -69,6 +69,33 @@ def test_joint_torque_is_added_to_the_measured_one(folder: Path, tmp_path: Path)
     # But for what smoothing takes at the ends.
     inner = slice(100, -100)
     np.testing.assert_allclose(more[inner, 1], told["stiffness"] * (q - told["rest_position"])[inner], atol=0.01)
+
+
+def test_masses_are_moved_by_fast_motion_too(tmp_path: Path) -> None:
+    """A load that is not felt above a low-pass filter is none: the fast part of a motion would deny it."""
+    t = np.arange(0.0, 10.0, 0.002)
+    q = np.repeat(0.01 * chirp(t, 0.5, 10.0, 20.0)[:, None], 2, axis=1)
+    noise = 1e-6 * np.random.default_rng(0).standard_normal(q.shape)
+    both = {f"q_{j}": (q + noise)[:, k] for k, j in enumerate("ab")} | {f"tau_{j}": np.cos(t) for j in "ab"}
+    csv.write_csv(pa.table({"t": t, **both}), tmp_path / "fast.csv")
+    taken = take(RealRobot("two", URDF), tmp_path / "fast.csv", "fit_1.parquet")
+    rotor = EFFECTS["rotor_inertia"].draw(np.random.default_rng(0), taken.motion, 1).of_strength(0.3)
+    qdd = np.gradient(np.gradient(q[:, 1], t), t)
+    expected = rotor.parameters(taken.motion)["rotor_inertia"] * qdd
+    inner, none = slice(500, -500), np.zeros_like(q)
+    whole, slow = (added(rotor, x, t, none)[:, 1] - expected for x in (taken.moved, taken.motion))
+    assert np.std(whole[inner]) < 0.1 * np.std(expected[inner])
+    assert np.std(slow[inner]) > 0.5 * np.std(expected[inner])
+
+
+def test_motion_counts_up_to_where_its_positions_drown_in_noise() -> None:
+    dt, rng, hz = 0.002, np.random.default_rng(1), 25.0
+    # Twice summed white noise: its power at ``hz`` is ten times that of white noise of this size.
+    walk = dt**2 * np.cumsum(np.cumsum(rng.standard_normal(20000)))
+    size = dt**2 / np.sqrt(10.0) / (2.0 * np.sin(np.pi * hz * dt)) ** 2
+    told = told_hz(np.stack((walk, walk + size * rng.standard_normal(20000)), 1), dt)
+    assert told[1] == pytest.approx(hz, rel=0.3)
+    assert told[0] > 2.0 * hz
 
 
 def test_sensors_change_what_they_measured(folder: Path) -> None:
