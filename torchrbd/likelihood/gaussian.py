@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.special import log_ndtr
 
 from torchrbd.likelihood.root import ROUNDING, Root, forwards
@@ -44,22 +45,31 @@ class Quadratic:
 
 @dataclass(frozen=True)
 class Block:
-    """Whitened rows of one joint: X (P_j, m), y (m,), and which coefficients ``own`` (P_j,) its columns are."""
+    """Whitened rows of one joint: X (P_j, m), y (m,), and which coefficients ``own`` (P_j,) its columns are.
+
+    The last of X may be given as a sparse matrix ``brief`` (S, m) too: what a joint has at one moment alone.
+    """
 
     X: np.ndarray
     y: np.ndarray
     own: np.ndarray
+    brief: csr_array | None = None
 
     @cached_property
     def gram(self) -> np.ndarray:
         """X X', (P_j, P_j)."""
-        return self.X @ self.X.T
+        if self.brief is None:
+            return self.X @ self.X.T
+        last = self.X.shape[0] - self.brief.shape[0]
+        lasting = self.X[:last]
+        cross = self.brief @ lasting.T
+        return np.block([[lasting @ lasting.T, cross.T], [cross, (self.brief @ self.brief.T).toarray()]])
 
     def louder(self, part: float) -> Block:
         """Return the same rows, their noise so many times as large."""
         if part == 1.0:
             return self
-        one = Block(self.X / part, self.y / part, self.own)
+        one = Block(self.X / part, self.y / part, self.own, None if self.brief is None else self.brief / part)
         vars(one)["gram"] = self.gram / part**2
         return one
 

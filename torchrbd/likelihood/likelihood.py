@@ -76,7 +76,7 @@ class Likelihood:
             if (features := e.at(joint)) is not None:
                 A = np.concatenate((A, features * e.std[:, None]))
                 own = np.concatenate((own, first + np.arange(len(e.std))))
-        return Design(A, own, self.machine.target[joint])
+        return Design.of(A, own, self.machine.target[joint])
 
     def _whitened(self, joint: int) -> Block:
         return self._designs[joint].white(self.hyper.noise[joint])
@@ -126,6 +126,10 @@ class Likelihood:
         """Return the columns of a joint before they are whitened, (P_j, M), in prior coordinates."""
         return self._designs[joint].A
 
+    def own(self, joint: int) -> np.ndarray:
+        """Return which coefficients (P_j,) the columns of a joint have."""
+        return self._designs[joint].own
+
     def beside(self, place: int | None, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return precision (K, K) and score (K,) of features (K, M) of a joint, or (K, n, M) of all, beside the fit."""
         joints = [j for j in (range(len(self.index)) if place is None else (place,)) if len(self.index[j])]
@@ -146,10 +150,9 @@ class Likelihood:
         size = np.sqrt(np.maximum(b.gram.diagonal(), 1e-300))
         values, vectors = np.linalg.eigh(b.gram / size / size[:, None])
         kept = values > _LEAST_DIRECTION
-        Z = (vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]).T @ b.X
-        number = np.unique(self.machine.rows.block[self.index[joint]], return_inverse=True)[1]
-        scores = np.zeros((number.max() + 1, len(Z)))
-        np.add.at(scores, number, (Z * e).T)
+        coordinates = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
+        first = np.flatnonzero(np.diff(self.machine.rows.block[self.index[joint]], prepend=-1))
+        scores = np.add.reduceat(b.X * e, first, axis=1).T @ coordinates
         return float((scores**2).sum() / kept.sum() / np.mean(e**2))
 
     def renoised(self, joints: Sequence[int] | None = None, *, dispersed: bool = False) -> Likelihood:

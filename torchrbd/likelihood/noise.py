@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import convolve1d
+from scipy.sparse import csr_array
 from scipy.special import gammaln
 
 _MOST_ORDER = 16
@@ -99,10 +100,28 @@ class Noise:
 
     def white(self, A: np.ndarray) -> np.ndarray:
         """Return signals (..., M) as the whitened rows (m,) see them, (..., m)."""
-        ahead = np.concatenate(([1.0], -self.predictor))
-        out = convolve1d(A, ahead, mode="constant", origin=-(len(ahead) // 2))[..., self.index]
-        out /= self.sigma * self.scatter[self.index]
+        out = self.unpredicted(A)
+        out /= self.size
         return out
+
+    def unpredicted(self, A: np.ndarray) -> np.ndarray:
+        """Return what of signals (..., M) rows (m,) cannot predict from those before, (..., m)."""
+        ahead = np.concatenate(([1.0], -self.predictor))
+        return convolve1d(A, ahead, mode="constant", origin=-(len(ahead) // 2))[..., self.index]
+
+    @property
+    def size(self) -> np.ndarray:
+        """Standard deviation (m,) of what rows cannot predict [N m or N]."""
+        return self.sigma * self.scatter[self.index]
+
+    @property
+    def band(self) -> csr_array:
+        """The matrix (M, m) by which signals (..., M) make ``unpredicted``."""
+        ahead = np.concatenate(([1.0], -self.predictor))
+        count, order = len(self.index), len(ahead)
+        before = (self.index[:, None] - np.arange(order)).ravel()
+        entries = np.tile(ahead, count), (before, np.repeat(np.arange(count), order))
+        return csr_array(entries, shape=(len(self.spread), count))
 
 
 def predicted(run: np.ndarray, measured: np.ndarray) -> np.ndarray:
