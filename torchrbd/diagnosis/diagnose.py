@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from torchrbd.diagnosis.clock_offset import clock_offset
 from torchrbd.diagnosis.deflection import deflections
-from torchrbd.diagnosis.explain import explain
+from torchrbd.diagnosis.explain import explain, is_trifling
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
@@ -22,6 +23,7 @@ from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect, tells_nothing
 from torchrbd.diagnosis.unexplained import unexplained
 from torchrbd.diagnosis.verdict_words import verdict_statement
+from torchrbd.diagnosis.words import strongest_first
 from torchrbd.effects import Site, effect
 from torchrbd.effects.registry import PLAIN
 from torchrbd.errors import OptionError
@@ -77,6 +79,11 @@ def diagnose(
     identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = deflections(model.prepared, model.model)
     findings, trifling = explain(found, model)
+    late = clock_offset(ranked, model, identification)
+    if late is not None and is_trifling(late, model):
+        trifling = strongest_first((*trifling, late))
+    elif late is not None:
+        findings = strongest_first((*findings, late))
     findings = with_springs(findings, springs)
     proof = proofs(identification.series, identification.cutoff_hz)
     rest = unexplained(found, model, findings, proof)

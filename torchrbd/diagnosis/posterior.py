@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit, softmax
 
 from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.hypotheses import Hypothesis
@@ -79,16 +79,17 @@ def inclusion(own: Hypothesis, rivals: Sequence[Hypothesis], rows: Rows) -> Incl
     """Return how sure a term is, given its rivals' evidence in its place."""
     every = sorted((own, *rivals), key=lambda h: -log_odds(h, rows))
     logs = [log_odds(h, rows) for h in every]
-    most = max(0.0, *logs)
-    odds = [math.exp(x - most) for x in logs]
-    some = sum(odds)
-    total = some + math.exp(-most)
-    alike = [o for h, o in zip(every, odds, strict=True) if _of_family(h, own)]
+    sure = probabilities(logs)
     return Inclusion(
-        probability=odds[every.index(own)] / total,
-        family_probability=sum(alike) / total,
-        laws=tuple((h, o / some) for h, o in zip(every, odds, strict=True)),
+        probability=float(sure[every.index(own)]),
+        family_probability=float(sum(p for h, p in zip(every, sure, strict=True) if _of_family(h, own))),
+        laws=tuple(zip(every, softmax(logs).tolist(), strict=True)),
     )
+
+
+def probabilities(log_odds: Sequence[float]) -> np.ndarray:
+    """Return the probabilities (K,) of hypotheses of which one may be true, or none, of log odds against none."""
+    return softmax([0.0, *log_odds])[1:]
 
 
 def _of_family(h: Hypothesis, own: Hypothesis) -> bool:

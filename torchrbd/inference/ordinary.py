@@ -48,7 +48,7 @@ def with_machine(
 ) -> Prepared:
     """Return the same data with clocks, sign changes of friction and sticks as the likelihood has them.
 
-    States that have been smoothed stay as they are, as do data to which no friction is fitted.
+    States that have been smoothed stay as they are, as do data to which no friction is fitted where nothing is known.
 
     Args:
         prepared: the data.
@@ -57,7 +57,8 @@ def with_machine(
         progress: told how far the work is.
         known: clocks and likelihood in the wide band, if they have been learnt.
     """
-    if prepared.states is not None or not any(e.id in ORDINARY_EFFECTS for e in effects):
+    frictionless = not any(e.id in ORDINARY_EFFECTS for e in effects)
+    if prepared.states is not None or (known is None and frictionless):
         return prepared
     progress("learning clocks and sticks", 0.0)
     held = frozenset(settings.held_bodies(prepared.robot))

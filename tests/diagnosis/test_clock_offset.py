@@ -1,0 +1,45 @@
+"""The offset of all joints' clocks as a finding: how sure, how large, what it is worth on held-out time."""
+
+import numpy as np
+import pytest
+from likelihood.arms import recorded, wrong_robot
+from likelihood.fits import OPTIONS, URDF, with_friction
+
+from torchrbd import Diagnosis, diagnose
+from torchrbd.export import write_diagnosis
+
+LATE_S = 0.021
+
+
+def found(delay_s: float) -> Diagnosis:
+    """Diagnose an arm whose torque is late in two recordings; the second one is held out."""
+    one, other = (
+        recorded(URDF, seed, with_friction(), delay_s=delay_s, name=name, **OPTIONS)
+        for seed, name in ((2, "fit"), (5, "other"))
+    )
+    return diagnose(wrong_robot(URDF, 1), one, holdout=[other], effects=["rotor_inertia", "time_delay"])
+
+
+def test_late_torque_of_all_joints_is_a_finding(tmp_path) -> None:
+    diagnosis = found(LATE_S)
+    (late,) = (f for f in diagnosis.findings if f.effect == "time_delay")
+    assert (late.joints, late.links, late.where.recordings) == ((), (), None)
+    assert late.probability > 0.99
+    assert late.parameters["delay"].value == pytest.approx(LATE_S, abs=2.0 * late.parameters["delay"].std)
+    assert late.parameters["delay"].unit == "s"
+    assert late.share > 0.9
+    assert "time delay" in late.statement
+    assert "time delay" in diagnosis.statement
+    # By first order, d dtau/dt is what is moved.
+    series = diagnosis.identification.series
+    for j, joint in enumerate(series.joints):
+        first = series.recording == 0
+        slope = np.gradient(series.measured[first, j], series.t[first])
+        assert late.torque_rms[joint] == pytest.approx(LATE_S * np.sqrt(np.mean(slope**2)), rel=0.3)
+    write_diagnosis(diagnosis, tmp_path / "diagnosis.json")
+    assert '"time_delay"' in (tmp_path / "diagnosis.json").read_text()
+
+
+def test_clocks_that_agree_are_none() -> None:
+    diagnosis = found(0.0)
+    assert not [f for f in (*diagnosis.findings, *diagnosis.trifling) if f.effect == "time_delay"]

@@ -1,0 +1,98 @@
+"""Torque that is later, or earlier, than the motion in all joints alike: the offset of the clocks, as a finding.
+
+Every model has that offset, so that the search for effects never meets it. What it is worth is seen by moving the
+torque back to where it was recorded: tau(t) = tau'(t - d), tau' being read by d earlier.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from torchrbd.diagnosis.calibration import calibrated
+from torchrbd.diagnosis.explain import LARGEST_PROBABILITY
+from torchrbd.diagnosis.extending import Extended
+from torchrbd.diagnosis.posterior import LIKELY, prior_log_odds, probabilities
+from torchrbd.diagnosis.ranking import Ranked, Ranking
+from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Where
+from torchrbd.diagnosis.words import finding_sentence
+from torchrbd.effects import effect
+from torchrbd.inference.results import Identification, TorqueSeries
+from torchrbd.likelihood.clocks import of_one_machine
+
+
+def clock_offset(ranked: Ranking, extended: Extended, identification: Identification) -> Finding | None:
+    """Return the offset of the clocks as a finding, if it is likelier than not.
+
+    Args:
+        ranked: whose clocks were learnt.
+        extended: the model, read with them.
+        identification: with its torques and errors.
+    """
+    robot, found = extended.prepared.robot, [h for h in ranked.first if _is_offset(h)]
+    sure = probabilities([calibrated(h.log_evidence) + prior_log_odds(effect(h.effect), robot) for h in found])
+    if not found or sure.sum() <= LIKELY:
+        return None
+    order = np.argsort(-sure, kind="stable")
+    best, *others = (found[k] for k in order)
+    _, std = of_one_machine(ranked.delay_s, [""])[""]
+    own = effect(best.effect)
+    (name,) = best.parameters
+    before, after, carried = _worth(extended, identification)
+    one = Finding(
+        effect=best.effect,
+        joints=(),
+        links=(),
+        probability=min(float(sure[order[0]]), LARGEST_PROBABILITY),
+        log_evidence_gain=best.log_evidence,
+        parameters={name: Quantity(best.parameters[name], std, own.unit(name, prismatic=False), None)},
+        where=Where(None),
+        indistinguishable_from=tuple(
+            Alternative(h.effect, (), (), (), h.parameters, float(sure[k] / sure.sum()))
+            for k, h in zip(order[1:], others, strict=True)
+        ),
+        nmse_before=before,
+        nmse_after=after,
+        statement="",
+        family=own.family,
+        family_probability=min(float(sure.sum()), LARGEST_PROBABILITY),
+        laws=tuple(Law(found[k].effect, float(sure[k] / sure.sum())) for k in order),
+        torque_rms=carried,
+    )
+    return replace(one, statement=finding_sentence(one))
+
+
+def _is_offset(h: Ranked) -> bool:
+    return not h.joints and h.window is None and effect(h.effect).shifts_clocks
+
+
+def _worth(
+    extended: Extended, identification: Identification
+) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Return by joint the held-out nmse without the offset and with it, and the RMS of what it moves [N m or N]."""
+    series, after = identification.series, identification.fits["extended"].nmse
+    moved = series.measured - _as_recorded(series, extended.prepared.reading.delay_s)
+    before, carried = dict[str, float](), dict[str, float]()
+    for j, joint in enumerate(series.joints):
+        error, more = series.residual("extended")[:, j], moved[:, j]
+        seen = np.isfinite(error) & np.isfinite(more)
+        held = seen & series.held_out
+        carried[joint] = float(np.sqrt(np.mean(more[seen] ** 2))) if seen.any() else 0.0
+        if joint in after and held.any():
+            before[joint] = after[joint] * float(np.sum((error - more)[held] ** 2) / np.sum(error[held] ** 2))
+    return before, {joint: after[joint] for joint in before}, carried
+
+
+def _as_recorded(series: TorqueSeries, delay_s: Mapping[str, float]) -> np.ndarray:
+    """Return the measured torque (M, n) where its own clock has it."""
+    found = np.full_like(series.measured, np.nan)
+    for k, name in enumerate(series.recordings):
+        for j in range(len(series.joints)):
+            at = np.flatnonzero((series.recording == k) & np.isfinite(series.measured[:, j]))
+            if len(at) > 1:
+                spline = CubicSpline(series.t[at], series.measured[at, j])
+                found[at, j] = spline(series.t[at] - delay_s.get(name, 0.0))
+    return found
