@@ -9,6 +9,7 @@ from torchrbd import Diagnosis, diagnose
 from torchrbd.export import write_diagnosis
 
 LATE_S = 0.021
+EFFECTS = ("viscous_friction", "asymmetric_coulomb_friction", "rotor_inertia", "time_delay")
 
 
 def found(delay_s: float) -> Diagnosis:
@@ -17,7 +18,7 @@ def found(delay_s: float) -> Diagnosis:
         recorded(URDF, seed, with_friction(), delay_s=delay_s, name=name, **OPTIONS)
         for seed, name in ((2, "fit"), (5, "other"))
     )
-    return diagnose(wrong_robot(URDF, 1), one, holdout=[other], effects=["rotor_inertia", "time_delay"])
+    return diagnose(wrong_robot(URDF, 1), one, holdout=[other], effects=EFFECTS)
 
 
 def test_late_torque_of_all_joints_is_a_finding(tmp_path) -> None:

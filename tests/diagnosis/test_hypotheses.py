@@ -30,7 +30,8 @@ from torchrbd.diagnosis.hypotheses import Hypothesis, again, told
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.ranking import _ranked
 from torchrbd.diagnosis.screening import ORDINARY, refined, screened
-from torchrbd.diagnosis.search import _alike, _Search, sharpened, with_own_noise
+from torchrbd.diagnosis.search import _alike, _Search, with_own_noise
+from torchrbd.diagnosis.sharpening import sharpened
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect, known_effects
 from torchrbd.likelihood.gaussian import added
@@ -305,3 +306,14 @@ def test_effect_without_features_is_no_hypothesis() -> None:
         **dict(effect("thermal_viscosity").shapes(replace(rows.columns.scales[0], temperature=(20.0, 30.0)))[0]),
     )
     assert told(fit, rows, c) is None
+
+
+def test_offset_of_a_torque_is_no_drift() -> None:
+    """Were a recording's level to tell how large its drift is, an offset would pass for the level of a large one."""
+    plain, fit = fitted(), fitted(at_joint(1, lambda m: 0.0 * m.t + 1.5))
+    rows = carried(fit)
+    (offset,) = (h for h in screened(fit, rows, ALL) if h.name == ("torque_offset", Site(1)))
+    assert offset.log_evidence > 50.0
+    best = with_own_noise(fit, rows, offset)
+    assert best.coefficients[0] == pytest.approx(1.5, abs=4.0 * best.std[0])
+    assert fit.hyper.drift[1] < 10.0 * plain.hyper.drift[1]

@@ -17,6 +17,7 @@ from torchrbd.diagnosis.hypotheses import Hypothesis, again, support
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
 from torchrbd.diagnosis.screening import refined, screened
+from torchrbd.diagnosis.sharpening import sharpened
 from torchrbd.effects import Effect, Site
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.likelihood.columns import Candidate
@@ -142,21 +143,6 @@ def _likeliest(models: Sequence[Likelihood], noises: Sequence[tuple[Noise, ...]]
     """Return the model of the greatest log evidence, its noise its own or one of several."""
     others = [m.with_(noise=n) for m in models for n in noises if n is not m.hyper.noise]
     return max((*models, *others), key=lambda m: m.log_evidence)
-
-
-def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis whose shape, refined, is refined beside the noise, bodies and friction that go with it.
-
-    Those of a fit without it stand in for it, best where its shape is not the true one; steps in time they cannot.
-    """
-    if h.tried == 1 or h.candidate.site.window is not None:
-        return h
-    extra = h.extra(fit, rows)
-    beside = fit.extended((*fit.extra, extra)).renoised(extra.joints).rewidened(extra.joints)
-    own = beside.plausible().extended(fit.extra)
-    # What averaging costs is that of the first refinement.
-    then = again(fit, rows, replace(refined(own, rows, h), paid=h.paid))
-    return h if then is None else then
 
 
 def _meet(a: Candidate, b: Candidate) -> bool:

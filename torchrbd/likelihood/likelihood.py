@@ -168,7 +168,7 @@ class Likelihood:
             dispersion[joints] = np.maximum([self.dispersion(j) for j in joints], 1.0)
         for j in joints:
             noise[j] = self._noise(j, dispersion[j], self.hyper.noise[j].spread)
-            at = self.machine.drifting(j)
+            at = self.machine.wandering(j)
             power = np.mean(self.gaussian.z[at] ** 2 + self.gaussian.covariance(at).diagonal())
             least = _LEAST_DRIFT * self.machine.torque_rms[j]
             drift[j] = max(drift[j] * np.sqrt(np.clip(power, 0.1, 10.0)), least)

@@ -11,7 +11,8 @@
           + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
                                                             what the fastest part of each joint's motion is worth
           + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
-          + drift(t)                                        a random walk's lowest frequencies
+          + drift(t)                                        a random walk's lowest frequencies, and its level, which is
+                                                            no larger: a larger one is an offset
 
 The fastest part of the differentiated positions is encoder noise as well as motion. As far as there is noise within the
 band, the torques of all joints tell how much of it is motion, joint by joint: q + a d^2q/dt^2 is q with its highest
@@ -117,7 +118,7 @@ class Machine:
         self.mean, self.inertial, self.scale = inertial_scale(rows.columns.robot, held)
         self.torque_rms = np.sqrt((rows.tau**2).sum(1) / np.maximum(rows.measured.sum(1), 1))
         self.speed_rms = np.sqrt(np.mean(rows.qd**2, axis=1))
-        self._drift, self._drift_size = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
+        self._drift, self._drift_order = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
         self._local = len(ORDINARY) + 3 + len(STICKS) + _ROUNDING + len(self._drift)
         self._inside = [rows.recording == k for k in np.unique(rows.recording)]
         self._rigid = [rows.rigid[j][:, self.inertial] @ self.scale for j in range(rows.n_dof)]
@@ -187,6 +188,10 @@ class Machine:
     def drifting(self, joint: int) -> np.ndarray:
         """Return where the coefficients of a joint's drift stand."""
         return self._first(joint) + np.arange(self._local - len(self._drift), self._local)
+
+    def wandering(self, joint: int) -> np.ndarray:
+        """Return where the coefficients of a joint's drift stand but for its levels: those may be an offset."""
+        return self.drifting(joint)[self._drift_order > 0]
 
     def resting(self, joint: int) -> np.ndarray:
         """Return where the coefficients of a joint's rests stand, what each holds and then when each turns."""
@@ -297,7 +302,7 @@ class Machine:
             friction * self.friction_std(joint, friction)[:, None],
             bend[None],
             coulomb * self.held(joint, width),
-            self._drift * (hyper.drift[joint] * self._drift_size)[:, None],
+            self._drift * (hyper.drift[joint] / np.maximum(self._drift_order, 1))[:, None],
         ]
         local = first + np.arange(len(ORDINARY) + 1 + len(STICKS))
         places = [np.arange(len(self.inertial)), local, self.drifting(joint)]

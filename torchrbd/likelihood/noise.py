@@ -231,14 +231,13 @@ def drift_basis(t: np.ndarray, recording: np.ndarray, slowest_hz: float, most: i
         most: functions a recording at most.
 
     Returns:
-        cosines (D, M), zero outside of their recording, and the standard deviations (D,) of a random walk's, relative
-        to the slowest one's.
+        cosines (D, M), zero outside of their recording, and their orders (D,), 0 for the level.
     """
-    functions, sizes = [], []
+    functions, orders = [], []
     for k in np.unique(recording):
         inside = recording == k
         begin, length = t[inside].min(), max(float(np.ptp(t[inside])), 1e-9)
         for order in range(min(most, max(1, int(2 * length * slowest_hz))) + 1):
             functions.append(np.where(inside, np.cos(math.pi * order * (t - begin) / length), 0.0))
-            sizes.append(1.0 / max(order, 1))
-    return np.array(functions), np.array(sizes)
+            orders.append(order)
+    return np.array(functions), np.array(orders)

@@ -1,0 +1,64 @@
+"""Shapes of leading hypotheses: Gauss-Newton steps against a search on a dense grid, and what averaging costs."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from likelihood.fits import Motion, at_joint, fitted
+from scipy.optimize import minimize
+
+from torchrbd.diagnosis.hypotheses import told
+from torchrbd.diagnosis.screening import screened
+from torchrbd.diagnosis.search import carried
+from torchrbd.diagnosis.sharpening import at_summit, sharpened
+from torchrbd.effects import Site
+from torchrbd.effects.registry import effect
+
+DEAD_CENTRE, RATIO = 0.37, 0.68
+
+
+def spring(m: Motion) -> np.ndarray:
+    """The torque of a counterbalance on a crank: a spring's and a constant force's, at the lever of a triangle."""
+    angle = m.q[:, 0] - DEAD_CENTRE
+    lever = RATIO * np.sin(angle) / np.sqrt(1.0 + RATIO**2 - 2.0 * RATIO * np.cos(angle))
+    return 4.0 * RATIO * np.sin(angle) - 1.5 * lever
+
+
+@pytest.fixture(scope="module")
+def case():
+    fit = fitted(at_joint(0, spring))
+    rows = carried(fit)
+    (coarse,) = (h for h in screened(fit, rows, [effect("counterbalance")]) if h.candidate.site == Site(0))
+    return fit, rows, coarse
+
+
+def test_summit_is_that_of_a_general_optimiser(case) -> None:
+    fit, rows, coarse = case
+    best = at_summit(fit, rows, coarse)
+
+    def loss(x: np.ndarray) -> float:
+        shape = dict(zip(("dead_centre", "crank_ratio"), x.tolist(), strict=True))
+        return -told(fit, rows, rows.columns.candidate(coarse.candidate.effect, Site(0), shape)).log_evidence
+
+    start = [best.candidate.shape[name] for name in ("dead_centre", "crank_ratio")]
+    found = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-3})
+    assert best.log_evidence > -found.fun - 0.5
+    assert best.log_evidence > told(fit, rows, coarse.candidate).log_evidence + 1.0
+    # Each parameter that is told well costs as much as it is told.
+    assert best.paid < -math.log(coarse.tried)
+    assert replace(best, log_evidence=0.0).tried == coarse.tried
+
+
+def test_sharpened_hypothesis_has_the_true_shape_and_more_evidence(case) -> None:
+    fit, rows, coarse = case
+    best = sharpened(fit, rows, coarse)
+    assert best.candidate.shape["dead_centre"] == pytest.approx(DEAD_CENTRE, abs=0.05)
+    assert best.candidate.shape["crank_ratio"] == pytest.approx(RATIO, abs=0.05)
+    assert best.log_evidence > coarse.log_evidence
+
+
+def test_hypotheses_without_a_shape_stay(case) -> None:
+    fit, rows, _ = case
+    (one,) = (h for h in screened(fit, rows, [effect("joint_spring")]) if h.candidate.site == Site(0))
+    assert sharpened(fit, rows, one) is one

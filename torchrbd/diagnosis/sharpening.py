@@ -1,0 +1,77 @@
+"""Shapes of the leading hypotheses, beside the noise, bodies and friction that go with them.
+
+Those of a fit without an effect stand in for it, best where its shape is not the true one: beside them evidence is flat
+in the shape. Beside what is learnt with the effect it is not, and Gauss-Newton steps lead to its summit,
+
+    tau(theta + d) = sum_k w_k phi_k(theta) + d sum_k w_k dphi_k / dtheta
+
+A shape that is told to +- s costs log(sqrt(2 pi) s / spacing) in each parameter beside the number of shapes that were
+tried: Laplace's approximation of the average over one cell of the grid (MacKay, "Information Theory, Inference, and
+Learning Algorithms", 2003, ch. 27).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, believed, told
+from torchrbd.diagnosis.screening import refined
+from torchrbd.likelihood.gaussian import added
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.rows import Rows
+from torchrbd.likelihood.shapes import slopes, varied
+
+# Steps, halvings of one that leads downhill, and the gain [nats] that is worth another one.
+_STEPS, _HALVINGS, _LEAST_GAIN = 6, 3, 0.1
+
+
+def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis beside a fit, at the shape that is best beside what is learnt with it; steps in time stay."""
+    if not varied(rows.columns, h.candidate) or h.candidate.site.window is not None:
+        return h
+    extra = h.extra(fit, rows)
+    beside = fit.extended((*fit.extra, extra)).renoised(extra.joints).rewidened(extra.joints)
+    own = beside.plausible().extended(fit.extra)
+    best = at_summit(own, rows, refined(own, rows, h))
+    then = again(fit, rows, replace(best, paid=max(h.paid, best.paid)))
+    return h if then is None else then
+
+
+def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis at the shape of the greatest evidence that Gauss-Newton steps find; averaging is paid for."""
+    best, cost = told(fit, rows, h.candidate), h.paid
+    for _ in range(_STEPS if best is not None else 0):
+        assert best is not None
+        before, step, cost = best, *_step(fit, rows, h, best)
+        for part in (0.5**k for k in range(_HALVINGS + 1)):
+            shape = {name: now + part * step.get(name, 0.0) for name, now in before.candidate.shape.items()}
+            site = before.candidate.site
+            next_one = told(fit, rows, rows.columns.candidate(before.candidate.effect, site, shape))
+            if next_one is not None and next_one.log_evidence > before.log_evidence:
+                best = next_one
+                break
+        if best.log_evidence < before.log_evidence + _LEAST_GAIN:
+            break
+    return h if best is None else replace(best, scale=h.scale, tried=h.tried, paid=cost - math.log(h.tried))
+
+
+def _step(fit: Likelihood, rows: Rows, h: Hypothesis, now: Hypothesis) -> tuple[dict[str, float], float]:
+    """Return the Gauss-Newton step of each shape parameter, within its limits, and what averaging over a cell costs."""
+    c, axes = now.candidate, varied(rows.columns, now.candidate)
+    around = slopes(rows.columns, c, torch.from_numpy(now.coefficients))
+    F = [rows.evaluated(lambda signals, s=s: torch.stack(list(s.features(signals).values()))) for s in around]
+    S, r = fit.beside(c.place, np.concatenate((rows.features(c), *F)))
+    widths = np.array([axes[s.parameter].std for s in around])
+    std = np.concatenate((believed(fit, rows, c)[0] * h.scale, widths))
+    found = added(S, r, std)
+    steps, cost = dict[str, float](), 0.0
+    for s, step, told_to in zip(around, found.mean[-len(F) :], found.std[-len(F) :], strict=True):
+        value, axis = c.shape[s.parameter], axes[s.parameter]
+        low, high = axis.limits(value)
+        steps[s.parameter] = float(np.clip(value + step, low, high) - value)
+        cost += min(0.0, math.log(math.sqrt(2.0 * math.pi) * max(float(told_to), 1e-300) / axis.spacing(value)))
+    return steps, cost
