@@ -48,7 +48,7 @@ def clock_offset(ranked: Ranking, extended: Extended, identification: Identifica
         links=(),
         probability=min(float(sure[order[0]]), LARGEST_PROBABILITY),
         log_evidence_gain=best.log_evidence,
-        parameters={name: Quantity(best.parameters[name], std, own.unit(name, prismatic=False), None)},
+        parameters={name: Quantity(best.parameters[name], std, own.unit(name, prismatic=False))},
         where=Where(None),
         indistinguishable_from=tuple(
             Alternative(h.effect, (), (), (), h.parameters, float(sure[k] / sure.sum()))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.sparse import csr_array
 
-from torchrbd.likelihood.gaussian import Block
+from torchrbd.likelihood.gaussian import Block, count
 from torchrbd.likelihood.noise import Noise
 
 # Columns are brief that are zero but for this part of the rows.
@@ -52,7 +52,7 @@ class Design:
     def white(self, noise: Noise) -> Block:
         """Return the rows that a noise leaves white; those of another size are multiples of them, and remembered."""
         if not any(known.predictor is noise.predictor for known in self._unpredicted):
-            lasting = noise.unpredicted(self.A[: len(self.A) - self.brief.shape[0]])
+            lasting = noise.unpredicted(self.A[: len(self.A) - count(self.brief)])
             target = noise.unpredicted(self.target)
             self._unpredicted[:] = [Unpredicted(noise.predictor, lasting, self.brief @ noise.band, target)]
         (known,) = self._unpredicted

@@ -43,6 +43,11 @@ class Quadratic:
     constant: float
 
 
+def count(rows: csr_array) -> int:
+    """Return how many rows a sparse matrix has."""
+    return len(rows.indptr) - 1
+
+
 @dataclass(frozen=True)
 class Block:
     """Whitened rows of one joint: X (P_j, m), y (m,), and which coefficients ``own`` (P_j,) its columns are.
@@ -60,8 +65,7 @@ class Block:
         """X X', (P_j, P_j)."""
         if self.brief is None:
             return self.X @ self.X.T
-        last = self.X.shape[0] - self.brief.shape[0]
-        lasting = self.X[:last]
+        lasting = self.X[: len(self.X) - count(self.brief)]
         cross = self.brief @ lasting.T
         return np.block([[lasting @ lasting.T, cross.T], [cross, (self.brief @ self.brief.T).toarray()]])
 
