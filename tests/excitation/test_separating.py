@@ -14,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 import torchrbd
 from torchrbd.cli.files import write_results
-from torchrbd.diagnosis import Alternative, Diagnosis
+from torchrbd.diagnosis import Alternative, Diagnosis, Quantity
 from torchrbd.effects import Site, effect, known_effects
 from torchrbd.excitation.conditioning import Conditioning
 from torchrbd.excitation.fourier import Basis, FourierMotion
@@ -280,6 +280,18 @@ def test_what_may_not_be_there_is_told_from_nothing(diagnosis: Diagnosis) -> Non
     (question,) = known_from(replace(diagnosis, findings=(doubtful,))).questions
     assert [rival.words for rival in question.rivals] == ["joint spring at joint2", NOTHING]
     assert [rival.probability for rival in question.rivals] == pytest.approx([0.9, 0.1])
+
+
+def test_late_torque_of_all_joints_is_a_question_if_it_may_be_a_lag(diagnosis: Diagnosis) -> None:
+    """The offset of the clocks has no step of its own: a delay of all joints is a pure one."""
+    lag = Alternative("actuator_lag", parameters={"time_constant": 0.004}, probability=0.5)
+    delay = {"delay": Quantity(-0.004, 1e-4, "s")}
+    late = replace(diagnosis.findings[0], effect="time_delay", joints=(), parameters=delay, probability=0.5)
+    late = replace(late, family_probability=0.999, indistinguishable_from=(lag,))
+    (question,) = known_from(replace(diagnosis, findings=(late,))).questions
+    assert [rival.words for rival in question.rivals] == ["time delay of the torque", "actuator lag"]
+    assert question.rivals[0].shape == {"step": -0.004}
+    torchrbd.excite(URDF, replace(diagnosis, findings=(late,)), harmonics=2, starts=1)
 
 
 def test_input_that_cannot_be_used_is_refused(diagnosis: Diagnosis, tmp_path: Path) -> None:

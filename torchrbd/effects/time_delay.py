@@ -56,7 +56,8 @@ class TimeDelay(Effect):
         return {"delay": coefficients[0], "step": coefficients.new_tensor(shape["step"])}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        return (parameters["delay"],), {"step": parameters["step"]}
+        """Return them; without a step, the delay is a pure one, and the step is equal to it."""
+        return (parameters["delay"],), {"step": parameters.get("step", parameters["delay"])}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         delay, step = parameters["delay"], parameters["step"]
