@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -357,3 +359,17 @@ def test_slow_change_is_drift_and_nothing_else(fit: Likelihood) -> None:
     assert walk.hyper.drift[0] > 5 * fit.hyper.drift[0]
     assert (np.abs(walk.friction - fit.friction) < 3 * np.hypot(friction_std(walk), friction_std(fit))).all()
     assert abs(walk.delay_s[0] - DELAY_S) < 3e-4
+
+
+def test_a_model_is_freed_as_soon_as_nothing_needs_it() -> None:
+    """Its rows are large: they must not wait for the collector of cycles."""
+    recording = recorded(URDF, 2, with_friction(), **OPTIONS)
+    gc.disable()
+    try:
+        fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [recording])))
+        assert fit.settled.least_squares.with_normal_noise.with_heavy_tails.friction.shape == (2, 3)
+        watched = weakref.ref(fit), weakref.ref(fit.machine), weakref.ref(fit.settled)
+        del fit
+        assert [one() for one in watched] == [None, None, None]
+    finally:
+        gc.enable()

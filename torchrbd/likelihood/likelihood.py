@@ -186,7 +186,7 @@ class Likelihood:
         """
         return self._levelled({j: self.hyper.noise[j].tail is None for j in self._seen(joints)})
 
-    @cached_property
+    @property
     def with_heavy_tails(self) -> Likelihood:
         """The same model with heavy tails at the joints where the evidence is greater with them."""
         fit = self
@@ -257,7 +257,7 @@ class Likelihood:
             widths[j] = max(found)[1]
         return self.with_(rest_width=widths)
 
-    @cached_property
+    @property
     def least_squares(self) -> Likelihood:
         """The same model, the rows of a joint independent of each other: what predicts, however wrong a law is.
 
@@ -265,8 +265,10 @@ class Likelihood:
         Were it learnt of what whitened rows leave, a wrong law would be fitted to what is fast, its slow error pass for
         slow noise, and the next whitened rows count what is slow even less.
         """
-        if not any(len(n.predictor) for n in self.hyper.noise):
-            return self
+        return self._independent if any(len(n.predictor) for n in self.hyper.noise) else self
+
+    @cached_property
+    def _independent(self) -> Likelihood:
         noise = tuple(replace(n, predictor=np.zeros(0), sigma=n.std) for n in self.hyper.noise)
         blocks = [one.independent(n) for one, n in zip(self._designs, noise, strict=True)]
         return Likelihood(self.machine, self.hyper.with_(noise=noise), self.extra, self._slopes, self._designs, blocks)
@@ -334,7 +336,7 @@ class Likelihood:
             hyper = hyper.with_(friction=torch.stack((viscous, 0.5 * (plus + minus), 0.5 * (plus - minus)), 1))
         return Likelihood(self.machine, hyper, self.extra, self.machine.slopes(hyper))
 
-    @cached_property
+    @property
     def with_normal_noise(self) -> Likelihood:
         """The same model whose noise has no heavy tails: steps in time look like these."""
         if all(n.tail is None for n in self.hyper.noise):

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 
 import numpy as np
 import torch
@@ -56,6 +56,8 @@ _HOLDS_HZ, _MOST_HOLDS = 5.0, 60
 _TURNS_SAMPLES, _FELT_ROWS = 0.5, 6
 # Friction of a joint may take all of its torque; its sign change may be wider or narrower by this part.
 _WIDTH_STD, _WIDTH_STEP = 0.5, 1.1
+# Widths of sign changes that are remembered.
+_MOST_DIRECTIONS = 256
 # What changes more slowly than this is drift, as far as so many cosines a recording tell.
 _DRIFT_HZ, _MOST_DRIFT = 0.1, 12
 # A joint that sticks creeps, and its friction is whatever holds: errors of the velocity, times one of these.
@@ -134,7 +136,7 @@ class Machine:
         self._rest_at = ends + np.cumsum([0, *(len(holds) + len(turns) for holds, turns in both)])
         self.n = int(self._rest_at[-1])
         self.index = [predicted(rows.run, measured) for measured in rows.measured]
-        self._directions = lru_cache(maxsize=256)(self._evaluated_directions)
+        self._directions: dict[tuple[int, float], np.ndarray] = {}
 
     def _direction_std(self, stick: float, signals: Signals) -> Tensor:
         """Return the standard deviation of sign(qd), (n, N): 2 sqrt(p (1 - p)), p the probability that it is wrong."""
@@ -234,23 +236,29 @@ class Machine:
 
     def sign(self, joint: int, width: float) -> np.ndarray:
         """Return max(g, 0) and min(g, 0), (2, M), of g = tanh(qd / width)."""
-        return self._directions(joint, width)[:2]
+        return self._evaluated_directions(joint, width)[:2]
 
     def held(self, joint: int, width: float) -> np.ndarray:
         """Return g' - g, (3, M): g' is g = tanh(qd / width), in straight lines wherever the joint may rest.
 
         It may be taken to rest at speeds of more or fewer standard deviations, see ``STICKS``.
         """
-        return self._directions(joint, width)[2:]
+        return self._evaluated_directions(joint, width)[2:]
 
     def _evaluated_directions(self, joint: int, width: float) -> np.ndarray:
+        if (joint, width) in self._directions:
+            return self._directions[joint, width]
+
         def directions(signals: Signals) -> Tensor:
             g = torch.tanh(signals.qd[joint] / width)
             unsure = (self._direction_std(stick, signals)[joint] > _RESTS for stick in STICKS)
             lines = [_straight(g.numpy(), rests.numpy()) - g.numpy() for rests in unsure]
             return torch.stack((g.clamp_min(0.0), g.clamp_max(0.0), *map(torch.from_numpy, lines)))
 
-        return self.rows.evaluated(directions)
+        found = self.rows.evaluated(directions)
+        if len(self._directions) < _MOST_DIRECTIONS:
+            self._directions[joint, width] = found
+        return found
 
     def friction_columns(self, joint: int, width: float) -> np.ndarray:
         """Return the features of ordinary friction, (3, M)."""
