@@ -20,6 +20,7 @@ from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Where
 from torchrbd.diagnosis.words import finding_sentence
 from torchrbd.effects import effect
+from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.results import Identification, TorqueSeries
 from torchrbd.likelihood.clocks import of_one_machine
 
@@ -38,7 +39,8 @@ def clock_offset(ranked: Ranking, extended: Extended, identification: Identifica
         return None
     order = np.argsort(-sure, kind="stable")
     best, *others = (found[k] for k in order)
-    _, std = of_one_machine(ranked.delay_s, [""])[""]
+    late, std = _offset(ranked, extended.prepared)
+    values = {"delay": late, "time_constant": -late}
     own = effect(best.effect)
     (name,) = best.parameters
     before, after, carried = _worth(extended, identification)
@@ -48,10 +50,10 @@ def clock_offset(ranked: Ranking, extended: Extended, identification: Identifica
         links=(),
         probability=min(float(sure[order[0]]), LARGEST_PROBABILITY),
         log_evidence_gain=best.log_evidence,
-        parameters={name: Quantity(best.parameters[name], std, own.unit(name, prismatic=False))},
+        parameters={name: Quantity(values[name], std, own.unit(name, prismatic=False))},
         where=Where(None),
         indistinguishable_from=tuple(
-            Alternative(h.effect, (), (), (), h.parameters, float(sure[k] / sure.sum()))
+            Alternative(h.effect, (), (), (), {n: values[n] for n in h.parameters}, float(sure[k] / sure.sum()))
             for k, h in zip(order[1:], others, strict=True)
         ),
         nmse_before=before,
@@ -63,6 +65,12 @@ def clock_offset(ranked: Ranking, extended: Extended, identification: Identifica
         torque_rms=carried,
     )
     return replace(one, statement=finding_sentence(one))
+
+
+def _offset(ranked: Ranking, prepared: Prepared) -> tuple[float, float]:
+    """Return by how much later the torque is read, and its standard deviation [s], the same for all recordings."""
+    told = {name: late for name, late in (prepared.late or {}).items() if name in prepared.fitted}
+    return of_one_machine(told or ranked.delay_s, [""])[""]
 
 
 def _is_offset(h: Ranked) -> bool:
