@@ -75,6 +75,7 @@ def test_written_urdf_and_model_are_the_fitted_robot(case: Path, tmp_path: Path)
     assert from_urdf.robot.friction[1] == pytest.approx(0.7, rel=0.1)
 
 
+@pytest.mark.slow
 def test_second_opinion_on_the_identified_urdf(case: Path, tmp_path: Path) -> None:
     """The robot that was written explains the recordings it came from."""
     assert run(case, "diagnose", "arm.urdf", "day.csv", "night.csv", "-o", str(tmp_path / "first")) == 0

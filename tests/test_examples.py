@@ -76,6 +76,7 @@ def test_contact_is_seen_and_nothing_else(capsys: pytest.CaptureFixture[str]) ->
     assert len(lines(capsys)) == 2
 
 
+@pytest.mark.slow
 def test_a_network_learns_what_physics_lacks(capsys: pytest.CaptureFixture[str]) -> None:
     assert example("residual_network").main() < 0.8
     assert len(lines(capsys)) == 2

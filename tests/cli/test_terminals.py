@@ -14,7 +14,7 @@ def ended(command: list[str], **more) -> subprocess.CompletedProcess:
     return subprocess.run(command, capture_output=True, check=False, **more)
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+@pytest.mark.parametrize("encoding", ["ascii", pytest.param("cp1252", marks=pytest.mark.slow)])
 def test_terminals_without_unicode(encoding: str) -> None:
     """The list of effects has superscripts, minus signs and boxes."""
     told = ended([*RUN, "effects"], env={**os.environ, "PYTHONIOENCODING": encoding, "COLUMNS": "120"})
@@ -46,6 +46,7 @@ def test_a_pipe_that_nobody_reads_is_no_error() -> None:
     assert (told.returncode, told.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_nobody_listens_at_all() -> None:
     reading, writing = os.pipe()
     os.close(reading)

@@ -99,6 +99,7 @@ def test_figures_of_known_cases() -> None:
     assert by_gain == {30.0: (2, 0.5), 300.0: (1, 1.0)}
 
 
+@pytest.mark.slow
 def test_most_likely_odds_of_names_that_imitate() -> None:
     rng = np.random.default_rng(3)
     gains = rng.uniform(30.0, 300.0, 4000)

@@ -123,6 +123,7 @@ def check(seed: int, count: int, name: str, size: float, where: tuple[int, ...],
     assert (name == "coulomb_friction" and names is not None) == ("on top of that of all recordings" in one.statement)
 
 
+@pytest.mark.slow
 def test_friction_higher_in_two_of_five_recordings() -> None:
     check(51, 5, "coulomb_friction", 0.04, (1, 4), effects=[*PLAIN, "joint_spring"])
 

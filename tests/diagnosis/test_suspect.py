@@ -86,6 +86,7 @@ def test_torques_of_nothing_have_no_findings(arrays: dict[str, np.ndarray]) -> N
     assert "no better than a constant" in diagnosis.statement
 
 
+@pytest.mark.slow
 def test_the_verdict_of_a_comparison_with_suspect_input(arrays: dict[str, np.ndarray]) -> None:
     good = torchrbd.diagnose(URDF, Recording.from_arrays("day", NAMES, **arrays))
     bad = torchrbd.diagnose(URDF, Recording.from_arrays("night", NAMES, arrays["t"], arrays["q"], -arrays["tau"]))

@@ -106,6 +106,7 @@ def test_torque_without_a_name_is_left_unexplained_where_it_acts() -> None:
     assert diagnosis.verdict in ("unexplained", "missing_physics")
 
 
+@pytest.mark.slow
 def test_friction_that_the_urdf_has_is_no_finding() -> None:
     urdf = serial_arm(10, 4)
     extra = added(urdf, "joint2", lambda q, qd, qdd: 0.8 * qd + 0.6 * np.sign(qd))
@@ -125,6 +126,7 @@ def test_effects_can_be_excluded() -> None:
     assert "viscous_friction" not in {f.effect for f in diagnosis.findings}
 
 
+@pytest.mark.slow
 def test_rotor_inertia_of_the_first_joint_is_the_links_own() -> None:
     """About a fixed axis no motion separates the two, so neither is named."""
     urdf = serial_arm(11, 4)
@@ -135,6 +137,7 @@ def test_rotor_inertia_of_the_first_joint_is_the_links_own() -> None:
     assert diagnosis.verdict == "parameters"
 
 
+@pytest.mark.slow
 def test_same_seed_same_answer() -> None:
     urdf = serial_arm(12, 3)
     recording = record(urdf, 12, extra=added(urdf, "joint2", CONCEALED["coulomb_friction"][0]))

@@ -136,6 +136,7 @@ def test_smoothing_finds_the_position_noise_itself(arrays: dict[str, np.ndarray]
         )
 
 
+@pytest.mark.slow
 def test_the_regime_says_what_auto_would_do(arrays: dict[str, np.ndarray]) -> None:
     loud = arrays["q"] + 3e-3 * np.random.default_rng(2).standard_normal(arrays["q"].shape)
     for q, estimator, words in (

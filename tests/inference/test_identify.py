@@ -246,6 +246,7 @@ def test_a_known_payload_is_a_link_with_that_mass(kind: str) -> None:
     assert np.abs(values(given) - robot.pi.numpy()).max() < 0.2
 
 
+@pytest.mark.slow
 def test_a_robot_on_a_wall_falls_along_the_wall() -> None:
     down = (0.0, 9.81, 0.0)
     recording = record(URDF, 4, gravity=down)

@@ -48,6 +48,7 @@ def test_wrong_units_and_signs_give_a_physical_robot(wrong: dict) -> None:
     assert physical(identify(URDF, recording(**wrong)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 0.002])
 def test_opposite_torques_with_little_noise(noise: float) -> None:
     """A robot of negative mass explains them perfectly, so that the weights explode and the physical fit fails."""

@@ -87,6 +87,7 @@ def test_known_noise_takes_the_place_of_the_estimate() -> None:
         prepared_with(1e-4, encoder_noise={"elbow": 1e-3})
 
 
+@pytest.mark.slow
 def test_slow_clock_is_not_smoothed_and_says_so() -> None:
     recording, _ = noisy_recording(URDF, 63, duration_s=30.0, rate_hz=40.0, encoder_noise=3e-3, fastest_hz=0.8)
     robot = RobotModel.from_urdf(perturbed(URDF, 64))

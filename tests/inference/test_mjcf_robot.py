@@ -85,6 +85,7 @@ def test_the_command_writes_all_its_files(recording: torchrbd.Recording, tmp_pat
     assert main(["simulate", str(out), str(tmp_path / "day.parquet"), "--seconds", "1", "-o", str(out / "m.csv")]) == 0
 
 
+@pytest.mark.slow
 def test_a_rotor_that_the_file_has_too_small_is_found_on_top(recording: torchrbd.Recording) -> None:
     found = torchrbd.identify(
         arm(0.1, 20.0, 4.0).encode(), recording, effects=["viscous_friction", "coulomb_friction", "rotor_inertia@j2"]
@@ -130,6 +131,7 @@ def test_a_simulation_of_it_stands_for_it(recording: torchrbd.Recording, rotor: 
     assert any(note.startswith("compared with the simulation mujoco (for day)") for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_against_a_simulation_of_it(recording: torchrbd.Recording) -> None:
     """Findings are the difference; the motion is rolled forward with all that the file tells."""
     simulated = simulation(arm(0.4, 20.0, 4.0), 200.0)

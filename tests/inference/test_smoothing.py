@@ -221,6 +221,7 @@ def test_noise_is_found_from_wrong_beginnings(prepared: Prepared, pieces: tuple[
     torch.testing.assert_close(found[0], found[2], rtol=0.01, atol=0.0)
 
 
+@pytest.mark.slow
 def test_smoothed_states_give_better_parameters_than_filtered_ones() -> None:
     recording, truth = noisy_recording(URDF, 21, duration_s=15.0, rate_hz=250.0, encoder_noise=LOUD)
     robot = RobotModel.from_urdf(perturbed(URDF, 22))
@@ -236,6 +237,7 @@ def test_smoothed_states_give_better_parameters_than_filtered_ones() -> None:
     assert np.abs(truth.q).max() > 0.1
 
 
+@pytest.mark.slow
 def test_quiet_positions_are_filtered() -> None:
     recording, _ = noisy_recording(URDF, 31, duration_s=10.0, rate_hz=250.0, encoder_noise=1e-6)
     result = torchrbd.identify(RobotModel.from_urdf(perturbed(URDF, 32)), [recording], cutoff_hz=5.0)

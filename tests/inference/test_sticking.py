@@ -236,6 +236,7 @@ def test_levels_do_not_depend_on_units(prepared: Prepared) -> None:
     assert fit_model(larger, data_prior(larger, (), 0.001), larger.columns.urdf_friction).converged
 
 
+@pytest.mark.slow
 def test_rows_at_rest_count_little_though_the_likelihood_explains_them() -> None:
     """The bundled arm: what holds its joint at rest bends identification, which has no columns of it, by .05 N m."""
     demo = files("torchrbd") / "demo"
