@@ -59,7 +59,7 @@ CONCEALED = {
 }
 
 
-FAST = ("coulomb_friction", "stribeck_friction")
+FAST = ("coulomb_friction",)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,9 @@ def test_concealed_effect_is_named(effect: str) -> None:
         assert finding.parameters[name].value == pytest.approx(value, rel=tolerance)
 
 
-@pytest.mark.parametrize(("plus", "names"), [(1.5, 3), (4.0, 2)], ids=["small", "large"])
+@pytest.mark.parametrize(
+    ("plus", "names"), [(1.5, 3), pytest.param(4.0, 2, marks=pytest.mark.slow)], ids=["small", "large"]
+)
 def test_direction_dependent_friction_is_found_as_itself_or_its_equivalent(plus: float, names: int) -> None:
     """Different friction in the two directions spans the same torque as one coefficient and an offset.
 
@@ -156,6 +158,7 @@ def test_a_joint_without_torque_takes_no_part() -> None:
     assert set(diagnosis.identification.fits["urdf"].nmse) == {"joint1", "joint3"}
 
 
+@pytest.mark.slow
 def test_friction_that_only_the_urdf_has_is_found_to_be_wrong() -> None:
     urdf = serial_arm(14, 4)
     frictional = urdf.replace("</joint>", '<dynamics damping="1" friction="1"/></joint>')

@@ -208,6 +208,7 @@ def test_without_shapes_nothing_is_read_again(arm: Truth) -> None:
     assert same == terms
 
 
+@pytest.mark.slow
 def test_an_estimator_without_intervals_uses_refined_shapes(arm: Truth) -> None:
     term = stribeck(3.0, 4.0, 0.35)
     found = identify(

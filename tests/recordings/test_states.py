@@ -69,6 +69,7 @@ def test_tiles_join_whatever_their_size(rows):
     assert np.allclose(np.diff(t), FILTERING.stride(0.004) * 0.004)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [1, 100, 333])
 def test_a_tile_knows_where_joints_have_turned_before(rows):
     recording = clean_recording(CLOCK)
