@@ -50,11 +50,11 @@ def print_errors(results: Mapping[str, Diagnosis]) -> None:
 
 
 def print_findings(results: Mapping[str, Diagnosis]) -> None:
-    """Print findings, a row per place and effect, a column per diagnosis: first value ± 95 %, probability, rivals."""
+    """Print findings, a row per place and effect, a column per diagnosis: its clearest value ± 95 %, rivals."""
     cells: dict[tuple[str, str], dict[str, str]] = {}
     for name, d in results.items():
         for f in d.findings:
-            quantity = next(iter(f.parameters.values()))
+            quantity = max(f.parameters.values(), key=lambda q: abs(q.value) / q.std if q.std else np.inf)
             other = f", or {' or '.join(alternatives(f))}" if alternatives(f) else ""
             inside = f", {when(f.where)}" if f.where.recordings else ""
             cell = f"{value(quantity)} ({percent(f.probability)}{other}{inside})"

@@ -1,7 +1,4 @@
-"""Shapes of leading hypotheses: Gauss-Newton steps against a search on a dense grid, and what averaging costs."""
-
-import math
-from dataclasses import replace
+"""Shapes of leading hypotheses: Gauss-Newton steps against a search on a dense grid."""
 
 import numpy as np
 import pytest
@@ -45,9 +42,8 @@ def test_summit_is_that_of_a_general_optimiser(case) -> None:
     found = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-3})
     assert best.log_evidence > -found.fun - 0.5
     assert best.log_evidence > told(fit, rows, coarse.candidate).log_evidence + 1.0
-    # Each parameter that is told well costs as much as it is told.
-    assert best.paid < -math.log(coarse.tried)
-    assert replace(best, log_evidence=0.0).tried == coarse.tried
+    # What averaging over the grid has cost stays paid.
+    assert (best.paid, best.tried) == (coarse.paid, coarse.tried)
 
 
 def test_sharpened_hypothesis_has_the_true_shape_and_more_evidence(case) -> None:

@@ -42,7 +42,7 @@ def test_regressor_times_parameters_is_pinocchios_torque(clean: Rows) -> None:
 def test_states_that_are_thinned_make_the_same_rows(of_motion: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     fast = recorded(URDF, 1, duration_s=6.0, rate_hz=1000.0)
     thinned = rows_of(ROBOT, [fast], of_motion=of_motion, cutoff_hz=10.0)
-    monkeypatch.setattr(rows_module, "_thinning", lambda *_: 1)
+    monkeypatch.setattr(rows_module, "_DENSITY", replace(rows_module._DENSITY, least_rate_hz=1e9))
     whole = rows_of(ROBOT, [fast], of_motion=of_motion, cutoff_hz=10.0)
     assert whole.tiles[0].states.t.shape[0] > 4 * thinned.tiles[0].states.t.shape[0]
     np.testing.assert_allclose(thinned.t, whole.t, atol=1e-9)
@@ -99,7 +99,7 @@ def test_rows_around_a_fit_have_its_load_and_friction(clean: Rows) -> None:
 def test_long_recordings_are_read_in_parts_that_are_spread(monkeypatch: pytest.MonkeyPatch) -> None:
     recordings = [recorded(URDF, k, name=f"r{k}", duration_s=200.0) for k in (0, 1)]
     whole = rows_of(ROBOT, recordings)
-    monkeypatch.setattr(rows_module, "_MOST_STATES", 25_000)
+    monkeypatch.setattr(rows_module, "_DENSITY", replace(rows_module._DENSITY, most_states=25_000))
     some = rows_of(ROBOT, recordings)
     states = sum(tile.states.q.shape[1] for tile in some.tiles)
     assert 10_000 < states < 1.3 * 25_000
@@ -185,7 +185,7 @@ def test_torque_that_is_late_is_read_earlier() -> None:
 @pytest.mark.parametrize("rate_hz", [1000.0, 200.0])
 def test_memory_is_bounded_whatever_divides_the_stride(rate_hz: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """At 1 kHz and 30 Hz the stride is 13, which is prime: nothing can be thinned."""
-    monkeypatch.setattr(rows_module, "_MOST_STATES", 15_000)
+    monkeypatch.setattr(rows_module, "_DENSITY", replace(rows_module._DENSITY, most_states=15_000))
     one = recorded(URDF, 12, duration_s=66_000.0 / rate_hz, rate_hz=rate_hz)
     rows = rows_of(ROBOT, [one], cutoff_hz=None if rate_hz < 1000.0 else 30.0)
     tiles = [tile.states.q.shape[1] for tile in rows.tiles]

@@ -5,14 +5,11 @@ in the shape. Beside what is learnt with the effect it is not, and Gauss-Newton 
 
     tau(theta + d) = sum_k w_k phi_k(theta) + d sum_k w_k dphi_k / dtheta
 
-A shape that is told to +- s costs log(sqrt(2 pi) s / spacing) in each parameter beside the number of shapes that were
-tried: Laplace's approximation of the average over one cell of the grid (MacKay, "Information Theory, Inference, and
-Learning Algorithms", 2003, ch. 27).
+What averaging over shapes costs is what it has cost at the first refinement, where the whole grid was looked at.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -37,16 +34,16 @@ def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     beside = fit.extended((*fit.extra, extra)).renoised(extra.joints).rewidened(extra.joints)
     own = beside.plausible().extended(fit.extra)
     best = at_summit(own, rows, refined(own, rows, h))
-    then = again(fit, rows, replace(best, paid=max(h.paid, best.paid)))
+    then = again(fit, rows, replace(best, paid=h.paid))
     return h if then is None else then
 
 
 def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis at the shape of the greatest evidence that Gauss-Newton steps find; averaging is paid for."""
-    best, cost = told(fit, rows, h.candidate), h.paid
+    """Return a hypothesis at the shape of the greatest evidence that Gauss-Newton steps find."""
+    best = told(fit, rows, h.candidate)
     for _ in range(_STEPS if best is not None else 0):
         assert best is not None
-        before, step, cost = best, *_step(fit, rows, h, best)
+        before, step = best, _step(fit, rows, h, best)
         for part in (0.5**k for k in range(_HALVINGS + 1)):
             shape = {name: now + part * step.get(name, 0.0) for name, now in before.candidate.shape.items()}
             site = before.candidate.site
@@ -56,22 +53,19 @@ def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
                 break
         if best.log_evidence < before.log_evidence + _LEAST_GAIN:
             break
-    return h if best is None else replace(best, scale=h.scale, tried=h.tried, paid=cost - math.log(h.tried))
+    return h if best is None else replace(best, scale=h.scale, tried=h.tried, paid=h.paid)
 
 
-def _step(fit: Likelihood, rows: Rows, h: Hypothesis, now: Hypothesis) -> tuple[dict[str, float], float]:
-    """Return the Gauss-Newton step of each shape parameter, within its limits, and what averaging over a cell costs."""
+def _step(fit: Likelihood, rows: Rows, h: Hypothesis, now: Hypothesis) -> dict[str, float]:
+    """Return the Gauss-Newton step of each shape parameter, within its limits."""
     c, axes = now.candidate, varied(rows.columns, now.candidate)
     around = slopes(rows.columns, c, torch.from_numpy(now.coefficients))
     F = [rows.evaluated(lambda signals, s=s: torch.stack(list(s.features(signals).values()))) for s in around]
     S, r = fit.beside(c.place, np.concatenate((rows.features(c), *F)))
     widths = np.array([axes[s.parameter].std for s in around])
     std = np.concatenate((believed(fit, rows, c)[0] * h.scale, widths))
-    found = added(S, r, std)
-    steps, cost = dict[str, float](), 0.0
-    for s, step, told_to in zip(around, found.mean[-len(F) :], found.std[-len(F) :], strict=True):
-        value, axis = c.shape[s.parameter], axes[s.parameter]
-        low, high = axis.limits(value)
-        steps[s.parameter] = float(np.clip(value + step, low, high) - value)
-        cost += min(0.0, math.log(math.sqrt(2.0 * math.pi) * max(float(told_to), 1e-300) / axis.spacing(value)))
-    return steps, cost
+    steps = dict[str, float]()
+    for s, step in zip(around, added(S, r, std).mean[-len(F) :], strict=True):
+        value = c.shape[s.parameter]
+        steps[s.parameter] = float(np.clip(value + step, *axes[s.parameter].limits(value)) - value)
+    return steps

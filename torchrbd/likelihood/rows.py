@@ -6,8 +6,7 @@ read, so that memory stays bounded.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn
 
@@ -19,12 +18,10 @@ from torchrbd.effects import Signals
 from torchrbd.errors import RecordingError
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.reading import Reading
-from torchrbd.recordings import Filtering, States, Survey
+from torchrbd.likelihood.spreading import Density
+from torchrbd.recordings import States, Survey
 
-# Samples of states that are kept at most, over all tiles.
-_MOST_STATES = 100_000
-# How many a second, at least, and for each Hz of the band: features of a motion below the cut-off reach beyond it.
-_LEAST_RATE_HZ, _LEAST_RATE_CYCLES = 100.0, 16.0
+_DENSITY = Density(most_states=100_000, least_rate_hz=100.0, rate_cycles=16.0)
 # Numbers of features that are remembered at most, about.
 _MOST_REMEMBERED = 20_000_000
 # Whether a recording is held out as a whole is asked of times so far apart [s]: blocks are longer.
@@ -150,13 +147,13 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
     tiles, parts = [], []
     looked_at = not_held_out(reading, kept_back)
     surveys = [reading.surveys[k] for k in looked_at]
-    for k, states in _spread(reading, looked_at):
+    for k, states in _DENSITY.tiles(reading, looked_at):
         kept = ~kept_back(states.recording, states.t_out)
         if not kept.any():
             continue
         measured = reading.measured(k).unsqueeze(1)
         tau = states.decimate(torch.where(measured, torch.nan_to_num(states.tau), 0.0))
-        states = states.thinned(_thinning(states.stride, states.dt, reading.filtering.cutoff_hz))
+        states = _DENSITY.thinned(states, reading.filtering.cutoff_hz)
         tiles.append(Tile(states, columns.signals(states), kept))
         rigid = states.decimate(columns.robot.regressor_batch_last(states.q, states.qd, states.qdd))
         part = {
@@ -222,27 +219,3 @@ def not_held_out(reading: Reading, kept_back: KeptBack) -> list[int]:
 def _nothing_left(reading: Reading) -> NoReturn:
     names = ", ".join(r.name for r in reading.recordings)
     raise RecordingError(f"nothing of {names} is left beside what is held out; hold out less")
-
-
-def _spread(reading: Reading, numbers: Sequence[int]) -> Iterator[tuple[int, States]]:
-    """Yield every tile of some recordings, or some that are spread over them if they are long."""
-    total = sum(_kept_states(reading.surveys[k], reading.filtering) for k in numbers)
-    step, number = max(1, math.ceil(total / _MOST_STATES)), 0
-    for k in numbers:
-        for states in reading.tiles(k):
-            if number % step == 0:
-                yield k, states
-            number += 1
-
-
-def _kept_states(survey: Survey, filtering: Filtering) -> float:
-    """Return how many samples of a recording's states all of its tiles would keep, but for where they overlap."""
-    dt = survey.clock.dt
-    return survey.duration_s * survey.rate_hz / _thinning(filtering.stride(dt), dt, filtering.cutoff_hz)
-
-
-def _thinning(stride: int, dt: float, band_hz: float) -> int:
-    """Return by how much a clock may be coarser that has the same outputs."""
-    least_hz = max(_LEAST_RATE_HZ, _LEAST_RATE_CYCLES * band_hz)
-    most = max(1, math.floor(1.0 / (dt * least_hz) + 1e-6))
-    return max(d for d in range(1, most + 1) if stride % d == 0)

@@ -7,8 +7,6 @@ of them are read here, the fit that follows reads everything.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,11 +16,9 @@ import torch
 from torchrbd.inference.preparation import Prepared
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.rows import Tile
-from torchrbd.recordings import States
+from torchrbd.likelihood.spreading import Density
 
-# States that are kept at most, over all tiles, and how many a second of each: nonlinear features of a motion below the
-# cut-off need some more than the motion itself.
-MOST_STATES, LEAST_RATE_HZ, LEAST_RATE_CYCLES = 100_000, 100.0, 12.0
+_DENSITY = Density(most_states=100_000, least_rate_hz=100.0, rate_cycles=12.0)
 
 
 @dataclass(frozen=True)
@@ -123,14 +119,14 @@ def read_samples(prepared: Prepared, pi: torch.Tensor) -> Samples:
     friction[: prepared.robot.n_params] = 0.0
     tiles: list[Tile] = []
     parts: list[dict[str, np.ndarray]] = []
-    for k, states in _spread(prepared):
+    for k, states in _DENSITY.tiles(prepared.reading):
         kept = ~prepared.kept_back(states.recording, states.t_out)
         if not kept.any():
             continue
         measured = prepared.measured(k).unsqueeze(1)
         known = columns.term_torque(columns.signals(states), friction)
         tau = states.decimate(torch.where(measured, torch.nan_to_num(states.tau) - known, 0.0))
-        states = _thinned(states, prepared.filtering.cutoff_hz)
+        states = _DENSITY.thinned(states, prepared.filtering.cutoff_hz)
         tile = Tile(states, columns.signals(states), kept)
         tiles.append(tile)
         outputs = {"tau": tau, "measured": measured.expand_as(tau), **_signals(columns, tile)}
@@ -166,29 +162,6 @@ def _signals(columns: Columns, tile: Tile) -> dict[str, torch.Tensor]:
     Y = columns.robot.regressor_batch_last(states.q, states.qd, states.qdd)
     plain = {"q": states.q, "qd": states.qd, "qdd": states.qdd, "direction": direction}
     return {"rigid": states.decimate(Y).movedim(1, 2), **{name: states.decimate(x) for name, x in plain.items()}}
-
-
-def _spread(prepared: Prepared) -> Iterator[tuple[int, States]]:
-    """Yield every tile of all recordings, or some that are spread over them if they are long."""
-    coarse = [_coarseness(s.clock.dt, prepared.filtering.cutoff_hz) for s in prepared.reading.surveys]
-    total = sum(s.duration_s / (s.clock.dt * c) for s, c in zip(prepared.reading.surveys, coarse, strict=True))
-    step, number = max(1, round(total / MOST_STATES)), 0
-    for k in range(len(prepared.recordings)):
-        for states in prepared.tiles(k):
-            if number % step == 0:
-                yield k, states
-            number += 1
-
-
-def _coarseness(dt: float, cutoff_hz: float) -> int:
-    return max(1, math.floor(1.0 / (dt * max(LEAST_RATE_HZ, LEAST_RATE_CYCLES * cutoff_hz)) + 1e-6))
-
-
-def _thinned(states: States, cutoff_hz: float) -> States:
-    """Return states at a coarser clock that has the same outputs; without torque, which is noisy and needs them all."""
-    most = _coarseness(states.dt, cutoff_hz)
-    step = max(d for d in range(1, most + 1) if states.stride % d == 0)
-    return states.thinned(step)
 
 
 def _rise(prepared: Prepared) -> tuple[np.ndarray, np.ndarray]:

@@ -21,12 +21,12 @@ from torch import Tensor
 from torchrbd.effects import effect
 from torchrbd.inference.physical.fitting import fit_model, squares_beside_constant, term_candidates
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.suspicions.spread import spread, thinning
 from torchrbd.inference.suspicions.writing import Writing
 from torchrbd.likelihood.block_statistics import Block, BlockStatistics, nearest_block
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.scales import covered_scales
+from torchrbd.likelihood.spreading import Density
 from torchrbd.likelihood.urdf_prior import Prior, data_prior
 from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.recordings import States
@@ -35,6 +35,7 @@ from torchrbd.robot import pseudo_inertia
 # A part of a torque's power that is none.
 _NOTHING = 1e-9
 _SPRING = "joint_spring"
+_DENSITY = Density(most_states=30_000, least_rate_hz=60.0, rate_cycles=10.0)
 # Parts of the time that are left out of the fit in turn.
 _MOST_PARTS = 4
 
@@ -113,8 +114,8 @@ class Samples:
         self._tiles: list[States] = []
         parts: list[tuple[Tensor, ...]] = []
         features: list[list[Tensor]] = []
-        for k, states in spread(prepared):
-            thin = states.thinned(thinning(states, reading.filtering.cutoff_hz))
+        for k, states in _DENSITY.tiles(reading):
+            thin = _DENSITY.thinned(states, reading.filtering.cutoff_hz)
             self._tiles.append(thin)
             measured = reading.measured(k).unsqueeze(1)
             weight = reading.filtering.effective_rate * states.dt_out * self._columns.weight(thin) * measured

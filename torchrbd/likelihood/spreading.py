@@ -1,0 +1,50 @@
+"""Tiles that stand for all recordings: spread over long ones, no finer than what is made of them needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from torchrbd.likelihood.reading import Reading
+from torchrbd.recordings import Filtering, States, Survey
+
+
+@dataclass(frozen=True)
+class Density:
+    """How many samples of states are kept.
+
+    Attributes:
+        most_states: at most, about, over all tiles.
+        least_rate_hz: how many a second at least,
+        rate_cycles: and for each Hz of the band: features of a motion below the cut-off reach beyond it.
+    """
+
+    most_states: int
+    least_rate_hz: float
+    rate_cycles: float
+
+    def tiles(self, reading: Reading, numbers: Sequence[int] | None = None) -> Iterator[tuple[int, States]]:
+        """Yield tiles with their recording's number: all of some recordings, or some that are spread over long ones."""
+        chosen = range(len(reading.recordings)) if numbers is None else numbers
+        total, number = sum(self._kept(reading.surveys[k], reading.filtering) for k in chosen), 0
+        step = max(1, math.ceil(total / self.most_states))
+        for k in chosen:
+            for states in reading.tiles(k):
+                if number % step == 0:
+                    yield k, states
+                number += 1
+
+    def thinned(self, states: States, band_hz: float) -> States:
+        """Return states at a coarser clock that has the same outputs; of torque, which is noisy, too little."""
+        return states.thinned(self._thinning(states.stride, states.dt, band_hz))
+
+    def _kept(self, survey: Survey, filtering: Filtering) -> float:
+        """Return how many samples of a recording all of its tiles would keep, but for where they overlap."""
+        dt = survey.clock.dt
+        return survey.duration_s * survey.rate_hz / self._thinning(filtering.stride(dt), dt, filtering.cutoff_hz)
+
+    def _thinning(self, stride: int, dt: float, band_hz: float) -> int:
+        least_hz = max(self.least_rate_hz, self.rate_cycles * band_hz)
+        most = max(1, math.floor(1.0 / (dt * least_hz) + 1e-6))
+        return max(d for d in range(1, most + 1) if stride % d == 0)
