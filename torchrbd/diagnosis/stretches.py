@@ -51,7 +51,11 @@ def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | 
 
 
 def in_recordings(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
-    """Yield an effect that comes and goes at every place in some of the recordings, averaged over which and shapes."""
+    """Yield an effect that comes and goes at every place in some of the recordings, averaged over which and shapes.
+
+    Some of them and all others differ by what stands for the effect in all, an offset by what friction has of one: both
+    are as likely, and two hypotheses, those that have the first recording and those that lack it.
+    """
     names = rows.seen_recordings
     if not e.comes_and_goes or not 1 < len(names) <= _MOST_RECORDINGS:
         return
@@ -63,35 +67,47 @@ def in_recordings(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis
         if site.joint is None or rows.seen[site.joint]:
             shapes = e.shapes(rows.columns.scale(site))
             every = [rows.columns.candidate(e, site, shape) for shape in shapes]
-            yield _in_some(fit, rows, every, part, inside)
+            yield from _in_some(fit, rows, every, part, [inside[inside[:, 0] == first] for first in (True, False)])
 
 
 def _in_some(
-    fit: Likelihood, rows: Rows, candidates: Sequence[Candidate], part: np.ndarray, inside: np.ndarray
-) -> Hypothesis | None:
-    """Average an effect's shapes over the recordings in which it may act, ``inside`` (N, R) bool."""
-    evidence, best, names = [], None, np.array(rows.seen_recordings)
+    fit: Likelihood, rows: Rows, candidates: Sequence[Candidate], part: np.ndarray, kinds: Sequence[np.ndarray]
+) -> Iterator[Hypothesis | None]:
+    """Average an effect's shapes over the recordings in which it may act, ``kinds`` of (N, R) bool, for each kind."""
+    known = []
     for candidate in candidates:
-        F, place = rows.features(candidate), candidate.place
+        F = rows.features(candidate)
         std, multiples = believed(fit, rows, candidate)
-        if not np.isfinite(F).all() or not (std > 0).all():
+        if np.isfinite(F).all() and (std > 0).all():
+            known.append(
+                (candidate, std, np.array(multiples), moments(fit, candidate.place, F, part, kinds[0].shape[1]))
+            )
+    names, shared = np.array(rows.seen_recordings), math.log(len(kinds))
+    for inside in kinds:
+        evidence, best = [], None
+        for candidate, std, scales, parts in known:
+            V, gram, score = (np.tensordot(inside.astype(float), x, 1) for x in parts)
+            S = gram - V.transpose(0, 2, 1) @ V
+            found = added(S[:, None], score[:, None], std * scales[:, None], candidate.effect.prior.positive)
+            evidence.append(found.log_evidence)
+            k, size = np.unravel_index(int(found.log_evidence.argmax()), found.log_evidence.shape)
+            if best is None or found.log_evidence[k, size] > best[0]:
+                at = replace(candidate.site, recordings=tuple(names[inside[k]].tolist()))
+                one = rows.columns.candidate(candidate.effect, at, candidate.shape)
+                told_alone = mean_of(found.log_evidence[k])
+                best = (
+                    found.log_evidence[k, size],
+                    one,
+                    found.mean[k, size],
+                    found.std[k, size],
+                    scales[size],
+                    told_alone,
+                )
+        if best is None:
+            yield None
             continue
-        V, gram, score = (np.tensordot(inside.astype(float), x, 1) for x in moments(fit, place, F, part, len(names)))
-        scales = np.array(multiples)
-        S = gram - V.transpose(0, 2, 1) @ V
-        found = added(S[:, None], score[:, None], std * scales[:, None], candidate.effect.prior.positive)
-        evidence.append(found.log_evidence)
-        k, size = np.unravel_index(int(found.log_evidence.argmax()), found.log_evidence.shape)
-        if best is None or found.log_evidence[k, size] > best[0]:
-            at = replace(candidate.site, recordings=tuple(names[inside[k]].tolist()))
-            one = rows.columns.candidate(candidate.effect, at, candidate.shape)
-            told_alone = mean_of(found.log_evidence[k])
-            best = found.log_evidence[k, size], one, found.mean[k, size], found.std[k, size], scales[size], told_alone
-    if best is None:
-        return None
-    mean, (_, one, coefficients, std, scale, alone) = mean_of(np.array(evidence)), best
-    tried = len(inside) * len(evidence)
-    return Hypothesis(one, mean, coefficients, std, float(scale), tried, mean - alone)
+        mean, (_, one, coefficients, std, scale, alone) = mean_of(np.array(evidence)) - shared, best
+        yield Hypothesis(one, mean, coefficients, std, float(scale), len(inside) * len(evidence), mean - alone)
 
 
 @dataclass(frozen=True)
