@@ -80,3 +80,8 @@ def test_type_checkers_are_told_the_same_names() -> None:
     assert imported == {name: f"torchrbd.{room}" for name, room in torchrbd._ROOM_OF.items()}
     (told,) = (node.value for node in stub.body if isinstance(node, ast.Assign))
     assert ast.literal_eval(told) == torchrbd.__all__
+
+
+def test_the_compiler_is_imported_by_those_who_compile() -> None:
+    code = "import sys, torchrbd; torchrbd.diagnose; assert 'torch._dynamo' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)

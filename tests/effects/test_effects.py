@@ -51,6 +51,7 @@ EXPECTED_IDS = {
     "cable_drag",
     "thermal_viscosity",
     "velocity_coupling",
+    "coupled_motor",
     "torque_saturation",
     "speed_dependent_loss",
 }

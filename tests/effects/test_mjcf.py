@@ -138,6 +138,15 @@ def test_couplings_are_tendons_with_a_term_at_each_joint(k: float) -> None:
     np.testing.assert_allclose(inverse(mjcf(speed)) - inverse(mjcf()), expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("ratio", [1.0, -0.5])
+def test_coupled_motor_is_a_tendon(ratio: float) -> None:
+    numbers = {"viscous": 0.7, "coulomb": 0.8, "rotor_inertia": 0.3, "ratio": ratio}
+    one = term("coupled_motor", Site(1, other=0), numbers)
+    found, expected = inverse(mjcf(one)) - inverse(mjcf()), added(one)
+    moving = (STATES[1][1] + ratio * STATES[1][0]).abs().numpy() > 0.5  # MuJoCo's dry friction yields around rest
+    np.testing.assert_allclose(found[:, moving], expected[:, moving], atol=1e-5 * np.abs(expected).max())
+
+
 def test_payload_is_a_body() -> None:
     inertia = dict(zip(PARAMETERS[4:], (0.22, 0.03, 0.18, -0.04, 0.09, 0.1), strict=True))
     one = term("payload", Site(body=2), {"mass": 1.5, "x": 0.1, "y": -0.2, "z": 0.3, **inertia})

@@ -67,9 +67,12 @@ def by_mujoco(model: RigidBodyDynamics, q: np.ndarray, qd: np.ndarray, qdd: np.n
 
 
 def states(model: RigidBodyDynamics, seed: int = 3, samples: int = 20) -> list[np.ndarray]:
-    """Return q, qd, qdd (N, n) of joints that all move: around rest MuJoCo's dry friction yields."""
+    """Return q, qd, qdd (N, n) of joints, and motors, that all move: around rest MuJoCo's dry friction yields."""
     q, qd, qdd = random_states(seed, samples, model.robot.n_dof)
-    return [q, qd + 0.5 * np.sign(qd), qdd]
+    qd = qd + 0.5 * np.sign(qd)
+    motors = [(t.site, t.shape["ratio"]) for t in model.terms if t.effect.id == "coupled_motor"]
+    moving = np.all([abs(qd[:, s.joint] + r * qd[:, s.other]) > 0.3 for s, r in motors], axis=0)
+    return [x[moving] if motors else x for x in (q, qd, qdd)]
 
 
 def assert_same(model: RigidBodyDynamics, urdf: str = ARM, seed: int = 3, rtol: float = 1e-9) -> None:
@@ -157,6 +160,15 @@ def test_couplings_from_both_sides_are_tendons(k: float) -> None:
     )
     assert_same(model)
     assert not any("coupling" in sentence for sentence in torchrbd.unsaid(model))
+
+
+def test_a_motor_of_two_joints_is_a_tendon() -> None:
+    motor = {"viscous": 0.4, "coulomb": 0.5, "rotor_inertia": 0.2, "ratio": -0.5}
+    both = [term("torque_scale", Site(j), gain=1.25) for j in (1, 2)]
+    assert_same(arm(term("coupled_motor", Site(2, other=1), **motor)))
+    assert_same(arm(term("coupled_motor", Site(2, other=1), **motor), *both))
+    uneven = arm(term("coupled_motor", Site(2, other=1), **motor), *both[:1])
+    assert any("divided by the gain" in sentence for sentence in torchrbd.unsaid(uneven))
 
 
 def test_a_coupling_from_one_side_acts_on_the_other_joint_too_and_is_told() -> None:

@@ -18,8 +18,8 @@ _STEP = 0.008
 
 
 def driven_by(term: Candidate, robot: RobotModel) -> tuple[str, ...]:
-    """Return the signals of another joint that a term depends on, e.g. "q_joint2"."""
-    if term.site.other is None:
+    """Return the signals of another joint that a term at one joint depends on, e.g. "q_joint2"."""
+    if term.site.other is None or term.effect.whole_robot:
         return ()
     keys = dict.fromkeys(re.findall(r"\b(q|qd|qdd)_other\b", term.effect.equation) or ["q"])
     return tuple(f"{key}_{robot.joint_names[term.site.other]}" for key in keys)

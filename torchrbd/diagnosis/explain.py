@@ -19,7 +19,7 @@ from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Region, Where
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.words import NO_CHANGE, finding_sentence, strongest_first
-from torchrbd.effects import Site, effect
+from torchrbd.effects import effect
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.physical.terms import told_parameters
 from torchrbd.likelihood.columns import Candidate, Columns
@@ -138,9 +138,10 @@ def _sure(found: Explanation, extended: Extended) -> Iterator[tuple[Candidate, f
             yield candidate, term.own.log_evidence, inclusion(term.own, term.rivals, found.rows)
 
 
-def places(robot: RobotModel, site: Site) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the joints and the links of a site by name; none for the whole robot."""
-    joints = () if site.joint is None else (robot.joint_names[site.joint],)
+def places(robot: RobotModel, term: Candidate) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the joints that a term acts on and its links by name; none for the whole robot."""
+    site, both = term.site, term.effect.whole_robot
+    joints = tuple(robot.joint_names[j] for j in (site.joint, site.other if both else None) if j is not None)
     return joints, () if site.body is None else (robot.body_names[site.body],)
 
 
@@ -168,7 +169,7 @@ def _finding(
     """Describe a term but for the errors without it and with it."""
     model = extended.model
     columns, robot = model.columns, model.columns.robot
-    joints, links = places(robot, term.site)
+    joints, links = places(robot, term)
     prismatic = term.site.joint is not None and bool(robot.prismatic[term.site.joint])
     quantities = {
         name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic), columns.urdf_value(term))
@@ -207,7 +208,7 @@ def _alternatives(term: Candidate, sure: Inclusion, extended: Extended, fit: Lik
     for c, w, p in alike:
         if p > _LEAST_LAW:
             values = {name: float(v) for name, v in c.effect.parameters(torch.from_numpy(w), c.shape).items()}
-            where = (*places(model.columns.robot, c.site), driven_by(c, model.columns.robot))
+            where = (*places(model.columns.robot, c), driven_by(c, model.columns.robot))
             found.append(Alternative(c.effect.id, *where, values, p))
     return tuple(dict.fromkeys(found))
 

@@ -50,7 +50,7 @@ def _limit(found: Explanation, h: Hypothesis) -> Limit | None:
             continue
         if not (math.isfinite(none) and 0.0 < variance < _MOST_OF_PRIOR * before):
             return None
-        joints, links = places(robot, c.site)
+        joints, links = places(robot, c)
         prismatic = c.site.joint is not None and bool(robot.prismatic[c.site.joint])
         return Limit(
             effect=c.effect.id,

@@ -9,6 +9,7 @@ from torchrbd.effects.base_tilt import BaseTilt
 from torchrbd.effects.cable_drag import CableDrag
 from torchrbd.effects.coulomb_friction import AsymmetricCoulombFriction, CoulombFriction
 from torchrbd.effects.counterbalance import Counterbalance
+from torchrbd.effects.coupled_motor import CoupledMotor
 from torchrbd.effects.encoder_offset import EncoderOffset
 from torchrbd.effects.external_wrench import ExternalWrench
 from torchrbd.effects.geometry_error import GeometryError
@@ -76,6 +77,7 @@ for _effect in (
     TorqueSaturation(),
     JointCoupling(),
     VelocityCoupling(),
+    CoupledMotor(),
     Backlash(),
     JointElasticity(),
     TimeDelay(),

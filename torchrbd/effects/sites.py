@@ -28,7 +28,7 @@ class Site:
 
     Attributes:
         joint: whose torque it adds to.
-        other: another joint, on whose motion it depends.
+        other: another joint, on whose motion it depends; it acts on both if the effect is one of the whole robot.
         body: on which it acts.
         window: when it acts; always, if None.
         recordings: in which it acts, by name; in all, if None.

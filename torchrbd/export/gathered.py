@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
-from torchrbd.effects import Mjcf, Site, Term
+from torchrbd.effects import Mjcf, Term
 from torchrbd.export.drive import Drive
 from torchrbd.export.xml_text import Value, element_text
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.robot import RobotModel
 
 _SAME = 1e-9
-# Attributes that only actuators and sensors have.
-_IN_TIME = {"dyntype", "dynprm", "delay"}
 # Attributes of actuators and sensors alone.
 _IN_TIME = {"dyntype", "dynprm", "delay"}
 # Of more numbers a sentence tells none.
@@ -26,13 +24,15 @@ _MOST_NUMBERS = 6
 
 @dataclass(frozen=True)
 class Tendon:
-    """A fixed tendon: ``stiffness`` and ``damping`` act on its length, the sum of coef times joint position."""
+    """A fixed tendon: what it has acts on its length, the sum of coef times joint position."""
 
     joints: tuple[int, ...]
     coef: tuple[float, ...]
     stiffness: float = 0.0
     damping: float = 0.0
     springlength: Value = 0.0
+    frictionloss: float = 0.0
+    armature: float = 0.0
 
 
 @dataclass
@@ -79,6 +79,7 @@ def gather(model: RigidBodyDynamics) -> Gathered:
             drive.frictionloss = 0.0
     for one in (t for t in couplings if len(t.joints) == 1):
         found.tendons.append(Tendon(one.joints, one.coef, one.stiffness / gains[one.joints[0]], 0.0, one.springlength))
+    _divide(found, gains, robot)
     for kind in ("stiffness", "damping"):
         _couple(found, kind, [t for t in couplings if len(t.joints) == 2 and getattr(t, kind)], gains, robot)
     return found
@@ -102,7 +103,7 @@ def _finite(written: Mjcf) -> bool:
 
 def _add(found: Gathered, couplings: list[Tendon], term: Term, written: Mjcf, robot: RobotModel) -> None:
     """Add one term's elements; what cannot be written becomes a sentence, with the elements to write by hand."""
-    by_hand = {e: a for e, a in written.items() if not _add_element(found, couplings, term.site, e, a, robot)}
+    by_hand = {e: a for e, a in written.items() if not _add_element(found, couplings, term, e, a, robot)}
     if not written or by_hand or term.effect.exported_in_part:
         why = [term.effect.export_note or "MJCF has no word for it", *(element_text(e, a) for e, a in by_hand.items())]
         found.unsaid.append(f"{named(term, robot)}: {'; '.join(why)}")
@@ -111,9 +112,10 @@ def _add(found: Gathered, couplings: list[Tendon], term: Term, written: Mjcf, ro
 
 
 def _add_element(
-    found: Gathered, couplings: list[Tendon], site: Site, element: str, given: Mapping[str, Value], robot: RobotModel
+    found: Gathered, couplings: list[Tendon], term: Term, element: str, given: Mapping[str, Value], robot: RobotModel
 ) -> bool:
     """Add one element; say whether it could be."""
+    site = term.site
     drives = found.drives if site.joint is None else [found.drives[site.joint]]
     if element == "general":
         return all([drive.add_actuator(given) for drive in drives])
@@ -128,7 +130,7 @@ def _add_element(
     if element == "joint" and site.joint is not None:
         return drives[0].add_joint(given)
     if element == "fixed" and site.joint is not None:
-        couplings.append(_tendon(site.joint, site.other, given))
+        (found.tendons if term.effect.whole_robot else couplings).append(_tendon(site.joint, site.other, given))
         return True
     if element == "dcmotor" and "lugre" in given and site.joint is not None:
         # Without the motor's other constants there is no bristle; what is left of it is friction in motion.
@@ -144,8 +146,8 @@ def _several(value: Value) -> tuple[float, ...]:
 def _tendon(joint: int, other: int | None, given: Mapping[str, Value]) -> Tendon:
     coef = _several(given.get("coef", 1.0))
     joints = (joint,) if other is None else (joint, other)
-    stiffness, damping = (_several(given.get(name, 0.0))[0] for name in ("stiffness", "damping"))
-    return Tendon(joints, coef, stiffness, damping, given.get("springlength", 0.0))
+    values = {name: _several(given.get(name, 0.0))[0] for name in ("stiffness", "damping", "frictionloss", "armature")}
+    return Tendon(joints, coef, springlength=given.get("springlength", 0.0), **values)
 
 
 def _add_body(found: Gathered, joint: int | None, given: Mapping[str, Value], robot: RobotModel) -> bool:
@@ -170,6 +172,18 @@ def _about_origin(given: Mapping[str, Value]) -> Tensor:
     steiner = (y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
     about = (i + m * s for i, s in zip(central, steiner, strict=True))
     return torch.tensor([m, m * x, m * y, m * z, *about], dtype=torch.float64)
+
+
+def _divide(found: Gathered, gains: list[float], robot: RobotModel) -> None:
+    """Divide what acts on both joints of a pair by the gain of their torques."""
+    for k, one in enumerate(found.tendons):
+        joint, *others = one.joints
+        sizes = {name: getattr(one, name) / gains[joint] for name in ("damping", "frictionloss", "armature")}
+        found.tendons[k] = replace(one, **sizes)
+        for other in others:
+            if gains[other] != gains[joint]:
+                names = " and ".join(robot.joint_names[j] for j in one.joints)
+                found.unsaid.append(f"motor of {names}: torques of both are divided by the gain of the first")
 
 
 def _couple(found: Gathered, kind: str, couplings: list[Tendon], gains: list[float], robot: RobotModel) -> None:

@@ -158,7 +158,8 @@ def _equality(robot: RobotModel) -> etree._Element:
 def _tendons(robot: RobotModel, found: Gathered) -> etree._Element:
     part = etree.Element("tendon")
     for one in found.tendons:
-        values = {name: text(getattr(one, name)) for name in ("stiffness", "damping") if getattr(one, name)}
+        known = ("stiffness", "damping", "frictionloss", "armature")
+        values = {name: text(getattr(one, name)) for name in known if getattr(one, name)}
         tendon = etree.SubElement(part, "fixed", {"springlength": text(one.springlength)} | values)
         for joint, coef in zip(one.joints, one.coef, strict=True):
             etree.SubElement(tendon, "joint", joint=robot.joint_names[joint], coef=text(coef))

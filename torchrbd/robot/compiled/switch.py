@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -21,6 +22,16 @@ _ORDINARY = (Tensor, torch.nn.Parameter)
 _EXACT = torch.float64
 _BATCHES, _FORWARD = TransformType.Vmap, TransformType.Jvp
 _refused = 0
+_Function = TypeVar("_Function", bound=Callable[..., object])
+
+
+def _constant_in_graphs(function: _Function) -> _Function:
+    """Mark a function whose result a graph takes as it is, as torch.compiler.assume_constant_result does.
+
+    That imports the compiler first, which takes longer than everything else that is imported.
+    """
+    function._dynamo_marked_constant = True  # type: ignore[attr-defined]
+    return function
 
 
 @contextmanager
@@ -34,7 +45,7 @@ def only_eager() -> Iterator[None]:
         _refused -= 1
 
 
-@torch.compiler.assume_constant_result
+@_constant_in_graphs
 def is_available() -> bool:
     """Say whether there are compiled kernels; builds them if need be."""
     return library() is not None
@@ -134,7 +145,7 @@ def _exporting() -> bool:
     return told is None or told()
 
 
-@torch.compiler.assume_constant_result
+@_constant_in_graphs
 def _nothing_but_batches() -> bool:
     return _levels() <= {_BATCHES}
 

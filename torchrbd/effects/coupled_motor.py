@@ -1,0 +1,96 @@
+"""Coupled motors, as of a differential or hollow wrist: a motor turns by a sum of two joints' motions.
+
+Its friction and its rotor's inertia act along theta = q + r q_other, and on both joints, as virtual work has it,
+
+    tau = f,   tau_other = r f,   f = d omega + c sign(omega) + I_r domega/dt,   omega = qd + r qd_other
+
+Where the motor of the last joint hangs on the one before, r is the ratio of their gears; two motors of a differential
+have r = 1 and r = -1.
+
+Source: Janot, Vandanjon, Gautier, "A Generic Instrumental Variable Approach for Industrial Robot Identification",
+    IEEE Transactions on Control Systems Technology 2014, on the wrist of the Staubli TX40.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
+from torchrbd.effects.signals import JointScale, Signals
+from torchrbd.effects.sites import Site, Window
+from torchrbd.robot import RobotModel
+from torchrbd.robot.inertia import PARAMETERS
+
+
+class CoupledMotor(Effect):
+    """tau += f, tau_other += r f of a motor whose speed is omega = qd + r qd_other; d, c and I_r are not negative.
+
+    Sites are pairs of a joint and the one that carries it, which turn or slide alike.
+    """
+
+    id = "coupled_motor"
+    family = "transmission"
+    words = "friction and rotor of a motor that moves two joints"
+    equation = "d omega + c sign(omega) + I_r domega/dt, omega = qd + r qd_other; r times that at the other"
+    units: ClassVar[Mapping[str, str]] = {
+        "viscous": "{tau} s/{q}",
+        "coulomb": "{tau}",
+        "rotor_inertia": "{tau} s^2/{q}",
+        "ratio": "1",
+    }
+    whole_robot = True
+    prior = CoefficientPrior("A motor's friction resists its motion, and its inertia is not negative.", (0, 1, 2))
+    _RATIOS = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
+        pairs = ((joint, _carrier(robot, joint)) for joint in range(robot.n_dof))
+        return tuple(
+            Site(joint, other=carrier)
+            for joint, carrier in pairs
+            if carrier is not None and robot.prismatic[joint] == robot.prismatic[carrier]
+        )
+
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        return tuple({"ratio": ratio} for ratio in self._RATIOS)
+
+    def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
+        assert site.joint is not None
+        assert site.other is not None
+        own, other, r = signals.joint(site.joint), signals.joint(site.other), shape["ratio"]
+        omega = own.qd + r * other.qd
+        direction = torch.tanh(omega / (own.rest_width**2 + (r * other.rest_width) ** 2) ** 0.5)
+        of_motor = {"omega": omega, "sign(omega)": direction, "domega/dt": own.qdd + r * other.qdd}
+        place = f"{site.name(signals.robot)} ({r:.6g})"
+        return {f"{label} {place}": self._at_both(phi, site, r, signals) for label, phi in of_motor.items()}
+
+    @staticmethod
+    def _at_both(phi: Tensor, site: Site, ratio: float, signals: Signals) -> Tensor:
+        """Return the torques (n, *batch) of a force phi (*batch) along the motor's motion."""
+        share = {site.joint: 1.0, site.other: ratio}
+        return torch.stack([share.get(j, 0.0) * phi for j in range(signals.robot.n_dof)])
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return dict(zip(self.units, (*coefficients, coefficients.new_tensor(shape["ratio"])), strict=True))
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        viscous, coulomb, inertia, ratio = (parameters[name] for name in self.units)
+        return (viscous, coulomb, inertia), {"ratio": ratio}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return all(parameters[name] >= 0 for name in ("viscous", "coulomb", "rotor_inertia"))
+
+    def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
+        viscous, coulomb, inertia, ratio = (parameters[name] for name in self.units)
+        along = {"damping": viscous, "frictionloss": coulomb, "armature": inertia}
+        return {"fixed": {**along, "coef": (1.0, ratio)}}
+
+
+def _carrier(robot: RobotModel, joint: int) -> int | None:
+    """Return the joint that moves another one, and no joint between them; None for the first."""
+    own = len(PARAMETERS) * robot.joint_bodies[joint]
+    moving = [k for k in range(robot.n_dof) if k != joint and own in robot.columns(k)]
+    return min(moving, key=lambda k: len(robot.columns(k)), default=None)
