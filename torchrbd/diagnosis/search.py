@@ -198,8 +198,8 @@ class _Search:
 
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
-        # What acts for a time may come again.
-        known = {h.name for h in chosen if h.candidate.site.always}
+        # What acts for a time may come again, and what there is of two kinds.
+        known = {h.name for h in chosen if h.candidate.site.always and not h.candidate.effect.kinds}
         likely = self.sought(fit, known)
         near = [refined(fit, self.rows, h) for h in likely[:_LEADING]]
         if self.beside_normal is None:

@@ -94,6 +94,7 @@ class Effect(ABC):
         prior: what is believed of the coefficients.
         shifts_clocks: True if, at all joints alike, it is to first order what an offset of clocks is.
         first_order: the shape at which it is linear in its size, where that is small; None where shapes are free.
+        kinds: shape parameters that choose between kinds, such as the side of a stop: none lies between two of them.
         needs: what a recording must hold beside positions and torques, in words.
         export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
         exported_in_part: True if what ``mjcf`` writes makes a part of the torque only; ``export_note`` says which.
@@ -115,6 +116,7 @@ class Effect(ABC):
     shifts_clocks: ClassVar[bool] = False
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
     first_order: ClassVar[Shape | None] = None
+    kinds: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[str] = ""
     export_note: ClassVar[str] = ""
     exported_in_part: ClassVar[bool] = False

@@ -4,8 +4,10 @@ Its friction and its rotor's inertia act along theta = q + r q_other, and on bot
 
     tau = f,   tau_other = r f,   f = d omega + c sign(omega) + I_r domega/dt,   omega = qd + r qd_other
 
-Where the motor of the last joint hangs on the one before, r is the ratio of their gears; two motors of a differential
-have r = 1 and r = -1.
+The motors of a differential have r = 1 and r = -1. So has one that drives its joint through the one before, by shafts
+inside each other with bevel gears of one size. Axes of wrists cross. Where two are parallel, as in a parallelogram,
+rotors at both and other inertias of the links do what such a rotor does, I (qdd - qdd_other) + I (qdd + qdd_other) =
+2 I qdd, and it is not sought.
 
 Source: Janot, Vandanjon, Gautier, "A Generic Instrumental Variable Approach for Industrial Robot Identification",
     IEEE Transactions on Control Systems Technology 2014, on the wrist of the Staubli TX40.
@@ -25,11 +27,14 @@ from torchrbd.effects.sites import Site, Window
 from torchrbd.robot import RobotModel
 from torchrbd.robot.inertia import PARAMETERS
 
+# Sine of the angle below which two axes are parallel.
+_PARALLEL = 0.1
+
 
 class CoupledMotor(Effect):
     """tau += f, tau_other += r f of a motor whose speed is omega = qd + r qd_other; d, c and I_r are not negative.
 
-    Sites are pairs of a joint and the one that carries it, which turn or slide alike.
+    Sites are pairs of a joint and the one that carries it, which turn about axes that are not parallel.
     """
 
     id = "coupled_motor"
@@ -43,19 +48,19 @@ class CoupledMotor(Effect):
         "ratio": "1",
     }
     whole_robot = True
+    kinds = ("ratio",)
     prior = CoefficientPrior("A motor's friction resists its motion, and its inertia is not negative.", (0, 1, 2))
-    _RATIOS = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         pairs = ((joint, _carrier(robot, joint)) for joint in range(robot.n_dof))
         return tuple(
             Site(joint, other=carrier)
             for joint, carrier in pairs
-            if carrier is not None and robot.prismatic[joint] == robot.prismatic[carrier]
+            if carrier is not None and _cross(robot, joint, carrier)
         )
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        return tuple({"ratio": ratio} for ratio in self._RATIOS)
+        return {"ratio": 1.0}, {"ratio": -1.0}
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         assert site.joint is not None
@@ -94,3 +99,11 @@ def _carrier(robot: RobotModel, joint: int) -> int | None:
     own = len(PARAMETERS) * robot.joint_bodies[joint]
     moving = [k for k in range(robot.n_dof) if k != joint and own in robot.columns(k)]
     return min(moving, key=lambda k: len(robot.columns(k)), default=None)
+
+
+def _cross(robot: RobotModel, joint: int, carrier: int) -> bool:
+    """Say whether both turn, about axes that are not parallel, which no motion changes."""
+    if bool(robot.prismatic[joint] | robot.prismatic[carrier]):
+        return False
+    axes = robot.jacobian(torch.zeros(robot.n_dof, dtype=torch.float64), robot.joint_bodies[joint])[3:]
+    return float(torch.linalg.cross(axes[:, joint], axes[:, carrier]).norm()) > _PARALLEL

@@ -90,20 +90,23 @@ class Axis:
 
 
 def axes(columns: Columns, term: Candidate) -> dict[str, Axis]:
-    """Return the values that the grid has for each shape parameter of a term.
+    """Return the values that the grid has for each shape parameter of a term but those that choose between kinds.
 
-    Of n shapes in d parameters, n^(1/d) values of each: a grid need not be a product, and points that differ in
-    another parameter only say nothing of how finely to look at this one.
+    Of n shapes of its kind in d parameters, n^(1/d) values of each: a grid need not be a product, and points that
+    differ in another parameter only say nothing of how finely to look at this one.
     """
+    kinds = term.effect.kinds
     grid: Sequence[Shape] = term.effect.shapes(columns.scale(term.site))
-    values = {name: sorted({shape[name] for shape in grid}) for name in term.shape}
+    own = min(grid, key=lambda shape: sum(abs(shape[name] - term.shape[name]) for name in kinds))
+    grid = [shape for shape in grid if all(shape[name] == own[name] for name in kinds)]
+    values = {name: sorted({shape[name] for shape in grid}) for name in term.shape if name not in kinds}
     varied = sum(len(own) > 1 for own in values.values())
     most = math.ceil(len(grid) ** (1.0 / max(1, varied)) - 1e-9)
     return {name: Axis(_thinned(own, most)) for name, own in values.items()}
 
 
 def varied(columns: Columns, term: Candidate) -> dict[str, Axis]:
-    """Return the same without choices between kinds, such as the side of a stop: these stay as the grid has them."""
+    """Return the same without parameters of which the grid has one value: these stay as it has them."""
     return {name: axis for name, axis in axes(columns, term).items() if axis.reach > 0}
 
 

@@ -27,8 +27,6 @@ from torchrbd.errors import InputError
 
 Place = tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 
-# Their size says nothing of the strength of an effect.
-_NOT_COMPARED = ("phase", "side")
 # Friction in motion goes by other names where more of it is seen: at rest, by direction, before it slides.
 _COULOMB = "coulomb"
 _DRY = ("coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction", "presliding_hysteresis")
@@ -174,7 +172,9 @@ def _may_be(finding: Finding, other: Finding) -> bool:
 
 
 def _quantities(finding: Finding) -> dict[str, Quantity]:
-    return {name: q for name, q in finding.parameters.items() if name not in _NOT_COMPARED}
+    """Return what says how strong an effect is, or what shape it has."""
+    not_compared = ("phase", *effect(finding.effect).kinds)
+    return {name: q for name, q in finding.parameters.items() if name not in not_compared}
 
 
 def _plain(finding: Finding) -> Finding | None:
