@@ -2,6 +2,7 @@
 
 import json
 import time
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from simulated import joint_names, record
 
 import torchrbd
 from torchrbd.cli import main
+from torchrbd.inference.torque_error import Fit
 from torchrbd.recordings import Recording
 
 URDF = random_urdf(31, 3, kinds=("revolute",), branching=0.0, massless=0.0)
@@ -84,6 +86,22 @@ def test_torques_of_nothing_have_no_findings(arrays: dict[str, np.ndarray]) -> N
     assert diagnosis.findings == ()
     assert diagnosis.verdict == "suspect"
     assert "no better than a constant" in diagnosis.statement
+
+
+def test_what_held_out_recordings_contradict_is_not_named(
+    arrays: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The plain model predicts them, what was found does not."""
+    diagnose, told = import_module("torchrbd.diagnosis.diagnose"), iter((True, False))
+    monkeypatch.setattr(diagnose, "tells_nothing", lambda *_: next(told))
+    monkeypatch.setattr(diagnose, "judge", lambda *_: Fit({NAMES[0]: 1.5, NAMES[1]: 0.0}, {}))
+    recording = Recording.from_arrays("day", NAMES, arrays["t"], arrays["q"], arrays["tau"])
+    diagnosis = torchrbd.diagnose(URDF, recording)
+    assert (diagnosis.verdict, diagnosis.findings) == ("unexplained", ())
+    (one,) = diagnosis.unexplained
+    assert one.joints == (NAMES[0],)
+    assert "150 % with what explains the other recordings" in one.statement
+    assert "those held out no better than a constant" in diagnosis.statement
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.springs import with_springs
-from torchrbd.diagnosis.suspect import suspect, tells_nothing
+from torchrbd.diagnosis.suspect import contradicted, suspect, tells_nothing
 from torchrbd.diagnosis.unexplained import unexplained
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.diagnosis.words import strongest_first
@@ -30,6 +30,7 @@ from torchrbd.errors import OptionError
 from torchrbd.estimators import OF_RECORDINGS
 from torchrbd.inference.identify import read_arguments, summarise
 from torchrbd.inference.ordinary import with_friction, with_machine
+from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.suspicions import suspicions
 from torchrbd.likelihood.reading import Progress
@@ -74,7 +75,10 @@ def diagnose(
     progress("fitting what was found", 0.0)
     model = extended(prepared, found, may, progress)
     if tells_nothing(model.prepared, model.model):
-        return suspect(asked, settings, progress, suspected, ranked)
+        if tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
+            return suspect(asked, settings, progress, suspected, ranked)
+        errors = judge(model.prepared.judging, model.model.x).nmse
+        return contradicted(asked, settings, progress, suspected, ranked, errors)
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = deflections(model.prepared, model.model)

@@ -289,7 +289,7 @@ class Diagnosis(Displayed):
 
     ``verdict`` is "consistent" (the URDF as given explains the data), "parameters" (a rigid body with other
     parameters does), "missing_physics" (named effects are needed), "unexplained" (something is left that no known
-    effect explains) or "suspect" (the recordings do not mean what they say, or no model predicts better than a
+    effect explains, or that held-out time contradicts) or "suspect" (the recordings do not mean what they say, or no model predicts better than a
     constant: there are no findings; ``identification.suspicions`` has what is suspected and what was tested).
     ``locations`` say where models and robot differ, named or not; ``maps`` draw the same. ``limits`` say how large
     what was not found could be, ``deflections`` what encoders behind the gears show. ``simulated`` names the

@@ -1,15 +1,21 @@
-"""The diagnosis of input that cannot be right: no findings, what is suspected instead, and what was tested."""
+"""Diagnoses without findings: input that cannot be right, and what was found that held-out time contradicts.
+
+Their model is the rigid body with plain friction.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
 
 import torch
 
 from torchrbd.diagnosis.ranking import Ranking
-from torchrbd.diagnosis.results import Diagnosis
-from torchrbd.diagnosis.verdict_words import suspect_statement
+from torchrbd.diagnosis.results import Diagnosis, Unexplained, Where
+from torchrbd.diagnosis.verdict_words import contradicted_sentence, contradicted_statement, suspect_statement
 from torchrbd.inference.identify import summarise
 from torchrbd.inference.physical.fitting import FittedModel, beside_constant
 from torchrbd.inference.preparation import Prepared
+from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.suspicions import Suspicions
 from torchrbd.likelihood.reading import Progress
@@ -22,7 +28,7 @@ def suspect(
     suspected: Suspicions,
     ranked: Ranking | None = None,
 ) -> Diagnosis:
-    """Return a diagnosis that tells of the input alone; its model is the rigid body with plain friction.
+    """Return a diagnosis that tells of the input alone.
 
     Args:
         prepared: the data.
@@ -31,16 +37,51 @@ def suspect(
         suspected: of the recordings.
         ranked: what was considered, if it came to that.
     """
-    progress("fitting", 0.0)
-    friction = prepared.columns.urdf_friction
-    models = {"rigid_body": prepared.fit(), "extended": prepared.fit(friction)}
-    identification = summarise(prepared, models, settings, progress, suspected)
-    simulated = tuple(one.name for one in prepared.reading.simulated)
-    statement = suspect_statement(suspected)
-    return Diagnosis(identification, "suspect", statement, (), simulated=simulated, ranking=ranked)
+    identification = _plain(prepared, settings, progress, suspected)
+    return Diagnosis(
+        identification, "suspect", suspect_statement(suspected), (), simulated=_simulated(prepared), ranking=ranked
+    )
+
+
+def contradicted(
+    prepared: Prepared,
+    settings: Settings,
+    progress: Progress,
+    suspected: Suspicions,
+    ranked: Ranking,
+    errors: Mapping[str, float],
+) -> Diagnosis:
+    """Return a diagnosis of recordings that were held out and contradict what the others show.
+
+    Args:
+        prepared, settings, progress, suspected, ranked: as of ``suspect``.
+        errors: held-out nmse by joint of what was found, in the mean no better than a constant.
+    """
+    identification = _plain(prepared, settings, progress, suspected)
+    rest = tuple(_missed(errors, identification))
+    statement = contradicted_statement([joint for u in rest for joint in u.joints], identification.fits)
+    return Diagnosis(identification, "unexplained", statement, (), rest, simulated=_simulated(prepared), ranking=ranked)
 
 
 def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:
     """Say whether a model predicts held-out torque no better than a constant, in the mean over the joints."""
     error = beside_constant(prepared.training, prepared.judging, model.x)
     return bool(error.isfinite().any()) and float(torch.nanmean(error)) > 1.0
+
+
+def _plain(prepared: Prepared, settings: Settings, progress: Progress, suspected: Suspicions) -> Identification:
+    progress("fitting", 0.0)
+    models = {"rigid_body": prepared.fit(), "extended": prepared.fit(prepared.columns.urdf_friction)}
+    return summarise(prepared, models, settings, progress, suspected)
+
+
+def _simulated(prepared: Prepared) -> tuple[str, ...]:
+    return tuple(one.name for one in prepared.reading.simulated)
+
+
+def _missed(errors: Mapping[str, float], plain: Identification) -> Iterator[Unexplained]:
+    """Yield the joints whose held-out torque what was found predicts worse than the plain model does."""
+    for joint, without in plain.fits["extended"].nmse.items():
+        if errors.get(joint, 0.0) > without:
+            sentence = contradicted_sentence(joint, errors[joint], without)
+            yield Unexplained((joint,), (), Where(), 1.0, sentence)
