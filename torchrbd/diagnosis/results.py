@@ -289,8 +289,9 @@ class Diagnosis(Displayed):
 
     ``verdict`` is "consistent" (the URDF as given explains the data), "parameters" (a rigid body with other
     parameters does), "missing_physics" (named effects are needed), "unexplained" (something is left that no known
-    effect explains, or that held-out time contradicts) or "suspect" (the recordings do not mean what they say, or no model predicts better than a
-    constant: there are no findings; ``identification.suspicions`` has what is suspected and what was tested).
+    effect explains, or held-out time contradicts what does) or "suspect" (the recordings do not mean what they say, or
+    no model predicts better than a constant: there are no findings; ``identification.suspicions`` has what is suspected
+    and what was tested).
     ``locations`` say where models and robot differ, named or not; ``maps`` draw the same. ``limits`` say how large
     what was not found could be, ``deflections`` what encoders behind the gears show. ``simulated`` names the
     recordings of a simulator that stood for the URDF. ``proofs`` say what the extended model is worth on torque
