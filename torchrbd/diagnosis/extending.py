@@ -11,11 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
 from torchrbd.diagnosis.friction import Friction, ordinary_friction
 from torchrbd.diagnosis.residual import stands_in
 from torchrbd.diagnosis.search import Explanation
+from torchrbd.effects import Site
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined_from
@@ -59,10 +61,11 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     early = [e for e, c in zip(found.fit.extra, own, strict=True) if not stands_in(c)]
     beside = found.fit if len(early) == len(own) else found.fit.extended(early).settled
     friction = ordinary_friction(beside.with_heavy_tails, columns, may, shifted)
-    # Nothing is larger than the likelihood believes.
-    believed = {
-        (t.own.candidate.effect.id, t.own.candidate.site): t.own.extra(found.fit, found.rows).std for t in found.terms
-    }
+    # Nothing is larger than the likelihood believes; of two kinds at one place, than of the larger.
+    believed: dict[tuple[str, Site], np.ndarray] = {}
+    for t in found.terms:
+        at, std = (t.own.candidate.effect.id, t.own.candidate.site), t.own.extra(found.fit, found.rows).std
+        believed[at] = np.maximum(std, believed.get(at, 0.0))
     prepared = replace(prepared, believed=believed)
     own = [columns.candidate(c.effect, c.site, c.shape) for c in own]
     early = (*(f.candidate for f in friction), *(c for c in own if not stands_in(c)))
