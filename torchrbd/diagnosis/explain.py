@@ -171,8 +171,11 @@ def _finding(
     columns, robot = model.columns, model.columns.robot
     joints, links = places(robot, term)
     prismatic = term.site.joint is not None and bool(robot.prismatic[term.site.joint])
+    wide = _std_left_open(term, extended)
     quantities = {
-        name: Quantity(value, std, term.effect.unit(name, prismatic=prismatic), columns.urdf_value(term))
+        name: Quantity(
+            value, max(std, wide.get(name, 0.0)), term.effect.unit(name, prismatic=prismatic), columns.urdf_value(term)
+        )
         for name, (value, std) in told_parameters(model, term).items()
     }
     return Finding(
@@ -194,6 +197,20 @@ def _finding(
         laws=tuple(Law(h.candidate.effect.id, p) for h, p in sure.laws if p > _LEAST_LAW),
         torque_rms=torque_rms(term, extended),
     )
+
+
+def _std_left_open(term: Candidate, extended: Extended) -> dict[str, float]:
+    """Return the standard deviations of a term's parameters as the likelihood has them, its shape as it is."""
+    if term not in extended.terms:
+        return {}
+    w, _ = extended.model.coefficients(term)
+
+    def parameters(w: torch.Tensor) -> torch.Tensor:
+        return torch.stack([*term.effect.parameters(w, term.shape).values()])
+
+    J = torch.autograd.functional.jacobian(parameters, w)
+    variance = ((J @ torch.from_numpy(extended.open[extended.terms.index(term)])) * J).sum(1)
+    return dict(zip(term.effect.units, torch.nan_to_num(variance).clamp_min(0.0).sqrt().tolist(), strict=True))
 
 
 def _alternatives(term: Candidate, sure: Inclusion, extended: Extended, fit: Likelihood) -> tuple[Alternative, ...]:

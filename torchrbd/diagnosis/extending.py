@@ -37,6 +37,8 @@ class Extended:
         model: the same with these, fitted to what it leaves.
         friction: ordinary friction, in the order of the model's first terms.
         terms: what was found, in the order of the explanation, their shapes final.
+        open: of each term, the covariance (K, K) of its coefficients in the likelihood, which leaves open what this fit
+            takes as known: whether friction differs by direction, the level of a drift, the clocks.
     """
 
     prepared: Prepared
@@ -44,6 +46,7 @@ class Extended:
     model: FittedModel
     friction: tuple[Friction, ...]
     terms: tuple[Candidate, ...]
+    open: tuple[np.ndarray, ...]
 
 
 def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progress: Progress) -> Extended:
@@ -78,7 +81,8 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
         prepared = with_input_noise(reread(prepared, every, progress), early)
     first, refined = fit_with_shapes(prepared, early), iter(early[len(friction) :])
     terms = tuple(c if stands_in(c) else next(refined) for c in own)
-    return Extended(prepared, first, with_late(prepared, first, late) if late else first, friction, terms)
+    left_open = tuple(found.fit.coefficients_covariance(k) for k in range(len(terms)))
+    return Extended(prepared, first, with_late(prepared, first, late) if late else first, friction, terms, left_open)
 
 
 def with_late(prepared: Prepared, first: FittedModel, late: Sequence[Candidate]) -> FittedModel:
