@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from xml.etree import ElementTree
 
 import noisy_robots
 import numpy as np
@@ -12,7 +10,7 @@ import pytest
 import real_recordings as real
 import torch
 from robot.random_robots import random_urdf
-from simulated import joint_names, record, with_wrong_inertials
+from simulated import joint_names, record, with_lengths, with_wrong_inertials
 
 import torchrbd
 from torchrbd.inference.identify import read_arguments
@@ -25,17 +23,6 @@ needs_data = pytest.mark.skipif(DATA is None, reason="TORCHRBD_DATA names no fol
 
 def suspected(robot, recordings, **options) -> tuple[Suspicion, ...]:
     return suspicions(prepare(*read_arguments(robot, recordings, options, "test"), ())).found
-
-
-def with_lengths(urdf: str, factors: Mapping[str, float]) -> str:
-    """Return a URDF whose joints sit so many times as far from their parent links."""
-    root = ElementTree.fromstring(urdf)
-    for joint in root.iter("joint"):
-        origin = joint.find("origin")
-        assert origin is not None
-        xyz = (factors.get(str(joint.get("name")), 1.0) * float(x) for x in str(origin.get("xyz")).split())
-        origin.set("xyz", " ".join(map(repr, xyz)))
-    return ElementTree.tostring(root, encoding="unicode")
 
 
 @pytest.mark.parametrize("seed", [0, 1])
