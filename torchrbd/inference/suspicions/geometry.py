@@ -48,7 +48,7 @@ class Moved:
 
 
 def move_joints(
-    samples: Samples, now: Writing, moves: Tensor, width: float, furthest: float, beside: Sequence[str]
+    samples: Samples, now: Writing, moves: Tensor, width: float, within: tuple[float, float], beside: Sequence[str]
 ) -> Moved:
     """Return the robot whose joints sit where the torques ask for.
 
@@ -57,7 +57,7 @@ def move_joints(
         now: how it is read.
         moves: (K, n_dof, 6) B, shifts [m] and rotation vectors [rad] in the parent links' axes.
         width: prior standard deviation of s.
-        furthest: largest size of s.
+        within: least and largest s.
         beside: effects that every joint has as well, as of ``Samples.explained``.
     """
     robot, size = samples.robot, torch.zeros(len(moves), dtype=torch.float64)
@@ -69,7 +69,7 @@ def move_joints(
         effect = _effect(samples, now, robot, model, moves, weight)
         precision = torch.einsum("jkm,jm,jlm->kl", effect, weight, effect) + torch.eye(len(moves)) / width**2
         slope = torch.einsum("jkm,jm,jm->k", effect, weight, left) - size / width**2
-        before, size = size, (size + torch.linalg.solve(precision, slope)).clamp(-furthest, furthest)
+        before, size = size, (size + torch.linalg.solve(precision, slope)).clamp(*within)
         robot = with_moved_origins(samples.robot, torch.einsum("k,kjx->jx", size, moves))
     left = left - torch.einsum("jkm,k->jm", effect, size - before)
     return Moved(robot, size, precision, effect, left, weight)

@@ -1,9 +1,9 @@
 """The URDF of another variant of the robot: links of other lengths, which no inertial parameters make up for.
 
 How far each joint is from its parent link is scaled, bodies re-fitted beside (``geometry.py``), and friction, a spring
-and a rotor at every joint, which lengths imitate in part. Lengths that are not far likelier than the URDF's, beside
-those that are kept, go back to these; those that stay are judged on time left out of the fit as every writing is. They
-have to beat joints that are turned, too, as by wrong zeros or a tilted base.
+and a rotor at every joint, which lengths imitate in part. As many lengths go back to the URDF's as can without a loss
+of odds above the bound; those that stay are judged on time left out of the fit as every writing is. They have to beat
+joints that are turned, too, as by wrong zeros or a tilted base.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from torchrbd.inference.suspicions.samples import ROTORS, SPRINGS, Samples
 from torchrbd.inference.suspicions.writing import Writing
 from torchrbd.robot import RobotModel, joint_origins
 
-# Lengths of variants are some tenths of each other's apart; none is a third.
-_WIDTH, _FURTHEST = 0.3, 2.0 / 3.0
+# Lengths of variants are some tenths of each other's apart; none is a third or three times.
+_WIDTH, _WITHIN = 0.3, (-2.0 / 3.0, 2.0)
 _BESIDE = (SPRINGS, ROTORS)
 # Joints are turned by hundredths of a rad; zeros may be off by more.
-_TURN_WIDTH, _LARGEST_RAD = 0.05, 0.5
+_TURN_WIDTH, _TURNS_WITHIN = 0.05, (-0.5, 0.5)
 
 
 def another_variant(samples: Samples, now: Writing, bound: float) -> Suspicion | None:
@@ -38,7 +38,7 @@ def another_variant(samples: Samples, now: Writing, bound: float) -> Suspicion |
     while joints:
         moves = torch.zeros(len(joints), samples.robot.n_dof, 6, dtype=torch.float64)
         moves[range(len(joints)), joints, :3] = joint_origins(samples.robot)[joints]
-        found = move_joints(samples, now, moves, _WIDTH, _FURTHEST, _BESIDE)
+        found = move_joints(samples, now, moves, _WIDTH, _WITHIN, _BESIDE)
         kept = [joint for joint, stays in zip(joints, _needed(samples, found, bound), strict=True) if stays]
         if kept == joints:
             return _judged(samples, now, found, joints, bound)
@@ -56,18 +56,18 @@ def _lengths(robot: RobotModel) -> list[int]:
 
 
 def _needed(samples: Samples, found: Moved, bound: float) -> list[bool]:
-    """Say which lengths are far likelier than the URDF's, beside all that are: (K,).
+    """Say which lengths stay when as many as can without a loss of odds above the bound are the URDF's: (K,).
 
     That which is needed least goes first. Sizes that stay follow: with those of Z at zero, s changes by
     -C_Z C_ZZ^-1 s_Z, C the covariance.
     """
-    covariance, dropped, before = torch.linalg.inv(found.precision), list[int](), 0.0
+    covariance, dropped = torch.linalg.inv(found.precision), list[int]()
     while len(dropped) < len(found.size):
-        odds = {k: _lost(samples, found, covariance, [*dropped, k]) for k in range(len(found.size)) if k not in dropped}
-        least = min(odds, key=lambda k: odds[k])
-        if odds[least] - before > bound:
+        lost = {k: _lost(samples, found, covariance, [*dropped, k]) for k in range(len(found.size)) if k not in dropped}
+        least = min(lost, key=lambda k: lost[k])
+        if lost[least] > bound:
             break
-        dropped, before = [*dropped, least], odds[least]
+        dropped.append(least)
     return [k not in dropped for k in range(len(found.size))]
 
 
@@ -88,7 +88,7 @@ def _judged(samples: Samples, now: Writing, found: Moved, joints: list[int], bou
     odds = samples.odds(base, tried)
     if odds <= bound:
         return None
-    turned = move_joints(samples, now, _turns(samples.robot.n_dof), _TURN_WIDTH, _LARGEST_RAD, _BESIDE)
+    turned = move_joints(samples, now, _turns(samples.robot.n_dof), _TURN_WIDTH, _TURNS_WITHIN, _BESIDE)
     if samples.odds(samples.explained(now, beside=_BESIDE, robot=turned.robot), tried) <= bound:
         return None
     return _told(samples, base, found, tried, joints, odds)
