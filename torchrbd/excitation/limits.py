@@ -15,6 +15,8 @@ from torchrbd.robot import RobotModel
 
 Range = tuple[float, float]
 AXES = ("x", "y", "z")
+# More than any robot has, in SI units.
+_LARGEST = 1e9
 
 
 @dataclass(frozen=True)
@@ -102,13 +104,18 @@ def limits_of(
         _check_names(robot, what, given)
     lower, upper, velocity, effort = (x.clone() for x in (robot.lower, robot.upper, robot.velocity, robot.effort))
     for name, (low, high) in ranges.items():
-        if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-            raise OptionError(f"range of '{name}' is {low:g} to {high:g}; expected two numbers, the lower one first")
+        if not -_LARGEST <= low <= high <= _LARGEST:
+            raise OptionError(
+                f"range of '{name}' is {low:g} to {high:g}; expected two numbers, the lower one first, at most "
+                f"{_LARGEST:g}"
+            )
         lower[robot.joint_names.index(name)], upper[robot.joint_names.index(name)] = low, high
     for what, values, given in (("speed", velocity, velocities), ("torque", effort, efforts)):
         for name, value in given.items():
-            if not (math.isfinite(value) and value > 0.0):
-                raise OptionError(f"greatest {what} of '{name}' is {value:g}; expected a positive number")
+            if not 0.0 < value <= _LARGEST:
+                raise OptionError(
+                    f"greatest {what} of '{name}' is {value:g}; expected a positive number, at most {_LARGEST:g}"
+                )
             values[robot.joint_names.index(name)] = value
     asked = torch.tensor([joints is None or name in joints for name in robot.joint_names])
     limits = Limits(

@@ -237,6 +237,8 @@ def _interval(value: Any, place: str) -> tuple[float, float]:
         if isinstance(start, bool) or isinstance(end, bool):
             raise TypeError
         low, high = float(start or 0.0), float(end) if end not in ("", None) else math.inf
+        if math.isnan(low) or math.isnan(high):
+            raise ValueError
     except (ValueError, TypeError):
         raise OptionError(f"{place}: time '{value}': expected FROM:TO in seconds, e.g. '2:30' (quoted)") from None
     if not low < high:
