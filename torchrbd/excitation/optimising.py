@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -61,7 +62,9 @@ class Problem:
     def free(self, x: Tensor) -> Tensor:
         """Return the free coefficients (*batch, n, 2 H - 1) of coordinates x (*batch, n (2 H - 1))."""
         limits, n = self.constraints.limits, self.constraints.robot.n_dof
-        speed = torch.where(limits.moves, 0.5 * limits.fastest, 0.0).unsqueeze(1)
+        # In a short range the fastest harmonic has not the room for the speed.
+        room = limits.half * (2.0 * math.pi * self.basis.harmonics / self.basis.period_s)
+        speed = torch.minimum(torch.where(limits.moves, 0.5 * limits.fastest, 0.0), room).unsqueeze(1)
         scale = torch.cat((limits.half.unsqueeze(1), speed.expand(n, self.basis.n - 1)), 1)
         free = scale * x.unflatten(-1, (n, self.basis.n))
         return free + torch.nn.functional.pad(limits.middle.unsqueeze(1), (0, self.basis.n - 1))
