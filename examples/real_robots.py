@@ -51,7 +51,7 @@ def print_errors(results: Mapping[str, Diagnosis]) -> None:
 
 
 def told_first(finding: Finding) -> Quantity:
-    """Return the first value of a finding; of a joint that sits elsewhere the shift that is surest, not that along x."""
+    """Return the first value of a finding; of a joint that sits elsewhere the shift that is surest, not along x."""
     first, *others = finding.parameters.values()
     if finding.effect != "geometry_error":
         return first

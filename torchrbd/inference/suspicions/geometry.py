@@ -37,6 +37,7 @@ class Moved:
         effect: (n_dof, K, M) E, before the last step.
         left: (n_dof, M) r, as far as the last step is linear.
         weight: (n_dof, M) W; zero for joints that are not judged.
+        noise: variances of the torques (n_dof,) at the URDF's geometry, and at that of the last step.
     """
 
     robot: RobotModel
@@ -45,6 +46,7 @@ class Moved:
     effect: Tensor
     left: Tensor
     weight: Tensor
+    noise: tuple[Tensor, Tensor]
 
 
 def move_joints(
@@ -62,8 +64,12 @@ def move_joints(
     """
     robot, size = samples.robot, torch.zeros(len(moves), dtype=torch.float64)
     before, effect, left, precision, weight = size, *(torch.empty(0),) * 4
-    for _ in range(_STEPS):
-        model, left = samples.fitted(now, robot, beside)
+    noise: list[Tensor] = []
+    for step in range(_STEPS):
+        # On the way the noise that has been learnt will do.
+        known = noise[-1] if 0 < step < _STEPS - 1 else None
+        model, left = samples.fitted(now, robot, beside, known)
+        noise.append(model.noise_variance)
         weight = samples.weight / model.noise_variance.unsqueeze(1)
         weight = torch.where(samples.judged.unsqueeze(1), weight, 0.0)
         effect = _effect(samples, now, robot, model, moves, weight)
@@ -72,7 +78,7 @@ def move_joints(
         before, size = size, (size + torch.linalg.solve(precision, slope)).clamp(*within)
         robot = with_moved_origins(samples.robot, torch.einsum("k,kjx->jx", size, moves))
     left = left - torch.einsum("jkm,k->jm", effect, size - before)
-    return Moved(robot, size, precision, effect, left, weight)
+    return Moved(robot, size, precision, effect, left, weight, (noise[0], noise[-1]))
 
 
 def _effect(

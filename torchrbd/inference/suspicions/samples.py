@@ -130,6 +130,7 @@ class Samples:
         beside: Sequence[str] = (),
         unread: Sequence[int] = (),
         robot: RobotModel | None = None,
+        noise: Tensor | None = None,
     ) -> Explained:
         """Re-fit the ordinary model to a writing, without each part of the time in turn, and judge it there.
 
@@ -139,13 +140,14 @@ class Samples:
             beside: effects that every joint has as well, of ``SPRINGS`` and ``ROTORS``.
             unread: joints whose torque is taken for that of something else: a constant explains it as well.
             robot: one of other geometry; the URDF's if None.
+            noise: (n_dof,) variances of the torques, if they are known.
         """
         whole, terms = self._statistics(writing, unread, robot=robot), self._terms(beside)
         squares, divergence = torch.zeros(2, self.robot.n_dof, dtype=torch.float64), 0.0
         for left_out in torch.eye(self._parts, dtype=torch.bool):
             fitted = whole.select(~left_out)
             prior = data_prior(fitted, self._trusted, tightness * self.kappa)
-            x = fit_model(fitted, prior, terms).x
+            x = fit_model(fitted, prior, terms, noise).x
             squares += torch.stack(squares_beside_constant(fitted, whole.select(left_out), x))
             divergence += _divergence(prior, x) / self._parts
         error = torch.where(self.judged, squares[0] / squares[1], torch.nan)
@@ -166,14 +168,17 @@ class Samples:
             found[:, part] = self._torque(writing, x, part)
         return found
 
-    def fitted(self, writing: Writing, robot: RobotModel, beside: Sequence[str]) -> tuple[FittedModel, Tensor]:
+    def fitted(
+        self, writing: Writing, robot: RobotModel, beside: Sequence[str], noise: Tensor | None = None
+    ) -> tuple[FittedModel, Tensor]:
         """Re-fit the ordinary model of a robot to all samples; return it and the torque that it leaves, (n_dof, M).
 
         Args:
-            writing, robot, beside: as of ``explained``.
+            writing, robot, beside, noise: as of ``explained``.
         """
         whole = self._statistics(writing, robot=robot)
-        model = fit_model(whole, data_prior(whole, self._trusted, self.kappa), self._terms(beside))
+        prior = data_prior(whole, self._trusted, self.kappa)
+        model = fit_model(whole, prior, self._terms(beside), noise)
         return model, writing.torque(self.tau) - self._torque(writing, model.x, slice(None), robot)
 
     def _terms(self, beside: Sequence[str] = ()) -> tuple[Candidate, ...]:

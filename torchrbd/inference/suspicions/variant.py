@@ -84,12 +84,16 @@ def _lost(samples: Samples, found: Moved, covariance: Tensor, zero: list[int]) -
 
 def _judged(samples: Samples, now: Writing, found: Moved, joints: list[int], bound: float) -> Suspicion | None:
     """Return the suspicion if the lengths explain time left out of the fit far better than all else does."""
-    base, tried = (samples.explained(now, beside=_BESIDE, robot=robot) for robot in (None, found.robot))
+    base, tried = (
+        samples.explained(now, beside=_BESIDE, robot=robot, noise=noise)
+        for robot, noise in zip((None, found.robot), found.noise, strict=True)
+    )
     odds = samples.odds(base, tried)
     if odds <= bound:
         return None
     turned = move_joints(samples, now, _turns(samples.robot.n_dof), _TURN_WIDTH, _TURNS_WITHIN, _BESIDE)
-    if samples.odds(samples.explained(now, beside=_BESIDE, robot=turned.robot), tried) <= bound:
+    rival = samples.explained(now, beside=_BESIDE, robot=turned.robot, noise=turned.noise[1])
+    if samples.odds(rival, tried) <= bound:
         return None
     return _told(samples, base, found, tried, joints, odds)
 
