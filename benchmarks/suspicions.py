@@ -1,36 +1,42 @@
-"""How often a right table is suspected, and whether exchanged torques are told.
+"""How often a right table is suspected, and whether exchanged torques and URDFs of other variants are told.
 
     python benchmarks/suspicions.py real         # every set of real recordings, as it stands
     python benchmarks/suspicions.py simulated    # arms with friction, springs and ripple
     python benchmarks/suspicions.py exchanged    # the KR300, two axes' torques exchanged
+    python benchmarks/suspicions.py lengths      # arms whose URDF has two links 20 to 40 % too long or too short
+    python benchmarks/suspicions.py inertials    # the same arms of seven joints with the right lengths
 
-Prints what is told of each set; of right tables nothing should be. Real recordings are read from the folder that
-TORCHRBD_DATA names. Needs the test extra.
+Prints what is told of each set, and the processor's seconds; of right tables nothing should be. Real recordings are
+read from the folder that TORCHRBD_DATA names. Needs the test extra.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import time
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import import_paths  # noqa: F401
+import noisy_robots
 import numpy as np
 import real_recordings as real
 from pyarrow import csv
 from rich.progress import track
 from robot.random_robots import random_urdf
-from simulated import record, with_wrong_inertials
+from simulated import record, with_lengths, with_wrong_inertials
 
 import torchrbd
 from torchrbd import Recording
+from torchrbd.effects import effect
 from torchrbd.errors import InputError
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.suspicions import suspicions
+from torchrbd.robot import RobotModel, joint_origins
 
 Case = tuple[str, Any, list[Any], dict[str, Any]]
 DEMO = Path(torchrbd.__file__).parent / "demo"
@@ -82,30 +88,53 @@ def of_exchanged_torques(data: Path) -> Iterator[Case]:
             yield f"{file.stem}, {a} and {b}", folder / "robot.urdf", [recording], {}
 
 
-def told(case: Case) -> str:
-    """Return what is suspected of a set of recordings."""
+def of_seven_joints() -> Iterator[Case]:
+    """Yield arms of seven joints, noisily recorded, whose URDF has inertials that are 25 % off."""
+    arms = {**noisy_robots.development_robots(), **noisy_robots.final_robots()}
+    for seed, (name, urdf) in enumerate(arms.items()):
+        yield name, noisy_robots.perturbed(urdf, seed), [noisy_robots.noisy_recording(urdf, seed)[0]], {}
+
+
+def of_other_lengths() -> Iterator[Case]:
+    """Yield the arms of seven joints, and the others, with two joints elsewhere in the URDF than on the robot."""
+    for seed, (name, urdf, recordings, options) in enumerate((*of_seven_joints(), *of_simulated_arms())):
+        rng, robot = np.random.default_rng([seed, 5]), RobotModel.from_urdf(urdf)
+        sites, origins = effect("geometry_error").sites(robot), joint_origins(robot)
+        some = [site.joint for site in sites if site.joint is not None and bool(origins[site.joint].any())]
+        chosen = rng.choice(some, 2, replace=False)
+        parts = {robot.joint_names[j]: 1.0 + float(rng.choice((-1, 1)) * rng.uniform(0.2, 0.4)) for j in chosen}
+        words = ", ".join(f"{joint} {100 * (part - 1):+.0f} %" for joint, part in parts.items())
+        yield f"{name}: {words}", with_lengths(urdf, parts), recordings, options
+
+
+def told(case: Case) -> tuple[str, float]:
+    """Return what is suspected of a set of recordings, and the processor's time [s]."""
     _, robot, recordings, options = case
     try:
-        found = suspicions(prepare(*read_arguments(robot, recordings, options, "suspicions"), ())).found
+        prepared = prepare(*read_arguments(robot, recordings, options, "suspicions"), ())
+        start = time.process_time()
+        found = suspicions(prepared).found
     except InputError as error:
-        return f"refused: {error}"
-    return "; ".join(f"{one.kind} of {', '.join(one.joints) or 'all'}, {one.log_odds:.1f} nats" for one in found)
+        return f"refused: {error}", 0.0
+    words = (f"{one.kind} of {', '.join(one.joints) or 'all'}, {one.log_odds:.1f} nats" for one in found)
+    return "; ".join(words), time.process_time() - start
 
 
 def main() -> int:
     """Print what is told of each set, and of how many sets something is."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("real", "simulated", "exchanged"))
+    parser.add_argument("what", choices=("real", "simulated", "exchanged", "lengths", "inertials"))
     what = parser.parse_args().what
     data = Path(os.environ.get("TORCHRBD_DATA", ""))
-    if what != "simulated" and not (data / "kuka_kr300").is_dir():
+    if what in ("real", "exchanged") and not (data / "kuka_kr300").is_dir():
         parser.error("TORCHRBD_DATA names no folder of real recordings; see examples/real_recordings.py")
     cases = {"real": lambda: of_real_robots(data), "exchanged": lambda: of_exchanged_torques(data)}
-    every = list(cases.get(what, of_simulated_arms)())
+    made = {"simulated": of_simulated_arms, "lengths": of_other_lengths, "inertials": of_seven_joints}
+    every = list((cases | made)[what]())
     results = {case[0]: told(case) for case in track(every, what)}
-    for name, words in results.items():
-        print(f"{name}: {words or 'nothing'}")
-    judged = [words for words in results.values() if not words.startswith("refused")]
+    for name, (words, seconds) in results.items():
+        print(f"{name}: {words or 'nothing'} ({seconds:.2f} s)")
+    judged = [words for words, _ in results.values() if not words.startswith("refused")]
     print(f"{sum(bool(words) for words in judged)} of {len(judged)} suspected, {len(every) - len(judged)} refused")
     return 0
 

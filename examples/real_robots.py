@@ -20,7 +20,7 @@ import real_recordings as real
 import torchrbd
 from torchrbd import Diagnosis
 from torchrbd.diagnosis.numbers import measure, number, percent, with_unit
-from torchrbd.diagnosis.results import Quantity
+from torchrbd.diagnosis.results import Finding, Quantity
 from torchrbd.diagnosis.words import alternatives, named, place, value, when
 from torchrbd.errors import RecordingError
 
@@ -50,17 +50,21 @@ def print_errors(results: Mapping[str, Diagnosis]) -> None:
     print_table(["nmse, held out", "model", *joints, "mean"], rows)
 
 
-def clearness(q: Quantity) -> float:
-    """Return by how many standard deviations a quantity is not zero; none if it is a choice, or is not told."""
-    return abs(q.value) / q.std if q.std > 0 and np.isfinite(q.value) else 0.0
+def told_first(finding: Finding) -> Quantity:
+    """Return the first value of a finding; of a joint that sits elsewhere the shift that is surest, not along x."""
+    first, *others = finding.parameters.values()
+    if finding.effect != "geometry_error":
+        return first
+    shifts = [q for q in (first, *others) if q.unit == first.unit and np.isfinite(q.value)]
+    return max(shifts, key=lambda q: abs(q.value) / q.std, default=first)
 
 
 def print_findings(results: Mapping[str, Diagnosis]) -> None:
-    """Print findings, a row per place and effect, a column per diagnosis: its clearest value ± 95 %, rivals."""
+    """Print findings, a row per place and effect, a column per diagnosis: a value ± 95 %, probability, rivals."""
     cells: dict[tuple[str, str], dict[str, str]] = {}
     for name, d in results.items():
         for f in d.findings:
-            quantity = max(f.parameters.values(), key=clearness)
+            quantity = told_first(f)
             other = f", or {' or '.join(alternatives(f))}" if alternatives(f) else ""
             inside = f", {when(f.where)}" if f.where.recordings else ""
             cell = f"{value(quantity)} ({percent(f.probability)}{other}{inside})"

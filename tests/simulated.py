@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -72,3 +74,14 @@ def with_wrong_inertials(urdf: str, seed: int, size: float = 0.15) -> str:
         return re.sub(r'xyz="([^"]+)"', scaled, text)
 
     return re.sub(r"<inertial>.*?</inertial>", changed, urdf, flags=re.S)
+
+
+def with_lengths(urdf: str, factors: Mapping[str, float]) -> str:
+    """Return a URDF whose joints sit so many times as far from their parent links."""
+    root = ElementTree.fromstring(urdf)
+    for joint in root.iter("joint"):
+        origin = joint.find("origin")
+        assert origin is not None
+        xyz = (factors.get(str(joint.get("name")), 1.0) * float(x) for x in str(origin.get("xyz")).split())
+        origin.set("xyz", " ".join(map(repr, xyz)))
+    return ElementTree.tostring(root, encoding="unicode")

@@ -133,3 +133,87 @@ def test_slips_are_told_with_what_to_do(
     monkeypatch.chdir(case)
     assert words in refused(capsys, *command.split())
     assert (case / "day.csv").read_bytes() == before
+
+
+@pytest.fixture(scope="module")
+def results(case: Path) -> Path:
+    """A folder with results of commands, and files that are none."""
+    (case / "folder").mkdir()
+    (case / "nothing.csv").write_text("")
+    (case / "nothing.urdf").write_text("")
+    (case / "nothing.stats").write_text("")
+    (case / "other.json").write_text('{"a": 1}')
+    (case / "robots.yaml").write_text("robots:\n  - {name: one, urdf: arm.urdf, recordings: [day.csv]}\n")
+    arm, day = str(case / "arm.urdf"), str(case / "day.csv")
+    assert main(["identify", arm, day, "-o", str(case / "fit")]) == 0
+    assert main(["diagnose", arm, day, "-o", str(case / "found"), "--effects", "joint_spring"]) == 0
+    assert main(["stats", arm, day, "-o", str(case / "sums"), "--cutoff", "5"]) == 0
+    return case
+
+
+_LIMITS = "--range joint1=-1:1 joint2=-1:1 --velocity joint1=2 joint2=2 --effort joint1=500 joint2=500"
+EXCITE = f"excite arm.urdf -o m.csv {_LIMITS}"
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("merge folder -o m.stats", "folder: is a folder; give the files in it, e.g. folder/*.stats"),
+        ("merge none.stats -o m.stats", "none.stats: no such file; check the path"),
+        ("merge nothing.stats -o m.stats", "nothing.stats: is no statistics file, or is damaged; give those that 'tor"),
+        ("merge day.csv -o m.stats", "day.csv: is no statistics file, or is damaged; give those that 'torchrbd stats"),
+        ("merge fit/model.safetensors -o m.stats", "is no statistics file; give those that 'torchrbd stats' wrote"),
+        ("merge sums/day.csv.stats -o sums/day.csv.stats", "is one of the files to add; name another for the sum"),
+        ("identify day.csv day.csv -o o", "day.csv: not well-formed XML: Start tag expected, '<' not found, line 1,"),
+        ("identify nothing.urdf day.csv -o o", "nothing.urdf: the file is empty; expected a URDF or MJCF file"),
+        ("identify arm.urdf none.csv -o o", "none.csv: no such file; check the path"),
+        ("identify arm.urdf nothing.csv -o o", "nothing.csv: the file is empty; leave it out, or record again"),
+        ("identify arm.urdf day.csv -o o --mapping folder", "folder: cannot read the mapping: Is a directory; name a"),
+        ("identify arm.urdf day.csv -o o --time nan:5", "expected FROM:TO in seconds"),
+        ("identify arm.urdf day.csv -o o --gravity 1e300 0 0", "gravity is [1e+300, 0.0, 0.0]; expected three number"),
+        ("identify arm.urdf day.csv -o o --payload day.csv=1e300,0,0,0", "with a mass above zero, at most 1e+06 kg"),
+        ("identify arm.urdf day.csv -o o --payload day.csv=1,1e300,0,0", "within 1000 m"),
+        (
+            "identify arm.urdf day.csv -o o --encoder-noise 1e-300",
+            "encoder_noise is 1e-300; expected a standard dev",
+        ),
+        (f"{EXCITE} --velocity joint1=1e-300", "greatest speed of 'joint1' is 1e-300; expected a positive number"),
+        ("stats arm.urdf day.csv day.csv --cutoff 5 -o o", "'day.csv' is given twice; give it once"),
+        ("compare found fit/parameters.json", "fit/parameters.json: is no diagnosis.json"),
+        ("export fit --to urdf -o fit/model.safetensors", "output 'fit/model.safetensors': expected a file that ends"),
+        ("export fit --to mjcf -o day.csv", "output 'day.csv': expected a file that ends in .xml"),
+        ("export fit --to urdf -o day.csv/m.urdf", "output 'day.csv/m.urdf': its folder cannot be made"),
+        ("export sums/day.csv.stats --to urdf", "is no model of torchrbd; give the folder that 'torchrbd identify -o"),
+        ("simulate arm.urdf day.csv -o day.csv/m.csv", "output 'day.csv/m.csv': its folder cannot be made"),
+        ("simulate arm.urdf day.csv -o m.csv --from -1", "start is -1 s; expected a number that is not negative"),
+        ("simulate arm.urdf day.csv -o m.csv --from nan", "start is nan s; expected a number that is not negative"),
+        ("simulate arm.urdf day.csv -o m.csv --gravity nan 0 0", "gravity is [nan, 0.0, 0.0]; expected three numbers"),
+        ("simulate arm.urdf day.csv -o m.csv --cutoff -1", "cut-off -1 Hz: expected a number above zero"),
+        ("simulate arm.urdf day.csv -o m.csv --rate 1e-9", "hold no step of 1e+09 s; simulate longer, or give a high"),
+        ("excite arm.urdf -o day.csv/m.csv", "output 'day.csv/m.csv': its folder cannot be made"),
+        (f"{EXCITE} --harmonics 100000", "harmonics is 100000; expected at most 100"),
+        (f"{EXCITE} --periods 1000000000", "1000000000 periods of 10 s at 100 Hz are 1e+12 samples; expected at most"),
+        (f"{EXCITE} --rate 1e-6", "rate is 1e-06 Hz; expected more than 1 Hz, twice the highest frequency of the mot"),
+        (f"{EXCITE} --gravity 1e300 0 0", "gravity is [1e+300, 0.0, 0.0]; expected three numbers of at most 1000 m/s"),
+        (f"{EXCITE} --velocity joint1=1e300", "greatest speed of 'joint1' is 1e+300; expected a positive number"),
+        (f"{EXCITE} --range joint1=1e300:2e300", "range of 'joint1' is 1e+300 to 2e+300; expected two numbers, the l"),
+        (f"{EXCITE} --effort joint1=1e-6", "breaks the torque of joint1, by more than 1000 times it"),
+        ("inspect day.csv -o day.csv/m.yaml", "output 'day.csv/m.yaml': its folder cannot be made"),
+        ("fleet robots.yaml -o o --before folder", "--before 'folder': holds no results of 'torchrbd fleet -o'"),
+    ],
+)
+def test_what_is_given_in_the_wrong_place(
+    command: str, words: str, results: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(results)
+    before = {path: path.read_bytes() for path in results.rglob("*") if path.is_file()}
+    capsys.readouterr()
+    assert words in refused(capsys, *command.split())
+    assert {path: path.read_bytes() for path in results.rglob("*") if path.is_file()} == before
+
+
+def test_a_mapping_that_is_no_mapping_is_not_told_whole(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = "identify", case / "arm.urdf", case / "day.csv", "-o", case / "o", "--mapping", case / "day.csv"
+    told = refused(capsys, *command)
+    assert "the file: expected time or joints or topic or episodes or torque_delay, got 't,q_" in told
+    assert len(told) < 400

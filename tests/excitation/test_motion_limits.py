@@ -139,3 +139,47 @@ def test_a_joint_that_stands_still_has_no_range_to_use_but_a_torque() -> None:
     one = constraints(joints=["joint2", "joint3"])
     assert [label for label in one.labels if "joint1" in label] == ["the torque of joint1"]
     assert torchrbd.excite(URDF, joints=["joint2", "joint3"], starts=1).uses[0].speed == 0.0
+
+
+def test_limits_of_the_urdf_that_are_inverted_are_refused() -> None:
+    """A joint that stands still for that would go unnoticed."""
+    robot = RobotModel.from_urdf(URDF.replace('lower="-1.4" upper="1.4"', 'lower="1.4" upper="-1.4"'))
+    with pytest.raises(OptionError, match=r"joint2' has its lower limit above the upper one \(--range joint2=-3.1"):
+        limits_of(robot)
+    assert limits_of(robot, ranges={"joint2": (-1.0, 1.0)}).moving == [0, 1, 2]
+
+
+FOLLOWER = """<link name="finger"><inertial><mass value="0.2"/>
+  <inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="follower" type="revolute"><parent link="link3"/><child link="finger"/><origin xyz="0 0 0.3"/>
+  <axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="2" effort="9"/>
+  <mimic joint="joint3" multiplier="-2" offset="0.5"/></joint></robot>"""
+
+
+def test_a_joint_that_follows_another_keeps_its_own_limits() -> None:
+    """-1 <= -2 q + 0.5 <= 1, and its speed is twice that of the joint that it follows."""
+    robot = RobotModel.from_urdf(URDF.replace("</robot>", FOLLOWER))
+    limits = limits_of(robot)
+    assert (float(limits.lower[2]), float(limits.upper[2])) == pytest.approx((-0.25, 0.75))
+    assert float(limits.velocity[2]) == pytest.approx(1.0)
+    given = limits_of(robot, ranges={"joint3": (-2.0, 2.0)}, velocities={"joint3": 2.0})
+    assert (float(given.upper[2]), float(given.velocity[2])) == (2.0, 2.0)
+
+
+PAIR = """<robot name="pair"><link name="b"/>
+  <link name="l1"><inertial><origin xyz="0 0 .1"/><mass value="2"/>
+    <inertia ixx=".02" iyy=".02" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="l2"><inertial><origin xyz="0 0 .1"/><mass value="1"/>
+    <inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="j1" type="revolute"><parent link="b"/><child link="l1"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" velocity="2" effort="50"/></joint>
+  <joint name="j2" type="revolute"><parent link="l1"/><child link="l2"/><origin xyz="0 0 .3"/><axis xyz="0 1 0"/>
+    <limit lower="-{reach}" upper="{reach}" velocity="2" effort="50"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("reach", ["1e-3", "1e-6", "1e-12"])
+def test_a_joint_of_tiny_range_moves_in_it(reach: str) -> None:
+    """However fast it might be."""
+    used = torchrbd.excite(PAIR.replace("{reach}", reach), starts=1).uses[1]
+    assert used.range_used <= 0.9 + 1e-9
+    assert used.high - used.low > float(reach)

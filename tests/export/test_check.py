@@ -138,3 +138,16 @@ def test_mujoco_leaves_no_log_in_the_users_folder(tmp_path: Path, monkeypatch: p
     for file in (torchrbd.to_mjcf(model), torchrbd.to_urdf(model)):
         replayed(file, model.robot, *np.ones((3, 1, 1)))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_followers_go_by_the_true_position_of_a_joint_whose_zero_is_off(seed: int) -> None:
+    """The model is of first order in the offset: what differs is of second, 1e-6 of the torque here."""
+    robot = RobotModel.from_urdf(random_urdf(seed + 70, 5, mimic=0.5, massless=0.0))
+    assert robot.n_bodies > robot.n_dof
+    off = term("encoder_offset", Site(0), offset=2e-3)
+    t = np.arange(2000) / 200.0
+    q = np.stack([0.3 * np.sin(2.0 * np.pi * (0.2 + 0.1 * k) * t + k) for k in range(robot.n_dof)], 1)
+    recording = Recording.from_arrays("day", robot.joint_names, t, q, np.zeros_like(q))
+    found = check_file(RigidBodyDynamics(robot, terms=[off]), "mjcf", [recording])
+    assert max(one.part for one in found.joints) < 2e-5

@@ -10,7 +10,7 @@ from robot.random_robots import random_urdf
 import torchrbd
 from torchrbd import RigidBodyDynamics, RobotModel
 from torchrbd.effects import Site, Term, effect
-from torchrbd.errors import InputError, RobotError
+from torchrbd.errors import InputError, PhysicalError, RobotError
 from torchrbd.export import load_model, save_model, to_urdf
 
 URDF = """<?xml version="1.0"?>
@@ -195,3 +195,34 @@ def test_a_robot_without_urdf_cannot_be_written(tmp_path: Path) -> None:
 
 def test_public_names_exist() -> None:
     assert all(hasattr(torchrbd, name) for name in torchrbd.__all__)
+
+
+MASSLESS = '<link name="upper"><inertial><mass value="0"/>'
+
+
+def test_a_link_with_moments_and_no_mass_keeps_its_moments() -> None:
+    """Nothing is divided by its mass."""
+    upper = URDF[URDF.index('<link name="upper">') : URDF.index('<inertia ixx="0.05"')]
+    urdf = URDF.replace(upper, MASSLESS).replace('<mass value="1"/>', '<mass value="0"/>')
+    urdf = urdf.replace('ixx="0.02" iyy="0.03" izz="0.02" ixy="0.001"', 'ixx="0" iyy="0" izz="0" ixy="0"')
+    model = RigidBodyDynamics.from_urdf(urdf)
+    written = to_urdf(model)
+    assert b"nan" not in written
+    torch.testing.assert_close(RobotModel.from_urdf(written).pi, model.robot.pi)
+
+
+def test_a_link_with_a_first_moment_and_no_mass_is_refused() -> None:
+    robot = RobotModel.from_urdf(URDF)
+    pi = robot.pi.clone()
+    pi[0] = 1.0 - 1.0
+    with pytest.raises(PhysicalError, match="has no mass and a centre of mass"):
+        to_urdf(RigidBodyDynamics(robot, pi))
+
+
+def test_damping_that_is_negative_is_told() -> None:
+    w, shape = effect("viscous_friction").coefficients({"viscous": -0.3})
+    robot = RobotModel.from_urdf(URDF)
+    term = Term(effect("viscous_friction"), Site(0), torch.tensor(w, dtype=torch.float64), shape)
+    model = RigidBodyDynamics(robot, terms=[term])
+    for to in ("urdf", "mjcf"):
+        assert any("damping of swing is negative (-0.3)" in one for one in torchrbd.export.unsaid(model, to))

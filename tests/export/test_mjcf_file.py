@@ -351,3 +351,28 @@ def test_urdf_lacks_more() -> None:
     assert gravity.startswith("gravity, which is 0 9.81 0 m/s^2 in the base's axes")
     with pytest.raises(OptionError, match="there is no format 'sdf'; expected urdf or mjcf"):
         torchrbd.unsaid(model, "sdf")
+
+
+@pytest.mark.parametrize(
+    ("limit", "words"),
+    [
+        (
+            '<limit lower="0" upper="0" velocity="2" effort="5"/>',
+            "limits of joint1, whose lower end",
+        ),
+        (
+            '<limit lower="1" upper="-1" velocity="2" effort="5"/>',
+            "limits of joint1, whose lower end",
+        ),
+        ('<limit lower="-1" upper="1" velocity="2" effort="0"/>', "effort limits of joint1, which are not above zero"),
+    ],
+)
+def test_limits_that_mujoco_does_not_take_are_told(limit: str, words: str) -> None:
+    urdf = (
+        '<robot name="one"><link name="base"/><link name="arm"><inertial><origin xyz="0 0 .1"/><mass value="1"/>'
+        '<inertia ixx=".02" iyy=".02" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="joint1" '
+        f'type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>{limit}</joint></robot>'
+    )
+    model = arm(urdf=urdf)
+    assert any(one.startswith(words) for one in torchrbd.export.unsaid(model))
+    assert compiled(model).nv == 1

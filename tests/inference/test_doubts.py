@@ -73,6 +73,17 @@ def test_masses_that_no_link_has(arrays: dict[str, np.ndarray]) -> None:
     assert "masses come out far from the URDF's, link" in notes(arrays, tau=30.0 * arrays["tau"])
 
 
+def test_masses_of_several_links_may_be_those_of_another_variant(arrays: dict[str, np.ndarray]) -> None:
+    """Of one link alone they are not."""
+    recording = Recording.from_arrays("day", joint_names(URDF), **arrays)
+    far = {}
+    for count in (1, 3):
+        heavy = re.sub(r'<mass value="([^"]+)"', lambda m: f'<mass value="{12.0 * float(m[1])}"', URDF, count=count)
+        (far[count],) = (doubt for doubt in identify(heavy, recording).doubts if "masses come out far" in doubt)
+    assert "or is this the URDF of another variant of the robot?" in far[3]
+    assert "variant" not in far[1]
+
+
 def fit(*nmse: float) -> Fit:
     return Fit(dict(zip("ab", nmse, strict=True)), {})
 

@@ -10,10 +10,13 @@ from torchrbd.errors import InputError, OptionError
 from torchrbd.export import load_model, unsaid
 from torchrbd.export.check import check_file
 from torchrbd.export.simulators import written
+from torchrbd.outputs import check_file as check_output
 from torchrbd.outputs import write_whole
 
 _MODEL = "model.safetensors"
 _SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml"}
+# What is called otherwise may be a recording or a model, which is not to be overwritten.
+_ALLOWED = ("", ".mjcf", *_SUFFIXES.values())
 
 
 def export(options: argparse.Namespace) -> None:
@@ -29,12 +32,14 @@ def export(options: argparse.Namespace) -> None:
     file = options.file or source.with_suffix(_SUFFIXES[options.to])
     if file.is_dir():
         raise OptionError(f"output '{file}' is a folder; name a file, e.g. {file / source.stem}{_SUFFIXES[options.to]}")
+    if file.suffix.lower() not in _ALLOWED:
+        raise OptionError(f"output '{file}': expected a file that ends in {_SUFFIXES[options.to]}")
+    check_output(file)
     model = load_model(source)
     content, lacking = written(model, options.to), unsaid(model, options.to)
     found = None
     if options.check:
         found = check_file(model, options.to, options.check, mapping=options.mapping, cutoff_hz=options.cutoff_hz)
-    file.parent.mkdir(parents=True, exist_ok=True)
     write_whole(file, content)
     print_export(file, lacking, found)
 

@@ -121,6 +121,8 @@ def _check_before(before: Path | None, output: Path) -> None:
         return
     if not before.is_dir():
         raise OptionError(f"--before '{before}': expected the folder of an earlier 'torchrbd fleet -o'")
+    if not any(before.glob(f"*/{IDENTIFIED[0]}")):
+        raise OptionError(f"--before '{before}': holds no results of 'torchrbd fleet -o'; give the folder of some")
     if before.resolve() == output.resolve():
         raise OptionError(
             f"--before is the folder of -o, so that nothing could have changed; give the folder of an earlier time, "

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from torchrbd.diagnosis.numbers import number
 from torchrbd.errors import OptionError
-from torchrbd.outputs import write_whole
+from torchrbd.outputs import check_file, write_whole
 from torchrbd.recordings import Inspection, Mapping, inspect_recording, read_mapping
 from torchrbd.recordings.mapping_text import mapping_text
 from torchrbd.robot import RobotModel
@@ -28,13 +28,14 @@ def inspect(options: argparse.Namespace) -> None:
     into = options.output
     if into is not None and into.exists():
         raise OptionError(f"'{into}' exists, and may have been edited; name another file for the mapping")
+    if into is not None:
+        check_file(into)
     robot = None if options.robot is None else RobotModel.from_urdf(options.robot)
     mapping = Mapping() if options.mapping is None else read_mapping(options.mapping)
     found = inspect_recording(options.file, robot, mapping)
     print_inspection(found)
     if into is not None:
         sliding = () if robot is None else tuple(compress(robot.joint_names, robot.prismatic.tolist()))
-        into.parent.mkdir(parents=True, exist_ok=True)
         write_whole(into, mapping_text(found, mapping, sliding).encode())
         Console(highlight=False, soft_wrap=True).print(f"wrote {into}", markup=False)
 

@@ -13,6 +13,7 @@ from torchrbd.cli.progress import progress_bar
 from torchrbd.diagnosis.numbers import number
 from torchrbd.errors import OptionError
 from torchrbd.model import RigidBodyDynamics
+from torchrbd.outputs import check_file
 from torchrbd.simulation import SimulatedMotion, check_suffix, simulate
 
 
@@ -23,6 +24,7 @@ def simulate_recording(options: argparse.Namespace) -> None:
         InputError: a model, recording or option that cannot be used.
     """
     check_suffix(options.file)
+    check_file(options.file)
     if options.file.exists() and options.recording.exists() and options.file.samefile(options.recording):
         raise OptionError(f"output '{options.file}' is the recording; name another file for the motion")
     model = _model(options.model, options.gravity)
@@ -37,7 +39,6 @@ def simulate_recording(options: argparse.Namespace) -> None:
             cutoff_hz=options.cutoff_hz,
             progress=progress,
         )
-    options.file.parent.mkdir(parents=True, exist_ok=True)
     found.write(options.file)
     _print(found, model, options.file)
 

@@ -18,6 +18,7 @@ from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Region, Where
 from torchrbd.diagnosis.search import Explanation
+from torchrbd.diagnosis.variant import another_variant
 from torchrbd.diagnosis.words import NO_CHANGE, finding_sentence, strongest_first
 from torchrbd.effects import effect
 from torchrbd.inference.physical.fitting import judge
@@ -43,7 +44,7 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
     Returns:
         Findings, the largest gain first, and others that are as certain but trifling, all of these together.
     """
-    reading = extended.prepared.reading
+    reading, robot = extended.prepared.reading, extended.prepared.robot
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
     terms = list(_sure(found, extended))
     everywhere = {(c.effect, c.site) for c, _, _ in terms}
@@ -58,7 +59,8 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
         sentences = []
         for term, one in chosen:
             more = term.site.recordings is not None and (term.effect, replace(term.site, recordings=None)) in everywhere
-            sentences.append(replace(one, statement=finding_sentence(one, more=more)))
+            statement = " ".join(filter(None, (finding_sentence(one, more=more), another_variant(one, robot))))
+            sentences.append(replace(one, statement=statement))
         return strongest_first(sentences)
 
     return worded(kept), worded(apart)

@@ -24,7 +24,7 @@ from torchrbd.threads import single_threaded
 
 # Samples a period at most, where what separates lies at high frequencies.
 _MOST_SAMPLES = 600
-_LEAST_HARMONICS = 2
+_LEAST_HARMONICS, _MOST_HARMONICS = 2, 100
 # Rivals whose expected log Bayes factor is less than this stay open [nats].
 _TOLD = 3.0
 
@@ -125,6 +125,8 @@ def _check_series(frequency_hz: float, harmonics: int, periods: int, starts: int
     ):
         if value < least:
             raise OptionError(f"{name} is {value}; expected at least {least}")
+    if harmonics > _MOST_HARMONICS:
+        raise OptionError(f"harmonics is {harmonics}; expected at most {_MOST_HARMONICS}")
     if seed < 0:
         raise OptionError(f"seed is {seed}; expected a whole number that is not negative")
 
@@ -133,13 +135,11 @@ def _read(robot: RobotModel | str | Path | bytes, known: Known | None, gravity: 
     """Return the robot, under the gravity of the diagnosis if there is one.
 
     Raises:
-        OptionError: gravity is told twice, or is no vector.
+        OptionError: gravity is told twice.
         InputError: robot and diagnosis have other joints.
     """
     if gravity is not None and (known is not None or isinstance(robot, RobotModel)):
         raise OptionError("gravity is known from the robot or the diagnosis; leave it out")
-    if gravity is not None and (len(gravity) != 3 or not all(map(math.isfinite, gravity))):
-        raise OptionError(f"gravity is {gravity}; expected three numbers, e.g. 0, 0 and -9.81")
     if not isinstance(robot, RobotModel):
         own = gravity if known is None else known.model.robot.gravity
         robot = RobotModel.from_urdf(robot, gravity=own)

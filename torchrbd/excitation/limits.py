@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError
 from torchrbd.robot import RobotModel
+from torchrbd.robot.tree import build_tree
 
 Range = tuple[float, float]
 AXES = ("x", "y", "z")
+# Less and more than any robot has, in SI units.
+_LEAST, _LARGEST = 1e-9, 1e9
 
 
 @dataclass(frozen=True)
@@ -100,15 +102,21 @@ def limits_of(
     _check_share("speed", speed, speed > 0.0)
     for what, given in (("ranges", ranges), ("velocities", velocities), ("efforts", efforts), ("joints", joints or ())):
         _check_names(robot, what, given)
-    lower, upper, velocity, effort = (x.clone() for x in (robot.lower, robot.upper, robot.velocity, robot.effort))
+    lower, upper, velocity = _with_followers(robot)
+    effort = robot.effort.clone()
     for name, (low, high) in ranges.items():
-        if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-            raise OptionError(f"range of '{name}' is {low:g} to {high:g}; expected two numbers, the lower one first")
+        if not -_LARGEST <= low <= high <= _LARGEST:
+            raise OptionError(
+                f"range of '{name}' is {low:g} to {high:g}; expected two numbers, the lower one first, at most "
+                f"{_LARGEST:g}"
+            )
         lower[robot.joint_names.index(name)], upper[robot.joint_names.index(name)] = low, high
     for what, values, given in (("speed", velocity, velocities), ("torque", effort, efforts)):
         for name, value in given.items():
-            if not (math.isfinite(value) and value > 0.0):
-                raise OptionError(f"greatest {what} of '{name}' is {value:g}; expected a positive number")
+            if not _LEAST <= value <= _LARGEST:
+                raise OptionError(
+                    f"greatest {what} of '{name}' is {value:g}; expected a positive number, {_LEAST:g} to {_LARGEST:g}"
+                )
             values[robot.joint_names.index(name)] = value
     asked = torch.tensor([joints is None or name in joints for name in robot.joint_names])
     limits = Limits(
@@ -116,13 +124,31 @@ def limits_of(
         upper=upper,
         velocity=speed * velocity,
         effort=effort,
-        moves=asked & (lower < upper),
+        moves=asked & (lower != upper),
         rest=torch.zeros_like(lower).clamp(lower, upper),
         box=_box(box or {}),
         margin=margin,
     )
     _check(robot, limits)
     return limits
+
+
+def _with_followers(robot: RobotModel) -> tuple[Tensor, Tensor, Tensor]:
+    """Return ends of ranges and greatest speeds (n,) of the URDF, with which joints that mimic others keep theirs too.
+
+    A joint at `multiplier q + offset` is as fast as the multiplier's size times the one that it follows.
+    """
+    lower, upper, velocity = robot.lower.clone(), robot.upper.clone(), robot.velocity.clone()
+    tree = build_tree(robot.description)
+    for joint, j, factor, offset in zip(tree.moving, tree.drivers, tree.multipliers, tree.offsets, strict=True):
+        if joint.mimic is None or not factor:
+            continue
+        if joint.lower < joint.upper:
+            ends = sorted(((joint.lower - offset) / factor, (joint.upper - offset) / factor))
+            lower[j], upper[j] = lower[j].clamp_min(ends[0]), upper[j].clamp_max(ends[1])
+        if joint.velocity > 0:
+            velocity[j] = velocity[j].clamp_max(joint.velocity / abs(factor))
+    return lower, upper, velocity
 
 
 def _check_share(name: str, value: float, inside: bool) -> None:
@@ -170,6 +196,7 @@ def _missing(robot: RobotModel, limits: Limits) -> Iterator[str]:
     unit = {True: ("0:0.5", "0.3", "100"), False: ("-3.1:3.1", "2", "10")}
     own: tuple[tuple[str, Tensor, str, int], ...] = (
         ("no lower and upper limit", limits.moves & ~(limits.upper - limits.lower).isfinite(), "--range", 0),
+        ("its lower limit above the upper one", limits.moves & (limits.lower > limits.upper), "--range", 0),
         ("no speed limit", limits.moves & ~(limits.velocity.isfinite() & (limits.velocity > 0)), "--velocity", 1),
         ("no torque limit", limits.moves & ~limits.effort.isfinite(), "--effort", 2),
         ("a torque limit of zero (no actuator, or not known)", limits.effort <= 0, "--effort", 2),
@@ -178,12 +205,3 @@ def _missing(robot: RobotModel, limits: Limits) -> Iterator[str]:
         for j in where.nonzero().flatten().tolist():
             name, example = robot.joint_names[j], unit[bool(robot.prismatic[j])][k]
             yield f"joint '{name}' has {words} ({option} {name}={example})"
-
-
-def described(limits: Limits) -> dict[str, Any]:
-    """Return the box in words, for files."""
-    return {
-        axis: [None if math.isinf(end) else end for end in limits.box[k].tolist()]
-        for k, axis in enumerate(AXES)
-        if bool(limits.box[k].isfinite().any())
-    }

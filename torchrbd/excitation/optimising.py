@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -23,6 +24,8 @@ SAMPLES, FINE_SAMPLES = 20, 200
 _POSTURES, _DRAWS, _CENTRES, _STROKES = 512, 64, 0.8, 0.3
 # Samples for which a posture is held.
 _RESTING = 16
+# Excess that is told in per cent, in multiples of a limit.
+_FAR = 1e3
 _ITERATIONS, _TOLERANCE = 200, 1e-4
 # No coordinate of a motion within its limits is larger than sqrt(8): sines of the greatest speed.
 _FURTHEST = 3.0
@@ -59,7 +62,9 @@ class Problem:
     def free(self, x: Tensor) -> Tensor:
         """Return the free coefficients (*batch, n, 2 H - 1) of coordinates x (*batch, n (2 H - 1))."""
         limits, n = self.constraints.limits, self.constraints.robot.n_dof
-        speed = torch.where(limits.moves, 0.5 * limits.fastest, 0.0).unsqueeze(1)
+        # In a short range the fastest harmonic has not the room for the speed.
+        room = limits.half * (2.0 * math.pi * self.basis.harmonics / self.basis.period_s)
+        speed = torch.minimum(torch.where(limits.moves, 0.5 * limits.fastest, 0.0), room).unsqueeze(1)
         scale = torch.cat((limits.half.unsqueeze(1), speed.expand(n, self.basis.n - 1)), 1)
         free = scale * x.unflatten(-1, (n, self.basis.n))
         return free + torch.nn.functional.pad(limits.middle.unsqueeze(1), (0, self.basis.n - 1))
@@ -82,9 +87,10 @@ class Problem:
         best = used.amax(1).argmin()
         if float(used[best].max()) > 1.0:
             label, most = self.constraints.labels[int(used[best].argmax())], float(used[best].max()) - 1.0
+            words = f"{most:.0%} of it or more" if most < _FAR else f"more than {_FAR:g} times it"
             raise OptionError(
                 f"the robot cannot even rest within its limits: of {_POSTURES} postures the best breaks {label}, by "
-                f"{most:.0%} of it or more; give that more room"
+                f"{words}; give that more room"
             )
         return drawn[used.amax(1) <= 1.0].numpy()
 
@@ -164,8 +170,9 @@ def optimised(problem: Problem, starts: int, seed: int, report: Callable[[float]
             cost = float(problem.objective(*kept.states(problem.t)))
             best = min(best or (np.inf, kept), (cost, kept), key=lambda one: one[0])
     if best is None:
+        much = f"{nearest - 1.0:.0%} too much" if nearest < _FAR else f"more than {_FAR:g} times it"
         raise OptionError(
-            f"no motion was found that keeps every limit; the hardest was {hardest}, by {nearest - 1.0:.0%} too much. "
+            f"no motion was found that keeps every limit; the hardest was {hardest}, by {much}. "
             "Give that more room, a smaller margin, another range of joints, or more starts"
         )
     return best[1]

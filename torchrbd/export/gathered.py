@@ -74,6 +74,8 @@ def gather(model: RigidBodyDynamics) -> Gathered:
     gains = [drive.gain for drive in found.drives]
     for drive, joint in zip(found.drives, robot.joint_names, strict=True):
         drive.act()
+        if drive.damping < 0:
+            found.unsaid.append(negative_damping(joint, drive.damping))
         if drive.frictionloss < 0:
             found.unsaid.append(f"dry friction of {joint} is negative ({drive.frictionloss:.4g}), which MuJoCo lacks")
             drive.frictionloss = 0.0
@@ -94,6 +96,11 @@ def named(term: Term, robot: RobotModel) -> str:
         for name, value in values.items()
     )
     return f"{term.effect.words} at {site.name(robot)}" + (f" ({told})" if len(values) <= _MOST_NUMBERS else "")
+
+
+def negative_damping(joint: str, damping: float) -> str:
+    """Say that a joint is driven by its own motion."""
+    return f"damping of {joint} is negative ({damping:.4g}): it is in the file, and a simulator gains energy by it"
 
 
 def _finite(written: Mjcf) -> bool:

@@ -212,6 +212,12 @@ def _further(robot: RobotModel, found: Gathered) -> list[str]:
     half = [j.name for j in robot.description.joints if math.isfinite(j.lower) != math.isfinite(j.upper)]
     if half:
         said.append(f"limits of {', '.join(half)}, which are on one side only")
+    moving = [j for j in robot.description.joints if j.kind != "fixed"]
+    empty = [j.name for j in moving if math.isfinite(j.lower) and math.isfinite(j.upper) and j.lower >= j.upper]
+    if empty:
+        said.append(f"limits of {', '.join(empty)}, whose lower end is not below the upper one")
+    if weak := [j.name for j in moving if j.mimic is None and j.effort <= 0]:
+        said.append(f"effort limits of {', '.join(weak)}, which are not above zero")
     if bool(torch.isfinite(robot.velocity).any()):
         said.append("velocity limits: MJCF has none")
     return [*said, "shapes to be seen and touched: geoms that are added do not change the masses"]

@@ -17,7 +17,7 @@ from torchrbd.excitation import Excitation
 from torchrbd.excitation.limits import AXES
 from torchrbd.outputs import write_whole
 
-_FASTEST_HZ = 1e5
+_FASTEST_HZ, _MOST_SAMPLES = 1e5, 1e7
 
 
 def check_rate(rate_hz: float) -> None:
@@ -30,9 +30,28 @@ def check_rate(rate_hz: float) -> None:
         raise OptionError(f"rate is {rate_hz:g} Hz; expected a positive number, at most {_FASTEST_HZ:g}")
 
 
+def check_samples(period_s: float, harmonics: int, periods: int, rate_hz: float) -> None:
+    """See that samples at a rate tell a motion, and that a file can hold them.
+
+    Raises:
+        OptionError: they do not, or it cannot.
+    """
+    least, count = 2.0 * harmonics / period_s, periods * period_s * rate_hz
+    if not rate_hz > least:
+        raise OptionError(
+            f"rate is {rate_hz:g} Hz; expected more than {least:g} Hz, twice the highest frequency of the motion"
+        )
+    if count > _MOST_SAMPLES:
+        raise OptionError(
+            f"{periods} periods of {period_s:g} s at {rate_hz:g} Hz are {count:.3g} samples; expected at most "
+            f"{_MOST_SAMPLES:g}: fewer periods, or a lower rate"
+        )
+
+
 def motion_csv(result: Excitation, rate_hz: float) -> bytes:
     """Return a motion as CSV: t [s], then q_, qd_ and qdd_ of each joint [rad or m, per s, per s^2]."""
     check_rate(rate_hz)
+    check_samples(result.motion.period_s, result.motion.basis.harmonics, result.periods, rate_hz)
     t, *states = result.states(rate_hz)
     names = [f"{signal}_{joint}" for signal in ("q", "qd", "qdd") for joint in result.robot.joint_names]
     header = ",".join(_quoted(name) for name in ("t", *names))

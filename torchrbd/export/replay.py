@@ -43,7 +43,10 @@ def replayed(file: bytes, robot: RobotModel, q: np.ndarray, qd: np.ndarray, qdd:
     follow = np.zeros((len(at), robot.n_dof))
     follow[range(len(at)), tree.drivers] = tree.multipliers
     forces = np.empty(q.shape)
-    positions = q @ follow.T + np.array(tree.offsets)
+    # An encoder's zero that is off is in <joint ref>; what follows a joint goes by where it is.
+    zero = machine.qpos0[[at[robot.joint_bodies[j]] for j in range(robot.n_dof)]]
+    positions = (q - zero) @ follow.T + np.array(tree.offsets)
+    positions[:, list(robot.joint_bodies)] = q
     for k, row in enumerate(zip(positions, qd @ follow.T, qdd @ follow.T, strict=True)):
         data.qpos[at], data.qvel[at], data.qacc[at] = row
         mujoco.mj_inverse(machine, data)

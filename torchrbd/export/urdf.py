@@ -9,8 +9,8 @@ from lxml import etree
 from torch import Tensor
 
 from torchrbd.effects import Term
-from torchrbd.errors import RobotError
-from torchrbd.export.gathered import named
+from torchrbd.errors import PhysicalError, RobotError
+from torchrbd.export.gathered import named, negative_damping
 from torchrbd.export.xml_text import comment, element_text
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
@@ -33,6 +33,7 @@ def to_urdf(model: RigidBodyDynamics, warnings: Iterable[str] = ()) -> bytes:
 
     Raises:
         RobotError: the robot was not made from a URDF.
+        PhysicalError: a link has a centre of mass and no mass.
     """
     robot = model.robot
     if robot.urdf is None:
@@ -59,7 +60,9 @@ def urdf_unsaid(model: RigidBodyDynamics) -> tuple[str, ...]:
     robot = model.robot
     sentences = [_sentence(term, robot) for term in _left_out(model)]
     for index, joint in enumerate(robot.joint_names):
-        friction = _sums(model, index).get("friction", 0.0)
+        friction, damping = (_sums(model, index).get(name, 0.0) for name in ("friction", "damping"))
+        if damping < 0:
+            sentences.append(negative_damping(joint, damping))
         if friction < 0:
             sentences.append(f"dry friction of {joint} is negative ({friction:.4g}), which simulators lack")
     if bool((robot.gravity != robot.gravity.new_tensor(STANDARD_GRAVITY)).any()):
@@ -82,7 +85,10 @@ def _write_inertial(link: etree._Element, pi: Tensor) -> None:
         link.remove(old)
     if not pi.any():
         return
-    m, c = float(pi[0]), pi[1:4] / pi[0]
+    m = float(pi[0])
+    if not m and pi[1:4].any():
+        raise PhysicalError(f"{link.get('name')}: has no mass and a centre of mass; re-fit the link")
+    c = pi[1:4] / m if m else pi[1:4]
     central = inertia_matrix(pi) - m * ((c @ c) * torch.eye(3, dtype=pi.dtype) - torch.outer(c, c))
     inertial = etree.Element("inertial")
     etree.SubElement(inertial, "origin", xyz=" ".join(repr(v) for v in c.tolist()), rpy="0 0 0")

@@ -19,8 +19,8 @@ from torchrbd.inference.data.payload import Payload
 from torchrbd.recordings import NamedSource, listed_sources
 from torchrbd.robot import RobotModel
 
-# A larger position noise is no noise [rad, m]; a lower band is that of no robot.
-_LARGEST_NOISE, _LEAST_CUTOFF_HZ = 1.0, 1e-3
+# Position noise beyond these is none [rad, m]; a lower band is that of no robot.
+_LEAST_NOISE, _LARGEST_NOISE, _LEAST_CUTOFF_HZ = 1e-15, 1.0, 1e-3
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Settings:
             raise OptionError(f"kappa is {self.kappa:g}; expected a number above 0")
         check_estimators([self.estimator], tuple(ESTIMATORS))
         for joint, std in self._encoder_noise().items():
-            if not 0.0 < std <= _LARGEST_NOISE:
+            if not _LEAST_NOISE <= std <= _LARGEST_NOISE:
                 place = f" of {joint}" if joint else ""
                 raise OptionError(
                     f"encoder_noise{place} is {std:g}; expected a standard deviation above 0 in rad or m, at most "
@@ -237,6 +237,8 @@ def _interval(value: Any, place: str) -> tuple[float, float]:
         if isinstance(start, bool) or isinstance(end, bool):
             raise TypeError
         low, high = float(start or 0.0), float(end) if end not in ("", None) else math.inf
+        if math.isnan(low) or math.isnan(high):
+            raise ValueError
     except (ValueError, TypeError):
         raise OptionError(f"{place}: time '{value}': expected FROM:TO in seconds, e.g. '2:30' (quoted)") from None
     if not low < high:

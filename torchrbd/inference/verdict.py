@@ -74,6 +74,7 @@ def doubts_of(prepared: Prepared, model: FittedModel, fits: Mapping[str, Fit]) -
         doubts.append(
             f"masses come out far from the URDF's, {', '.join(masses)}: a load, missing physics, or a motion that "
             "tells them too little"
+            + ("; or is this the URDF of another variant of the robot?" if len(masses) > 1 else "")
         )
     if not model.converged:
         doubts.append("the fit stopped early: the torques are far from those of any rigid body; check units and signs")

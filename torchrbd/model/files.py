@@ -85,8 +85,9 @@ def read_model(path: str | Path) -> Parts:
             f"{NAME}"
         ) from None
     if metadata.get("format") != _FORMAT:
+        found = f" (format '{metadata['format']}', not '{_FORMAT}')" if "format" in metadata else ""
         raise InputError(
-            f"{path}: is no model of torchrbd; expected format '{_FORMAT}', got '{metadata.get('format')}'"
+            f"{path}: is no model of torchrbd{found}; give the folder that 'torchrbd identify -o' wrote, or its {NAME}"
         )
     try:
         return _parts(metadata, tensors)

@@ -44,7 +44,7 @@ class Filtering:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.cutoff_hz) and self.cutoff_hz > 0):
-            raise OptionError(f"cut-off {self.cutoff_hz} Hz: expected a frequency above zero")
+            raise OptionError(f"cut-off {self.cutoff_hz:g} Hz: expected a number above zero")
         if not self.state_cutoff_hz:
             object.__setattr__(self, "state_cutoff_hz", 2 * self.cutoff_hz)
         if self.state_cutoff_hz < self.cutoff_hz:

@@ -62,9 +62,9 @@ def open_table(path: Path, mapping: Mapping) -> Table:
     if reader is None and suffix not in _BAGS:
         raise RecordingError(f"{path}: cannot read '{path.suffix}' files; expected {_EXPECTED}")
     if not path.is_file():
-        raise RecordingError(f"{path}: no such file")
+        raise RecordingError(f"{path}: no such file; check the path")
     if path.stat().st_size == 0:
-        raise RecordingError(f"{path}: the file is empty")
+        raise RecordingError(f"{path}: the file is empty; leave it out, or record again")
     return RosTable(path, mapping) if reader is None else reader(path)
 
 

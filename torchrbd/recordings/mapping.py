@@ -105,7 +105,7 @@ def read_mapping(path: str | Path) -> Mapping:
     try:
         content = strict_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise RecordingError(f"{path}: cannot read the mapping: {error.strerror}") from None
+        raise RecordingError(f"{path}: cannot read the mapping: {error.strerror}; name a YAML file") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
     reader = _Reader(str(path))
@@ -164,7 +164,7 @@ class _Reader:
     def table(self, value: Any, where: str, keys: Sequence[str] | None = None) -> dict[str, Any]:
         if not isinstance(value, dict):
             expected = " or ".join(keys) if keys else "one key for each joint"
-            raise self.fail(f"{where}: expected {expected}, got {value!r}")
+            raise self.fail(f"{where}: expected {expected}, got {value!r:.80}")
         for key in value:
             if not isinstance(key, str):
                 raise self.fail(f"{where}: the key {key!r} must be text; put it in quotes")

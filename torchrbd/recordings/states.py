@@ -75,6 +75,13 @@ class States:
         """Return how many samples lie between two outputs of `decimate`."""
         return self._stride
 
+    @property
+    def motion_out(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return q, qd and qdd at the times of the outputs, (n, M) each, as they are: not low-passed once more."""
+        half, last = self._kernel.shape[0] // 2, (self.t_out.shape[0] - 1) * self._stride
+        q, qd, qdd = (x[:, half : half + last + 1 : self._stride] for x in (self.q, self.qd, self.qdd))
+        return q, qd, qdd
+
     def thinned(self, step: int) -> States:
         """Return every `step`-th sample, with the same outputs; `step` divides `stride`. Torques are only thinned."""
         half = self._kernel.shape[0] // 2

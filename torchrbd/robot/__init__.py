@@ -2,6 +2,7 @@
 
 from torchrbd.robot.inertia import PARAMETERS, from_pseudo_inertia, inertia_matrix, pseudo_inertia, transform_inertia
 from torchrbd.robot.model import STANDARD_GRAVITY, RobotModel
+from torchrbd.robot.origins import joint_origins, with_moved_origins
 from torchrbd.robot.tree import FoldedLink
 
 __all__ = [
@@ -11,6 +12,8 @@ __all__ = [
     "RobotModel",
     "from_pseudo_inertia",
     "inertia_matrix",
+    "joint_origins",
     "pseudo_inertia",
     "transform_inertia",
+    "with_moved_origins",
 ]

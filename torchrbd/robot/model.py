@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from torchrbd.errors import InputError
+from torchrbd.errors import InputError, OptionError
 from torchrbd.robot import compiled, dynamics, eager, kinematics
 from torchrbd.robot.acceleration import accelerations
 from torchrbd.robot.batching import batch_first, batch_last, is_ordinary, tiled
@@ -29,6 +29,8 @@ _BY_JOINT = ("damping", "friction", "armature", "stiffness", "rest", "lower", "u
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 """Of a robot whose base stands upright [m/s^2]."""
+# On no planet is it larger, and in no centrifuge for robots.
+_LARGEST_GRAVITY = 1e3
 
 
 class RobotModel:
@@ -80,6 +82,11 @@ class RobotModel:
         self.pi = tree.pi
         gravity = (description.gravity or STANDARD_GRAVITY) if gravity is None else gravity
         self.gravity = torch.as_tensor(gravity, dtype=torch.float64)
+        if self.gravity.shape != (3,) or not bool((self.gravity.abs() <= _LARGEST_GRAVITY).all()):
+            raise OptionError(
+                f"gravity is {self.gravity.tolist()}; expected three numbers of at most {_LARGEST_GRAVITY:g} m/s^2, "
+                "e.g. 0, 0 and -9.81"
+            )
         self.prismatic = torch.tensor([joint.kind == "prismatic" for joint in tree.driving])
         for name in _BY_JOINT:
             setattr(self, name, torch.tensor([getattr(joint, name) for joint in tree.driving], dtype=torch.float64))
@@ -99,7 +106,7 @@ class RobotModel:
 
         Raises:
             RobotError: the file cannot be used; the message says which joint or link, and what to do.
-            OptionError: it is MJCF, and MuJoCo is not installed.
+            OptionError: it is MJCF, and MuJoCo is not installed; or gravity is none.
         """
         return cls(read_robot(source), gravity=gravity)
 

@@ -45,10 +45,12 @@ def parse(where: str, text: bytes) -> etree._Element:
     Raises:
         RobotError: it is not well-formed, or declares entities.
     """
+    if not text.strip():
+        raise RobotError(f"{where}: the file is empty; expected a URDF or MJCF file")
     try:
         root = etree.fromstring(text.strip(), etree.XMLParser(remove_comments=True, remove_pis=True, **_SAFELY))
     except etree.XMLSyntaxError as error:
-        raise RobotError(f"{where}: not well-formed XML: {error.msg}") from error
+        raise RobotError(f"{where}: not well-formed XML: {error.msg}; expected a URDF or MJCF file") from error
     if root.getroottree().docinfo.doctype or any(isinstance(one, etree._Entity) for one in root.iter()):
         raise RobotError(f"{where}: declares a document type or entities, which no robot needs; remove <!DOCTYPE ...>")
     return root

@@ -131,7 +131,7 @@ def simulate(
 
     Raises:
         RecordingError: a recording that cannot be used, or that has no torque, or nothing at that time.
-        OptionError: a length or rate that is not positive, or a rate beyond 100 kHz.
+        OptionError: a start before the first row, a length or rate that is not positive, or a rate beyond 100 kHz.
         PhysicalError: the mass matrix is not positive definite.
 
     Example:
@@ -140,6 +140,8 @@ def simulate(
         >>> moved.distance
         {'joint1': 0.0031, 'joint2': 0.0058}
     """
+    if not (math.isfinite(start) and start >= 0):
+        raise OptionError(f"start is {start:g} s; expected a number that is not negative")
     for name, value in (("seconds", seconds), ("rate", rate_hz)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise OptionError(f"{name} is {value:g}; expected more than zero")
@@ -158,7 +160,10 @@ def simulate(
     until = float(t[-1]) if seconds is None else min(begin + seconds, float(t[-1]))
     count = math.floor((until - begin) / dt + 1e-6)
     if count < 1:
-        raise RecordingError(f"{opened.path or opened.name}: {until - begin:.3g} s hold no step of {dt:.3g} s")
+        raise RecordingError(
+            f"{opened.path or opened.name}: {until - begin:.3g} s hold no step of {dt:.3g} s; simulate longer, or "
+            "give a higher rate"
+        )
     at = np.minimum(begin + dt / parts * np.arange(count * parts + 1), t[-1])
     x = {name: one.unsqueeze(0) for name, one in driving(t, signals, at).items()}
     drive = Drive(

@@ -121,6 +121,8 @@ def _of_file(path: Path) -> Side:
     content = _read(file)
     _check_verdict(str(path), content.get("verdict"), content.get("statement", ""))
     try:
+        # Which an identification lacks.
+        content["findings"]
         known: dict[str, Any] = {
             key: rebuilt(kind, content.get(key, ()))
             for key, kind in (

@@ -14,6 +14,9 @@ from torchrbd.errors import OptionError
 from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.robot import RobotModel, from_pseudo_inertia
 
+# More than any robot carries [kg], and farther out [m].
+_HEAVIEST, _FURTHEST = 1e6, 1e3
+
 
 @dataclass(frozen=True)
 class Payload:
@@ -33,8 +36,11 @@ class Payload:
             mass, x, y, z = (float(part) for part in numbers.split(","))
         except ValueError:
             raise OptionError(f"payload '{text}': expected FILE=kg,x,y,z or FILE=kg,x,y,z@LINK") from None
-        if not name or not all(map(math.isfinite, (mass, x, y, z))) or mass <= 0:
-            raise OptionError(f"payload '{text}': expected FILE=kg,x,y,z with a mass above zero")
+        if not name or not 0.0 < mass <= _HEAVIEST or not math.hypot(x, y, z) <= _FURTHEST:
+            raise OptionError(
+                f"payload '{text}': expected FILE=kg,x,y,z with a mass above zero, at most {_HEAVIEST:g} kg, "
+                f"within {_FURTHEST:g} m"
+            )
         return cls(Path(name).name, mass, (x, y, z), link or None)
 
 

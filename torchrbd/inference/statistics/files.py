@@ -18,8 +18,10 @@ from torchrbd.inference.statistics.results import Conditions, Origin, Statistics
 from torchrbd.likelihood.block_statistics import Block
 from torchrbd.outputs import write_whole
 from torchrbd.rebuilding import rebuilt
+from torchrbd.recordings.formats import STATISTICS
 
 _FORMAT, _HEADER = "torchrbd-statistics-2", "statistics"
+_REMEDY = "give those that 'torchrbd stats' wrote"
 _LABELS = tuple[tuple[str, ...], ...]
 
 
@@ -71,6 +73,10 @@ def read_head(path: str | Path) -> Statistics:
     Raises:
         InputError: no such file, none of ours, or of another version.
     """
+    if Path(path).is_dir():
+        raise InputError(f"{path}: is a folder; give the files in it, e.g. {path}/*{STATISTICS}")
+    if not Path(path).exists():
+        raise InputError(f"{path}: no such file; check the path")
     try:
         with safe_open(path, framework="pt") as file:
             header = _header(path, (file.metadata() or {}).get(_HEADER, "{}"))
@@ -78,7 +84,7 @@ def read_head(path: str | Path) -> Statistics:
     except InputError:
         raise
     except (OSError, SafetensorError) as error:
-        raise InputError(f"{path}: cannot be read as statistics ({error})") from None
+        raise InputError(f"{path}: is no statistics file, or is damaged; {_REMEDY} ({error})") from None
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RuntimeError, RecursionError) as error:
         raise _damaged(path, error) from None
 
@@ -86,6 +92,8 @@ def read_head(path: str | Path) -> Statistics:
 def _header(path: str | Path, text: str) -> dict[str, Any]:
     """Return the metadata of a file of this version."""
     header = json.loads(text)
+    if not header:
+        raise InputError(f"{path}: is no statistics file; {_REMEDY}")
     if header.get("format") != _FORMAT:
         raise InputError(
             f"{path}: is no statistics file of torchrbd {__version__}; expected format '{_FORMAT}', got "

@@ -90,8 +90,11 @@ def merge_statistics(files: Sequence[str | Path], output: str | Path) -> Statist
         InputError: a file that cannot be read, or files that were made under different conditions.
         OptionError: the sum cannot be written there.
     """
+    heads = [read_head(file) for file in files]
+    if any(Path(output).exists() and Path(output).samefile(file) for file in files):
+        raise OptionError(f"output '{output}': is one of the files to add; name another for the sum")
     check_file(Path(output))
-    found = merging.merged([read_head(file) for file in files])
+    found = merging.merged(heads)
     write_file(found, output)
     return found
 
@@ -116,7 +119,7 @@ def _path(source: NamedSource) -> Path:
     if source.suffix == STATISTICS:
         raise OptionError(f"stats: {source} holds statistics already; give recordings")
     if not source.exists():
-        raise OptionError(f"stats: {source}: no such file")
+        raise OptionError(f"stats: {source}: no such file; check the path")
     return source
 
 
@@ -124,7 +127,11 @@ def _check_names(paths: Sequence[Path]) -> None:
     seen: dict[str, Path] = {}
     for path in paths:
         other = seen.setdefault(path.name.casefold(), path)
-        if other is not path:
+        if other is path:
+            continue
+        if path.exists() and path.samefile(other):
+            raise OptionError(f"'{path}' is given twice; give it once")
+        else:
             raise OptionError(f"statistics of '{other}' and '{path}' would be one file; rename one of them")
 
 

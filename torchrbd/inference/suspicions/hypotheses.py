@@ -23,6 +23,7 @@ TESTED = (
     "another direction of gravity",
     "currents or other units for torques",
     "torques that are cut off",
+    "the URDF of another variant, with links of other lengths",
 )
 """What is looked for, in words."""
 

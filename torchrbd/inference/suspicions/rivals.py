@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from torchrbd.inference.suspicions.explained import Explained
 from torchrbd.inference.suspicions.hypotheses import Hypothesis
-from torchrbd.inference.suspicions.samples import Explained, Samples
+from torchrbd.inference.suspicions.samples import SPRINGS, Samples
 from torchrbd.inference.suspicions.writing import Writing
 
 
@@ -28,4 +29,4 @@ def rivals(h: Hypothesis, tried: Explained, samples: Samples, now: Writing) -> I
         for unread in (*((j,) for j in h.joints), h.joints):
             yield samples.explained(now, unread=unread), tried
     if h.kind == "gravity":
-        yield samples.explained(now, springs=True), samples.explained(h.writing, springs=True)
+        yield samples.explained(now, beside=[SPRINGS]), samples.explained(h.writing, beside=[SPRINGS])

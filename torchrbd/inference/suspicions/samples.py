@@ -13,75 +13,32 @@ recording is short does not leave it untold.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from torchrbd.effects import effect
-from torchrbd.inference.physical.fitting import fit_model, squares_beside_constant, term_candidates
+from torchrbd.inference.physical.fitting import FittedModel, fit_model, squares_beside_constant, term_candidates
 from torchrbd.inference.preparation import Prepared
+from torchrbd.inference.suspicions.explained import NOTHING, Explained, Shape
 from torchrbd.inference.suspicions.writing import Writing
 from torchrbd.likelihood.block_statistics import Block, BlockStatistics, nearest_block
-from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.scales import covered_scales
 from torchrbd.likelihood.spreading import Density
 from torchrbd.likelihood.urdf_prior import Prior, data_prior
 from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.recordings import States
-from torchrbd.robot import pseudo_inertia
+from torchrbd.robot import RobotModel, pseudo_inertia
 
-# A part of a torque's power that is none.
-_NOTHING = 1e-9
-_SPRING = "joint_spring"
+SPRINGS, ROTORS = "joint_spring", "rotor_inertia"
+"""What every joint may have beside ordinary physics."""
 _DENSITY = Density(most_states=30_000, least_rate_hz=60.0, rate_cycles=10.0)
 # Parts of the time that are left out of the fit in turn.
 _MOST_PARTS = 4
-
-
-@dataclass(frozen=True)
-class Explained:
-    """How well a re-fitted ordinary model explains a writing.
-
-    Attributes:
-        error: (n_dof,) squared error on time left out of the fit over that of a constant, the mean of what was fitted;
-            NaN for a joint that is not judged.
-        divergence: D of the bodies from the URDF's, see ``urdf_prior``, the mean over the fits.
-    """
-
-    error: Tensor
-    divergence: float
-
-    @property
-    def known(self) -> Tensor:
-        """The error of the better of the model and the constant, (n_dof,)."""
-        return self.error.clamp(_NOTHING, 1.0)
-
-
-@dataclass(frozen=True)
-class Shape:
-    """What the URDF's torque of joint j explains of the torque in joint i's column, (n_dof, n_dof) each.
-
-    Attributes:
-        left: part of the torque's power that friction leaves.
-        share: part that the URDF's torque explains of it, negative where it does with the opposite sign.
-        gain: g, of either sign.
-    """
-
-    left: Tensor
-    share: Tensor
-    gain: Tensor
-
-    def error(self, writing: Writing) -> Tensor:
-        """Return the part of each torque that is left by a gain that is not negative, (n_dof,)."""
-        j, i = range(len(self.left)), list(writing.tau_order)
-        share = self.share[j, i] * self.share.new_tensor(writing.tau_scale).sign()
-        return (self.left[j, i] - share.clamp_min(0.0)).clamp_min(_NOTHING)
-
-    def likeness(self, writing: Writing) -> Tensor:
-        """Return by which factor the URDF's torque lowers the squared error that friction leaves, (n_dof,)."""
-        return self.left[range(len(self.left)), list(writing.tau_order)].clamp_min(_NOTHING) / self.error(writing)
+# What a model leaves out it leaves out in all blocks, so that more of the same does not tell more.
+_MOST_BLOCKS = 8
 
 
 class Samples:
@@ -97,48 +54,57 @@ class Samples:
         kappa: weight of the URDF's inertials.
         recording, t: (M,) the number of each sample's recording, and its time there [s].
         tau: (n_dof, M) torques, known ones taken off.
+        weight: (n_dof, M) independent samples that each stands for.
+        tiles: the states at which they are, motion of a finer clock.
     """
 
     def __init__(self, prepared: Prepared) -> None:
         reading = prepared.reading
         self.robot, self.kappa = reading.robot, prepared.prior.kappa
         self._trusted = {name for b, name in enumerate(self.robot.body_names) if b not in prepared.prior.bodies}
-        effects = [effect(name) for name in (*ORDINARY_EFFECTS, _SPRING)]
+        effects = [effect(name) for name in (*ORDINARY_EFFECTS, SPRINGS, ROTORS)]
         self._columns = Columns(self.robot, effects, covered_scales(reading.surveys, reading.filtering))
-        self._terms, springs = (term_candidates(self._columns, of) for of in (ORDINARY_EFFECTS, (_SPRING,)))
-        self._with_springs = (*self._terms, *springs)
-        of_springs = {label for c in springs for label in c.labels}
-        self._plain = [torch.tensor([label not in of_springs for label in own]) for own in self._columns.labels]
+        ordinary = {label for c in self._terms() for label in c.labels}
+        self._plain = [torch.tensor([label in ordinary for label in own]) for own in self._columns.labels]
         self.blocks = len(prepared.statistics)
         self._parts = min(self.blocks, _MOST_PARTS)
-        self._tiles: list[States] = []
+        self.tiles: list[States] = []
         parts: list[tuple[Tensor, ...]] = []
         features: list[list[Tensor]] = []
         for k, states in _DENSITY.tiles(reading):
             thin = _DENSITY.thinned(states, reading.filtering.cutoff_hz)
-            self._tiles.append(thin)
+            self.tiles.append(thin)
             measured = reading.measured(k).unsqueeze(1)
             weight = reading.filtering.effective_rate * states.dt_out * self._columns.weight(thin) * measured
             block = nearest_block(prepared.statistics.blocks, states.recording, states.t_out)
             where = torch.stack((torch.full_like(states.t_out, k), states.t_out, block * self._parts // self.blocks))
             parts.append((states.decimate(torch.nan_to_num(states.tau)), weight, where))
             features.append([thin.decimate(f) for f in self._columns.features(thin)])
-        self.tau, self._weight, where = (torch.cat(x, 1) for x in zip(*parts, strict=True))
+        self.tau, self.weight, where = (torch.cat(x, 1) for x in zip(*parts, strict=True))
         self.recording, self.t, part = where
         self._in_part = part == torch.arange(self._parts).unsqueeze(1)
         self._features = [torch.cat(x, 1) for x in zip(*features, strict=True)]
         self._design: tuple[object, list[Tensor]] = None, []
         self.judged = torch.stack([self._varies(part) for part in self._in_part]).sum(0) > 1
 
+    @property
+    def nats(self) -> float:
+        """N/2, how much the log of an error counts; N is the number of blocks, but no more than 8."""
+        return 0.5 * min(self.blocks, _MOST_BLOCKS)
+
+    def odds(self, before: Explained, after: Explained) -> float:
+        """Return sum_j N/2 log(e_before / e_after)."""
+        return self.nats * float((before.known / after.known)[self.judged].log().sum())
+
     def _varies(self, part: Tensor) -> Tensor:
         """Return the joints whose torque varies in a part of the samples, (n_dof,) bool."""
-        tau = torch.where(self._weight[:, part] > 0, self.tau[:, part], torch.nan)
+        tau = torch.where(self.weight[:, part] > 0, self.tau[:, part], torch.nan)
         return torch.tensor([bool(len(t := row[~row.isnan()]) > 1 and t.max() > t.min()) for row in tau])
 
     def shape(self, writing: Writing) -> Shape:
         """Try the shape alone on all samples, for the torque in every joint's column."""
         gravity, parts = torch.tensor(writing.gravity, dtype=torch.float64), []
-        for s in self._tiles:
+        for s in self.tiles:
             q, qd, qdd = (x.T for x in writing.moved(s.q, s.qd, s.qdd))
             parts.append(s.decimate(self.robot.inverse_dynamics(q, qd, qdd, gravity=gravity).T))
         modelled, n = torch.cat(parts, 1), self.robot.n_dof
@@ -146,34 +112,43 @@ class Samples:
         left += 1.0
         for j, place in enumerate(writing.q_order):
             for i in torch.nonzero(self.judged).flatten().tolist():
-                w = self._weight[i].sqrt()
+                w = self.weight[i].sqrt()
                 F, _ = torch.linalg.qr((self._features[place][self._plain[place]] * w).T)
                 s, t = modelled[j] * w, self.tau[i] * w
                 power, torque = float(s @ s), float(t @ t)
                 s, t = s - F @ (F.T @ s), t - F @ (F.T @ t)
                 left[j, i], own = float(t @ t) / torque, float(s @ s)
-                if own > _NOTHING * power:
+                if own > NOTHING * power:
                     gain[j, i] = float(s @ t) / own
                     share[j, i] = gain[j, i] * abs(float(s @ t)) / torque
         return Shape(left, share, gain)
 
     def explained(
-        self, writing: Writing, *, tightness: float = 1.0, springs: bool = False, unread: Sequence[int] = ()
+        self,
+        writing: Writing,
+        *,
+        tightness: float = 1.0,
+        beside: Sequence[str] = (),
+        unread: Sequence[int] = (),
+        robot: RobotModel | None = None,
+        noise: Tensor | None = None,
     ) -> Explained:
         """Re-fit the ordinary model to a writing, without each part of the time in turn, and judge it there.
 
         Args:
             writing: what the columns are to mean.
             tightness: how many times the URDF's inertials weigh what the user lets them.
-            springs: whether every joint has one.
+            beside: effects that every joint has as well, of ``SPRINGS`` and ``ROTORS``.
             unread: joints whose torque is taken for that of something else: a constant explains it as well.
+            robot: one of other geometry; the URDF's if None.
+            noise: (n_dof,) variances of the torques, if they are known.
         """
-        whole, terms = self._statistics(writing, unread), self._with_springs if springs else self._terms
+        whole, terms = self._statistics(writing, unread, robot=robot), self._terms(beside)
         squares, divergence = torch.zeros(2, self.robot.n_dof, dtype=torch.float64), 0.0
         for left_out in torch.eye(self._parts, dtype=torch.bool):
             fitted = whole.select(~left_out)
             prior = data_prior(fitted, self._trusted, tightness * self.kappa)
-            x = fit_model(fitted, prior, terms).x
+            x = fit_model(fitted, prior, terms, noise).x
             squares += torch.stack(squares_beside_constant(fitted, whole.select(left_out), x))
             divergence += _divergence(prior, x) / self._parts
         error = torch.where(self.judged, squares[0] / squares[1], torch.nan)
@@ -190,20 +165,43 @@ class Samples:
         whole, found = self._statistics(writing, without=without), torch.zeros_like(self.tau)
         for part, left_out in zip(self._in_part, torch.eye(self._parts, dtype=torch.bool), strict=True):
             fitted = whole.select(~left_out)
-            x = fit_model(fitted, data_prior(fitted, self._trusted, self.kappa), self._terms).x
-            for j, (rows, own) in enumerate(zip(self._rows(writing), self._columns.of_joint, strict=True)):
-                found[j, part] = x[own] @ rows[:, part]
+            x = fit_model(fitted, data_prior(fitted, self._trusted, self.kappa), self._terms()).x
+            found[:, part] = self._torque(writing, x, part)
         return found
 
+    def fitted(
+        self, writing: Writing, robot: RobotModel, beside: Sequence[str], noise: Tensor | None = None
+    ) -> tuple[FittedModel, Tensor]:
+        """Re-fit the ordinary model of a robot to all samples; return it and the torque that it leaves, (n_dof, M).
+
+        Args:
+            writing, robot, beside, noise: as of ``explained``.
+        """
+        whole = self._statistics(writing, robot=robot)
+        prior = data_prior(whole, self._trusted, self.kappa)
+        model = fit_model(whole, prior, self._terms(beside), noise)
+        return model, writing.torque(self.tau) - self._torque(writing, model.x, slice(None), robot)
+
+    def _terms(self, beside: Sequence[str] = ()) -> tuple[Candidate, ...]:
+        return term_candidates(self._columns, (*ORDINARY_EFFECTS, *beside))
+
+    def _torque(self, writing: Writing, x: Tensor, part: Tensor | slice, robot: RobotModel | None = None) -> Tensor:
+        rows = zip(self.rows(writing, robot), self._columns.of_joint, strict=True)
+        return torch.stack([x[own] @ row[:, part] for row, own in rows])
+
     def _statistics(
-        self, writing: Writing, unread: Sequence[int] = (), without: Tensor | None = None
+        self,
+        writing: Writing,
+        unread: Sequence[int] = (),
+        without: Tensor | None = None,
+        robot: RobotModel | None = None,
     ) -> BlockStatistics:
         """Return the moments of the parts of the time, one block each."""
-        tau, weight = writing.torque(self.tau), self._weight[list(writing.tau_order)]
+        tau, weight = writing.torque(self.tau), self.weight[list(writing.tau_order)]
         weight[list(unread)] = 0.0
         weight = weight if without is None else weight.masked_fill(without, 0.0)
         moments = []
-        for row, t, w in zip(self._rows(writing), tau, weight, strict=True):
+        for row, t, w in zip(self.rows(writing, robot), tau, weight, strict=True):
             a = torch.cat((row, t.unsqueeze(0)))
             moments.append(torch.stack([(a[:, part] * w[part]) @ a[:, part].T for part in self._in_part]))
         powers = torch.stack((weight, weight * tau, weight * tau.square()), -1)
@@ -211,13 +209,14 @@ class Samples:
         torque = torch.stack([powers[:, part].sum(1) for part in self._in_part])
         return BlockStatistics(self._columns, blocks, tuple(moments), torque)
 
-    def _rows(self, writing: Writing) -> list[Tensor]:
+    def rows(self, writing: Writing, robot: RobotModel | None = None) -> list[Tensor]:
         """Return the regressor and friction's features of each joint, (p_j, M); the last ones are remembered."""
-        if self._design[0] != writing.motion:
+        robot = robot or self.robot
+        if self._design[0] != (writing.motion, id(robot)):
             gravity = torch.tensor(writing.gravity, dtype=torch.float64)
             parts: list[list[Tensor]] = [[] for _ in self._features]
-            for s in self._tiles:
-                Y = self.robot.regressor_batch_last(*writing.moved(s.q, s.qd, s.qdd), gravity)
+            for s in self.tiles:
+                Y = robot.regressor_batch_last(*writing.moved(s.q, s.qd, s.qdd), gravity)
                 for own, columns, Y_j in zip(parts, self._columns.inertial, Y, strict=True):
                     own.append(s.decimate(Y_j[columns]))
             # Friction's features span the same whatever the unit and the sign of the motion.
@@ -225,7 +224,7 @@ class Samples:
                 torch.cat((torch.cat(own, 1), self._features[place]))
                 for own, place in zip(parts, writing.q_order, strict=True)
             ]
-            self._design = writing.motion, rows
+            self._design = (writing.motion, id(robot)), rows
         return self._design[1]
 
 

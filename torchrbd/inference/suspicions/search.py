@@ -35,17 +35,19 @@ from torch import Tensor
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.suspicions import words
 from torchrbd.inference.suspicions.clipping import clipped_torques
+from torchrbd.inference.suspicions.explained import Explained
 from torchrbd.inference.suspicions.hypotheses import TESTED, Hypothesis, gains, hypotheses
 from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicion, Suspicions
 from torchrbd.inference.suspicions.rivals import rivals
-from torchrbd.inference.suspicions.samples import Explained, Samples
+from torchrbd.inference.suspicions.samples import Samples
+from torchrbd.inference.suspicions.variant import another_variant
 from torchrbd.inference.suspicions.writing import Writing
 from torchrbd.recordings import Survey
 from torchrbd.robot import RobotModel
 
 BOUND = math.log(1000.0)
 """Log odds from which on something is suspected."""
-_MOST_BLOCKS, _LIMIT_POWER = 8, 3.0
+_LIMIT_POWER = 3.0
 _TIGHT, _GAIN_COST = 10.0, 5.0
 # A speed beyond the limit that no reading mends; peaks over the RMS that motions have.
 _FAR, _PEAK = 30.0, 5.0
@@ -85,6 +87,7 @@ def suspicions(prepared: Prepared) -> Suspicions:
         now, base = best.hypothesis.writing, best.explained
     if not found:
         found += clipped_torques(prepared, samples, now, BOUND)
+        found += filter(None, [another_variant(samples, now, BOUND)])
     gained = _other_unit(samples, now)
     if gained is not None:
         found.append(words.told(gained.hypothesis, (), gained.log_odds, None, prepared))
@@ -99,7 +102,7 @@ def _is_told(one: _Tried, samples: Samples, now: Writing) -> bool:
     """Say whether a hypothesis is far likelier than the table as it stands, and than its rivals."""
     if one.log_odds <= BOUND:
         return False
-    against = (_nats(samples, rival, held) for rival, held in rivals(one.hypothesis, one.explained, samples, now))
+    against = (samples.odds(rival, held) for rival, held in rivals(one.hypothesis, one.explained, samples, now))
     return all(odds > BOUND for odds in against)
 
 
@@ -107,20 +110,10 @@ def _swaps_others(one: _Tried, best: _Tried) -> bool:
     return one.hypothesis.is_swap and one.hypothesis.joints != best.hypothesis.joints
 
 
-def _nats(samples: Samples, before: Explained, after: Explained) -> float:
-    """Return sum_j N/2 log(e_before / e_after)."""
-    return _weight(samples) * float((before.known / after.known)[samples.judged].log().sum())
-
-
-def _weight(samples: Samples) -> float:
-    """Return N/2, how much the log of an error counts."""
-    return 0.5 * min(samples.blocks, _MOST_BLOCKS)
-
-
 def _other_unit(samples: Samples, now: Writing) -> _Tried | None:
     """Return torques in another unit, if that explains why the bodies are far from the URDF's."""
     shape, signs = samples.shape(now), [math.copysign(1.0, x) for x in now.tau_scale]
-    alike = samples.judged & (_weight(samples) * shape.likeness(now).log() > BOUND)
+    alike = samples.judged & (samples.nats * shape.likeness(now).log() > BOUND)
     told = [
         sign * float(shape.gain[j, i]) if bool(alike[j]) else 0.0
         for j, (i, sign) in enumerate(zip(now.tau_order, signs, strict=True))
@@ -131,7 +124,7 @@ def _other_unit(samples: Samples, now: Writing) -> _Tried | None:
         one = samples.explained(h.writing, tightness=_TIGHT)
         cost = _GAIN_COST * (1 if h.unit == "all" else len(h.joints))
         bodies = samples.kappa * (base.divergence - _TIGHT * one.divergence)
-        odds = bodies - cost + _nats(samples, base, one)
+        odds = bodies - cost + samples.odds(base, one)
         if odds > max(BOUND, best.log_odds if best else 0.0):
             best = _Tried(h, one, odds, base.known / one.known)
     return best
@@ -151,14 +144,14 @@ def _tried(samples: Samples, prepared: Prepared, now: Writing, base: Explained) 
             shapes[h.writing.motion] = samples.shape(h.writing)
         ratio = own / shapes[h.writing.motion].error(h.writing)
         limits = _LIMIT_POWER * (beyond - _beyond(robot, surveys, h.writing))
-        odds = _weight(samples) * float(ratio[samples.judged].log().sum()) + limits
+        odds = samples.nats * float(ratio[samples.judged].log().sum()) + limits
         if odds > 0:
             promising.append((odds, h))
     found = []
     for _, h in sorted(promising, key=lambda pair: -pair[0])[:_MOST_FITTED]:
         explained = samples.explained(h.writing)
         limits = _LIMIT_POWER * (beyond - _beyond(robot, surveys, h.writing))
-        odds = _nats(samples, base, explained) + limits
+        odds = samples.odds(base, explained) + limits
         found.append(_Tried(h, explained, odds, base.known / explained.known))
     return sorted(found, key=lambda one: -one.log_odds)
 

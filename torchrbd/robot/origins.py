@@ -1,0 +1,40 @@
+"""Where a robot's joints sit in their parent links, and the same robot with them elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from torchrbd.robot.model import RobotModel
+
+
+def joint_origins(robot: RobotModel) -> Tensor:
+    """Return the xyz of the <origin> of each driving joint, (n_dof, 3) [m]."""
+    found = {joint.name: joint.pose[:3, 3] for joint in robot.description.joints}
+    return torch.stack([found[name] for name in robot.joint_names])
+
+
+def with_moved_origins(robot: RobotModel, moves: Tensor) -> RobotModel:
+    """Return the robot with the <origin> of each driving joint shifted and turned in the parent link's axes.
+
+    Its links keep their inertial parameters, which are about the joints. ``RobotModel.origin_slopes`` is the derivative
+    of its torques at no moves.
+
+    Args:
+        robot: the robot.
+        moves: (n_dof, 6) shifts along x, y, z [m], and rotation vectors [rad].
+    """
+    of_joint = dict(zip(robot.joint_names, moves, strict=True))
+    joints = []
+    for joint in robot.description.joints:
+        if joint.name in of_joint:
+            shift, (x, y, z) = of_joint[joint.name][:3], of_joint[joint.name][3:].tolist()
+            turn = torch.linalg.matrix_exp(joint.pose.new_tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]))
+            pose = joint.pose.clone()
+            pose[:3, 3] += shift
+            pose[:3, :3] = turn @ pose[:3, :3]
+            joint = replace(joint, pose=pose)
+        joints.append(joint)
+    return RobotModel(replace(robot.description, joints=tuple(joints)), gravity=robot.gravity)
