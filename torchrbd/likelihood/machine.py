@@ -35,6 +35,7 @@ from functools import partial
 import numpy as np
 import torch
 from scipy.ndimage import maximum_filter1d
+from scipy.special import ndtri
 from torch import Tensor
 
 from torchrbd.effects import Signals
@@ -50,13 +51,15 @@ _LASTING_ROWS = 0.5
 # A joint rests, or turns, where the direction of its motion is as unsure as this, if its velocity errs so many times as
 # much as it should; so many rests a joint are told apart, the longest ones.
 _RESTS, _REST_STICK, _MOST_RESTS = 0.05, 3.0, 30
+# So slow it is then, in standard deviations of its error: 2 sqrt(p (1 - p)) = r where p = (1 - sqrt(1 - r^2)) / 2.
+_SLOW = -float(ndtri(0.5 * (1.0 - math.sqrt(1.0 - _RESTS**2))))
 # What holds a joint that rests for long changes no faster than this [Hz]; so many unknowns a joint tell it.
 _HOLDS_HZ, _MOST_HOLDS = 5.0, 60
 # Standard deviation of the moment at which friction turns, in samples, and how far around it that is felt [rows].
 _TURNS_SAMPLES, _FELT_ROWS = 0.5, 6
 # Friction of a joint may take all of its torque; its sign change may be wider or narrower by this part.
 _WIDTH_STD, _WIDTH_STEP = 0.5, 1.1
-# Widths of sign changes that are remembered.
+# Widths of sign changes that are remembered, the ones last asked for.
 _MOST_DIRECTIONS = 256
 # What changes more slowly than this is drift, as far as so many cosines a recording tell.
 _DRIFT_HZ, _MOST_DRIFT = 0.1, 12
@@ -246,18 +249,20 @@ class Machine:
         return self._evaluated_directions(joint, width)[2:]
 
     def _evaluated_directions(self, joint: int, width: float) -> np.ndarray:
-        if (joint, width) in self._directions:
-            return self._directions[joint, width]
-
         def directions(signals: Signals) -> Tensor:
-            g = torch.tanh(signals.qd[joint] / width)
-            unsure = (self._direction_std(stick, signals)[joint] > _RESTS for stick in STICKS)
+            qd = signals.qd[joint]
+            g = torch.tanh(qd / width)
+            # Where the direction is as unsure as this, as ``_direction_std`` has it.
+            unsure = (qd.abs() < _SLOW * stick * max(self.rows.speed_std[joint], 1e-300) for stick in STICKS)
             lines = [_straight(g.numpy(), rests.numpy()) - g.numpy() for rests in unsure]
             return torch.stack((g.clamp_min(0.0), g.clamp_max(0.0), *map(torch.from_numpy, lines)))
 
-        found = self.rows.evaluated(directions)
-        if len(self._directions) < _MOST_DIRECTIONS:
-            self._directions[joint, width] = found
+        found = self._directions.pop((joint, width), None)
+        if found is None:
+            found = self.rows.evaluated(directions)
+            if len(self._directions) >= _MOST_DIRECTIONS:
+                del self._directions[next(iter(self._directions))]
+        self._directions[joint, width] = found
         return found
 
     def friction_columns(self, joint: int, width: float) -> np.ndarray:
