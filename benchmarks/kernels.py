@@ -22,6 +22,7 @@ import torch
 from memory import arm
 
 from torchrbd.model import RigidBodyDynamics
+from torchrbd.model.starting import starting_terms
 from torchrbd.robot import RobotModel, compiled
 
 ROUNDS, SECONDS, LOOPED = 7, 0.02, 4096
@@ -52,6 +53,8 @@ class Case:
         self.samples = samples
         self.robot = RobotModel.from_urdf(urdf)
         self.module = RigidBodyDynamics(self.robot)
+        friction = starting_terms(self.robot, ("viscous_friction", "coulomb_friction"))
+        self.rubbing = RigidBodyDynamics(self.robot, terms=friction)
         self.model = pin.buildModelFromXML(urdf)
         self.data = self.model.createData()
         x = np.random.default_rng(0).uniform(-1, 1, (3, samples, self.robot.n_dof))
@@ -94,6 +97,8 @@ class Case:
         yield "inverse dynamics", lambda: robot.inverse_dynamics(*states), rnea
         yield "the same, to be differentiated", lambda: robot.inverse_dynamics(*self.tracked), rnea
         yield "the same, module", lambda: self.without_derivatives(self.module, *states), rnea
+        yield "the same, module with friction", lambda: self.without_derivatives(self.rubbing, *states), rnea
+        yield "the same with friction, to be differentiated", lambda: self.rubbing(*self.tracked), rnea
         yield "regressor", lambda: robot.regressor(*states), self.regressor_loop
         yield "the same, samples first in memory", lambda: robot.regressor(*states).contiguous(), self.regressor_loop
         yield "mass matrix", lambda: robot.mass_matrix(states[0]), crba

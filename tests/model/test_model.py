@@ -38,6 +38,31 @@ def test_torque_is_the_rigid_bodys_plus_the_terms(model: RigidBodyDynamics) -> N
     torch.testing.assert_close(model.pi, robot.pi, rtol=1e-12, atol=1e-12)
 
 
+def test_friction_of_all_joints_at_once_is_that_of_its_terms() -> None:
+    """States and coefficients: values and first and second derivatives, in both precisions."""
+    own = [term("viscous_friction", 0, 0.7), term("viscous_friction", 2, 0.2), term("torque_offset", 1, -0.6)]
+    own += [term("coulomb_friction", 2, 0.4), term("asymmetric_coulomb_friction", 1, 0.9, 0.2), *own[:1]]
+    robot = RobotModel.from_urdf(URDF)
+    model = RigidBodyDynamics(robot, terms=[*own, term("joint_spring", 2, 3.0, -1.0)])
+    q, qd, qdd = states(robot, 4)
+    qd = (1e-3 * qd).requires_grad_()
+    alone = Signals(robot, q.T, qd.T, qdd.T, model.rest_width)
+    torques = torch.zeros(4, robot.n_dof, dtype=torch.float64)
+    for one in model.terms:
+        torques = torques.index_add(1, torch.tensor([one.site.joint]), one(alone).unsqueeze(1))
+    found = model.term_torque(q, qd, qdd)
+    torch.testing.assert_close(found, torques, rtol=1e-13, atol=1e-13)
+    of = (qd, *(one.coefficients for one in model.terms))
+    slopes, expected = (torch.autograd.grad(x.square().sum(), of, create_graph=True) for x in (found, torques))
+    twice, numbers = (torch.autograd.grad(sum(s.square().sum() for s in x), of) for x in (slopes, expected))
+    for x, y in zip((*slopes, *twice), (*expected, *numbers), strict=True):
+        torch.testing.assert_close(x, y, rtol=1e-11, atol=1e-11)
+    single = model.float().term_torque(q.float(), qd.float(), qdd.float())
+    assert single.dtype is torch.float32
+    torch.testing.assert_close(single.double(), found, rtol=1e-4, atol=1e-4)
+    assert not any("placing" in name for name in model.state_dict())
+
+
 def test_other_parameters_can_be_given() -> None:
     robot, other = RobotModel.from_urdf(URDF), RobotModel.from_urdf(URDF)
     pi = 1.3 * robot.pi

@@ -20,6 +20,7 @@ from torchrbd.effects import Signals, Term
 from torchrbd.effects.plain_friction import plain_friction
 from torchrbd.errors import InputError, OptionError
 from torchrbd.model.files import read_model, write_model
+from torchrbd.model.plain_terms import is_plain, placing, plain_torque
 from torchrbd.model.starting import REST_WIDTH, described_terms, starting_terms
 from torchrbd.model.stepping import implicit_velocity, runge_kutta
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, is_physical, to_log_cholesky
@@ -56,6 +57,7 @@ class RigidBodyDynamics(nn.Module):
     constant_pi: Tensor
     physical: Tensor
     rest_width: Tensor
+    _placing: Tensor
 
     def __init__(
         self,
@@ -74,6 +76,10 @@ class RigidBodyDynamics(nn.Module):
         width = torch.full((robot.n_dof,), REST_WIDTH, dtype=torch.float64) if rest_width is None else rest_width
         self.register_buffer("rest_width", width.clone())
         self._terms = nn.ModuleList(terms)
+        # Most terms are ordinary friction: they are evaluated together. Each is registered once, above.
+        self._plain = tuple(term for term in self.terms if is_plain(term))
+        self._others = tuple(term for term in self.terms if not is_plain(term))
+        self.register_buffer("_placing", placing(robot.n_dof, self._plain), persistent=False)
         # As numbers: indexing by a tensor would neither batch nor trace.
         self._trained = physical.nonzero().flatten().tolist()
         self._all_trained = len(self._trained) == robot.n_bodies
@@ -199,14 +205,18 @@ class RigidBodyDynamics(nn.Module):
     def _term_torque(
         self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None, temperature: Tensor | None, recording: str | None
     ) -> Tensor:
-        q, qd, qdd = (x.movedim(-1, 0) for x in torch.broadcast_tensors(q, qd, qdd))
+        q, qd, qdd = torch.broadcast_tensors(q, qd, qdd)
+        plain = plain_torque(self._plain, self._placing, qd, self.rest_width)
+        if not self._others:
+            return plain
+        q, qd, qdd = (x.movedim(-1, 0) for x in (q, qd, qdd))
         warm = None if temperature is None else temperature.movedim(-1, 0)
-        plain = ((term.effect.id, term.site.joint, term.coefficients) for term in self.terms if term.site.always)
-        friction = plain_friction(self.robot.n_dof, plain)
+        constant = ((term.effect.id, term.site.joint, term.coefficients) for term in self.terms if term.site.always)
+        friction = plain_friction(self.robot.n_dof, constant)
         known = (self.rest_width, self.pi, t, recording, warm, friction)
         signals = Signals(self.robot, q, qd, qdd, *known)
-        torques = list(torch.zeros_like(signals.q).unbind(0))
-        for term in self.terms:
+        torques = list(plain.unbind(-1))
+        for term in self._others:
             added = term(signals)
             for j in range(len(torques)) if term.effect.whole_robot else (term.site.joint,):
                 assert j is not None
