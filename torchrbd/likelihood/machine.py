@@ -126,8 +126,10 @@ class Machine:
         self._drift, self._drift_order = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
         self._local = len(ORDINARY) + 3 + len(STICKS) + _ROUNDING + len(self._drift)
         self._inside = [rows.recording == k for k in np.unique(rows.recording)]
-        self._rigid = [rows.rigid[j][:, self.inertial] @ self.scale for j in range(rows.n_dof)]
-        self.target = np.stack([rows.tau[j] - rows.rigid[j] @ self.mean for j in range(rows.n_dof)])
+        # Bodies that a joint does not move have no columns there.
+        self._moved = [np.flatnonzero(np.isin(self.inertial, own)) for own in rows.columns.inertial]
+        self._rigid = [self._rigid_columns(j) for j in range(rows.n_dof)]
+        self.target = rows.tau - rows.load(self.mean)
         mass = rows.columns.robot.mass_matrix(torch.from_numpy(rows.q.T)).numpy()
         self._carried = np.einsum("mjk,k->jm", mass**2, rows.encoder_std**2)
         self._undirected = {k: rows.evaluated(partial(self._direction_std, k)) for k in STICKS}
@@ -140,6 +142,12 @@ class Machine:
         self.n = int(self._rest_at[-1])
         self.index = [predicted(rows.run, measured) for measured in rows.measured]
         self._directions: dict[tuple[int, float], np.ndarray] = {}
+
+    def _rigid_columns(self, joint: int) -> np.ndarray:
+        """Return the columns (p, M) of the bodies that a joint moves, for a kappa of one."""
+        moved = self._moved[joint]
+        fitted = np.isin(self.rows.columns.inertial[joint], self.inertial)
+        return (self.rows.rigid[joint][:, fitted] @ self.scale[np.ix_(moved, moved)]).T
 
     def _direction_std(self, stick: float, signals: Signals) -> Tensor:
         """Return the standard deviation of sign(qd), (n, N): 2 sqrt(p (1 - p)), p the probability that it is wrong."""
@@ -311,22 +319,24 @@ class Machine:
         coulomb = float(hyper.friction[joint, 1])
         bend *= (not hyper.white) * _WIDTH_STD * coulomb / (2 * math.log(_WIDTH_STEP))
         parts = [
-            self._rigid[joint].T / math.sqrt(hyper.kappa),
+            self._rigid[joint] / math.sqrt(hyper.kappa),
             friction * self.friction_std(joint, friction)[:, None],
             bend[None],
             coulomb * self.held(joint, width),
             self._drift * (hyper.drift[joint] / np.maximum(self._drift_order, 1))[:, None],
         ]
         local = first + np.arange(len(ORDINARY) + 1 + len(STICKS))
-        places = [np.arange(len(self.inertial)), local, self.drifting(joint)]
+        places = [self._moved[joint], local, self.drifting(joint)]
         if slopes is not None:
             lasting = 0.5 * (_LASTING_ROWS * self.rows.dt_out) ** 2
             late, long = slopes[-_ROUNDING - 2 : -_ROUNDING, joint]
             parts.append(np.stack((self.rows.dt * late, lasting * long, *slopes[-_ROUNDING:, joint])))
             places.append(local[-1] + 1 + np.arange(2 + _ROUNDING))
             average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
-            parts.append(slopes[1 : -_ROUNDING - 2, joint] * average[:, None])
-            places.append(self.averaging)
+            fastest = slopes[1 : -_ROUNDING - 2, joint]
+            felt = np.flatnonzero(fastest.any(axis=1))
+            parts.append(fastest[felt] * average[felt, None])
+            places.append(self.averaging[felt])
             parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))
             places.append(self.timing)
             parts.append(coulomb * self._holding[joint])

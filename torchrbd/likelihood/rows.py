@@ -50,7 +50,7 @@ class Rows:
         columns: of the robot; their ``pi`` makes the load, their ``friction`` stands beside it.
         tiles: where features come from.
         recordings: names.
-        rigid: (n, M, n_params) regressor.
+        rigid: per joint, its row of the regressor (M, p_j), of the bodies that it moves: see ``Columns.inertial``.
         tau: (n, M) measured torque, 0 where ``measured`` (n, M) is not.
         q, qd: (n, M) band-limited.
         run: (M,) number of the uninterrupted run that a sample belongs to.
@@ -68,7 +68,7 @@ class Rows:
     columns: Columns
     tiles: tuple[Tile, ...]
     recordings: tuple[str, ...]
-    rigid: np.ndarray
+    rigid: tuple[np.ndarray, ...]
     tau: np.ndarray
     measured: np.ndarray
     q: np.ndarray
@@ -100,6 +100,10 @@ class Rows:
         """Names of the recordings that have rows, in their order."""
         return [self.recordings[k] for k in np.unique(self.recording)]
 
+    def load(self, pi: np.ndarray) -> np.ndarray:
+        """Return the torque (n, M) of a rigid body with pi (n_params,)."""
+        return np.stack([Y @ pi[own] for Y, own in zip(self.rigid, self.columns.inertial, strict=True)])
+
     def features(self, candidate: Candidate) -> np.ndarray:
         """Return the features of a candidate, (K, M) at its joint, or (K, n, M) if it acts on the whole robot."""
         key = candidate.effect, candidate.site, *candidate.shape.items()
@@ -123,7 +127,7 @@ class Rows:
             friction: (n, 3), see ``Signals``.
             rest_width: (n,) speeds over which friction changes its sign [rad/s, m/s].
         """
-        load = np.abs(self.rigid @ pi.numpy()).max(1)
+        load = np.abs(self.load(pi.numpy())).max(1)
         scales = [
             replace(s, rest_width=float(w), load_max=float(most))
             for s, w, most in zip(self.columns.scales, rest_width, load, strict=True)
@@ -144,7 +148,7 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
     Raises:
         RecordingError: nothing is left to read.
     """
-    tiles, parts = [], []
+    tiles, parts, rigid = [], [], []
     looked_at = not_held_out(reading, kept_back)
     surveys = [reading.surveys[k] for k in looked_at]
     for k, states in _DENSITY.tiles(reading, looked_at):
@@ -155,13 +159,13 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
         tau = states.decimate(torch.where(measured, torch.nan_to_num(states.tau), 0.0))
         states = _DENSITY.thinned(states, reading.filtering.cutoff_hz)
         tiles.append(Tile(states, columns.signals(states), kept))
-        rigid = states.decimate(columns.robot.regressor_batch_last(states.q, states.qd, states.qdd))
+        Y = columns.robot.regressor_batch_last(states.q, states.qd, states.qdd)
+        rigid.append([states.decimate(Y[j, own])[:, kept].T.numpy() for j, own in enumerate(columns.inertial)])
         part = {
             "tau": tau,
             "measured": measured.expand_as(tau),
             "q": states.decimate(states.q),
             "qd": states.decimate(states.qd),
-            "rigid": rigid.movedim(1, 2),
         }
         place = torch.tensor([k, states.segment, states.dt_out], dtype=torch.float64).expand(int(kept.sum()), 3)
         parts.append(
@@ -177,6 +181,7 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
     return Rows(
         columns=columns,
         tiles=tuple(tiles),
+        rigid=tuple(map(np.concatenate, zip(*rigid, strict=True))),
         recordings=tuple(r.name for r in reading.recordings),
         run=np.cumsum(begins),
         recording=recording.astype(int),
