@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from kernels import humanoid
+from memory import smooth_motion
 
 
 def write(path: Path, urdf: str, seconds: float, rate_hz: float) -> None:
@@ -29,14 +30,8 @@ def write(path: Path, urdf: str, seconds: float, rate_hz: float) -> None:
     from torchrbd import RobotModel
 
     robot, rng = RobotModel.from_urdf(urdf), np.random.default_rng(0)
-    omega, phase = 2 * np.pi * rng.uniform(0.1, 1.0, (robot.n_dof, 5)), rng.uniform(0, 2 * np.pi, (robot.n_dof, 5))
     t = np.arange(int(seconds * rate_hz)) / rate_hz
-    angle = omega * t[:, None, None] + phase
-    q, qd, qdd = (
-        (0.5 / omega * np.sin(angle)).sum(-1),
-        0.5 * np.cos(angle).sum(-1),
-        -(0.5 * omega * np.sin(angle)).sum(-1),
-    )
+    q, qd, qdd = smooth_motion(rng, robot.n_dof)(t)
     tau = robot.inverse_dynamics(*map(torch.from_numpy, (q, qd, qdd))).numpy()
     tau = tau + 0.02 * tau.std(0) * (qd + 2 * np.tanh(qd / 0.01) + rng.standard_normal(tau.shape))
     columns = {"t": t}

@@ -13,7 +13,7 @@ import argparse
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,17 +22,29 @@ JOINTS, RATE_HZ = 7, 500.0
 WORKS = ("identify", "stats", "moments")
 
 
-def arm() -> str:
-    """Return a URDF of seven links of 0.3 m with alternating axes."""
+def arm(joints: int = JOINTS) -> str:
+    """Return a URDF of so many links of 0.3 m with alternating axes."""
     axes = ("0 0 1", "0 1 0")
     links = "".join(
         f'<link name="link{k}"><inertial><origin xyz="0 0.02 0.15"/><mass value="{4.0 - 0.4 * k}"/>'
         f'<inertia ixx="0.03" iyy="0.03" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
         f'<joint name="joint{k}" type="continuous"><parent link="{f"link{k - 1}" if k else "base"}"/>'
         f'<child link="link{k}"/><origin xyz="0 0 0.3"/><axis xyz="{axes[k % 2]}"/></joint>'
-        for k in range(JOINTS)
+        for k in range(joints)
     )
     return f'<robot name="arm"><link name="base"/>{links}</robot>'
+
+
+def smooth_motion(rng: np.random.Generator, joints: int) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
+    """Return a random motion of five sines a joint: of times (N,), q, qd and qdd (N, joints)."""
+    omega, phase = 2 * np.pi * rng.uniform(0.1, 1.0, (joints, 5)), rng.uniform(0, 2 * np.pi, (joints, 5))
+
+    def at(t: np.ndarray) -> tuple[np.ndarray, ...]:
+        angle = omega * t[:, None, None] + phase
+        ways = 0.5 / omega * np.sin(angle), 0.5 * np.cos(angle), -0.5 * omega * np.sin(angle)
+        return tuple(way.sum(-1) for way in ways)
+
+    return at
 
 
 def write(path: Path, urdf: str, rows: int) -> None:
@@ -44,16 +56,11 @@ def write(path: Path, urdf: str, rows: int) -> None:
     from torchrbd import RobotModel
 
     robot, rng = RobotModel.from_urdf(urdf), np.random.default_rng(0)
-    omega, phase = 2 * np.pi * rng.uniform(0.1, 1.0, (JOINTS, 5)), rng.uniform(0, 2 * np.pi, (JOINTS, 5))
+    motion = smooth_motion(rng, JOINTS)
     writer = None
     for start in range(0, rows, 50_000):
         t = np.arange(start, min(start + 50_000, rows)) / RATE_HZ
-        angle = omega * t[:, None, None] + phase
-        q, qd, qdd = (
-            (0.5 / omega * np.sin(angle)).sum(-1),
-            0.5 * np.cos(angle).sum(-1),
-            -(0.5 * omega * np.sin(angle)).sum(-1),
-        )
+        q, qd, qdd = motion(t)
         tau = robot.inverse_dynamics(*map(torch.from_numpy, (q, qd, qdd))).numpy()
         tau = tau + 0.02 * tau.std(0) * rng.standard_normal(tau.shape)
         columns = {"t": t}

@@ -233,8 +233,8 @@ class Signals:
         """Return what the load changes by, (n, *batch), as a joint's link deviates by ``shift`` (*batch) over time."""
         assert joint is not None
         speed = self.rate(shift)
-        deviation = torch.stack((shift, speed, self.rate(speed)))
-        return (self.load_slopes[:, :, joint] * deviation[:, None]).sum(0)
+        by_q, by_qd, by_qdd = self.load_slopes[:, :, joint].unbind(0)
+        return torch.addcmul(torch.addcmul(by_q * shift, by_qd, speed), by_qdd, self.rate(speed))
 
     @property
     def _states(self) -> tuple[Tensor, Tensor, Tensor]:

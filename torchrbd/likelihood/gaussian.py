@@ -149,7 +149,9 @@ class Posterior:
 
     def covariance(self, index: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the posterior covariance of some coefficients, (K, K)."""
-        V = self.half(np.eye(len(self.z))[:, index])
+        units = np.zeros((len(self.z), len(index)))
+        units[index, np.arange(len(index))] = 1.0
+        V = self.half(units)
         return V.T @ V
 
     def against(self, index: Sequence[int] | np.ndarray, value: np.ndarray | float = 0.0) -> float:

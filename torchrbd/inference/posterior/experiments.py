@@ -91,18 +91,17 @@ def information(model: FittedModel, motion: Motion, T: Tensor, rate_hz: float) -
     place = torch.full((columns.n,), -1, dtype=torch.long)
     place[model.free] = torch.arange(len(model.free))
     q, qd, qdd = (v.T.contiguous() for v in states(columns.robot, motion))
-    rows = []
+    found = torch.zeros_like(T)
     for variance, (index, a) in zip(model.noise_variance.tolist(), torque_rows(model, q, qd, qdd), strict=True):
         if math.isinf(variance):
             continue
         at = place[index]
-        row = torch.zeros(len(model.free), a.shape[1], dtype=torch.float64)
-        row[at[at >= 0]] = (SECONDS * rate_hz / (a.shape[1] * variance)) ** 0.5 * a[at >= 0]
-        rows.append(row)
-    if not rows:
-        return torch.zeros_like(T)
-    A = T.T @ torch.cat(rows, 1)
-    return A @ A.T
+        own = T[at[at >= 0]]
+        # A joint tells nothing of the bodies that it does not move.
+        seen = torch.nonzero(own.any(0)).flatten()
+        row = (SECONDS * rate_hz / (a.shape[1] * variance)) ** 0.5 * (own[:, seen].T @ a[at >= 0])
+        found[seen.unsqueeze(1), seen] += row @ row.T
+    return found
 
 
 def in_words(robot: RobotModel, motion: Motion) -> str:

@@ -150,9 +150,12 @@ class _State:
         # Friction of a joint that rested has a scale beyond all others: seen in coordinates of its own size.
         precision = self.precision + H
         size = precision.diagonal().rsqrt()
-        values, axes = torch.linalg.eigh(size[:, None] * precision * size)
-        X = axes.T @ (size[:, None] * self.T[: len(self.believed)].T)
-        return (X.square() / values.clamp_min(_LEAST)[:, None]).sum(0) / self.believed
+        scaled, X = size[:, None] * precision * size, size[:, None] * self.T[: len(self.believed)].T
+        root, failed = torch.linalg.cholesky_ex(scaled)
+        if not int(failed):
+            return torch.linalg.solve_triangular(root, X, upper=False).square().sum(0) / self.believed
+        values, axes = torch.linalg.eigh(scaled)
+        return ((axes.T @ X).square() / values.clamp_min(_LEAST)[:, None]).sum(0) / self.believed
 
     def untold(self, share: Tensor) -> Tensor:
         return ((share - self.floor) / (1.0 - self.floor).clamp_min(1e-12)).clamp(0.0, 1.0)

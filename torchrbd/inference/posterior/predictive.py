@@ -62,8 +62,9 @@ def torque_rows(model: FittedModel, q: Tensor, qd: Tensor, qdd: Tensor) -> list[
     Y = columns.robot.regressor_batch_last(q, qd, qdd)
     features = columns.evaluated(columns.signals_at(q, qd, qdd), model.terms)
     found = []
-    for joint, inertial in enumerate(columns.inertial):
-        own = {k: v if v.ndim == 1 else v[joint] for k, v in features.items() if k in columns.of_joint[joint]}
+    for joint, (inertial, all_own) in enumerate(zip(columns.inertial, columns.of_joint, strict=True)):
+        there = features.keys() & set(all_own.tolist())
+        own = {k: v if v.ndim == 1 else v[joint] for k, v in features.items() if k in there}
         index = torch.cat((inertial, torch.tensor(list(own)).long()))
         found.append((index, torch.cat((Y[joint, inertial], *(v.unsqueeze(0) for v in own.values())))))
     return found

@@ -1,0 +1,110 @@
+"""How the time of a diagnosis grows with the length, the joints and the number of its recordings.
+
+    OMP_NUM_THREADS=1 python benchmarks/growth.py [--picture docs/growth.svg]
+
+Serial arms with friction as in their URDF, and a spring that it lacks at the second joint; noise of 2 % on the torques,
+125 Hz. One of the three is changed at a time. Each case runs in a process of its own; processor seconds of
+``diagnose`` alone, without imports, with one effect to be found in each. Prints a table with the exponent of growth and
+draws it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from memory import arm, smooth_motion
+
+RATE_HZ = 125.0
+LENGTHS, JOINTS, RECORDINGS = (15, 30, 60), (3, 5, 7), (1, 2, 4)
+USUAL = {"seconds": 30, "joints": 5, "recordings": 1}
+SERIES = {"seconds": LENGTHS, "joints": JOINTS, "recordings": RECORDINGS}
+WORDS = {"seconds": "length [s]", "joints": "joints", "recordings": "recordings, each as long"}
+SPRING = 0.3
+"""Of the torque's scatter at its joint, for the scatter of its position."""
+
+
+def recording(urdf: str, seconds: float, seed: int) -> dict[str, np.ndarray]:
+    """Return smooth random motion with noise, and torques of the robot, of friction and of the spring."""
+    import torch
+
+    from torchrbd import RobotModel
+
+    robot, rng = RobotModel.from_urdf(urdf), np.random.default_rng(seed)
+    t = np.arange(int(seconds * RATE_HZ)) / RATE_HZ
+    q, qd, qdd = smooth_motion(rng, robot.n_dof)(t)
+    tau = robot.inverse_dynamics(*map(torch.from_numpy, (q, qd, qdd))).numpy()
+    scatter = tau.std(0)
+    tau = tau + 0.05 * scatter * (qd + 2 * np.tanh(qd / 0.01)) + 0.02 * scatter * rng.standard_normal(tau.shape)
+    tau[:, 1] += SPRING * scatter[1] / q[:, 1].std() * q[:, 1]
+    return {"t": t, "q": q + 1e-5 * rng.standard_normal(q.shape), "tau": tau}
+
+
+def spent(seconds: float, joints: int, recordings: int) -> tuple[float, str]:
+    """Return the processor seconds of a diagnosis, and what it finds."""
+    import time
+
+    from torchrbd import diagnose
+
+    urdf = arm(joints)
+    data = [recording(urdf, seconds, k) for k in range(recordings)]
+    before = time.process_time()
+    found = diagnose(urdf.encode(), data)
+    return time.process_time() - before, ", ".join(f"{f.effect} {'+'.join(f.joints)}" for f in found.findings)
+
+
+def exponent(sizes: tuple[int, ...], seconds: list[float]) -> float:
+    """Return by what power of the size the time grows."""
+    return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
+
+
+def plot(taken: dict[str, list[float]], out: Path) -> None:
+    """Draw the times over what is changed, with straight lines through the usual case."""
+    import matplotlib.pyplot as plt
+
+    plt.rcParams["svg.hashsalt"] = "torchrbd"
+    figure, axes = plt.subplots(1, 3, figsize=(9, 3), sharey=True, layout="constrained")
+    for one, (name, sizes) in zip(axes, SERIES.items(), strict=True):
+        usual = taken[name][sizes.index(USUAL[name])]
+        one.plot(sizes, taken[name], "o-", label=f"power {exponent(sizes, taken[name]):.2f}")
+        one.plot((0, sizes[-1]), (0, usual * sizes[-1] / USUAL[name]), "k:", label="in proportion")
+        one.set(xlabel=WORDS[name], xlim=(0, None), ylim=(0, None))
+        one.legend()
+    axes[0].set_ylabel("processor seconds")
+    figure.savefig(out, metadata={"Date": None})
+
+
+def main() -> None:
+    """Run each case in its process, print the table and draw it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--picture", type=Path, help="file to draw into, .svg or .png")
+    parser.add_argument("--one", type=int, nargs=3, metavar=tuple(USUAL), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.one:
+        print(*spent(*options.one), sep="\t")
+        return
+    known: dict[tuple[int, ...], float] = {}
+    taken: dict[str, list[float]] = {}
+    for name, sizes in SERIES.items():
+        for size in sizes:
+            case = tuple((USUAL | {name: size}).values())
+            if case not in known:
+                command = [sys.executable, __file__, "--one", *map(str, case)]
+                told = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip("\n")
+                seconds, found = told.splitlines()[-1].split("\t")
+                known[case] = float(seconds)
+                print(f"{dict(zip(USUAL, case, strict=True))}: {known[case]:.1f} s, found {found}", flush=True)
+            taken.setdefault(name, []).append(known[case])
+    print("| | | | | grows as the power |\n| --- | --- | --- | --- | --- |")
+    for name, sizes in SERIES.items():
+        cells = " | ".join(f"{size}: {s:.1f} s" for size, s in zip(sizes, taken[name], strict=True))
+        print(f"| {WORDS[name]} | {cells} | {exponent(sizes, taken[name]):.2f} |")
+    if options.picture:
+        plot(taken, options.picture)
+
+
+if __name__ == "__main__":
+    main()
