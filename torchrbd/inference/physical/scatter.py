@@ -89,7 +89,9 @@ class Scatter:
         along = torch.zeros(statistics.columns.n, dtype=torch.float64).index_copy(0, self.free, self.laplace @ g)
         told = torch.zeros(len(statistics), dtype=torch.float64)
         for own, moments, weight in zip(statistics.columns.of_joint, statistics.moments, self.weights, strict=True):
-            told += weight * ((moments[:, :-1, :-1] @ along[own]) @ along[own])
+            # A zero for the torque, not a part of the moments: that would be copied.
+            v = torch.cat((along[own], along.new_zeros(1)))
+            told += weight * ((moments @ v) @ v)
         power = float(told.square().sum())
         return float(told.sum()) ** 2 / power if power > 0.0 else 1.0
 
