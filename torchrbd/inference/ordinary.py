@@ -62,8 +62,7 @@ def with_machine(
         return prepared
     progress("learning clocks and sticks", 0.0)
     held = frozenset(settings.held_bodies(prepared.robot))
-    plain = learn(Machine(read_rows(prepared.reading, prepared.columns, prepared.kept_back), held), white=True)
-    sticky = torch.tensor([_sticks(plain, joint) for joint in range(prepared.robot.n_dof)])
+    sticky = _sticky(prepared, held)
     found, wide = _told_by_what_is_fast(prepared, _learnt(prepared, held) if known is None else known)
     late = {} if not found else of_one_machine(found, [r.name for r in prepared.recordings])
     late = {name: (d, std) for name, (d, std) in late.items() if abs(d) > _TOLD * std}
@@ -79,10 +78,11 @@ def with_machine(
     return replace(prepared, columns=columns, statistics=statistics, prior=prior)
 
 
-def _sticks(fit: Likelihood, joint: int) -> bool:
-    """Say whether friction at rest is told to be another than the law says."""
-    noise = fit.hyper.noise[joint]
-    return bool((np.maximum(noise.spread, np.abs(fit.held(joint)) / noise.std) > _STICKS).any())
+def _sticky(prepared: Prepared, held: frozenset[str]) -> torch.Tensor:
+    """Say at which joints (n_dof,) friction at rest is told to be another than the law says, bool."""
+    fit = learn(Machine(read_rows(prepared.reading, prepared.columns, prepared.kept_back), held), white=True)
+    levels = [np.maximum(n.spread, np.abs(fit.held(j)) / n.std) for j, n in enumerate(fit.hyper.noise)]
+    return torch.tensor([bool((level > _STICKS).any()) for level in levels])
 
 
 def _left(

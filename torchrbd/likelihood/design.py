@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.sparse import csr_array
 
-from torchrbd.likelihood.gaussian import Block, count
+from torchrbd.likelihood.gaussian import Block, along
 from torchrbd.likelihood.noise import Noise
 
 # Columns are brief that are zero but for this part of the rows.
@@ -32,10 +32,10 @@ class Unpredicted:
 class Design:
     """Columns A (P_j, M) of a joint in prior coordinates, its target (M,), and which coefficients ``own`` (P_j,).
 
-    The last of its columns, ``brief`` (S, M), are zero nearly everywhere.
+    The last of its columns, ``brief`` (S, M), are zero nearly everywhere; those before them are ``lasting`` (L, M).
     """
 
-    A: np.ndarray
+    lasting: np.ndarray
     own: np.ndarray
     target: np.ndarray
     brief: csr_array
@@ -47,26 +47,40 @@ class Design:
         """Return the design of columns (P_j, M), in an order of its own."""
         brief = np.count_nonzero(A, axis=1) < _BRIEF * A.shape[1]
         order = np.argsort(brief, kind="stable")
-        return Design(A[order], own[order], target, csr_array(A[brief]))
+        return Design(A[~brief], own[order], target, csr_array(A[brief]))
+
+    @property
+    def A(self) -> np.ndarray:
+        """All columns, (P_j, M), made anew."""
+        return np.concatenate((self.lasting, self.brief.toarray()))
+
+    def explained(self, z: np.ndarray) -> np.ndarray:
+        """Return z A of coefficients z (..., P_j), (..., M)."""
+        return along(z, self.lasting, self.brief)
 
     def white(self, noise: Noise) -> Block:
         """Return the rows that a noise leaves white; those of another size are multiples of them, and remembered."""
         if not any(known.predictor is noise.predictor for known in self._unpredicted):
-            lasting = noise.unpredicted(self.A[: len(self.A) - count(self.brief)])
+            lasting = noise.unpredicted(self.lasting)
             target = noise.unpredicted(self.target)
             self._unpredicted[:] = [Unpredicted(noise.predictor, lasting, self.brief @ noise.band, target)]
         (known,) = self._unpredicted
         precise = 1.0 / noise.size
-        brief = known.brief.copy()
-        brief.data *= precise[brief.indices]
-        X = np.concatenate((known.lasting * precise, brief.toarray()))
-        return Block(X, known.target * precise, self.own, brief)
+        return Block(known.lasting * precise, known.target * precise, self.own, _scaled(known.brief, precise))
 
     def independent(self, noise: Noise) -> Block:
         """Return the rows of a noise without memory; those of another size are multiples of them, and remembered."""
         for known, block in self._independent:
             if known.spread is noise.spread and known.tail is noise.tail:
                 return block.louder(noise.sigma / known.sigma)
-        block = Block(noise.white(self.A), noise.white(self.target), self.own)
+        brief = _scaled(self.brief @ noise.band, 1.0 / noise.size)
+        block = Block(noise.white(self.lasting), noise.white(self.target), self.own, brief)
         self._independent[:] = [(noise, block)]
         return block
+
+
+def _scaled(rows: csr_array, by: np.ndarray) -> csr_array:
+    """Return a sparse matrix (S, m) with its columns multiplied by numbers (m,)."""
+    found = rows.copy()
+    found.data *= by[found.indices]
+    return found

@@ -43,37 +43,60 @@ class Quadratic:
     constant: float
 
 
-def count(rows: csr_array) -> int:
-    """Return how many rows a sparse matrix has."""
-    return len(rows.indptr) - 1
+def along(z: np.ndarray, lasting: np.ndarray, brief: csr_array | None) -> np.ndarray:
+    """Return z X of coefficients z (..., P) and rows X (P, m), the last of which are a sparse matrix (S, m), if any."""
+    if brief is None:
+        return z @ lasting
+    return z[..., : len(lasting)] @ lasting + z[..., len(lasting) :] @ brief
 
 
 @dataclass(frozen=True)
 class Block:
     """Whitened rows of one joint: X (P_j, m), y (m,), and which coefficients ``own`` (P_j,) its columns are.
 
-    The last of X may be given as a sparse matrix ``brief`` (S, m) too: what a joint has at one moment alone.
+    The last of X may stand as a sparse matrix ``brief`` (S, m): what a joint has at one moment alone; those before it
+    are ``lasting`` (L, m).
     """
 
-    X: np.ndarray
+    lasting: np.ndarray
     y: np.ndarray
     own: np.ndarray
     brief: csr_array | None = None
+
+    @property
+    def X(self) -> np.ndarray:
+        """All rows, (P_j, m); made anew where some are sparse."""
+        return self.lasting if self.brief is None else np.concatenate((self.lasting, self.brief.toarray()))
 
     @cached_property
     def gram(self) -> np.ndarray:
         """X X', (P_j, P_j)."""
         if self.brief is None:
-            return self.X @ self.X.T
-        lasting = self.X[: len(self.X) - count(self.brief)]
-        cross = self.brief @ lasting.T
-        return np.block([[lasting @ lasting.T, cross.T], [cross, (self.brief @ self.brief.T).toarray()]])
+            return self.lasting @ self.lasting.T
+        cross = self.brief @ self.lasting.T
+        return np.block([[self.lasting @ self.lasting.T, cross.T], [cross, (self.brief @ self.brief.T).toarray()]])
+
+    def times(self, C: np.ndarray) -> np.ndarray:
+        """Return X C of C (m, ...)."""
+        own = self.lasting @ C
+        return own if self.brief is None else np.concatenate((own, self.brief @ C))
+
+    def explained(self, z: np.ndarray) -> np.ndarray:
+        """Return z X of coefficients z (..., P_j), (..., m)."""
+        return along(z, self.lasting, self.brief)
+
+    def some(self, kept: np.ndarray, own: np.ndarray) -> Block:
+        """Return some of the columns, kept (P_j,) bool, under other numbers ``own`` of all (P_j,)."""
+        first = len(self.lasting)
+        brief = None if self.brief is None else self.brief[kept[first:]]
+        return Block(self.lasting[kept[:first]], self.y, own[kept], brief)
 
     def louder(self, part: float) -> Block:
         """Return the same rows, their noise so many times as large."""
         if part == 1.0:
             return self
-        one = Block(self.X / part, self.y / part, self.own, None if self.brief is None else self.brief / part)
+        brief = None if self.brief is None else self.brief / part
+        one = Block(self.lasting / part, self.y / part, self.own, brief)
         vars(one)["gram"] = self.gram / part**2
         return one
 
@@ -187,7 +210,7 @@ class Gaussian(Posterior):
         H, h, self._constant = np.eye(n), np.zeros(n), 0.0
         for b in blocks:
             H[np.ix_(b.own, b.own)] += b.gram
-            h[b.own] += b.X @ b.y
+            h[b.own] += b.times(b.y)
         if first is not None:
             k = len(first.shift)
             H[:k, :k] += first.precision - np.eye(k)
@@ -202,7 +225,7 @@ class Gaussian(Posterior):
     def _explain(self, blocks: Sequence[Block], H: np.ndarray, h: np.ndarray, local: Sequence[np.ndarray] = ()) -> None:
         super().__init__(H, h, local=local)
         self.blocks, self._used = tuple(blocks), dict[int, float]()
-        self.left = [b.y - self.z[b.own] @ b.X for b in blocks]
+        self.left = [b.y - b.explained(self.z[b.own]) for b in blocks]
         power = sum(float(b.y @ b.y) for b in blocks)
         self.log_evidence = self._constant - 0.5 * (power - float(h @ self.z)) - self.root.log_det
 
@@ -214,7 +237,7 @@ class Gaussian(Posterior):
         H, h = self.H.copy(), self.h.copy()
         for b in blocks:
             H[np.ix_(b.own, b.own)] += b.gram
-            h[b.own] += b.X @ b.y
+            h[b.own] += b.times(b.y)
         both = Posterior(H, h, local=[own for own, *_ in self.root.local])
         power = sum(float(b.y @ b.y) for b in blocks)
         return 0.5 * (float(h @ both.z - self.h @ self.z) - power) - (both.root.log_det - self.root.log_det)
@@ -223,8 +246,7 @@ class Gaussian(Posterior):
         """Return the posterior of a model that has some of the coefficients alone."""
         number = np.full(len(self.z), -1)
         number[kept] = np.arange(len(kept))
-        inside = [number[b.own] >= 0 for b in self.blocks]
-        blocks = [Block(b.X[k], b.y, number[b.own[k]]) for b, k in zip(self.blocks, inside, strict=True)]
+        blocks = [b.some(number[b.own] >= 0, number[b.own]) for b in self.blocks]
         one = copy(self)
         local = [number[own][number[own] >= 0] for own, *_ in self.root.local]
         one._explain(blocks, self.H[np.ix_(kept, kept)], self.h[kept], local)
@@ -243,7 +265,7 @@ class Gaussian(Posterior):
         cross, own, r = np.zeros((len(self.z), K)), np.zeros((K, K)), np.zeros(K)
         for joint, C in columns.items():
             b = self.blocks[joint]
-            cross[b.own] += b.X @ C.T
+            cross[b.own] += b.times(C.T)
             own += C @ C.T
             r += C @ self.left[joint]
         return self.schur(cross, own), r

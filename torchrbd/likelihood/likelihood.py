@@ -114,17 +114,21 @@ class Likelihood:
     def residual(self, joint: int) -> np.ndarray:
         """Return what is left of a joint's torque, (M,) [N m or N]."""
         one = self._designs[joint]
-        return one.target - self.gaussian.z[one.own] @ one.A
+        return one.target - one.explained(self.gaussian.z[one.own])
 
     def held(self, joint: int) -> np.ndarray:
         """Return what friction holds a joint with while it rests, beside its law, (M,) [N m or N]."""
         one = self._designs[joint]
         at = np.isin(one.own, (*self.machine.sticks(joint), *self.machine.resting(joint)))
-        return self.gaussian.z[one.own[at]] @ one.A[at]
+        return one.explained(np.where(at, self.gaussian.z[one.own], 0.0))
 
     def columns(self, joint: int) -> np.ndarray:
         """Return the columns of a joint before they are whitened, (P_j, M), in prior coordinates."""
         return self._designs[joint].A
+
+    def explained(self, joint: int, z: np.ndarray) -> np.ndarray:
+        """Return what coefficients z (..., P_j) of a joint's columns make of its torque, (..., M)."""
+        return self._designs[joint].explained(z)
 
     def own(self, joint: int) -> np.ndarray:
         """Return which coefficients (P_j,) the columns of a joint have."""

@@ -72,7 +72,7 @@ class TwoEstimates:
         H, h = g.H - np.diag(sites[0]), g.h - sites[1]
         self._P, shift = H.copy(), h.copy()
         data, score = np.zeros_like(H), np.zeros_like(h)
-        self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+        self._fit, self._scales = fit, dict[int, np.ndarray]()
         for j, (block, noise, index) in enumerate(zip(g.blocks, fit.hyper.noise, fit.index, strict=True)):
             if not len(index):
                 continue
@@ -80,12 +80,11 @@ class TwoEstimates:
             scale[index] = 1.0 / noise.spread[index]
             scale /= np.sqrt(np.mean((scale * fit.residual(j))[index] ** 2))
             self._P[np.ix_(block.own, block.own)] -= block.gram
-            shift[block.own] -= block.X @ block.y
+            shift[block.own] -= block.times(block.y)
             X = fit.columns(j) * scale
             data[np.ix_(block.own, block.own)] += X @ X.T
             score[block.own] += X @ (scale * fit.machine.target[j])
-            memory, before = remembered(X * scale, noise, rows.run)
-            self._parts.append((block.own, memory[:, index], block.X, before + _left(memory, index)))
+            self._scales[j] = scale
         self._Hw, self._Ho = _inverse(H), _inverse(data + self._P)
         self.efficient, self.ordinary = self._Hw @ h, self._Ho @ (score + shift)
 
@@ -127,9 +126,12 @@ class TwoEstimates:
         """Return V (K, K), and the covariance of z_o around the truth (K, K)."""
         Kw, Ko = self._Hw[index], self._Ho[index]
         V, C = (Ko - Kw) @ self._P @ (Ko - Kw).T, Ko @ self._P @ Ko.T
-        for own, memory, X, before in self._parts:
-            ordinary, early = Ko[:, own] @ memory, Ko[:, own] @ before @ Ko[:, own].T
-            apart = ordinary - Kw[:, own] @ X
+        for j, scale in self._scales.items():
+            block, noise, index = self._fit.gaussian.blocks[j], self._fit.hyper.noise[j], self._fit.index[j]
+            U = self._fit.explained(j, Ko[:, block.own]) * scale**2
+            memory, before = remembered(U, noise, self._fit.machine.rows.run)
+            ordinary, early = memory[:, index], before + _left(memory, index)
+            apart = ordinary - block.explained(Kw[:, block.own])
             C += ordinary @ ordinary.T + early
             V += apart @ apart.T + early
         return V, C

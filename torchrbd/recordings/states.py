@@ -86,17 +86,21 @@ class States:
         """Return every `step`-th sample, with the same outputs; `step` divides `stride`. Torques are only thinned."""
         half = self._kernel.shape[0] // 2
         kernel = self._kernel[half % step :: step]
-        first = half % step
-        cut = {name: getattr(self, name)[..., first::step] for name in ("t", "q", "qd", "qdd", "tau")}
+
+        def thin(x: torch.Tensor) -> torch.Tensor:
+            # A view would hold all samples as long as these are kept.
+            return x[..., half % step :: step].contiguous()
+
+        cut = {name: thin(getattr(self, name)) for name in ("t", "q", "qd", "qdd", "tau")}
         return replace(
             self,
             dt=step * self.dt,
             _kernel=kernel / kernel.sum(),
             _stride=self._stride // step,
-            reference=None if self.reference is None else tuple(x[..., first::step] for x in self.reference),
-            q_link=None if self.q_link is None else self.q_link[..., first::step],
-            temperature=None if self.temperature is None else self.temperature[..., first::step],
-            known=None if self.known is None else self.known[..., first::step],
+            reference=None if self.reference is None else tuple(map(thin, self.reference)),
+            q_link=None if self.q_link is None else thin(self.q_link),
+            temperature=None if self.temperature is None else thin(self.temperature),
+            known=None if self.known is None else thin(self.known),
             **cut,
         )
 
