@@ -296,6 +296,8 @@ class Machine:
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
         def derivatives(signals: Signals) -> Tensor:
+            # Of a copy, so that what is large goes with its tile.
+            signals = replace(signals)
             turns = 2.0 * math.pi * signals.supplied / step
             amplitude = torch.where(step.isinf(), 0.0, step / math.pi)
             fastest = [signals.deviating(k, signals.qdd[k]) for k in range(self.rows.n_dof)]
