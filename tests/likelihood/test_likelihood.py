@@ -82,7 +82,8 @@ def test_residual_is_what_the_coefficients_leave(fit: Likelihood) -> None:
     machine, z = fit.machine, fit.gaussian.z
     for j in range(2):
         A, own = machine.design(j, fit.hyper, fit._slopes)
-        np.testing.assert_allclose(fit.residual(j), machine.target[j] - z[own] @ A, atol=1e-9)
+        z_own = z[own] * machine.sizes(j, own, fit.hyper)
+        np.testing.assert_allclose(fit.residual(j), machine.target[j] - z_own @ A, atol=1e-9)
         white = fit.hyper.noise[j].white(fit.residual(j))
         np.testing.assert_allclose(white, fit.gaussian.left[j], atol=1e-9)
         assert white.var() == pytest.approx(1.0, rel=0.15)
@@ -321,6 +322,24 @@ def test_recording_without_a_joints_torque_does_not_shrink_what_is_believed_of_i
     other = recorded(URDF, 2, with_friction(), name="other", missing=[robot.joint_names[1]], **OPTIONS)
     alone, both = Machine(rows_of(robot, [one])), Machine(rows_of(robot, [one, other], none_kept_back))
     np.testing.assert_allclose(both.torque_rms, alone.torque_rms, rtol=1e-3)
+
+
+def test_other_sizes_are_those_of_a_model_made_anew(fit: Likelihood) -> None:
+    """The URDF's error and drift change the sizes of columns alone, whatever noise there is."""
+    for other in (
+        fit.with_(kappa=0.3 * fit.hyper.kappa),
+        fit.with_(drift=np.array([2.0, 1.0]) * fit.hyper.drift),
+        fit.with_(kappa=7.0, drift=0.1 * fit.hyper.drift).dispersed(3.0 * fit.hyper.dispersion),
+        fit.least_squares.with_(kappa=7.0, drift=0.1 * fit.hyper.drift),
+    ):
+        fresh = Likelihood(other.machine, other.hyper, slopes=other._slopes)
+        assert other.log_evidence == pytest.approx(fresh.log_evidence, rel=1e-12)
+        np.testing.assert_allclose(other.gaussian.z, fresh.gaussian.z, rtol=1e-6, atol=1e-9)
+        for j in range(2):
+            np.testing.assert_allclose(other.columns(j), fresh.columns(j), rtol=1e-14)
+            np.testing.assert_allclose(other.residual(j), fresh.residual(j), atol=1e-9)
+            at, size = other.gaussian.blocks[j], np.abs(fresh.gaussian.blocks[j].X).max()
+            np.testing.assert_allclose(at.X, fresh.gaussian.blocks[j].X, atol=1e-13 * size)
 
 
 def test_machine_of_trusted_bodies_has_friction_alone() -> None:

@@ -58,6 +58,7 @@ def test_drift_is_a_random_walk_that_every_recording_has_alone() -> None:
     machine = Machine(rows)
     hyper = fitted(delay_s=DELAY_S).hyper
     A, own = machine.design(1, hyper, None)
+    A *= machine.sizes(1, own, hyper)[:, None]
     drift = A[np.isin(own, machine.drifting(1))] / hyper.drift[1]
     here = np.array([d[rows.recording == 0].any() for d in drift])
     assert (here ^ np.array([d[rows.recording == 1].any() for d in drift])).all()

@@ -37,7 +37,7 @@ def test_rows_are_those_of_the_whole_filter_matrix(design: Design, predictor: li
     np.testing.assert_allclose(b.y, W @ design.target, atol=1e-12)
     np.testing.assert_allclose(b.gram, design.A @ W.T @ W @ design.A.T, atol=1e-9)
     np.testing.assert_allclose(b.louder(2.0).gram, 0.25 * b.gram)
-    np.testing.assert_allclose((b.louder(2.0).brief).toarray(), b.louder(2.0).X[-3:])
+    np.testing.assert_allclose(b.louder(2.0).X, 0.5 * b.X)
     np.testing.assert_array_equal(np.sort(b.own), np.arange(9) + 3)
 
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -50,55 +50,70 @@ def along(z: np.ndarray, lasting: np.ndarray, brief: csr_array | None) -> np.nda
     return z[..., : len(lasting)] @ lasting + z[..., len(lasting) :] @ brief
 
 
+def dense(size: np.ndarray | float, lasting: np.ndarray, brief: csr_array | None) -> np.ndarray:
+    """Return these rows and those of a sparse matrix as one, (P, m), each times its size (P,)."""
+    whole = lasting if brief is None else np.concatenate((lasting, brief.toarray()))
+    return (whole.T * size).T
+
+
 @dataclass(frozen=True)
 class Block:
     """Whitened rows of one joint: X (P_j, m), y (m,), and which coefficients ``own`` (P_j,) its columns are.
 
-    The last of X may stand as a sparse matrix ``brief`` (S, m): what a joint has at one moment alone; those before it
-    are ``lasting`` (L, m).
+    They are multiples ``size`` (P_j,) of rows that others may have too, ``lasting`` (L, m) and then those of a sparse
+    matrix ``brief`` (S, m), if there is one: what a joint has at one moment alone.
     """
 
     lasting: np.ndarray
     y: np.ndarray
     own: np.ndarray
     brief: csr_array | None = None
+    size: np.ndarray | float = 1.0
+    _gram: list[np.ndarray] = field(default_factory=list, repr=False)
 
     @property
     def X(self) -> np.ndarray:
-        """All rows, (P_j, m); made anew where some are sparse."""
-        return self.lasting if self.brief is None else np.concatenate((self.lasting, self.brief.toarray()))
+        """All rows, (P_j, m), made anew."""
+        return dense(self.size, self.lasting, self.brief)
 
     @cached_property
     def gram(self) -> np.ndarray:
         """X X', (P_j, P_j)."""
+        if not self._gram:
+            self._gram.append(self._product())
+        size = np.broadcast_to(self.size, len(self.own))
+        return self._gram[0] * np.outer(size, size)
+
+    def _product(self) -> np.ndarray:
+        own = self.lasting @ self.lasting.T
         if self.brief is None:
-            return self.lasting @ self.lasting.T
+            return own
         cross = self.brief @ self.lasting.T
-        return np.block([[self.lasting @ self.lasting.T, cross.T], [cross, (self.brief @ self.brief.T).toarray()]])
+        return np.block([[own, cross.T], [cross, (self.brief @ self.brief.T).toarray()]])
 
     def times(self, C: np.ndarray) -> np.ndarray:
         """Return X C of C (m, ...)."""
-        own = self.lasting @ C
-        return own if self.brief is None else np.concatenate((own, self.brief @ C))
+        found = self.lasting @ C
+        found = found if self.brief is None else np.concatenate((found, self.brief @ C))
+        return (found.T * self.size).T
 
     def explained(self, z: np.ndarray) -> np.ndarray:
         """Return z X of coefficients z (..., P_j), (..., m)."""
-        return along(z, self.lasting, self.brief)
+        return along(z * self.size, self.lasting, self.brief)
 
     def some(self, kept: np.ndarray, own: np.ndarray) -> Block:
         """Return some of the columns, kept (P_j,) bool, under other numbers ``own`` of all (P_j,)."""
-        first = len(self.lasting)
+        first, size = len(self.lasting), np.broadcast_to(self.size, len(kept))[kept]
         brief = None if self.brief is None else self.brief[kept[first:]]
-        return Block(self.lasting[kept[:first]], self.y, own[kept], brief)
+        return Block(self.lasting[kept[:first]], self.y, own[kept], brief, size)
+
+    def sized(self, by: np.ndarray | float) -> Block:
+        """Return the same rows whose columns are so many times as large, (P_j,)."""
+        return replace(self, size=self.size * by)
 
     def louder(self, part: float) -> Block:
         """Return the same rows, their noise so many times as large."""
-        if part == 1.0:
-            return self
-        brief = None if self.brief is None else self.brief / part
-        one = Block(self.lasting / part, self.y / part, self.own, brief)
-        vars(one)["gram"] = self.gram / part**2
-        return one
+        return self if part == 1.0 else replace(self, y=self.y / part, size=self.size / part)
 
 
 @dataclass(frozen=True)

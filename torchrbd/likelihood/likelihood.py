@@ -23,9 +23,9 @@ KAPPAS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 _WIDTHS = tuple(np.geomspace(0.003, 0.45, 18).tolist())
 _LEAST_DRIFT, _LEAST_NOISE = 1e-4, 1e-6
 _SHARES, _DOUBTS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0), (0.0, 0.1, 0.3, 1.0)
-# What columns do not depend on, and what those of one joint alone do.
+# What columns do not depend on, or but for their sizes.
 _NOT_OF_COLUMNS = {"noise", "dispersion", "bodies", "resists", "encoder_share"}
-_OF_ONE_JOINT = {"drift", "rest_width"}
+_OF_SIZES = {"kappa", "drift"}
 # Directions of a joint's columns below this are told by rounding.
 _LEAST_DIRECTION = 1e-3
 # Part of its rows that a fit leaves free at least.
@@ -76,7 +76,8 @@ class Likelihood:
             if (features := e.at(joint)) is not None:
                 A = np.concatenate((A, features * e.std[:, None]))
                 own = np.concatenate((own, first + np.arange(len(e.std))))
-        return Design.of(A, own, self.machine.target[joint])
+        one = Design.of(A, own, self.machine.target[joint])
+        return one.sized(self.machine.sizes(joint, one.own, self.hyper))
 
     def _whitened(self, joint: int) -> Block:
         return self._designs[joint].white(self.hyper.noise[joint])
@@ -381,11 +382,17 @@ class Likelihood:
     def with_(self, **changes: object) -> Likelihood:
         """Return the same model with some of what is learnt changed, see ``Hyper``."""
         hyper = self.hyper.with_(**changes)
-        same = np.full(self.machine.rows.n_dof, changes.keys() <= _NOT_OF_COLUMNS | _OF_ONE_JOINT)
-        for name in changes.keys() & _OF_ONE_JOINT:
-            same &= getattr(hyper, name) == getattr(self.hyper, name)
+        same = np.full(self.machine.rows.n_dof, changes.keys() <= _NOT_OF_COLUMNS | _OF_SIZES | {"rest_width"})
+        same &= hyper.rest_width == self.hyper.rest_width
         alike = [one is other for one, other in zip(hyper.noise, self.hyper.noise, strict=True)]
-        return Likelihood(self.machine, hyper, self.extra, self._slopes, *self._kept(same, same & alike))
+        designs, blocks = self._kept(same, same & alike)
+        if changes.keys() & _OF_SIZES:
+            for j, (design, block) in enumerate(zip(designs, blocks, strict=True)):
+                size = None if design is None else self.machine.sizes(j, design.own, hyper)
+                designs[j] = None if design is None or size is None else design.sized(size)
+                if design is not None and block is not None and size is not None:
+                    blocks[j] = block.sized(size / design.size)
+        return Likelihood(self.machine, hyper, self.extra, self._slopes, designs, blocks)
 
     def _kept(
         self, designs: Sequence[bool] | np.ndarray, blocks: Sequence[bool] | np.ndarray

@@ -308,7 +308,7 @@ class Machine:
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
 
     def design(self, joint: int, hyper: Hyper, slopes: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the columns (P_j, M) of a joint in prior coordinates, and which coefficients they have (P_j,).
+        """Return the columns (P_j, M) of a joint, less their ``sizes``, and which coefficients they have (P_j,).
 
         Args:
             joint: which.
@@ -321,11 +321,11 @@ class Machine:
         coulomb = float(hyper.friction[joint, 1])
         bend *= (not hyper.white) * _WIDTH_STD * coulomb / (2 * math.log(_WIDTH_STEP))
         parts = [
-            self._rigid[joint] / math.sqrt(hyper.kappa),
+            self._rigid[joint],
             friction * self.friction_std(joint, friction)[:, None],
             bend[None],
             coulomb * self.held(joint, width),
-            self._drift * (hyper.drift[joint] / np.maximum(self._drift_order, 1))[:, None],
+            self._drift,
         ]
         local = first + np.arange(len(ORDINARY) + 1 + len(STICKS))
         places = [self._moved[joint], local, self.drifting(joint)]
@@ -345,6 +345,17 @@ class Machine:
             parts.append(_TURNS_SAMPLES * self.rows.dt * late * self._around[joint])
             places.append(self.resting(joint))
         return np.concatenate(parts), np.concatenate(places)
+
+    def sizes(self, joint: int, own: np.ndarray, hyper: Hyper) -> np.ndarray:
+        """Return by what the columns (P_j,) of a joint are to be multiplied to be in prior coordinates.
+
+        They are learnt more often than the columns themselves: those of bodies, by the URDF's error, and of drift.
+        """
+        first, size = int(self.drifting(joint)[0]), np.ones(len(own))
+        size[own < len(self.inertial)] = 1.0 / math.sqrt(hyper.kappa)
+        drift = (own >= first) & (own < first + len(self._drift))
+        size[drift] = hyper.drift[joint] / np.maximum(self._drift_order[own[drift] - first], 1)
+        return size
 
     def pi(self, z: np.ndarray, kappa: float) -> Tensor:
         """Return the inertial parameters (n_params,) of coefficients z."""
