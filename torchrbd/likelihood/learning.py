@@ -44,6 +44,12 @@ def learn(machine: Machine, *, white: bool = False) -> Likelihood:
     fit = fit if white else fit.rewidened().renoised()
     fit = fit.relinearised(alone=True).reweighed()
     for _ in range(_ROUNDS):
-        fit = fit.with_(white=white).renoised().relinearised(alone=True).reweighed()
+        # One at a time: each step's columns are let go of when the next has its own.
+        fit = fit.with_(white=white)
+        fit = fit.renoised()
+        fit = fit.relinearised(alone=True)
+        fit = fit.reweighed()
     fit = fit if white else fit.with_heavy_tails
-    return fit.recalibrated().relinearised(alone=True).reweighed().renoised(dispersed=True)
+    fit = fit.recalibrated()
+    fit = fit.relinearised(alone=True)
+    return fit.reweighed().renoised(dispersed=True)

@@ -382,6 +382,8 @@ class Likelihood:
     def with_(self, **changes: object) -> Likelihood:
         """Return the same model with some of what is learnt changed, see ``Hyper``."""
         hyper = self.hyper.with_(**changes)
+        if hyper.white == self.hyper.white:
+            changes.pop("white", None)
         same = np.full(self.machine.rows.n_dof, changes.keys() <= _NOT_OF_COLUMNS | _OF_SIZES | {"rest_width"})
         same &= hyper.rest_width == self.hyper.rest_width
         alike = [one is other for one, other in zip(hyper.noise, self.hyper.noise, strict=True)]
