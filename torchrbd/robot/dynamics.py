@@ -25,7 +25,6 @@ from torchrbd.robot.kinematics import (
     cross,
     dot,
     product,
-    skew,
 )
 
 
@@ -87,8 +86,8 @@ def _first_moment_columns(pose: Pose, motion: Motion) -> tuple[Tensor, Tensor]:
     `F = m a + Rdd mc`, `N = p x F + (R mc) x a`, with `Rdd = turn R`.
     """
     force = torch.cat((motion.a[:, :, None], product(motion.turn, pose.R)), 2)
-    moment = product(skew(pose.p), force)
-    moment[:, :, 1:] -= product(skew(motion.a), pose.R)
+    moment = cross(pose.p[:, :, None], force)
+    moment[:, :, 1:] -= cross(motion.a[:, :, None], pose.R)
     return force, moment
 
 
@@ -97,7 +96,7 @@ def _inertia_columns(pose: Pose, motion: Motion) -> Tensor:
 
     `N = R I alpha_b + Rd I omega_b`, with alpha_b and omega_b in body axes.
     """
-    R, Rd = pose.R, product(skew(motion.omega), pose.R)
+    R, Rd = pose.R, cross(motion.omega[:, :, None], pose.R)
     omega, alpha = _in_body(R, motion.omega), _in_body(R, motion.alpha)
     columns = []
     for i, k in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)):
