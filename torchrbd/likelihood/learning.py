@@ -42,14 +42,15 @@ def learn(machine: Machine, *, white: bool = False) -> Likelihood:
     )
     fit = Likelihood(machine, hyper).renoised()
     fit = fit if white else fit.rewidened().renoised()
-    fit = fit.relinearised(alone=True).reweighed()
-    for _ in range(_ROUNDS):
-        # One at a time: each step's columns are let go of when the next has its own.
-        fit = fit.with_(white=white)
-        fit = fit.renoised()
-        fit = fit.relinearised(alone=True)
-        fit = fit.reweighed()
-    fit = fit if white else fit.with_heavy_tails
-    fit = fit.recalibrated()
-    fit = fit.relinearised(alone=True)
-    return fit.reweighed().renoised(dispersed=True)
+    for k in range(_ROUNDS + 2):
+        if 0 < k <= _ROUNDS:
+            fit = fit.with_(white=white)
+            fit = fit.renoised()
+        elif k > _ROUNDS:
+            fit = fit if white else fit.with_heavy_tails
+            fit = fit.recalibrated()
+        hyper = fit.around_its_fit(alone=True)
+        # Columns are large: those of one load are let go of before the next has its own.
+        del fit
+        fit = Likelihood(machine, hyper, slopes=machine.slopes(hyper)).reweighed()
+    return fit.renoised(dispersed=True)

@@ -327,8 +327,13 @@ class Likelihood:
         """Return the same model whose bodies are physical, and whose friction does not push."""
         return self._physical()._resisting()
 
-    def relinearised(self, *, alone: bool = False) -> Likelihood:
-        """Return the same model whose bodies are physical, and whose load and slopes are those of its fit.
+    def relinearised(self) -> Likelihood:
+        """Return the same model whose bodies are physical, and whose load and slopes are those of its fit."""
+        hyper = self.around_its_fit()
+        return Likelihood(self.machine, hyper, self.extra, self.machine.slopes(hyper))
+
+    def around_its_fit(self, *, alone: bool = False) -> Hyper:
+        """Return what is learnt, the bodies physical and the load that of the fit.
 
         Args:
             alone: whether friction is that of its fit too. What rests and reversals may hold is believed to be as large
@@ -336,10 +341,10 @@ class Likelihood:
         """
         fit = self.plausible()
         hyper = fit.hyper.with_(pi=fit.pi)
-        if alone:
-            viscous, plus, minus = torch.from_numpy(fit.friction).unbind(1)
-            hyper = hyper.with_(friction=torch.stack((viscous, 0.5 * (plus + minus), 0.5 * (plus - minus)), 1))
-        return Likelihood(self.machine, hyper, self.extra, self.machine.slopes(hyper))
+        if not alone:
+            return hyper
+        viscous, plus, minus = torch.from_numpy(fit.friction).unbind(1)
+        return hyper.with_(friction=torch.stack((viscous, 0.5 * (plus + minus), 0.5 * (plus - minus)), 1))
 
     @property
     def with_normal_noise(self) -> Likelihood:
