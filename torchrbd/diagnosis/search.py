@@ -109,10 +109,13 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
 
 
 def at_a_glance(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis with the noise of its joints learnt beside it, and nothing else: some nats off, but soon."""
+    """Return a hypothesis with the noise learnt beside it, and nothing else: some nats off, but soon.
+
+    That of all joints is: what bodies do in the place of an effect is noise at others too.
+    """
     extra = h.extra(fit, rows)
     beside = fit.extended((*fit.extra, extra))
-    extended = beside.renoised(extra.joints, dispersed=True)
+    extended = beside.renoised(dispersed=True)
     return _weighed(fit, rows, h, beside, [extended], [fit.with_new_noise.dispersed(extended.hyper.dispersion)])
 
 
