@@ -67,23 +67,22 @@ def test_recordings_in_which_an_effect_is_are_averaged_over(two_recordings: tupl
     """Each set of them is judged as whitened columns are, zero in the others, beside the fit."""
     fit, rows = two_recordings
     e, found = effect(name), [h for h in in_recordings(fit, rows, effect(name)) if h is not None]
-    assert [h.candidate.site.joint for h in found] == [0, 1]
+    assert [(h.candidate.joint, h.candidate.site.recordings) for h in found] == [
+        (j, (one,)) for j in (0, 1) for one in ("first", "second")
+    ]
     for h in found:
-        j = h.candidate.joint
-        each: dict[str, list[float]] = {"first": [], "second": []}
-        shapes = e.shapes(rows.columns.scale(Site(j)))
+        j, (one,) = h.candidate.joint, h.candidate.site.recordings
+        every, shapes = list[float](), e.shapes(rows.columns.scale(Site(j)))
         for shape in shapes:
             always = candidate(rows, name, Site(j), **shape)
             F = rows.features(always)
             std, scales = coefficient_std(always, F, fit.machine.torque_rms)
-            for one, evidence in each.items():
-                inside = (rows.recording == rows.recordings.index(one))[fit.index[j]]
-                S, r = fit.gaussian.beside({j: fit.hyper.noise[j].white(F) * inside})
-                evidence += [added(S, r, k * std, e.prior.positive).log_evidence for k in scales]
-        every = [x for evidence in each.values() for x in evidence]
-        assert h.log_evidence == pytest.approx(logsumexp(every) - np.log(len(every)), abs=1e-6)
-        assert h.tried == 2 * len(shapes)
-        assert h.candidate.site.recordings == (max(each, key=lambda one: max(each[one])),)
+            inside = (rows.recording == rows.recordings.index(one))[fit.index[j]]
+            S, r = fit.gaussian.beside({j: fit.hyper.noise[j].white(F) * inside})
+            every += [added(S, r, k * std, e.prior.positive).log_evidence for k in scales]
+        # The other one is another hypothesis, and as likely.
+        assert h.log_evidence == pytest.approx(logsumexp(every) - np.log(2 * len(every)), abs=1e-6)
+        assert h.tried == len(shapes)
         # Its columns are the effect's there, and zero elsewhere.
         features, elsewhere = rows.features(h.candidate), rows.recordings.index(h.candidate.site.recordings[0])
         assert features[:, rows.recording == elsewhere].any()

@@ -266,6 +266,10 @@ def test_every_effect_begins_or_says_why(name: str) -> None:
         with pytest.raises(OptionError, match="acts for a time only"):
             RigidBodyDynamics.from_urdf(URDF, effects=[name])
         return
+    if name == "coupled_motor":
+        with pytest.raises(OptionError, match="'coupled_motor' has no place on robot"):
+            RigidBodyDynamics.from_urdf(URDF, effects=[name])
+        return
     model = RigidBodyDynamics.from_urdf(URDF, effects=[name])
     t = 0.01 * torch.arange(9, dtype=torch.float64)
     x = states(model.robot, 9)

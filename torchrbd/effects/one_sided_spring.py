@@ -28,7 +28,7 @@ class OneSidedSpring(JointEffect):
     export_note = "a fixed tendon over this joint alone, with coefficient one"
     # Parts of the range in which the spring acts: more, it is a joint spring. Ramps look alike at equal ratios of
     # their lengths.
-    _SHORTEST, _LONGEST, _GRID_POINTS = 0.1, 0.8, 8
+    _SHORTEST, _LONGEST, _GRID_POINTS = 0.04, 0.8, 8
     _FAR = 1e3
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:

@@ -51,9 +51,11 @@ class ToldEffect:
             OptionError: it cannot sit there.
         """
         sites, name = self.effect.sites(robot, windows), self.effect.id
+        if not sites and not self.effect.sites(robot, (_SOME_TIME,)):
+            raise OptionError(f"'{name}' has no place on robot '{robot.name}'")
         if self.place is None:
             return sites
-        if not sites and self.effect.sites(robot, (_SOME_TIME,)):
+        if not sites:
             raise OptionError(f"'{name}' acts for a time only; tell it as {name}@{self.place}@RECORDING=FROM:TO")
         places = tuple(dict.fromkeys(site.name(robot) for site in sites))
         if self.place not in places:
