@@ -159,6 +159,11 @@ def _alike(h: Hypothesis) -> tuple[Hashable, ...]:
     return (*h.name, window and (window.recording, window.one_ended))
 
 
+def _only_once(chosen: Sequence[Hypothesis]) -> set[tuple[str, Site]]:
+    """Return effects and places that a model has and cannot have again: what acts for a time may, and another kind."""
+    return {h.name for h in chosen if h.candidate.site.always and not h.candidate.effect.kinds}
+
+
 class _Search:
     """Rows, what may be there, and the steps of one search."""
 
@@ -201,8 +206,7 @@ class _Search:
 
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
-        # What acts for a time may come again, and what there is of two kinds.
-        known = {h.name for h in chosen if h.candidate.site.always and not h.candidate.effect.kinds}
+        known = _only_once(chosen)
         likely = self.sought(fit, known)
         near = [refined(fit, self.rows, h) for h in likely[:_LEADING]]
         if self.beside_normal is None:
@@ -310,7 +314,9 @@ class _Search:
         """
         others, place = [h for i, h in enumerate(chosen) if i != k], chosen[k].candidate.place
         rest = self.with_terms(base, others) if others else base
-        own, *laws = (again(rest, self.rows, h) for h in (chosen[k], *seen[:_RIVALS]))
+        there = _only_once(others)
+        rivals = [h for h in seen if h.name not in there][:_RIVALS]
+        own, *laws = (again(rest, self.rows, h) for h in (chosen[k], *rivals))
         assert own is not None
         likeliest = self.ordered([h for h in laws if h is not None])[:_JUDGED]
         if place is not None:
