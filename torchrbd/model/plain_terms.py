@@ -55,7 +55,7 @@ def plain_torque(terms: Sequence[Term], matrix: Tensor, qd: Tensor, rest_width: 
     if not terms:
         return torch.zeros_like(qd)
     w = torch.cat([term.coefficients for term in terms]).to(qd.dtype)
-    viscous, coulomb, uneven, offset = (matrix.to(qd.dtype) @ w).unbind(0)
+    viscous, coulomb, uneven, offset = (matrix.to(qd) @ w).unbind(0)
     has = {part for term in terms for part in _PARTS[term.effect.id]}
     torque = viscous * qd
     if has & {1, 2}:

@@ -57,7 +57,6 @@ class RigidBodyDynamics(nn.Module):
     constant_pi: Tensor
     physical: Tensor
     rest_width: Tensor
-    _placing: Tensor
 
     def __init__(
         self,
@@ -79,7 +78,7 @@ class RigidBodyDynamics(nn.Module):
         # Most terms are ordinary friction: they are evaluated together. Each is registered once, above.
         self._plain = tuple(term for term in self.terms if is_plain(term))
         self._others = tuple(term for term in self.terms if not is_plain(term))
-        self.register_buffer("_placing", placing(robot.n_dof, self._plain), persistent=False)
+        self._placing = placing(robot.n_dof, self._plain)
         # As numbers: indexing by a tensor would neither batch nor trace.
         self._trained = physical.nonzero().flatten().tolist()
         self._all_trained = len(self._trained) == robot.n_bodies
