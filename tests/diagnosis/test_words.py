@@ -243,10 +243,12 @@ def test_a_sentence_says_what_it_is_worth_where_it_is_worth_most() -> None:
         "nmse_before": {"joint1": 0.02, "joint2": 0.5},
         "nmse_after": {"joint1": 0.02, "joint2": 0.1},
     }
-    assert finding_sentence(finding("base_tilt", **worth)).endswith(
-        "Without it 50 % of the torque variance of joint2 on held-out time stays unpredicted, with it 10 %."
-    )
-    assert finding_sentence(finding("backlash", "joint1", **worth)).endswith(
+    for one in (finding("base_tilt", **worth), finding("backlash", "joint1", **worth)):
+        assert finding_sentence(one).endswith(
+            "Without it 50 % of the torque variance of joint2 on held-out time stays unpredicted, with it 10 %."
+        )
+    nowhere = {key: {"joint1": 0.02, "joint2": 0.5} for key in worth}
+    assert finding_sentence(finding("backlash", "joint1", **nowhere)).endswith(
         "Held-out time does not show it: 2 % of the torque variance stays unpredicted with and without it."
     )
 

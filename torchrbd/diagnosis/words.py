@@ -137,11 +137,14 @@ def finding_sentence(finding: Finding, *, more: bool = False) -> str:
 
 
 def most_changed(finding: Finding) -> str | None:
-    """Return the joint that shows a finding: its own, or the one whose held-out error falls most."""
-    gains = {j: b - finding.nmse_after[j] for j, b in finding.nmse_before.items() if j in finding.nmse_after}
-    gains = {j: gain for j, gain in gains.items() if math.isfinite(gain)}
+    """Return the joint that shows a finding: its own, or if that does not, the one whose held-out error falls most."""
+    pairs = {j: (b, finding.nmse_after[j]) for j, b in finding.nmse_before.items() if j in finding.nmse_after}
+    gains = {j: before - after for j, (before, after) in pairs.items() if math.isfinite(before - after)}
     own = [j for j in finding.joints if j in gains]
-    return own[0] if own else max(gains, key=lambda j: gains[j], default=None)
+    shown = [j for j in own if gains[j] > NO_CHANGE * pairs[j][0]]
+    if not shown and own and finding.share < NO_CHANGE:
+        return own[0]
+    return shown[0] if shown else max(gains, key=lambda j: gains[j], default=None)
 
 
 def _untold(finding: Finding) -> str:
