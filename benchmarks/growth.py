@@ -1,10 +1,11 @@
 """How the time of a diagnosis grows with the length, the joints and the number of its recordings.
 
     OMP_NUM_THREADS=1 python benchmarks/growth.py [--picture docs/growth.svg]
+    OMP_NUM_THREADS=1 python benchmarks/growth.py --one 60 7 1 --rate 500
 
 Serial arms with friction at all joints and a spring at the second that their URDF lacks; noise of 2 % on the torques,
 125 Hz. One of the three is changed at a time. Each case runs in a process of its own; processor seconds of
-``diagnose`` alone, without imports. Prints a table with the exponents of growth and draws it.
+``diagnose`` alone, without imports. Prints a table with the exponents of growth and draws it, or one case alone.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ SPRING = 0.3
 """Of the torque's scatter at its joint in the first recording, for the scatter of its position there."""
 
 
-def recorded(urdf: str, seconds: float, count: int) -> list[dict[str, np.ndarray]]:
+def recorded(urdf: str, seconds: float, count: int, rate_hz: float) -> list[dict[str, np.ndarray]]:
     """Return smooth random motions with noise, and torques of the robot, of friction and of the spring."""
     import torch
 
     from torchrbd import RobotModel
 
-    robot, t = RobotModel.from_urdf(urdf), np.arange(int(seconds * RATE_HZ)) / RATE_HZ
+    robot, t = RobotModel.from_urdf(urdf), np.arange(int(seconds * rate_hz)) / rate_hz
     found, scatter, stiffness = [], np.zeros(0), 0.0
     for k in range(count):
         rng = np.random.default_rng(k)
@@ -46,14 +47,14 @@ def recorded(urdf: str, seconds: float, count: int) -> list[dict[str, np.ndarray
     return found
 
 
-def spent(seconds: float, joints: int, recordings: int) -> tuple[float, str]:
+def spent(seconds: float, joints: int, recordings: int, rate_hz: float = RATE_HZ) -> tuple[float, str]:
     """Return the processor seconds of a diagnosis, and what it finds."""
     import time
 
     from torchrbd import diagnose
 
     urdf = arm(joints)
-    data = recorded(urdf, seconds, recordings)
+    data = recorded(urdf, seconds, recordings, rate_hz)
     before = time.process_time()
     found = diagnose(urdf.encode(), data)
     spent = time.process_time() - before
@@ -86,10 +87,11 @@ def main() -> None:
     """Run each case in its process, print the table and draw it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--picture", type=Path, help="file to draw into, .svg or .png")
-    parser.add_argument("--one", type=int, nargs=3, metavar=tuple(USUAL), help=argparse.SUPPRESS)
+    parser.add_argument("--one", type=int, nargs=3, metavar=tuple(USUAL), help="one case alone")
+    parser.add_argument("--rate", type=float, default=RATE_HZ, help="of that one [Hz]")
     options = parser.parse_args()
     if options.one:
-        print(*spent(*options.one), sep="\t")
+        print(*spent(*options.one, options.rate), sep="\t")
         return
     known: dict[tuple[int, ...], float] = {}
     taken: dict[str, list[float]] = {}
