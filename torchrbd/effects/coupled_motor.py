@@ -23,9 +23,8 @@ from torch import Tensor
 
 from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, Signals
-from torchrbd.effects.sites import Site, Window
+from torchrbd.effects.sites import Site, Window, carrier
 from torchrbd.robot import RobotModel
-from torchrbd.robot.inertia import PARAMETERS
 
 # Sine of the angle below which two axes are parallel.
 _PARALLEL = 0.1
@@ -52,11 +51,9 @@ class CoupledMotor(Effect):
     prior = CoefficientPrior("A motor's friction resists its motion, and its inertia is not negative.", (0, 1, 2))
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
-        pairs = ((joint, _carrier(robot, joint)) for joint in range(robot.n_dof))
+        pairs = ((joint, carrier(robot, joint)) for joint in range(robot.n_dof))
         return tuple(
-            Site(joint, other=carrier)
-            for joint, carrier in pairs
-            if carrier is not None and _cross(robot, joint, carrier)
+            Site(joint, other=below) for joint, below in pairs if below is not None and _cross(robot, joint, below)
         )
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
@@ -94,16 +91,9 @@ class CoupledMotor(Effect):
         return {"fixed": {**along, "coef": (1.0, ratio)}}
 
 
-def _carrier(robot: RobotModel, joint: int) -> int | None:
-    """Return the joint that moves another one, and no joint between them; None for the first."""
-    own = len(PARAMETERS) * robot.joint_bodies[joint]
-    moving = [k for k in range(robot.n_dof) if k != joint and own in robot.columns(k)]
-    return min(moving, key=lambda k: len(robot.columns(k)), default=None)
-
-
-def _cross(robot: RobotModel, joint: int, carrier: int) -> bool:
+def _cross(robot: RobotModel, joint: int, other: int) -> bool:
     """Say whether both turn, about axes that are not parallel, which no motion changes."""
-    if bool(robot.prismatic[joint] | robot.prismatic[carrier]):
+    if bool(robot.prismatic[joint] | robot.prismatic[other]):
         return False
     axes = robot.jacobian(torch.zeros(robot.n_dof, dtype=torch.float64), robot.joint_bodies[joint])[3:]
-    return float(torch.linalg.cross(axes[:, joint], axes[:, carrier]).norm()) > _PARALLEL
+    return float(torch.linalg.cross(axes[:, joint], axes[:, other]).norm()) > _PARALLEL

@@ -14,9 +14,8 @@ from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.effects.mjcf import quaternion
 from torchrbd.effects.placed import moved
 from torchrbd.effects.signals import JointScale, Signals
-from torchrbd.effects.sites import Site, Window
+from torchrbd.effects.sites import Site, Window, carrier
 from torchrbd.robot import RobotModel
-from torchrbd.robot.inertia import PARAMETERS
 
 
 class GeometryError(Effect):
@@ -43,7 +42,9 @@ class GeometryError(Effect):
     _FURTHEST_M, _LARGEST_RAD = 0.2, 0.2
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
-        return moved(self, robot, tuple(Site(joint) for joint in range(robot.n_dof) if _carried(robot, joint)))
+        return moved(
+            self, robot, tuple(Site(joint) for joint in range(robot.n_dof) if carrier(robot, joint) is not None)
+        )
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         assert site.joint is not None
@@ -68,9 +69,3 @@ class GeometryError(Effect):
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         x, y, z, *turn = (parameters[name] for name in self.units)
         return {"body": {"pos": (x, y, z), "quat": quaternion(turn)}}
-
-
-def _carried(robot: RobotModel, joint: int) -> bool:
-    """Say whether another joint moves this one."""
-    own = len(PARAMETERS) * robot.joint_bodies[joint]
-    return any(own in robot.columns(other) for other in range(robot.n_dof) if other != joint)

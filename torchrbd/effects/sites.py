@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from torchrbd.robot import RobotModel
+from torchrbd.robot.inertia import PARAMETERS
 
 
 @dataclass(frozen=True)
@@ -54,3 +55,10 @@ class Site:
         parts += [robot.body_names[self.body]] if self.body is not None else []
         place = "_".join(parts) or "robot"
         return place if self.recordings is None else f"{place} in {', '.join(self.recordings)}"
+
+
+def carrier(robot: RobotModel, joint: int) -> int | None:
+    """Return the joint that moves another one, and no joint between them; None for the first."""
+    own = len(PARAMETERS) * robot.joint_bodies[joint]
+    moving = [k for k in range(robot.n_dof) if k != joint and own in robot.columns(k)]
+    return min(moving, key=lambda k: len(robot.columns(k)), default=None)

@@ -40,17 +40,18 @@ def learn(machine: Machine, *, white: bool = False) -> Likelihood:
         friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
         white=True,
     )
-    fit = Likelihood(machine, hyper).renoised()
-    fit = fit if white else fit.rewidened().renoised()
-    for k in range(_ROUNDS + 2):
-        if 0 < k <= _ROUNDS:
-            fit = fit.with_(white=white)
-            fit = fit.renoised()
-        elif k > _ROUNDS:
-            fit = fit if white else fit.with_heavy_tails
-            fit = fit.recalibrated()
-        hyper = fit.around_its_fit(alone=True)
-        # Columns are large: those of one load are let go of before the next has its own.
-        del fit
-        fit = Likelihood(machine, hyper, slopes=machine.slopes(hyper)).reweighed()
-    return fit.renoised(dispersed=True)
+    # Columns are large: no name holds a likelihood while that of the next load makes its own.
+    first = Likelihood(machine, hyper).renoised()
+    hyper = (first if white else first.rewidened().renoised()).around_its_fit(alone=True)
+    del first
+    for _ in range(_ROUNDS):
+        hyper = _around(machine, hyper).with_(white=white).renoised().around_its_fit(alone=True)
+    last = _around(machine, hyper)
+    hyper = (last if white else last.with_heavy_tails).recalibrated().around_its_fit(alone=True)
+    del last
+    return _around(machine, hyper).renoised(dispersed=True)
+
+
+def _around(machine: Machine, hyper: Hyper) -> Likelihood:
+    """Return the likelihood whose load and slopes are those that have been learnt, rows weighed anew."""
+    return Likelihood(machine, hyper, slopes=machine.slopes(hyper)).reweighed()

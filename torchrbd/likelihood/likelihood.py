@@ -13,14 +13,13 @@ import torch
 
 from torchrbd.likelihood.design import Design
 from torchrbd.likelihood.extra import Extra
-from torchrbd.likelihood.gaussian import Block, Gaussian, added, nonnegative
+from torchrbd.likelihood.gaussian import Block, Gaussian, nonnegative
 from torchrbd.likelihood.machine import STICKS, Hyper, Machine
 from torchrbd.likelihood.noise import Noise, learnt, tailed
 from torchrbd.likelihood.physical import expanded, most_probable
+from torchrbd.likelihood.widths import likeliest_width
 
 KAPPAS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
-# Widths of the sign change that are tried, in parts of the joint's RMS speed.
-_WIDTHS = tuple(np.geomspace(0.003, 0.45, 18).tolist())
 _LEAST_DRIFT, _LEAST_NOISE = 1e-4, 1e-6
 _SHARES, _DOUBTS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0), (0.0, 0.1, 0.3, 1.0)
 # What columns do not depend on, or but for their sizes.
@@ -244,22 +243,10 @@ class Likelihood:
         for j in joints:
             noise[j] = replace(noise[j], spread=one, tail=None)
         plain = self.with_(noise=tuple(noise))
-        g = plain.gaussian
         for j in joints:
-            if not self.machine.speed_rms[j]:
-                continue
-            dropped = [*self.machine.ordinary(j)[1:], self.machine.bend(j), *self.machine.sticks(j)]
-            kept = np.setdiff1d(np.arange(len(g.z)), dropped)
-            rest = g.among(kept)
-            found = []
-            for part in _WIDTHS:
-                width = float(np.hypot(part * self.machine.speed_rms[j], self.machine.rows.speed_std[j]))
-                F = self.machine.sign(j, width)
-                std = np.append(self.machine.friction_std(j, F), np.full(len(STICKS), float(self.hyper.friction[j, 1])))
-                F = np.concatenate((F, self.machine.held(j, width)))
-                S, r = rest.beside({j: plain.hyper.noise[j].white(F)})
-                found.append((float(added(S, r, std).log_evidence), width))
-            widths[j] = max(found)[1]
+            if self.machine.speed_rms[j]:
+                coulomb = float(self.hyper.friction[j, 1])
+                widths[j] = likeliest_width(self.machine, plain.gaussian, noise[j], coulomb, j)
         return self.with_(rest_width=widths)
 
     @property

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from torchrbd.errors import InputError, OptionError
+from torchrbd.errors import InputError
 from torchrbd.robot import compiled, dynamics, eager, kinematics
 from torchrbd.robot.acceleration import accelerations
 from torchrbd.robot.batching import batch_first, batch_last, is_ordinary, tiled
 from torchrbd.robot.description import Description
+from torchrbd.robot.gravity import STANDARD_GRAVITY, checked_gravity
 from torchrbd.robot.inertia import PARAMETERS
 from torchrbd.robot.reading import read_robot
 from torchrbd.robot.tree import FoldedLink, build_tree, parent_axes
@@ -26,11 +27,6 @@ EXACT = (torch.float64, torch.device("cpu"))
 """Where the constants are kept that those of other dtypes and devices are made from."""
 
 _BY_JOINT = ("damping", "friction", "armature", "stiffness", "rest", "lower", "upper", "velocity", "effort")
-
-STANDARD_GRAVITY = (0.0, 0.0, -9.81)
-"""Of a robot whose base stands upright [m/s^2]."""
-# On no planet is it larger, and in no centrifuge for robots.
-_LARGEST_GRAVITY = 1e3
 
 
 class RobotModel:
@@ -80,13 +76,7 @@ class RobotModel:
         self.folded: dict[str, tuple[FoldedLink, ...]] = dict(zip(self.body_names, tree.folded, strict=True))
         self.joint_bodies = tuple(tree.moving.index(joint) for joint in tree.driving)
         self.pi = tree.pi
-        gravity = (description.gravity or STANDARD_GRAVITY) if gravity is None else gravity
-        self.gravity = torch.as_tensor(gravity, dtype=torch.float64)
-        if self.gravity.shape != (3,) or not bool((self.gravity.abs() <= _LARGEST_GRAVITY).all()):
-            raise OptionError(
-                f"gravity is {self.gravity.tolist()}; expected three numbers of at most {_LARGEST_GRAVITY:g} m/s^2, "
-                "e.g. 0, 0 and -9.81"
-            )
+        self.gravity = checked_gravity((description.gravity or STANDARD_GRAVITY) if gravity is None else gravity)
         self.prismatic = torch.tensor([joint.kind == "prismatic" for joint in tree.driving])
         for name in _BY_JOINT:
             setattr(self, name, torch.tensor([getattr(joint, name) for joint in tree.driving], dtype=torch.float64))

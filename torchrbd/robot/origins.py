@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from torchrbd.robot.model import RobotModel
@@ -30,11 +31,10 @@ def with_moved_origins(robot: RobotModel, moves: Tensor) -> RobotModel:
     joints = []
     for joint in robot.description.joints:
         if joint.name in of_joint:
-            shift, (x, y, z) = of_joint[joint.name][:3], of_joint[joint.name][3:].tolist()
-            turn = torch.linalg.matrix_exp(joint.pose.new_tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]))
+            shift, turn = of_joint[joint.name].split(3)
             pose = joint.pose.clone()
             pose[:3, 3] += shift
-            pose[:3, :3] = turn @ pose[:3, :3]
+            pose[:3, :3] = torch.from_numpy(Rotation.from_rotvec(turn.numpy()).as_matrix()) @ pose[:3, :3]
             joint = replace(joint, pose=pose)
         joints.append(joint)
     return RobotModel(replace(robot.description, joints=tuple(joints)), gravity=robot.gravity)

@@ -212,7 +212,7 @@ class Samples:
     def rows(self, writing: Writing, robot: RobotModel | None = None) -> list[Tensor]:
         """Return the regressor and friction's features of each joint, (p_j, M); the last ones are remembered."""
         robot = robot or self.robot
-        if self._design[0] != (writing.motion, id(robot)):
+        if self._design[0] != (writing.motion, robot):
             gravity = torch.tensor(writing.gravity, dtype=torch.float64)
             parts: list[list[Tensor]] = [[] for _ in self._features]
             for s in self.tiles:
@@ -224,7 +224,7 @@ class Samples:
                 torch.cat((torch.cat(own, 1), self._features[place]))
                 for own, place in zip(parts, writing.q_order, strict=True)
             ]
-            self._design = (writing.motion, id(robot)), rows
+            self._design = (writing.motion, robot), rows
         return self._design[1]
 
 
