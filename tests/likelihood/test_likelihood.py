@@ -179,7 +179,7 @@ def test_joint_that_sticks_is_not_late(sticking: Likelihood) -> None:
     rows = carried(sticking)
     for name in ("actuator_lag", "stribeck_friction"):
         e, site = effect(name), Site(joint=0)
-        shapes = e.shapes(rows.columns.scale(site)) if e.first_order is None else (e.first_order,)
+        shapes = e.shapes(rows.columns.scale(site))
         found = averaged(sticking, rows, [rows.columns.candidate(e, site, shape) for shape in shapes])
         assert found is not None
         assert found.log_evidence < 5

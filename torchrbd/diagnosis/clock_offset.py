@@ -6,7 +6,6 @@ torque back to where it was recorded: tau(t) = tau'(t - d), tau' being read by d
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +22,7 @@ from torchrbd.effects import effect
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.results import Identification, TorqueSeries
 from torchrbd.likelihood.clocks import of_one_machine
+from torchrbd.likelihood.reading import Reading
 
 
 def clock_offset(ranked: Ranking, extended: Extended, identification: Identification) -> Finding | None:
@@ -82,7 +82,7 @@ def _worth(
 ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
     """Return by joint the held-out nmse without the offset and with it, and the RMS of what it moves [N m or N]."""
     series, after = identification.series, identification.fits["extended"].nmse
-    moved = series.measured - _as_recorded(series, extended.prepared.reading.delay_s)
+    moved = series.measured - _as_recorded(series, extended.prepared.reading)
     before, carried = dict[str, float](), dict[str, float]()
     for j, joint in enumerate(series.joints):
         error, more = series.residual("extended")[:, j], moved[:, j]
@@ -94,13 +94,14 @@ def _worth(
     return before, {joint: after[joint] for joint in before}, carried
 
 
-def _as_recorded(series: TorqueSeries, delay_s: Mapping[str, float]) -> np.ndarray:
-    """Return the measured torque (M, n) where its own clock has it."""
+def _as_recorded(series: TorqueSeries, reading: Reading) -> np.ndarray:
+    """Return the measured torque (M, n) where its own clock has it, or as the command of actuators that lag."""
     found = np.full_like(series.measured, np.nan)
     for k, name in enumerate(series.recordings):
+        late, lag = reading.delay_s.get(name, 0.0), reading.lag_s.get(name, 0.0)
         for j in range(len(series.joints)):
             at = np.flatnonzero((series.recording == k) & np.isfinite(series.measured[:, j]))
             if len(at) > 1:
-                spline = CubicSpline(series.t[at], series.measured[at, j])
-                found[at, j] = spline(series.t[at] - delay_s.get(name, 0.0))
+                spline, t = CubicSpline(series.t[at], series.measured[at, j]), series.t[at]
+                found[at, j] = spline(t - late) + lag * spline(t, 1)
     return found

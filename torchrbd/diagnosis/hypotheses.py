@@ -27,6 +27,8 @@ from torchrbd.likelihood.sizes import coefficient_std
 SHARED = ("qd", "sign(qd)")
 # Draws that tell how much of a distribution physics allows, and the part of variances that is rounding.
 _DRAWS, _ROUNDING = 256, 1e-12
+# The gain [nats] that is worth another step towards a shape that agrees, and how many there are.
+_LEAST_GAIN, _MOST_STEPS = 0.1, 10
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,26 @@ class Hypothesis:
 def told(fit: Likelihood, rows: Rows, candidate: Candidate) -> Hypothesis | None:
     """Return the evidence of one candidate whose shape, or window, is known."""
     return averaged(fit, rows, [candidate])
+
+
+def agreed(fit: Likelihood, rows: Rows, one: Hypothesis, *, plausible: bool = True) -> Hypothesis:
+    """Return a candidate's evidence with the shape that its coefficients ask for, as long as that is likelier.
+
+    Args:
+        fit: beside which it stands.
+        rows: its rows.
+        one: the candidate.
+        plausible: go on, likelier or not, as long as physics does not allow it.
+    """
+    for _ in range(_MOST_STEPS if one.candidate.effect.follows else 0):
+        c = one.candidate
+        shape = c.effect.agreeing(torch.from_numpy(one.coefficients), c.shape)
+        then = told(fit, rows, rows.columns.candidate(c.effect, c.site, shape))
+        must = plausible and not _allowed(one, fit, rows, one.coefficients[None])
+        if then is None or (then.log_evidence < one.log_evidence + _LEAST_GAIN and not must):
+            break
+        one = then
+    return one
 
 
 def believed(fit: Likelihood, rows: Rows, candidate: Candidate) -> tuple[np.ndarray, tuple[float, ...]]:

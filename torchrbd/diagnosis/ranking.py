@@ -120,7 +120,7 @@ class Ranking:
         e = effect(effect_id or more["effect"])
         if is_clocks(e, site, rows):
             return next((h.log_evidence for h in self.first if (h.effect, h.joints) == (e.id, ())), 0.0)
-        candidate = rows.columns.candidate(e, site, known if e.first_order is None else e.first_order)
+        candidate = rows.columns.candidate(e, site, known)
         one = told(base, rows, candidate)
         return -math.inf if one is None else with_own_noise(base, rows, one).log_evidence
 
@@ -209,12 +209,13 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
 def _of_all(clocks: Clocks, effects: Sequence[Effect]) -> list[Ranked]:
     """Return what an offset of the clocks, of all recordings alike, may be: a delay, or actuators that lag.
 
-    A command runs ahead of what it makes, so that it is recorded early; then, to first order, nothing tells both apart.
+    A command runs ahead of what it makes, so that it is recorded early.
     """
     late, std = np.array(list(clocks.delay_s.values())).T
     mean = float(np.average(late, weights=std**-2.0))
     may = {"time_delay": {"delay": mean}} | ({"actuator_lag": {"time_constant": -mean}} if mean < 0 else {})
-    return [Ranked(e.id, (), (), clocks.against, may[e.id]) for e in effects if e.id in may]
+    more = {"actuator_lag": clocks.lag_odds}
+    return [Ranked(e.id, (), (), clocks.against + more.get(e.id, 0.0), may[e.id]) for e in effects if e.id in may]
 
 
 def _ranked(h: Hypothesis, fit: Likelihood, robot: RobotModel) -> Ranked:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, averaged, mean_of, told
+from torchrbd.diagnosis.hypotheses import Hypothesis, agreed, averaged, mean_of, told
 from torchrbd.diagnosis.stretches import in_recordings, in_windows, located
 from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.columns import Candidate
@@ -39,8 +39,8 @@ def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hyp
             found += in_windows(fit, rows, e)
         for site in places:
             if _may_be(e, site, rows):
-                shapes = e.shapes(rows.columns.scale(site)) if e.first_order is None else (e.first_order,)
-                found.append(averaged(fit, rows, [rows.columns.candidate(e, site, shape) for shape in shapes]))
+                grid = e.shapes(rows.columns.scale(site))
+                found.append(averaged(fit, rows, [rows.columns.candidate(e, site, shape) for shape in grid]))
     # Friction of some recordings only is not the machine's.
     for e in effects:
         found += in_recordings(fit, rows, e)
@@ -55,8 +55,9 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     if at is None:
         return h
     # What the average has of this shape is replaced by that of the cell around it, which axes share as factors.
+    rest = _less(h.log_evidence, at.log_evidence - math.log(h.tried))
+    at = _agreeing(fit, rows, at)
     cell = at.log_evidence
-    rest = _less(h.log_evidence, cell - math.log(h.tried))
     for name, axis in varied(columns, h.candidate).items():
         now = at.candidate
         values = np.linspace(*axis.limits(now.shape[name]), _FINE)
@@ -68,6 +69,15 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
         at = max(found, key=lambda one: one.log_evidence)
     mean = float(np.logaddexp(rest, cell - math.log(h.tried)))
     return replace(at, log_evidence=mean, tried=h.tried, paid=mean - at.log_evidence)
+
+
+def _agreeing(fit: Likelihood, rows: Rows, one: Hypothesis) -> Hypothesis:
+    """Return the likeliest of a candidate and those of its grid whose shapes agree with their coefficients."""
+    c, found = one.candidate, [one]
+    if c.effect.follows:
+        grid = [rows.columns.candidate(c.effect, c.site, shape) for shape in c.effect.shapes(rows.columns.scale(c.site))]
+        found += [agreed(fit, rows, other, plausible=False) for other in _told(fit, rows, [c, *grid])]
+    return max(found, key=lambda each: each.log_evidence)
 
 
 def _less(total: float, part: float) -> float:

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, again, believed, told
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, agreed, believed, told
 from torchrbd.diagnosis.screening import refined
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
@@ -28,7 +28,8 @@ _STEPS, _HALVINGS, _LEAST_GAIN = 6, 3, 0.1
 
 def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis beside a fit, at the shape that is best beside what is learnt with it; steps in time stay."""
-    if not varied(rows.columns, h.candidate) or h.candidate.site.window is not None:
+    free = varied(rows.columns, h.candidate) or h.candidate.effect.follows
+    if not free or h.candidate.site.window is not None:
         return h
     extra = h.extra(fit, rows)
     beside = fit.extended((*fit.extra, extra)).renoised(extra.joints).rewidened(extra.joints)
@@ -40,8 +41,8 @@ def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
 
 def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis at the shape of the greatest evidence that Gauss-Newton steps find."""
-    best = told(fit, rows, h.candidate)
-    for _ in range(_STEPS if best is not None else 0):
+    best, free = told(fit, rows, h.candidate), varied(rows.columns, h.candidate)
+    for _ in range(_STEPS if best is not None and free else 0):
         assert best is not None
         before, step = best, _step(fit, rows, h, best)
         for part in (0.5**k for k in range(_HALVINGS + 1)):
@@ -49,10 +50,11 @@ def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
             site = before.candidate.site
             next_one = told(fit, rows, rows.columns.candidate(before.candidate.effect, site, shape))
             if next_one is not None and next_one.log_evidence > before.log_evidence:
-                best = next_one
+                best = agreed(fit, rows, next_one)
                 break
         if best.log_evidence < before.log_evidence + _LEAST_GAIN:
             break
+    best = None if best is None else agreed(fit, rows, best)
     return h if best is None else replace(best, scale=h.scale, tried=h.tried, paid=h.paid)
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
+import torch
+from scipy.signal import lfilter
 from torch import Tensor
 
 from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
@@ -12,6 +15,9 @@ from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window
 from torchrbd.effects.time_delay import at_site, joints_and_all
 from torchrbd.robot import RobotModel
+
+# After so many time constants what was before is forgotten.
+_FORGOTTEN = 7.0
 
 
 class ActuatorLag(Effect):
@@ -55,3 +61,16 @@ class ActuatorLag(Effect):
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         return {"general": {"dyntype": "filterexact", "dynprm": (parameters["time_constant"],)}}
+
+
+def acting(command: Tensor, steps: float) -> Tensor:
+    """Return what an actuator of a time constant of so many samples supplies of a command (..., N), linear between
+    samples; before the first one the command is mirrored through it."""
+    before = min(command.shape[-1] - 1, math.ceil(_FORGOTTEN * steps))
+    longer = torch.cat((2 * command[..., :1] - command[..., 1 : before + 1].flip(-1), command), -1)
+    decay = math.exp(-1.0 / steps)
+    # Of a command that is a straight line between two samples, what its ends weigh.
+    last = 1.0 - steps * (1.0 - decay)
+    first = 1.0 - decay - last
+    filtered, _ = lfilter([last, first], [1.0, -decay], longer.numpy(), zi=(longer[..., :1] * (1.0 - last)).numpy())
+    return torch.from_numpy(filtered[..., before:])

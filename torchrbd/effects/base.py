@@ -93,8 +93,8 @@ class Effect(ABC):
         has_memory: True if the features depend on a sequence of states, and not on the present one alone.
         prior: what is believed of the coefficients.
         shifts_clocks: True if, at all joints alike, it is to first order what an offset of clocks is.
-        first_order: the shape at which it is linear in its size, where that is small; None where shapes are free.
         kinds: shape parameters that choose between kinds, such as the side of a stop: none lies between two of them.
+        follows: shape parameters that follow from the coefficients, see ``agreeing``.
         needs: what a recording must hold beside positions and torques, in words.
         export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
         exported_in_part: True if what ``mjcf`` writes makes a part of the torque only; ``export_note`` says which.
@@ -115,8 +115,8 @@ class Effect(ABC):
     has_memory: ClassVar[bool] = False
     shifts_clocks: ClassVar[bool] = False
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
-    first_order: ClassVar[Shape | None] = None
     kinds: ClassVar[tuple[str, ...]] = ()
+    follows: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[str] = ""
     export_note: ClassVar[str] = ""
     exported_in_part: ClassVar[bool] = False
@@ -129,6 +129,10 @@ class Effect(ABC):
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
         """Return the shape parameters to try in the range that a recording covers."""
         return ({},)
+
+    def agreeing(self, coefficients: Tensor, shape: Shape) -> Shape:
+        """Return the shape whose parameters that follow from the coefficients (K,) agree with them."""
+        return shape
 
     @abstractmethod
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:

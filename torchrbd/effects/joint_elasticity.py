@@ -1,15 +1,17 @@
 """A joint that gives way: a spring between motor and link, as in harmonic drives, long shafts and belts.
 
-The motor's position q is recorded; the link lags behind it by what the spring yields, q_link = q - tau_load / k, and
-the torque is that of the link's motion. To first order in the compliance 1/k
+The motor's position q is recorded; the link lags behind it by what the spring yields, q_link = q - tau_s / k, with
+tau_s the torque that winds it, which is that of the link's motion:
 
-    tau += 1/k (A x + B dx/dt + M d2x/dt2),  x = -tau_load of the joint, all other joints as recorded
+    tau_s = tau_load + A x + B dx/dt + M d2x/dt2,  x = -tau_s / k of the joint, all other joints as recorded
 
-with A, B, M the derivatives of the rigid body's torque with respect to the joint's q, qd, qdd. The error grows with
-1/k^2; a spring that yields by more than .2 rad or m is none that this could tell. Where the resonance sqrt(k / M) lies
-above the band of the data, what is left is small (1 % of the stiffness, .1 % of the effect's power, for a pendulum);
-inside the band the link rings by itself, which is not contained, nor is damping beside the spring. What the motor's own
-inertia takes is rotor inertia, an effect of its own; its friction does not wind the spring, and the link's is left out.
+with A, B, M the derivatives of the rigid body's torque with respect to the joint's q, qd, qdd. To first order in the
+compliance 1/k the load winds the spring. Higher orders are those of a series, tau_s put into its own right side twice,
+which is worked out for a compliance that is a shape: it follows the coefficient 1/k. Near the resonance
+sqrt(k / M) the series ends too early; there the link rings by itself, which is not contained, nor is damping beside
+the spring. Solving for the ringing instead would amplify there what the positions' noise and wrong inertias make of the
+load. A spring that yields by more than .2 rad or m is none that this could tell. What the motor's own inertia takes is
+rotor inertia, an effect of its own; its friction does not wind the spring, and the link's is left out.
 
 The load comes from accelerations, and is differentiated twice more: what noise there is in the positions would drown
 the motion. So x is seen below a bandwidth, with the response exp(-(f/b)^2 / 2), that the data chooses as a shape.
@@ -31,34 +33,52 @@ from torchrbd.effects.sites import Site
 
 
 class JointElasticity(Effect):
-    """tau = tau_load(q - tau_load / k), linear in 1/k, with k > 0."""
+    """tau = tau_load(q - tau_s / k), linear in 1/k, with k > 0."""
 
     id = "joint_elasticity"
     family = "transmission"
     prevalence = "common"
     words = "joint elasticity"
-    equation = "tau_load(q - tau_load/k) - tau_load(q)"
-    units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "bandwidth": "Hz"}
+    equation = "tau_load(q - tau_s/k) - tau_load(q)"
+    units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "bandwidth": "Hz", "compliance": "{q}/({tau})"}
     whole_robot = True
     uses_load = True
     has_memory = True
+    follows = ("compliance",)
     prior = CoefficientPrior("A spring yields in the direction that it is loaded in.", positive=(0,))
     export_note = "a second joint on the axis, with this stiffness, between the rotor (a body of its own) and the link"
-    _FURTHEST, _BANDWIDTHS_HZ = 0.2, (1.5, 3.0, 6.0, 12.0, 48.0)
+    _FURTHEST, _BANDWIDTHS_HZ, _ORDERS = 0.2, (1.5, 3.0, 6.0, 12.0, 48.0), 3
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        return tuple({"bandwidth": hz} for hz in self._BANDWIDTHS_HZ)
+        return tuple({"bandwidth": hz, "compliance": 0.0} for hz in self._BANDWIDTHS_HZ)
+
+    def agreeing(self, coefficients: Tensor, shape: Shape) -> Shape:
+        return {**shape, "compliance": max(0.0, float(coefficients[0]))}
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        t, band = signals.sequence(), shape["bandwidth"]
-        yielding = below(-signals.load[site.joint], float(t[1] - t[0]), band)
-        return {f"elastic({band:.6g} Hz) {site.name(signals.robot)}": signals.deviating(site.joint, yielding)}
+        t, joint = signals.sequence(), site.joint
+        assert joint is not None
+        dt, band, compliance = float(t[1] - t[0]), shape["bandwidth"], shape["compliance"]
+
+        def added(winding: Tensor) -> Tensor:
+            return signals.deviating(joint, below(-winding, dt, band))
+
+        torque = added(signals.load[joint])
+        for _ in range(self._ORDERS - 1 if compliance else 0):
+            torque = added(signals.load[joint] + compliance * torque[joint])
+        return {f"elastic({band:.6g} Hz, {compliance:.6g}) {site.name(signals.robot)}": torque}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        return {"stiffness": 1.0 / coefficients[0], "bandwidth": coefficients.new_tensor(shape["bandwidth"])}
+        shapes = {name: coefficients.new_tensor(shape[name]) for name in ("bandwidth", "compliance")}
+        return {"stiffness": 1.0 / coefficients[0], **shapes}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        return (1.0 / parameters["stiffness"],), {"bandwidth": parameters["bandwidth"]}
+        """Return them; without a compliance, that of the stiffness."""
+        compliance = 1.0 / parameters["stiffness"]
+        return (compliance,), {
+            "bandwidth": parameters["bandwidth"],
+            "compliance": parameters.get("compliance", compliance),
+        }
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         stiffness = parameters["stiffness"]

@@ -19,8 +19,7 @@ class TimeDelay(Effect):
     """tau += delay (tau_s(t - step) - tau_s(t)) / step: the torque comes later than the motion if delay > 0.
 
     The torque tau_s that is late is all that the actuator supplies, to the rigid body and to friction. The delay
-    multiplies its slope, and is known well; the step is where the secant is taken, which only the curvature tells. For
-    a pure delay they are equal, and the term is exact; a longer step suffers less from noise in the accelerations.
+    multiplies its slope; the step, where the secant is taken, follows: where both are equal, the term is exact.
 
     Either the torque of one joint is late, or that of all.
     """
@@ -34,17 +33,20 @@ class TimeDelay(Effect):
     uses_load = True
     has_memory = True
     sees_friction = True
+    follows = ("step",)
     shifts_clocks = True
-    first_order: ClassVar[Shape] = {"step": 1e-3}
     prior = CoefficientPrior("Some samples of a field bus, early or late.", std=(0.02,))
     export_note = "delays need a history: nsample = delay / timestep; of one joint or, for the whole robot, of all"
-    _STEPS_S, _LARGEST_S, _MOST_APART = (-0.08, -0.04, -0.015, 0.015, 0.04, 0.08), 0.1, 5.0
+    _STEPS_S, _LARGEST_S, _MOST_APART = (-0.08, -0.04, -0.015, 0.015, 0.04, 0.08), 0.1, 2.0
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         return joints_and_all(robot)
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
         return tuple({"step": step} for step in self._STEPS_S)
+
+    def agreeing(self, coefficients: Tensor, shape: Shape) -> Shape:
+        return {"step": float(coefficients[0])}
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, step = signals.sequence(), shape["step"]
@@ -61,7 +63,8 @@ class TimeDelay(Effect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         delay, step = parameters["delay"], parameters["step"]
-        return abs(delay) <= self._LARGEST_S and abs(step) / self._MOST_APART <= delay * math.copysign(1.0, step)
+        near = 1.0 / self._MOST_APART <= delay / step <= self._MOST_APART if step else delay == 0
+        return abs(delay) <= self._LARGEST_S and near
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         delay = parameters["delay"]

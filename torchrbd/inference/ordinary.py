@@ -63,10 +63,12 @@ def with_machine(
     progress("learning clocks and sticks", 0.0)
     held = frozenset(settings.held_bodies(prepared.robot))
     sticky = _sticky(prepared, held)
-    found, wide = _told_by_what_is_fast(prepared, _learnt(prepared, held) if known is None else known)
+    clocks = _learnt(prepared, held) if known is None else known
+    found, wide = _told_by_what_is_fast(prepared, clocks)
     late = {} if not found else of_one_machine(found, [r.name for r in prepared.recordings])
     late = {name: (d, std) for name, (d, std) in late.items() if abs(d) > _TOLD * std}
-    reading = replace(prepared.reading, delay_s={name: d for name, (d, _) in late.items()})
+    offsets = {name: d for name, (d, _) in late.items()}
+    reading = prepared.reading if clocks is None else clocks.read_with(prepared.reading, offsets)
     prepared = replace(prepared, reading=reading, late=late)
     # What is fast may tell a width that what is slow contradicts: each joint has that which leaves less.
     narrow = prepared.columns.scales

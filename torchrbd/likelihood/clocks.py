@@ -1,4 +1,14 @@
-"""Clocks of torque and motion: brought together where they are far apart, told by the rest."""
+"""Clocks of torque and motion: brought together where they are far apart, told by the rest.
+
+A torque that is recorded early, in all joints alike, may be a command that actuators follow as a first-order system of
+time constant T. Beside a torque tau_s that was moved by as much, a command has at joint j
+
+    g_j (tau_s(t - T) + T dtau_s(t - T)/dt - tau_s(t))
+
+with g = 1, and what was early has g = 0: with m the mean of the g_j by their precision and s^2 its variance, which is
+that of the fit and that of the joints' scatter, log odds are (m - 1/2) / s^2 for the command. Recorded torques are then
+not moved in time but sent through such actuators.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +16,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from torch import Tensor
 
+from torchrbd.effects import Signals
+from torchrbd.effects.joint_elasticity import below
+from torchrbd.effects.time_delay import delayed
 from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
@@ -19,6 +34,8 @@ from torchrbd.recordings import Filtering
 
 # Torque and motion are together if their clocks are so many samples apart; readings until they are.
 _NEAR_SAMPLES, _MOST_READINGS = 0.5, 2
+# Above, noise of the positions makes what a lag has beyond a delay, which is of second order, look smaller.
+_SEEN_HZ = 12.0
 
 
 @dataclass(frozen=True)
@@ -29,11 +46,15 @@ class Clocks:
         fit: the likelihood.
         shift_s: by recording, by how much earlier its torque has been read [s].
         against: log evidence, at the first reading, against clocks that agree.
+        lags: whether torques have been sent through actuators that lag by so much less, instead of being moved.
+        lag_odds: log odds of that against being moved; 0 where they are not told apart.
     """
 
     fit: Likelihood
     shift_s: Mapping[str, float]
     against: float
+    lags: bool = False
+    lag_odds: float = 0.0
 
     @property
     def delay_s(self) -> dict[str, tuple[float, float]]:
@@ -43,6 +64,12 @@ class Clocks:
         every = zip(fit.machine.rows.seen_recordings, fit.delay_s, spread, strict=True)
         return {name: (float(late) + self.shift_s[name], float(std)) for name, late, std in every}
 
+    def read_with(self, reading: Reading, late_s: Mapping[str, float]) -> Reading:
+        """Return a reading of torques that are later than the motion by ``late_s``, in the way that was likelier."""
+        if self.lags:
+            return replace(reading, lag_s={name: max(0.0, -late) for name, late in late_s.items()})
+        return replace(reading, delay_s=late_s)
+
 
 def in_time(reading: Reading, columns: Columns, kept_back: KeptBack, held: frozenset[str]) -> Clocks:
     """Learn the likelihood of ordinary physics, torque and motion brought together where their clocks are far apart.
@@ -51,16 +78,48 @@ def in_time(reading: Reading, columns: Columns, kept_back: KeptBack, held: froze
     earlier. The evidence against clocks that agree is that of the first reading, of least squares where whitened rows
     say otherwise.
     """
-    fit = learn(Machine(read_rows(reading, columns, kept_back), held))
+    rows = read_rows(reading, columns, kept_back)
+    fit = learn(Machine(rows, held))
     against = TwoEstimates(fit).against(fit.machine.timing)
     shift = dict.fromkeys((r.name for r in reading.recordings), 0.0)
-    for _ in range(_MOST_READINGS):
-        found = dict(zip(fit.machine.rows.seen_recordings, fit.delay_s.tolist(), strict=True))
-        if max(map(abs, found.values())) < _NEAR_SAMPLES * fit.machine.rows.dt:
-            break
-        shift = {name: late + found.get(name, 0.0) for name, late in shift.items()}
-        fit = learn(Machine(read_rows(replace(reading, delay_s=shift), columns, kept_back), held))
-    return Clocks(fit, shift, against)
+
+    def brought_together(now: Clocks) -> Clocks:
+        for _ in range(_MOST_READINGS):
+            found = dict(zip(rows.seen_recordings, now.fit.delay_s.tolist(), strict=True))
+            if max(map(abs, found.values())) < _NEAR_SAMPLES * rows.dt:
+                break
+            shift = {name: late + found.get(name, 0.0) for name, late in now.shift_s.items()}
+            again = read_rows(now.read_with(reading, shift), columns, kept_back)
+            now = replace(now, fit=learn(Machine(again, held)), shift_s=shift)
+        return now
+
+    moved = brought_together(Clocks(fit, shift, against))
+    if not all(-moved.shift_s[name] > rows.dt for name in rows.seen_recordings):
+        return moved
+    odds = _command_odds(moved)
+    if odds <= 0:
+        return replace(moved, lag_odds=odds)
+    return brought_together(Clocks(fit, shift, against, lags=True, lag_odds=odds))
+
+
+def _command_odds(moved: Clocks) -> float:
+    """Return the log odds of a command that actuators follow against torques that were recorded early."""
+    fit = moved.fit
+
+    def beyond(signals: Signals) -> Tensor:
+        assert signals.recording is not None
+        t, lag, torque = signals.sequence(), -moved.shift_s[signals.recording], signals.supplied
+        dt = float(t[1] - t[0])
+        return below(delayed(torque + lag * signals.rate(torque), lag / dt) - torque, dt, _SEEN_HZ)
+
+    rows = fit.machine.rows.around(fit.pi, fit.hyper.friction, fit.hyper.rest_width)
+    features, seen = rows.evaluated(beyond), [j for j, at in enumerate(fit.index) if len(at)]
+    beside = fit.extended([Extra(j, features[j : j + 1], np.ones(1)) for j in seen]).settled
+    g = np.array([beside.coefficients(k)[0] for k in range(len(seen))])
+    weight = np.array([1.0 / beside.coefficients_covariance(k)[0, 0] for k in range(len(seen))])
+    mean = weight @ g / weight.sum()
+    scatter = weight @ (g - mean) ** 2 / weight.sum() / max(1, len(seen) - 1)
+    return float((mean - 0.5) / (1.0 / weight.sum() + scatter))
 
 
 def in_band(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from torchrbd.effects.actuator_lag import acting
 from torchrbd.effects.time_delay import delayed
 from torchrbd.likelihood.block_statistics import BlockStatistics, block_statistics
 from torchrbd.likelihood.columns import Columns
@@ -37,6 +38,8 @@ class Reading:
         simulated: per recording, what a simulator has beyond the URDF; empty if the URDF is what is compared with.
         smoothed: per recording, what replaces the filtered states; empty if they stay.
         delay_s: by recording, how much later its torque is than its motion [s]; it is read so much earlier.
+        lag_s: by recording, time constant of the actuators that its torque is the command of [s]; what they supply is
+            read.
     """
 
     robot: RobotModel
@@ -48,6 +51,7 @@ class Reading:
     simulated: tuple[Simulated, ...] = ()
     smoothed: tuple[StateEstimate, ...] = ()
     delay_s: Mapping[str, float] = field(default_factory=dict)
+    lag_s: Mapping[str, float] = field(default_factory=dict)
 
     def measured(self, k: int) -> Tensor:
         """Return (n_dof,) bool, the joints whose torque in recording k counts; a constant one comes from no sensor."""
@@ -60,9 +64,12 @@ class Reading:
         description, a simulator's extra torque."""
         recording = self.recordings[k]
         load, late = self.payload.get(recording.name), self.delay_s.get(recording.name, 0.0)
+        lag = self.lag_s.get(recording.name, 0.0)
         for states in tiles(recording, self.surveys[k], self.filtering):
             if late:
                 states = replace(states, tau=delayed(states.tau, -late / states.dt))
+            if lag:
+                states = replace(states, tau=acting(states.tau, lag / states.dt))
             if self.smoothed:
                 states = self.smoothed[k](states)
             if load is not None:

@@ -90,16 +90,17 @@ class Axis:
 
 
 def axes(columns: Columns, term: Candidate) -> dict[str, Axis]:
-    """Return the values that the grid has for each shape parameter of a term but those that choose between kinds.
+    """Return the values that the grid has for each shape parameter of a term but those that choose between kinds or
+    follow from the coefficients.
 
     Of n shapes of its kind in d parameters, n^(1/d) values of each: a grid need not be a product, and points that
     differ in another parameter only say nothing of how finely to look at this one.
     """
-    kinds = term.effect.kinds
+    kinds, fixed = term.effect.kinds, (*term.effect.kinds, *term.effect.follows)
     grid: Sequence[Shape] = term.effect.shapes(columns.scale(term.site))
     own = min(grid, key=lambda shape: sum(abs(shape[name] - term.shape[name]) for name in kinds))
     grid = [shape for shape in grid if all(shape[name] == own[name] for name in kinds)]
-    values = {name: sorted({shape[name] for shape in grid}) for name in term.shape if name not in kinds}
+    values = {name: sorted({shape[name] for shape in grid}) for name in term.shape if name not in fixed}
     varied = sum(len(own) > 1 for own in values.values())
     most = math.ceil(len(grid) ** (1.0 / max(1, varied)) - 1e-9)
     return {name: Axis(_thinned(own, most)) for name, own in values.items()}
