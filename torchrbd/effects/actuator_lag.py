@@ -10,6 +10,7 @@ import torch
 from scipy.signal import lfilter
 from torch import Tensor
 
+from torchrbd.effects.band_limits import BANDWIDTHS_HZ, below
 from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window
@@ -25,7 +26,7 @@ class ActuatorLag(Effect):
 
     The acting torque tau_s is all that is supplied, to the rigid body and to friction, whose jumps at reversals take
     pulses of the command. A recorded torque that comes late, behind a filter, looks like a negative lag to first order:
-    that is a time delay.
+    that is a time delay. It is seen ``below`` a bandwidth that the data chooses as a shape.
 
     Either the actuator of one joint lags, or all alike.
     """
@@ -34,7 +35,7 @@ class ActuatorLag(Effect):
     family = "actuator and sensor"
     words = "actuator lag"
     equation = "T dtau_s/dt"
-    units: ClassVar[Mapping[str, str]] = {"time_constant": "s"}
+    units: ClassVar[Mapping[str, str]] = {"time_constant": "s", "bandwidth": "Hz"}
     whole_robot = True
     uses_load = True
     has_memory = True
@@ -47,14 +48,19 @@ class ActuatorLag(Effect):
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         return joints_and_all(robot)
 
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        return tuple({"bandwidth": hz} for hz in BANDWIDTHS_HZ)
+
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        return {f"dtau/dt {site.name(signals.robot)}": at_site(signals.rate(signals.supplied), site)}
+        t, band = signals.sequence(), shape["bandwidth"]
+        slope = below(at_site(signals.rate(signals.supplied), site), float(t[1] - t[0]), band)
+        return {f"dtau/dt({band:.6g} Hz) {site.name(signals.robot)}": slope}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        return {"time_constant": coefficients[0]}
+        return {"time_constant": coefficients[0], "bandwidth": coefficients.new_tensor(shape["bandwidth"])}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        return (parameters["time_constant"],), {}
+        return (parameters["time_constant"],), {"bandwidth": parameters.get("bandwidth", BANDWIDTHS_HZ[-1])}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return 0 <= parameters["time_constant"] <= self._LONGEST_S

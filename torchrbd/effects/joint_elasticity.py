@@ -24,9 +24,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-import torch
 from torch import Tensor
 
+from torchrbd.effects.band_limits import BANDWIDTHS_HZ, below
 from torchrbd.effects.base import CoefficientPrior, Effect, Shape
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site
@@ -47,10 +47,10 @@ class JointElasticity(Effect):
     follows = ("compliance",)
     prior = CoefficientPrior("A spring yields in the direction that it is loaded in.", positive=(0,))
     export_note = "a second joint on the axis, with this stiffness, between the rotor (a body of its own) and the link"
-    _FURTHEST, _BANDWIDTHS_HZ, _ORDERS = 0.2, (1.5, 3.0, 6.0, 12.0, 48.0), 3
+    _FURTHEST, _ORDERS = 0.2, 3
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        return tuple({"bandwidth": hz, "compliance": 0.0} for hz in self._BANDWIDTHS_HZ)
+        return tuple({"bandwidth": hz, "compliance": 0.0} for hz in BANDWIDTHS_HZ)
 
     def agreeing(self, coefficients: Tensor, shape: Shape) -> Shape:
         return {**shape, "compliance": max(0.0, float(coefficients[0]))}
@@ -83,12 +83,3 @@ class JointElasticity(Effect):
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         stiffness = parameters["stiffness"]
         return stiffness > 0 and (scale.load_max or 0.0) <= self._FURTHEST * stiffness
-
-
-def below(x: Tensor, dt: float, hz: float) -> Tensor:
-    """Return what of x (..., N) at intervals dt [s] lies below a frequency [Hz]; mirrored through its ends."""
-    first, last = x[..., :1], x[..., -1:]
-    longer = torch.cat((2 * first - x.flip(-1)[..., :-1], x, 2 * last - x.flip(-1)[..., 1:]), -1)
-    f = torch.fft.rfftfreq(longer.shape[-1], dt, dtype=x.dtype, device=x.device)
-    spectrum = torch.fft.rfft(longer) * torch.exp(-0.5 * (f / hz) ** 2)
-    return torch.fft.irfft(spectrum, longer.shape[-1])[..., x.shape[-1] - 1 : 2 * x.shape[-1] - 1]

@@ -9,6 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchrbd.effects.band_limits import BANDWIDTHS_HZ, below
 from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window
@@ -19,7 +20,9 @@ class TimeDelay(Effect):
     """tau += delay (tau_s(t - step) - tau_s(t)) / step: the torque comes later than the motion if delay > 0.
 
     The torque tau_s that is late is all that the actuator supplies, to the rigid body and to friction. The delay
-    multiplies its slope; the step, where the secant is taken, follows: where both are equal, the term is exact.
+    multiplies its slope; the step, where the secant is taken, follows: where both are equal, the term is exact. Of the
+    accelerations' noise a slope is mostly made where that is fast, so that it is seen ``below`` a bandwidth that the
+    data chooses as a shape.
 
     Either the torque of one joint is late, or that of all.
     """
@@ -28,7 +31,7 @@ class TimeDelay(Effect):
     family = "actuator and sensor"
     words = "time delay of the torque"
     equation = "delay (tau_s(t - step) - tau_s(t)) / step"
-    units: ClassVar[Mapping[str, str]] = {"delay": "s", "step": "s"}
+    units: ClassVar[Mapping[str, str]] = {"delay": "s", "step": "s", "bandwidth": "Hz"}
     whole_robot = True
     uses_load = True
     has_memory = True
@@ -37,33 +40,38 @@ class TimeDelay(Effect):
     shifts_clocks = True
     prior = CoefficientPrior("Some samples of a field bus, early or late.", std=(0.02,))
     export_note = "delays need a history: nsample = delay / timestep; of one joint or, for the whole robot, of all"
-    _STEPS_S, _LARGEST_S, _MOST_APART = (-0.08, -0.04, -0.015, 0.015, 0.04, 0.08), 0.1, 2.0
+    _SMALL_S, _LARGEST_S, _MOST_APART = 1e-3, 0.1, 2.0
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         return joints_and_all(robot)
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        return tuple({"step": step} for step in self._STEPS_S)
+        return tuple({"step": self._SMALL_S, "bandwidth": hz} for hz in BANDWIDTHS_HZ)
 
     def agreeing(self, coefficients: Tensor, shape: Shape) -> Shape:
-        return {"step": float(coefficients[0])}
+        return {**shape, "step": float(coefficients[0])}
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        t, step = signals.sequence(), shape["step"]
-        torque = at_site(signals.supplied, site)
-        secant = (delayed(torque, step / float(t[1] - t[0])) - torque) / step
-        return {f"delayed({step:.6g}) {site.name(signals.robot)}": secant}
+        t, step, band = signals.sequence(), shape["step"], shape["bandwidth"]
+        torque, dt = at_site(signals.supplied, site), float(t[1] - t[0])
+        secant = below((delayed(torque, step / dt) - torque) / step, dt, band)
+        return {f"delayed({step:.6g}, {band:.6g} Hz) {site.name(signals.robot)}": secant}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        return {"delay": coefficients[0], "step": coefficients.new_tensor(shape["step"])}
+        shapes = {name: coefficients.new_tensor(shape[name]) for name in ("step", "bandwidth")}
+        return {"delay": coefficients[0], **shapes}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
         """Return them; without a step, the delay is a pure one, and the step is equal to it."""
-        return (parameters["delay"],), {"step": parameters.get("step", parameters["delay"])}
+        delay = parameters["delay"]
+        return (delay,), {
+            "step": parameters.get("step", delay),
+            "bandwidth": parameters.get("bandwidth", BANDWIDTHS_HZ[-1]),
+        }
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         delay, step = parameters["delay"], parameters["step"]
-        near = 1.0 / self._MOST_APART <= delay / step <= self._MOST_APART if step else delay == 0
+        near = abs(step) <= self._SMALL_S or abs(step) / self._MOST_APART <= delay * math.copysign(1.0, step)
         return abs(delay) <= self._LARGEST_S and near
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:

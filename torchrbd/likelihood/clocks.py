@@ -19,13 +19,13 @@ import numpy as np
 from torch import Tensor
 
 from torchrbd.effects import Signals
-from torchrbd.effects.joint_elasticity import below
+from torchrbd.effects.band_limits import below
 from torchrbd.effects.time_delay import delayed
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.machine import Machine
+from torchrbd.likelihood.machine import OFFSET_HZ, Machine
 from torchrbd.likelihood.misspecification import TwoEstimates
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.rows import KeptBack, not_held_out, read_rows
@@ -34,8 +34,6 @@ from torchrbd.recordings import Filtering
 
 # Torque and motion are together if their clocks are so many samples apart; readings until they are.
 _NEAR_SAMPLES, _MOST_READINGS = 0.5, 2
-# Above, noise of the positions makes what a lag has beyond a delay, which is of second order, look smaller.
-_SEEN_HZ = 12.0
 
 
 @dataclass(frozen=True)
@@ -110,7 +108,7 @@ def _command_odds(moved: Clocks) -> float:
         assert signals.recording is not None
         t, lag, torque = signals.sequence(), -moved.shift_s[signals.recording], signals.supplied
         dt = float(t[1] - t[0])
-        return below(delayed(torque + lag * signals.rate(torque), lag / dt) - torque, dt, _SEEN_HZ)
+        return below(delayed(torque + lag * signals.rate(torque), lag / dt) - torque, dt, OFFSET_HZ)
 
     rows = fit.machine.rows.around(fit.pi, fit.hyper.friction, fit.hyper.rest_width)
     features, seen = rows.evaluated(beyond), [j for j, at in enumerate(fit.index) if len(at)]

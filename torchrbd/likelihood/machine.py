@@ -7,7 +7,8 @@
           + sum_e (c sum_k h_ek u_e(t) cos(k pi s_e) / (1 + k) + t_e d(c g)/dt)
                                                             each rest or reversal, s_e from 0 to 1 while it lasts: what
                                                             friction holds, and when it turns
-          + t0 d(tau_s)/dt                                  one offset between the clocks of torque and motion
+          + t0 d(tau_s)/dt                                  one offset between the clocks of torque and motion, told by
+                                                            what is slow
           + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
                                                             what the fastest part of each joint's motion is worth
           + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
@@ -39,10 +40,13 @@ from scipy.special import ndtri
 from torch import Tensor
 
 from torchrbd.effects import Signals
+from torchrbd.effects.band_limits import below
 from torchrbd.likelihood.noise import Noise, drift_basis, predicted
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import inertial_scale
 
+# Slopes of the torque tell the clocks below this: above, they are those of the positions' noise more than of the motion.
+OFFSET_HZ = 6.0
 # Clocks are off by some samples; a position may be an average over so many.
 _TIMING_SAMPLES, _AVERAGE_SAMPLES = 3.0, 2.0
 _ROUNDING = 2
@@ -290,7 +294,7 @@ class Machine:
     def slopes(self, hyper: Hyper) -> np.ndarray:
         """Return the columns (1 + n + 2 + 2, n, M) that follow the load.
 
-        d(tau_s)/dt of all that is supplied, each joint's fastest motion, d/dt and d^2/dt^2 of Coulomb friction, and
+        d(tau_s)/dt of all that is supplied as far as it is slow, each joint's fastest motion, d/dt and d^2/dt^2 of Coulomb friction, and
         rounding.
         """
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
@@ -303,7 +307,9 @@ class Machine:
             fastest = [signals.deviating(k, signals.qdd[k]) for k in range(self.rows.n_dof)]
             turns_at = signals.rate(signals.coulomb_torque)
             rounding = amplitude * turns.sin(), amplitude * turns.cos()
-            return torch.stack((signals.rate(signals.supplied), *fastest, turns_at, signals.rate(turns_at), *rounding))
+            t = signals.sequence()
+            late = below(signals.rate(signals.supplied), float(t[1] - t[0]), OFFSET_HZ)
+            return torch.stack((late, *fastest, turns_at, signals.rate(turns_at), *rounding))
 
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
 

@@ -1,0 +1,22 @@
+"""Below which frequencies a signal is seen that was differentiated more often than its noise allows.
+
+Loads come from accelerations; what differentiates them again makes more of the positions' noise than of the motion, the
+faster the more. What is seen below a bandwidth b, with the response exp(-(f/b)^2 / 2), has less of it; which bandwidth
+is best the data says.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+BANDWIDTHS_HZ = (1.5, 3.0, 6.0, 12.0, 48.0)
+
+
+def below(x: Tensor, dt: float, hz: float) -> Tensor:
+    """Return what of x (..., N) at intervals dt [s] lies below a frequency [Hz]; mirrored through its ends."""
+    first, last = x[..., :1], x[..., -1:]
+    longer = torch.cat((2 * first - x.flip(-1)[..., :-1], x, 2 * last - x.flip(-1)[..., 1:]), -1)
+    f = torch.fft.rfftfreq(longer.shape[-1], dt, dtype=x.dtype, device=x.device)
+    spectrum = torch.fft.rfft(longer) * torch.exp(-0.5 * (f / hz) ** 2)
+    return torch.fft.irfft(spectrum, longer.shape[-1])[..., x.shape[-1] - 1 : 2 * x.shape[-1] - 1]
