@@ -120,7 +120,7 @@ def test_a_delayed_torque_is_that_of_another_time_with_its_friction(delay: float
 def test_a_lagging_actuators_command_has_friction_in_it() -> None:
     t, lag = np.arange(0, 6, 0.001), 0.02
     at, acting = with_friction(t)
-    (phi,) = effect("actuator_lag").features(at, Site(0), {}).values()
+    (phi,) = effect("actuator_lag").features(at, Site(0), {"bandwidth": 1e4}).values()
     command = acting + lag * phi[0].numpy()
     b, a, _ = cont2discrete(([1.0], [lag, 1.0]), 0.001, "foh")
     found = lfilter(b.ravel(), a, command)

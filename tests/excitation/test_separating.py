@@ -290,7 +290,7 @@ def test_late_torque_of_all_joints_is_a_question_if_it_may_be_a_lag(diagnosis: D
     late = replace(late, family_probability=0.999, indistinguishable_from=(lag,))
     (question,) = known_from(replace(diagnosis, findings=(late,))).questions
     assert [rival.words for rival in question.rivals] == ["time delay of the torque", "actuator lag"]
-    assert question.rivals[0].shape == {"step": -0.004}
+    assert question.rivals[0].shape["step"] == -0.004
     torchrbd.excite(URDF, replace(diagnosis, findings=(late,)), harmonics=2, starts=1)
 
 

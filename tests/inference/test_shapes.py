@@ -109,7 +109,9 @@ def test_what_is_done_to_a_torque_is_done_to_its_friction(name: str, parameters:
     terms = [acting, *friction]
     found = recovered(arm, terms, done + sum(added_by(t, arm) for t in friction))
     for t, values in zip(terms, found, strict=True):
-        assert {k: v for k, (v, _) in values.items()} == pytest.approx(t.parameters_by_name(), rel=0.02), t
+        # Nothing is fast, so that any bandwidth will do.
+        expected = {k: v for k, v in t.parameters_by_name().items() if k != "bandwidth"}
+        assert {k: values[k][0] for k in expected} == pytest.approx(expected, rel=0.02), t
 
 
 def test_shape_and_its_std_are_those_of_nonlinear_least_squares(arm: Truth) -> None:

@@ -68,7 +68,7 @@ def test_features_are_those_of_every_tile_through_the_filter(clean: Rows) -> Non
 
 
 def test_effect_of_all_joints_has_features_at_each(clean: Rows) -> None:
-    c = clean.columns.candidate(effect("time_delay"), Site(), {"step": 1e-3})
+    c = clean.columns.candidate(effect("time_delay"), Site(), {"step": 1e-3, "bandwidth": 6.0})
     assert clean.features(c).shape == (1, 3, len(clean.t))
 
 

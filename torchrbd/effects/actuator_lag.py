@@ -10,7 +10,7 @@ import torch
 from scipy.signal import lfilter
 from torch import Tensor
 
-from torchrbd.effects.band_limits import BANDWIDTHS_HZ, below
+from torchrbd.effects.band_limits import BANDWIDTHS_HZ, UNLIMITED_HZ, below
 from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window
@@ -60,7 +60,7 @@ class ActuatorLag(Effect):
         return {"time_constant": coefficients[0], "bandwidth": coefficients.new_tensor(shape["bandwidth"])}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        return (parameters["time_constant"],), {"bandwidth": parameters.get("bandwidth", BANDWIDTHS_HZ[-1])}
+        return (parameters["time_constant"],), {"bandwidth": parameters.get("bandwidth", UNLIMITED_HZ)}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return 0 <= parameters["time_constant"] <= self._LONGEST_S

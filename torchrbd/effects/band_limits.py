@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 BANDWIDTHS_HZ = (1.5, 3.0, 6.0, 12.0, 48.0)
+UNLIMITED_HZ = 1e4
 
 
 def below(x: Tensor, dt: float, hz: float) -> Tensor:

@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.effects.band_limits import BANDWIDTHS_HZ, below
+from torchrbd.effects.band_limits import BANDWIDTHS_HZ, UNLIMITED_HZ, below
 from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window
@@ -66,7 +66,7 @@ class TimeDelay(Effect):
         delay = parameters["delay"]
         return (delay,), {
             "step": parameters.get("step", delay),
-            "bandwidth": parameters.get("bandwidth", BANDWIDTHS_HZ[-1]),
+            "bandwidth": parameters.get("bandwidth", UNLIMITED_HZ),
         }
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:

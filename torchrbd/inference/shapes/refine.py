@@ -34,6 +34,8 @@ from torchrbd.likelihood.shapes import ShapeSlope, axes, feature_slopes, slopes
 _MOST_PASSES = 12
 # A shape has settled if its step is below this part of its standard deviation or of the distance of grid points.
 _SETTLED_STD, _SETTLED_GRID = 0.05, 5e-4
+# A shape that follows from the coefficients has settled if it changes by no more than this part of it.
+_SETTLED_PART = 0.01
 # Log-likelihood units that a term may lose in a step: less is chance.
 _WORSE = 0.1
 # Change of load and friction between passes, as part of the torque.
@@ -79,7 +81,8 @@ class _Pass:
         Of the steps within the limits, those with the least loss of the linear model: cut off one by one, steps of
         shapes that depend on each other would lead uphill.
         """
-        shapes, settled = [dict(c.shape) for c in self.terms], [True] * len(self.terms)
+        shapes = [dict(c.effect.agreeing(self.x[self.prepared.columns.of(c)], c.shape)) for c in self.terms]
+        settled = [_near(c.shape, shape) for c, shape in zip(self.terms, shapes, strict=True)]
         if not self.around:
             return list(shapes), settled
         grids = [axes(self.prepared.columns, self.terms[k])[name] for k, name in self.around]
@@ -211,6 +214,11 @@ def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, prog
     at = np.arange(into.shape[1] - len(around), into.shape[1])
     covariance = found.covariance(at) * np.outer(width, width)
     return _Pass(prepared, terms, x, loss, around, found.z[at] * width, covariance)
+
+
+def _near(a: Shape, b: Shape) -> bool:
+    """Say whether parameters that follow from coefficients have settled."""
+    return all(abs(a[name] - b[name]) <= _SETTLED_PART * abs(b[name]) for name in a)
 
 
 def _between(a: Shape, b: Shape) -> Shape:
