@@ -159,9 +159,14 @@ def _alike(h: Hypothesis) -> tuple[Hashable, ...]:
     return (*h.name, window and (window.recording, window.one_ended))
 
 
-def _only_once(chosen: Sequence[Hypothesis]) -> set[tuple[str, Site]]:
-    """Return effects and places that a model has and cannot have again: what acts for a time may, and another kind."""
-    return {h.name for h in chosen if h.candidate.site.always and not h.candidate.effect.kinds}
+def _only_once(chosen: Sequence[Hypothesis], effects: Sequence[Effect]) -> set[tuple[str, Site]]:
+    """Return effects and places that a model has and cannot have again: what acts for a time may, and another kind.
+
+    A torque is late once, by a delay or by a lag.
+    """
+    always = [h for h in chosen if h.candidate.site.always and not h.candidate.effect.kinds]
+    late = [e.id for e in effects if e.shifts_clocks]
+    return {(e, h.name[1]) for h in always for e in (late if h.candidate.effect.shifts_clocks else h.name[:1])}
 
 
 class _Search:
@@ -206,7 +211,7 @@ class _Search:
 
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
-        known = _only_once(chosen)
+        known = _only_once(chosen, self.effects)
         likely = self.sought(fit, known)
         near = [refined(fit, self.rows, h) for h in likely[:_LEADING]]
         if self.beside_normal is None:
@@ -314,7 +319,7 @@ class _Search:
         """
         others, place = [h for i, h in enumerate(chosen) if i != k], chosen[k].candidate.place
         rest = self.with_terms(base, others) if others else base
-        there = _only_once(others)
+        there = _only_once(others, self.effects)
         rivals = [h for h in seen if h.name not in there][:_RIVALS]
         own, *laws = (again(rest, self.rows, h) for h in (chosen[k], *rivals))
         assert own is not None
