@@ -1,7 +1,7 @@
 """Columns and torque of one joint before they are whitened, and their rows as whitening and least squares see them.
 
 What a joint has at one moment alone, its rests and reversals, is more than half of its columns and next to none of
-their entries: these columns stand last, and are whitened and multiplied as a sparse matrix.
+their entries: these columns stand last, and are multiplied where they are not zero.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import csr_array
 
+from torchrbd.likelihood.brief import Brief
 from torchrbd.likelihood.gaussian import Block, along, dense
 from torchrbd.likelihood.noise import Noise
 
@@ -24,7 +24,7 @@ class Unpredicted:
 
     predictor: np.ndarray
     lasting: np.ndarray
-    brief: csr_array
+    brief: Brief
     target: np.ndarray
 
 
@@ -39,7 +39,7 @@ class Design:
     lasting: np.ndarray
     own: np.ndarray
     target: np.ndarray
-    brief: csr_array
+    brief: Brief
     size: np.ndarray
     _unpredicted: list[Unpredicted] = field(default_factory=list, repr=False)
     _independent: list[tuple[Noise, Block]] = field(default_factory=list, repr=False)
@@ -49,7 +49,7 @@ class Design:
         """Return the design of columns (P_j, M), in an order of its own."""
         brief = np.count_nonzero(A, axis=1) < _BRIEF * A.shape[1]
         order = np.argsort(brief, kind="stable")
-        return Design(A[~brief], own[order], target, csr_array(A[brief]), np.ones(len(A)))
+        return Design(A[~brief], own[order], target, Brief.of(A[brief]), np.ones(len(A)))
 
     def sized(self, size: np.ndarray) -> Design:
         """Return the same columns with other sizes (P_j,)."""
@@ -67,27 +67,23 @@ class Design:
     def white(self, noise: Noise) -> Block:
         """Return the rows that a noise leaves white; those of another size are multiples of them, and remembered."""
         if not any(known.predictor is noise.predictor for known in self._unpredicted):
-            lasting = noise.unpredicted(self.lasting)
-            target = noise.unpredicted(self.target)
-            self._unpredicted[:] = [Unpredicted(noise.predictor, lasting, self.brief @ noise.band, target)]
+            self._unpredicted[:] = [Unpredicted(noise.predictor, *self._filtered(noise))]
         (known,) = self._unpredicted
-        precise = 1.0 / noise.size
-        brief = _scaled(known.brief, precise)
-        return Block(known.lasting * precise, known.target * precise, self.own, brief, self.size)
+        return self._weighed(known.lasting, known.brief, known.target, 1.0 / noise.size).sized(self.size)
 
     def independent(self, noise: Noise) -> Block:
         """Return the rows of a noise without memory; those of another size are multiples of them, and remembered."""
         for known, block in self._independent:
             if known.spread is noise.spread and known.tail is noise.tail:
                 return block.louder(noise.sigma / known.sigma).sized(self.size)
-        brief = _scaled(self.brief @ noise.band, 1.0 / noise.size)
-        block = Block(noise.white(self.lasting), noise.white(self.target), self.own, brief)
+        block = self._weighed(*self._filtered(noise), 1.0 / noise.size)
         self._independent[:] = [(noise, block)]
         return block.sized(self.size)
 
+    def _filtered(self, noise: Noise) -> tuple[np.ndarray, Brief, np.ndarray]:
+        """Return what rows cannot predict of lasting columns (L, m), of brief ones and of the target (m,)."""
+        brief = Brief.of(noise.unpredicted(self.brief.dense))
+        return noise.unpredicted(self.lasting), brief, noise.unpredicted(self.target)
 
-def _scaled(rows: csr_array, by: np.ndarray) -> csr_array:
-    """Return a sparse matrix (S, m) with its columns multiplied by numbers (m,)."""
-    found = rows.copy()
-    found.data *= by[found.indices]
-    return found
+    def _weighed(self, lasting: np.ndarray, brief: Brief, target: np.ndarray, precise: np.ndarray) -> Block:
+        return Block(lasting * precise, target * precise, self.own, brief.scaled(precise))
