@@ -63,7 +63,7 @@ class Block:
     """Whitened rows of one joint: X (P_j, m), y (m,), and which coefficients ``own`` (P_j,) its columns are.
 
     They are multiples ``size`` (P_j,) of columns that others may have too, ``lasting`` (L, m) and then ``brief`` ones
-    (S, m), if there are any.
+    (S, m), if there are any. The last ones may be those of another block, ``bare``, but for their sizes.
     """
 
     lasting: np.ndarray
@@ -71,6 +71,7 @@ class Block:
     own: np.ndarray
     brief: Brief | None = None
     size: np.ndarray | float = 1.0
+    bare: Block | None = None
     _gram: list[np.ndarray] = field(default_factory=list, repr=False)
 
     @property
@@ -81,20 +82,26 @@ class Block:
     @cached_property
     def gram(self) -> np.ndarray:
         """X X', (P_j, P_j)."""
-        if not self._gram:
-            self._gram.append(self._product())
         size = np.broadcast_to(self.size, len(self.own))
-        return self._gram[0] * np.outer(size, size)
+        return self._products * np.outer(size, size)
 
-    def _product(self) -> np.ndarray:
+    @property
+    def _products(self) -> np.ndarray:
+        """Products of the columns whose multiples these are, (P_j, P_j)."""
+        if not self._gram:
+            self._gram.append(self._multiplied())
+        return self._gram[0]
+
+    def _multiplied(self) -> np.ndarray:
+        if self.bare is not None:
+            first = len(self.own) - len(self.bare.own)
+            own = self.lasting[:first]
+            cross = replace(self, size=1.0).times(own.T)
+            return _bordered(cross[:first], cross[first:], self.bare._products)
+        own = self.lasting @ self.lasting.T
         if self.brief is None:
-            return self.lasting @ self.lasting.T
-        cross = self.brief.times(self.lasting.T)
-        found, first = np.empty((len(self.own),) * 2), len(self.lasting)
-        found[:first, :first] = self.lasting @ self.lasting.T
-        found[first:, :first], found[:first, first:] = cross, cross.T
-        found[first:, first:] = self.brief.x @ self.brief.x.T
-        return found
+            return own
+        return _bordered(own, self.brief.times(self.lasting.T), self.brief.x @ self.brief.x.T)
 
     def times(self, C: np.ndarray) -> np.ndarray:
         """Return X C of C (m, ...)."""
@@ -118,7 +125,19 @@ class Block:
 
     def louder(self, part: float) -> Block:
         """Return the same rows, their noise so many times as large."""
-        return self if part == 1.0 else replace(self, y=self.y / part, size=self.size / part)
+        if part == 1.0:
+            return self
+        bare = None if self.bare is None else self.bare.louder(part)
+        return replace(self, y=self.y / part, size=self.size / part, bare=bare)
+
+
+def _bordered(first: np.ndarray, cross: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Return the matrix of blocks [first cross'; cross last]."""
+    k = len(first)
+    found = np.empty((k + len(last),) * 2)
+    found[:k, :k], found[k:, k:] = first, last
+    found[k:, :k], found[:k, k:] = cross, cross.T
+    return found
 
 
 @dataclass(frozen=True)
