@@ -17,11 +17,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import torch
 from scipy.special import multigammaln  # type: ignore[attr-defined]
 
+from torchrbd.likelihood.central_path import Problem, follow_path
 from torchrbd.likelihood.gaussian import Quadratic
-from torchrbd.likelihood.physical_fit import Problem, follow_path
 from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY
 
 _B = ORTHONORMAL.numpy()
@@ -65,6 +64,5 @@ def _log_normaliser(kappa: float) -> float:
 
 def most_probable(A: np.ndarray, h: np.ndarray, kappa: float) -> np.ndarray:
     """Return the z (10 b,) that maximises -1/2 z'A z + h'z + the log prior, inside what is physical."""
-    problem = Problem(torch.from_numpy(A), torch.from_numpy(h), kappa, len(h) // PARAMETERS_PER_BODY)
-    z, *_ = follow_path(problem)
-    return z.numpy()
+    z, *_ = follow_path(Problem(A, h, kappa, len(h) // PARAMETERS_PER_BODY))
+    return z
