@@ -77,13 +77,15 @@ def _in_some(
         F = rows.features(candidate)
         std, multiples = believed(fit, rows, candidate)
         if np.isfinite(F).all() and (std > 0).all():
-            known.append(
-                (candidate, std, np.array(multiples), moments(fit, candidate.place, F, part, kinds[0].shape[1]))
-            )
+            known.append((candidate, F, std, np.array(multiples)))
+    every = []
+    if known:
+        F = np.concatenate([F for _, F, *_ in known])
+        every = _one_by_one(moments(fit, candidates[0].place, F, part, kinds[0].shape[1]), len(known))
     names, shared = np.array(rows.seen_recordings), math.log(len(kinds))
     for inside in kinds:
         evidence, best = [], None
-        for candidate, std, scales, parts in known:
+        for (candidate, _, std, scales), parts in zip(known, every, strict=True):
             V, gram, score = (np.tensordot(inside.astype(float), x, 1) for x in parts)
             S = gram - V.transpose(0, 2, 1) @ V
             found = added(S[:, None], score[:, None], std * scales[:, None], candidate.effect.prior.positive)
@@ -106,6 +108,13 @@ def _in_some(
             continue
         mean, (_, one, coefficients, std, scale, alone) = mean_of(np.array(evidence)) - shared, best
         yield Hypothesis(one, mean, coefficients, std, float(scale), len(inside) * len(evidence), mean - alone)
+
+
+def _one_by_one(parts: tuple[np.ndarray, np.ndarray, np.ndarray], count: int) -> list[tuple[np.ndarray, ...]]:
+    """Return the moments of so many candidates of as many features, each without those of the others."""
+    V, gram, score = parts
+    own = np.arange(score.shape[1]).reshape(count, -1)
+    return [(V[..., k], gram[:, k[:, None], k], score[:, k]) for k in own]
 
 
 @dataclass(frozen=True)
@@ -259,15 +268,12 @@ def moments(
         inside = np.flatnonzero(of_rows >= 0)
         if not len(inside) or place not in (None, j):
             continue
-        b, those = fit.gaussian.blocks[j], slice(inside[0], inside[-1] + 1)
-        C = fit.hyper.noise[j].white(F if place == j else F[:, j])[:, those]
-        seen, first = np.unique(of_rows[those], return_index=True)
-        gram[seen] += np.add.reduceat(C[:, None] * C, first, axis=-1).transpose(2, 0, 1)
-        score[seen] += np.add.reduceat(C * fit.gaussian.left[j][those], first, axis=-1).T
-        X, own = b.X[:, those], np.empty((len(seen), len(b.own), K))
-        for k, (begin, end) in enumerate(pairwise((*first, len(inside)))):
-            np.matmul(X[:, begin:end], C[:, begin:end].T, out=own[k])
-        cross[np.ix_(seen, b.own)] += own
+        seen, first = np.unique(of_rows[inside], return_index=True)
+        edges = np.append(inside[first], inside[-1] + 1)
+        b, C = fit.gaussian.blocks[j], fit.hyper.noise[j].white(F if place == j else F[:, j])
+        cross[np.ix_(seen, b.own)] += b.in_parts(C, edges)
+        gram[seen] += np.stack([C[:, begin:end] @ C[:, begin:end].T for begin, end in pairwise(edges)])
+        score[seen] += np.add.reduceat((C * fit.gaussian.left[j])[:, : edges[-1]], edges[:-1], axis=1).T
     V = fit.gaussian.half(cross.transpose(1, 0, 2).reshape(P, -1))
     return V.reshape(P, count, K).transpose(1, 0, 2), gram, score
 

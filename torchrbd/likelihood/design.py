@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from torchrbd.likelihood.block import Block, along, dense
 from torchrbd.likelihood.brief import Brief
 from torchrbd.likelihood.extra import Extra
-from torchrbd.likelihood.gaussian import Block, along, dense
 from torchrbd.likelihood.noise import Noise
 
 # Columns are brief that are zero but for this part of the rows.

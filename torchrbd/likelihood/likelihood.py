@@ -10,9 +10,10 @@ from functools import cached_property
 import numpy as np
 import torch
 
+from torchrbd.likelihood.block import Block
 from torchrbd.likelihood.design import Bare, Design
 from torchrbd.likelihood.extra import Extra
-from torchrbd.likelihood.gaussian import Block, Gaussian, nonnegative
+from torchrbd.likelihood.gaussian import Gaussian, nonnegative
 from torchrbd.likelihood.machine import STICKS, Hyper, Machine
 from torchrbd.likelihood.noise import Noise, learnt, tailed
 from torchrbd.likelihood.physical import expanded, most_probable

@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import gammaln
@@ -118,15 +119,16 @@ class Noise:
         ahead[0], ahead[1 : order + 1] = 1.0, -self.predictor
         before, own = ahead[_LAGS]
         blocks = -(-count // together)
-        signals = np.zeros((*A.shape[:-1], (blocks + 1) * together))
+        signals = np.empty((*A.shape[:-1], (blocks + 1) * together))
         signals[..., together : together + count] = A
+        signals[..., :together] = signals[..., together + count :] = 0.0
         flat = signals.reshape(-1, together)
-        found = np.zeros_like(flat)
+        found = np.empty_like(flat)
         np.matmul(flat[1:], own, out=found[:-1])
         found[:-1] += flat[:-1] @ before
         return found.reshape(signals.shape)[..., self.index]
 
-    @property
+    @cached_property
     def size(self) -> np.ndarray:
         """Standard deviation (m,) of what rows cannot predict [N m or N]."""
         return self.sigma * self.scatter[self.index]

@@ -25,7 +25,7 @@ from torchrbd.recordings import States, Survey
 
 _DENSITY = Density(most_states=100_000, least_rate_hz=100.0, rate_cycles=16.0)
 # Numbers of features that are remembered at most.
-_MOST_REMEMBERED = 20_000_000
+_MOST_REMEMBERED = 40_000_000
 # Whether a recording is held out as a whole is asked of times so far apart [s]: blocks are longer.
 _LOOK_S = 0.1
 # Blocks of time into which a recording is divided at most.
