@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from scipy.special import logsumexp
 
 from torchrbd.effects import Site
 from torchrbd.likelihood.columns import Candidate
@@ -155,4 +154,7 @@ def whole(candidate: Candidate, coefficients: np.ndarray, fit: Likelihood) -> np
 
 def mean_of(log_evidence: np.ndarray) -> float:
     """Return the log of the mean evidence of alternatives that are equally likely."""
-    return float(np.asarray(logsumexp(log_evidence))) - math.log(log_evidence.size)
+    most = float(log_evidence.max())
+    if not math.isfinite(most):
+        return most
+    return most + math.log(float(np.exp(log_evidence - most).mean()))

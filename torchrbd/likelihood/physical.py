@@ -15,6 +15,7 @@ theorem 3.2.1.
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 from scipy.special import multigammaln  # type: ignore[attr-defined]
@@ -37,8 +38,8 @@ def expanded(z: np.ndarray, kappa: float) -> Quadratic:
     n = len(z)
     G = np.eye(_SIZE) + np.einsum("bk,kij->bij", z.reshape(-1, PARAMETERS_PER_BODY), _B) / math.sqrt(kappa)
     inverse = np.linalg.inv(G)
-    WB = np.einsum("bij,kjl->bkil", inverse, _B)
-    curvature = np.einsum("bkij,blji->bkl", WB, WB)
+    WB = inverse[:, None] @ _B
+    curvature = WB.reshape(len(G), -1, _SIZE**2) @ WB.swapaxes(2, 3).reshape(len(G), -1, _SIZE**2).swapaxes(1, 2)
     slope = math.sqrt(kappa) * (np.einsum("kii->k", _B) - np.einsum("bkii->bk", WB)).ravel()
     P = np.zeros((n, n))
     for b, own in enumerate(curvature):
@@ -49,6 +50,7 @@ def expanded(z: np.ndarray, kappa: float) -> Quadratic:
     return Quadratic(P, P @ z - slope, constant)
 
 
+@cache
 def _log_normaliser(kappa: float) -> float:
     """Return log integral of exp(-kappa [tr G - logdet G]) over z, less 5 log 2 pi.
 
