@@ -39,7 +39,8 @@ def expanded(z: np.ndarray, kappa: float) -> Quadratic:
     G = np.eye(_SIZE) + np.einsum("bk,kij->bij", z.reshape(-1, PARAMETERS_PER_BODY), _B) / math.sqrt(kappa)
     inverse = np.linalg.inv(G)
     WB = inverse[:, None] @ _B
-    curvature = WB.reshape(len(G), -1, _SIZE**2) @ WB.swapaxes(2, 3).reshape(len(G), -1, _SIZE**2).swapaxes(1, 2)
+    shape = len(G), PARAMETERS_PER_BODY, _SIZE**2
+    curvature = WB.reshape(shape) @ WB.swapaxes(2, 3).reshape(shape).swapaxes(1, 2)
     slope = math.sqrt(kappa) * (np.einsum("kii->k", _B) - np.einsum("bkii->bk", WB)).ravel()
     P = np.zeros((n, n))
     for b, own in enumerate(curvature):
