@@ -44,7 +44,7 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
         S, r = fit.gaussian.beside(columns)
         own = [added(S, r, k * std, c.effect.prior.positive).log_evidence for k in scales]
         expected, best = expected + own, max(best, logsumexp(own) - np.log(len(own)))
-    found = in_stretches(fit, rows, c, stretches)
+    (found,) = in_stretches(fit, rows, c, [stretches])
     assert found is not None
     got, one = found
     assert one == pytest.approx(best, abs=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from torchrbd.likelihood.design import Design
+from torchrbd.likelihood.design import Bare, Design
 from torchrbd.likelihood.noise import Noise, Tail
 
 M, BEFORE = 400, 16
@@ -23,7 +23,7 @@ def design() -> Design:
     A = rng.standard_normal((9, M))
     for k, begin in ((1, 40), (4, 43), (5, 300)):
         A[k, :begin] = A[k, begin + 12 :] = 0.0
-    return Design.of(A, np.arange(9) + 3, rng.standard_normal(M))
+    return Design.of(Bare.of(A, np.arange(9) + 3, rng.standard_normal(M)), [], 0)
 
 
 @pytest.mark.parametrize("predictor", [[], [0.5], [0.4, -0.3, 0.1]])
@@ -32,7 +32,7 @@ def test_rows_are_those_of_the_whole_filter_matrix(design: Design, predictor: li
     W = toeplitz(np.concatenate(([1.0], -np.array(predictor), np.zeros(M - 1 - len(predictor)))), np.eye(1, M)[0])
     W = W[BEFORE:] / (n.sigma * n.spread[BEFORE:])[:, None]
     b = design.white(n)
-    assert design.brief.shape == (3, M)
+    assert len(design.bare.brief) == 3
     np.testing.assert_allclose(b.X, design.A @ W.T, atol=1e-12)
     np.testing.assert_allclose(b.y, W @ design.target, atol=1e-12)
     np.testing.assert_allclose(b.gram, design.A @ W.T @ W @ design.A.T, atol=1e-9)
@@ -46,7 +46,7 @@ def test_what_is_remembered_is_no_other_noise(design: Design) -> None:
     heavy = replace(first, tail=Tail(4.0, 0.5 + np.random.default_rng(2).random(M)))
     other = noise([-0.2, 0.1], 1.3)
     for n in (first, heavy, other, replace(other, sigma=0.2), first):
-        fresh = Design.of(design.A, design.own, design.target).white(n)
+        fresh = Design.of(Bare.of(design.A, design.own, design.target), [], 0).white(n)
         kept = design.white(n)
         np.testing.assert_array_equal(kept.X, fresh.X)
         np.testing.assert_array_equal(kept.y, fresh.y)

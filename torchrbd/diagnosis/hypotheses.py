@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from scipy.special import logsumexp
 
 from torchrbd.effects import Site
 from torchrbd.likelihood.columns import Candidate
@@ -88,12 +87,18 @@ def agreed(fit: Likelihood, rows: Rows, one: Hypothesis, *, plausible: bool = Tr
     return one
 
 
-def believed(fit: Likelihood, rows: Rows, candidate: Candidate) -> tuple[np.ndarray, tuple[float, ...]]:
-    """Return how large coefficients are believed to be, (K,) and multiples, whatever the time in which they act."""
+def believed(
+    fit: Likelihood, rows: Rows, candidate: Candidate, features: np.ndarray | None = None
+) -> tuple[np.ndarray, tuple[float, ...]]:
+    """Return how large coefficients are believed to be, (K,) and multiples, whatever the time in which they act.
+
+    ``features`` of the candidate need not be evaluated again where they are at hand.
+    """
     if not candidate.site.always:
         at = replace(candidate.site, window=None, recordings=None)
-        candidate = rows.columns.candidate(candidate.effect, at, candidate.shape)
-    return coefficient_std(candidate, rows.features(candidate), fit.machine.torque_rms)
+        candidate, features = rows.columns.candidate(candidate.effect, at, candidate.shape), None
+    features = rows.features(candidate) if features is None else features
+    return coefficient_std(candidate, features, fit.machine.torque_rms)
 
 
 def _counts(fit: Likelihood, place: int | None, F: np.ndarray) -> bool:
@@ -110,7 +115,7 @@ def averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hy
     S, r = fit.beside(parts[0][0].place, np.concatenate([F for _, F in parts]))
     K = len(parts[0][1])
     at = np.arange(len(parts))[:, None] * K + np.arange(K)
-    sizes = [believed(fit, rows, c) for c, _ in parts]
+    sizes = [believed(fit, rows, c, F) for c, F in parts]
     scales = np.array(sizes[0][1])
     std = np.stack([s for s, _ in sizes])[:, None] * scales[:, None]
     found = added(S[at[:, :, None], at[:, None, :]][:, None], r[at][:, None], std, parts[0][0].effect.prior.positive)
@@ -171,4 +176,7 @@ def whole(candidate: Candidate, coefficients: np.ndarray, fit: Likelihood) -> np
 
 def mean_of(log_evidence: np.ndarray) -> float:
     """Return the log of the mean evidence of alternatives that are equally likely."""
-    return float(np.asarray(logsumexp(log_evidence))) - math.log(log_evidence.size)
+    most = float(log_evidence.max())
+    if not math.isfinite(most):
+        return most
+    return most + math.log(float(np.exp(log_evidence - most).mean()))

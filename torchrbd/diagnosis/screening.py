@@ -66,7 +66,7 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
         if not found:
             continue
         cell += mean_of(np.array([one.log_evidence for one in found])) - at.log_evidence
-        at = max(found, key=lambda one: one.log_evidence)
+        at = max((at, *found), key=lambda one: one.log_evidence)
     mean = float(np.logaddexp(rest, cell - math.log(h.tried)))
     return replace(at, log_evidence=mean, tried=h.tried, paid=mean - at.log_evidence)
 

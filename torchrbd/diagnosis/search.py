@@ -23,7 +23,6 @@ from torchrbd.effects.smooth_torque import HUM
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import truncated
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.noise import Noise
 from torchrbd.likelihood.rows import Rows
 
 # Hypotheses whose shapes are refined and whose noise is learnt anew, at each step.
@@ -131,20 +130,20 @@ def _weighed(
 
     What averaging over shapes, sizes and windows costs, the noise of ``beside``, which is that of the fit, has told.
     """
-    noises, k = [models[0].hyper.noise for models in (with_it, without)], len(fit.extra)
+    noisy, k = (with_it[0], without[0]), len(fit.extra)
     positive = h.candidate.effect.prior.positive
     average = h.log_evidence - truncated(h.coefficients, h.std, positive) - (beside.log_evidence - fit.log_evidence)
-    best = _likeliest(with_it, noises)
+    best = _likeliest(with_it, noisy)
     mean, covariance = best.coefficients(k), best.coefficients_covariance(k)
     std = np.sqrt(covariance.diagonal())
     bounds = truncated(mean, std, positive) + support(h, best, rows, mean, covariance)
-    gain = best.log_evidence - _likeliest(without, noises).log_evidence
+    gain = best.log_evidence - _likeliest(without, noisy).log_evidence
     return replace(h, log_evidence=float(gain + average + bounds), coefficients=mean, std=std)
 
 
-def _likeliest(models: Sequence[Likelihood], noises: Sequence[tuple[Noise, ...]]) -> Likelihood:
-    """Return the model of the greatest log evidence, its noise its own or one of several."""
-    others = [m.with_(noise=n) for m in models for n in noises if n is not m.hyper.noise]
+def _likeliest(models: Sequence[Likelihood], noisy: Sequence[Likelihood]) -> Likelihood:
+    """Return the model of the greatest log evidence, its noise its own or that of one of several."""
+    others = [m.with_noise_of(n) for m in models for n in noisy if n.hyper.noise is not m.hyper.noise]
     return max((*models, *others), key=lambda m: m.log_evidence)
 
 

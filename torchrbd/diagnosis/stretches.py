@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -38,11 +38,9 @@ def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | 
     """
     for name in rows.seen_recordings:
         kinds = Stretches.of_blocks(rows, name), Stretches.with_one_end(rows, name)
+        shared = math.log(len(kinds))
         for site in e.sites(rows.columns.robot, (Window(name),)):
-            candidate = rows.columns.candidate(e, site, {})
-            for kind in kinds:
-                one = in_stretches(fit, rows, candidate, kind)
-                shared = math.log(len(kinds))
+            for one in in_stretches(fit, rows, rows.columns.candidate(e, site, {}), kinds):
                 yield (
                     None
                     if one is None
@@ -79,13 +77,15 @@ def _in_some(
         F = rows.features(candidate)
         std, multiples = believed(fit, rows, candidate)
         if np.isfinite(F).all() and (std > 0).all():
-            known.append(
-                (candidate, std, np.array(multiples), moments(fit, candidate.place, F, part, kinds[0].shape[1]))
-            )
+            known.append((candidate, F, std, np.array(multiples)))
+    every = []
+    if known:
+        F = np.concatenate([F for _, F, *_ in known])
+        every = _one_by_one(moments(fit, candidates[0].place, F, part, kinds[0].shape[1]), len(known))
     names, shared = np.array(rows.seen_recordings), math.log(len(kinds))
     for inside in kinds:
         evidence, best = [], None
-        for candidate, std, scales, parts in known:
+        for (candidate, _, std, scales), parts in zip(known, every, strict=True):
             V, gram, score = (np.tensordot(inside.astype(float), x, 1) for x in parts)
             S = gram - V.transpose(0, 2, 1) @ V
             found = added(S[:, None], score[:, None], std * scales[:, None], candidate.effect.prior.positive)
@@ -108,6 +108,13 @@ def _in_some(
             continue
         mean, (_, one, coefficients, std, scale, alone) = mean_of(np.array(evidence)) - shared, best
         yield Hypothesis(one, mean, coefficients, std, float(scale), len(inside) * len(evidence), mean - alone)
+
+
+def _one_by_one(parts: tuple[np.ndarray, np.ndarray, np.ndarray], count: int) -> list[tuple[np.ndarray, ...]]:
+    """Return the moments of so many candidates of as many features, each without those of the others."""
+    V, gram, score = parts
+    own = np.arange(score.shape[1]).reshape(count, -1)
+    return [(V[..., k], gram[:, k[:, None], k], score[:, k]) for k in own]
 
 
 @dataclass(frozen=True)
@@ -163,29 +170,52 @@ def _pairs(begin: np.ndarray, end: np.ndarray, longest: int) -> np.ndarray:
 
 
 def in_stretches(
-    fit: Likelihood, rows: Rows, candidate: Candidate, stretches: Stretches
-) -> tuple[Hypothesis, float] | None:
-    """Average over stretches of time that touch torques; return the evidence of the best one too.
+    fit: Likelihood, rows: Rows, candidate: Candidate, kinds: Sequence[Stretches]
+) -> list[tuple[Hypothesis, float] | None]:
+    """Average over stretches of time that touch torques, of one recording and several kinds.
 
-    Moments of a stretch are differences of those before its edges.
+    Moments of a stretch are differences of those before its edges, which all kinds share.
+
+    Returns:
+        For each kind its hypothesis, and the evidence of the best stretch.
     """
-    F, site = rows.features(candidate), candidate.site
-    std, multiples = believed(fit, rows, candidate)
-    V, gram, score = _sums(fit, rows, F, stretches)
+    always = rows.columns.candidate(candidate.effect, replace(candidate.site, window=None), candidate.shape)
+    F = rows.features(always)
+    std, multiples = believed(fit, rows, always, F)
+    times = np.unique(np.concatenate([kind.times for kind in kinds]))
+    sums = _sums(fit, rows, F, kinds[0].inside, times)
+    found = []
+    for kind in kinds:
+        at = np.searchsorted(times, kind.times)
+        found.append(_averaged(rows, candidate, kind, [x[at] for x in sums], std, np.array(multiples)))
+    return found
+
+
+def _averaged(
+    rows: Rows,
+    candidate: Candidate,
+    stretches: Stretches,
+    sums: Sequence[np.ndarray],
+    std: np.ndarray,
+    scales: np.ndarray,
+) -> tuple[Hypothesis, float] | None:
+    """Average over stretches, given the sums before their edges and standard deviations (K,) with multiples (S,)."""
+    V, gram, score = sums
     begin, end = stretches.pairs.T
     counts = np.trace(gram[end] - gram[begin], axis1=1, axis2=2) > 0
     if not counts.any():
         return None
-    scales, told_by = np.array(multiples), V.transpose(0, 2, 1) @ V
+    told_by = V.transpose(0, 2, 1) @ V
     S = (gram - told_by)[end] - (gram + told_by)[begin] + _shared(V, begin, end)
     r = score[end] - score[begin]
     found = added(S[:, None], r[:, None], std * scales[:, None], candidate.effect.prior.positive)
     told_of = np.where(counts[:, None], found.log_evidence, -math.inf)
     k, size = np.unravel_index(int(told_of.argmax()), told_of.shape)
-    assert site.window is not None
+    window = candidate.site.window
+    assert window is not None
     edges = float(stretches.times[begin[k]]), float(stretches.times[end[k]])
     best = rows.columns.candidate(
-        candidate.effect, replace(site, window=Window(site.window.recording, *edges)), candidate.shape
+        candidate.effect, replace(candidate.site, window=Window(window.recording, *edges)), candidate.shape
     )
     mean, one = mean_of(found.log_evidence), mean_of(found.log_evidence[k])
     coefficients, std = found.mean[k, size], found.std[k, size]
@@ -208,11 +238,11 @@ def _shared(V: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def _sums(
-    fit: Likelihood, rows: Rows, F: np.ndarray, stretches: Stretches
+    fit: Likelihood, rows: Rows, F: np.ndarray, inside: np.ndarray, times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return L^-1 X'C (B + 1, P, K), C'C (B + 1, K, K) and C'e (B + 1, K) of the rows before each edge."""
-    part = np.where(stretches.inside, np.searchsorted(stretches.times, rows.t, side="right") - 1, -1)
-    parts = moments(fit, None, F, part, len(stretches.times) - 1)
+    """Return L^-1 X'C (B, P, K), C'C (B, K, K) and C'e (B, K) of a recording's rows (M,) before times (B,) [s]."""
+    part = np.where(inside, np.searchsorted(times, rows.t, side="right") - 1, -1)
+    parts = moments(fit, None, F, part, len(times) - 1)
     return tuple(np.concatenate((np.zeros_like(x[:1]), np.cumsum(x, 0))) for x in parts)  # type: ignore[return-value]
 
 
@@ -225,7 +255,7 @@ def moments(
         fit: the fit.
         place: the joint of the features; None if they are of all.
         F: (K, M), or (K, n, M).
-        part: (M,) number of the part that a row belongs to, -1 for none.
+        part: (M,) number of the part that a row belongs to, -1 for none; rows of all parts stand together, in order.
         count: number of parts B.
 
     Returns:
@@ -234,20 +264,16 @@ def moments(
     K, P = len(F), len(fit.gaussian.z)
     cross, gram, score = np.zeros((count, P, K)), np.zeros((count, K, K)), np.zeros((count, K))
     for j, index in enumerate(fit.index):
-        if not len(index) or place not in (None, j):
+        of_rows = part[index]
+        inside = np.flatnonzero(of_rows >= 0)
+        if not len(inside) or place not in (None, j):
             continue
-        C = fit.hyper.noise[j].white(F if place == j else F[:, j])
-        order = np.argsort(part[index], kind="stable")
-        order = order[np.searchsorted(part[index][order], 0) :]
-        seen, first = np.unique(part[index][order], return_index=True)
-        if not len(seen):
-            continue
-        b, C = fit.gaussian.blocks[j], C[:, order]
-        gram[seen] += np.add.reduceat(C[:, None] * C, first, axis=-1).transpose(2, 0, 1)
-        score[seen] += np.add.reduceat(C * fit.gaussian.left[j][order], first, axis=-1).T
-        X = b.X[:, order]
-        for k, begin, end in zip(seen, first, (*first[1:], len(order)), strict=True):
-            cross[k, b.own] += X[:, begin:end] @ C[:, begin:end].T
+        seen, first = np.unique(of_rows[inside], return_index=True)
+        edges = np.append(inside[first], inside[-1] + 1)
+        b, C = fit.gaussian.blocks[j], fit.hyper.noise[j].white(F if place == j else F[:, j])
+        cross[np.ix_(seen, b.own)] += b.in_parts(C, edges)
+        gram[seen] += np.stack([C[:, begin:end] @ C[:, begin:end].T for begin, end in pairwise(edges)])
+        score[seen] += np.add.reduceat((C * fit.gaussian.left[j])[:, : edges[-1]], edges[:-1], axis=1).T
     V = fit.gaussian.half(cross.transpose(1, 0, 2).reshape(P, -1))
     return V.reshape(P, count, K).transpose(1, 0, 2), gram, score
 
@@ -262,7 +288,7 @@ def located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     assert window is not None
     always = replace(h.candidate, site=replace(h.candidate.site, window=Window(window.recording)))
     stretches = Stretches.near(rows, window)
-    near = in_stretches(fit, rows, always, stretches)
+    (near,) = in_stretches(fit, rows, always, [stretches])
     exact = None if near is None else told(fit, rows, near[0].candidate)
     if near is None or exact is None:
         return h

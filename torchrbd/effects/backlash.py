@@ -23,6 +23,7 @@ Source: Nordin, Gutman, "Controlling mechanical systems with backlash: a survey"
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -112,8 +113,8 @@ def deviation(
     coulomb = coulomb.clamp_min(0.0)
     driven = tau + viscous * qd + offset
     signals = torch.stack((driven, M, qd, driven - M * qdd)).detach().cpu().reshape(4, -1, tau.shape[-1]).unbind(1)
-    courses = [_course(*row.tolist(), coulomb=coulomb.item(), dt=dt, play=play) for row in signals]
-    course = torch.from_numpy(np.array(courses, dtype=float)).to(tau)
+    courses = [_course(*row.numpy(), coulomb=coulomb.item(), dt=dt, play=play) for row in signals]
+    course = torch.from_numpy(np.array(courses)).to(tau)
     side, left, begun, rests, direction, stuck = (column.reshape(tau.shape) for column in course.unbind(1))
     free, left, begun = left >= 0, left.clamp_min(0).long(), begun.long()
     speed = _integral(-(driven + coulomb * direction) / M, dt)
@@ -127,19 +128,16 @@ def _integral(x: Tensor, dt: float) -> Tensor:
     return torch.nn.functional.pad(torch.cumulative_trapezoid(x, dx=dt, dim=-1), (1, 0))
 
 
-Course = tuple[list[float], list[int], list[int], list[float], list[float], list[float]]
-
-
 def _course(
-    driven: list[float],
-    inertia: list[float],
-    speed: list[float],
-    held: list[float],
+    driven: np.ndarray,
+    inertia: np.ndarray,
+    speed: np.ndarray,
+    held: np.ndarray,
     *,
     coulomb: float,
     dt: float,
     play: float,
-) -> Course:
+) -> np.ndarray:
     """Follow a link through its play.
 
     Args:
@@ -150,43 +148,38 @@ def _course(
         dt: [s]. play: full width.
 
     Returns:
-        (N,) each: side of the contact that is or was last, sample at which it was left (-1 in contact), sample at which
+        (6, N): side of the contact that is or was last, sample at which it was left (-1 in contact), sample at which
         the link began to slide, whether from rest (1, 0), the direction in which it slides, whether it rests (1, 0).
     """
-    N, half = len(driven), play / 2
-    turned = [math.copysign(1.0, v) for v in speed]
-    sides = [math.copysign(1.0, v + coulomb * s) for v, s in zip(driven, turned, strict=True)]
-    course: Course = ([sides[0]] * N, [-1] * N, [0] * N, [0.0] * N, turned, [0.0] * N)
-    side_of, left, begun, rests, direction, stuck = course
-    k, side = 0, sides[0]
-    while k < N:
-        if sides[k] == side:
-            side_of[k] = side
-            k += 1
-            continue
-        start, begin, rest, way, rate, sticks = k, k, 0.0, turned[k], 0.0, False
-        x, pull = -side * half, -(driven[k] + coulomb * way) / inertia[k]
-        while True:
-            side_of[k], left[k], begun[k] = side, start, begin
-            rests[k], direction[k], stuck[k] = rest, way, float(sticks)
+    N, half, turned = len(driven), play / 2, np.copysign(1.0, speed)
+    sides = np.copysign(1.0, driven + coulomb * turned)
+    course = np.stack((sides, np.full(N, -1.0), np.zeros(N), np.zeros(N), turned, np.zeros(N)))
+    # Samples at which a side of the play is not the one that the load keeps to.
+    ends = {side: [*np.flatnonzero(sides != side).tolist(), N] for side in (-1.0, 1.0)}
+    side, k = float(sides[0]), 0
+    pulls, masses, drags, rests = (x.tolist() for x in (driven, inertia, speed, held))
+    while (k := ends[side][bisect_left(ends[side], k)]) < N:
+        start, begin, rest, way, rate, sticks = k, k, 0.0, float(turned[k]), 0.0, False
+        x, pull, flight = -side * half, -(pulls[k] + coulomb * way) / masses[k], []
+        while abs(x) < half or k == start:
+            flight.append((side, start, begin, rest, way, sticks))
             k += 1
             if k == N:
-                return course
-            holds, before = abs(held[k]) <= coulomb, rate
+                break
+            holds, before = abs(rests[k]) <= coulomb, rate
             if not sticks:
-                following = -(driven[k] + coulomb * way) / inertia[k]
+                following = -(pulls[k] + coulomb * way) / masses[k]
                 rate, pull = rate + 0.5 * dt * (pull + following), following
-            turns = coulomb > 0 and (rate + speed[k]) * way < 0
+            turns = coulomb > 0 and (rate + drags[k]) * way < 0
             if sticks or (turns and holds):
                 # At rest the link stays so or begins to slide the way it is dragged.
-                sticks, rate, rest, begin = holds, -speed[k], 1.0, k
-                way = math.copysign(1.0, -held[k])
-                pull = -(driven[k] + coulomb * way) / inertia[k]
+                sticks, rate, rest, begin = holds, -drags[k], 1.0, k
+                way = math.copysign(1.0, -rests[k])
+                pull = -(pulls[k] + coulomb * way) / masses[k]
             elif turns:
-                way, rate = -way, rate + dt * coulomb * way / inertia[k]
-                pull = -(driven[k] + coulomb * way) / inertia[k]
+                way, rate = -way, rate + dt * coulomb * way / masses[k]
+                pull = -(pulls[k] + coulomb * way) / masses[k]
             x += 0.5 * dt * (before + rate)
-            if abs(x) >= half:
-                side = -math.copysign(1.0, x)
-                break
+        course[:, start:k] = np.array(flight, dtype=float).T
+        side = -math.copysign(1.0, x)
     return course

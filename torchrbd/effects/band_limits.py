@@ -7,17 +7,23 @@ is best the data says.
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 BANDWIDTHS_HZ = (1.5, 3.0, 6.0, 12.0, 48.0)
 UNLIMITED_HZ = 1e4
+# As far as the response lasts, in its standard deviations 1 / (2 pi b).
+_REACH = 8.0
 
 
 def below(x: Tensor, dt: float, hz: float) -> Tensor:
     """Return what of x (..., N) at intervals dt [s] lies below a frequency [Hz]; mirrored through its ends."""
-    first, last = x[..., :1], x[..., -1:]
-    longer = torch.cat((2 * first - x.flip(-1)[..., :-1], x, 2 * last - x.flip(-1)[..., 1:]), -1)
+    reach = min(x.shape[-1] - 1, math.ceil(_REACH / (2 * math.pi * hz * dt)))
+    before = 2 * x[..., :1] - x[..., 1 : reach + 1].flip(-1)
+    after = 2 * x[..., -1:] - x[..., x.shape[-1] - 1 - reach : -1].flip(-1)
+    longer = torch.cat((before, x, after), -1)
     f = torch.fft.rfftfreq(longer.shape[-1], dt, dtype=x.dtype, device=x.device)
     spectrum = torch.fft.rfft(longer) * torch.exp(-0.5 * (f / hz) ** 2)
-    return torch.fft.irfft(spectrum, longer.shape[-1])[..., x.shape[-1] - 1 : 2 * x.shape[-1] - 1]
+    return torch.fft.irfft(spectrum, longer.shape[-1])[..., reach : reach + x.shape[-1]]

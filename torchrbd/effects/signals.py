@@ -189,7 +189,7 @@ class Signals:
     @computed_once
     def load(self) -> Tensor:
         """Torque that the rigid body takes, (n, *batch) [N m] or [N]."""
-        return self.robot.inverse_dynamics(*self._states, self._own_pi).movedim(-1, 0)
+        return self.robot.inverse_dynamics(*self._states, self._own_pi).movedim(-1, 0).contiguous()
 
     @computed_once
     def friction_torque(self) -> Tensor:
@@ -227,7 +227,7 @@ class Signals:
     @computed_once
     def load_slopes(self) -> Tensor:
         """Derivatives of the load of each joint by q, qd and qdd of each, (3, n, n, *batch)."""
-        return self.robot.torque_slopes(*self._states, self._own_pi).movedim((-3, -2, -1), (0, 1, 2))
+        return self.robot.torque_slopes(*self._states, self._own_pi).movedim((-3, -2, -1), (0, 1, 2)).contiguous()
 
     def deviating(self, joint: int | None, shift: Tensor) -> Tensor:
         """Return what the load changes by, (n, *batch), as a joint's link deviates by ``shift`` (*batch) over time."""

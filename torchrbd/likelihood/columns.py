@@ -8,7 +8,7 @@ robot; so joint j has the columns ``of_joint[j]`` of x and no others.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -94,6 +94,7 @@ class Columns:
         self.sites = dict(sites or {})
         self.stick_levels = torch.zeros(robot.n_dof, dtype=torch.float64) if stick_levels is None else stick_levels
         still = torch.zeros(3, robot.n_dof, 4, dtype=torch.float64)
+        self._asked_for: dict[Hashable, Candidate] = {}
         self._probe = replace(self.signals_at(*still), t=torch.arange(4, dtype=torch.float64))
         self.urdf_friction = tuple(
             self.candidate(effect(name), Site(joint), {}) for joint in range(robot.n_dof) for name in URDF_FRICTION
@@ -128,7 +129,10 @@ class Columns:
 
     def candidate(self, e: Effect, site: Site, shape: Shape) -> Candidate:
         """Return an effect at a site with a shape, whether it has columns here or not."""
-        return Candidate(e, site, shape, tuple(e.features_at(self._probe, site, shape)))
+        key = e, site, *shape.items()
+        if key not in self._asked_for:
+            self._asked_for[key] = Candidate(e, site, shape, tuple(e.features_at(self._probe, site, shape)))
+        return self._asked_for[key]
 
     def scale(self, site: Site) -> JointScale:
         """Return what the recordings cover at a site's joint; at the first one for the whole robot."""

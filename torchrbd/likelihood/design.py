@@ -1,21 +1,27 @@
 """Columns and torque of one joint before they are whitened, and their rows as whitening and least squares see them.
 
 What a joint has at one moment alone, its rests and reversals, is more than half of its columns and next to none of
-their entries: these columns stand last, and are whitened and multiplied as a sparse matrix.
+their entries: these columns stand last, and are multiplied where they are not zero. Further columns stand before those
+of the machine, whose rows serve whatever stands beside them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import csr_array
 
-from torchrbd.likelihood.gaussian import Block, along, dense
+from torchrbd.likelihood.block import Block, along, dense
+from torchrbd.likelihood.brief import Brief
+from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.noise import Noise
 
 # Columns are brief that are zero but for this part of the rows.
 _BRIEF = 0.1
+
+Beside = Sequence[tuple[int, Extra]]
+"""What stands beside a machine at one joint, each with the number of its first coefficient."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,70 +30,114 @@ class Unpredicted:
 
     predictor: np.ndarray
     lasting: np.ndarray
-    brief: csr_array
+    brief: Brief
     target: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
-    """Columns A (P_j, M) of a joint in prior coordinates, its target (M,), and which coefficients ``own`` (P_j,).
+class Bare:
+    """Columns of a joint that the machine has: ``lasting`` (L, M) and then ``brief`` (S, M), zero nearly everywhere.
 
-    They are multiples ``size`` (P_j,) of columns that designs of other sizes have too: ``lasting`` (L, M) and then
-    ``brief`` (S, M), which are zero nearly everywhere.
+    Its target (M,), and which coefficients ``own`` (L + S,) the columns are multiplied with.
     """
 
     lasting: np.ndarray
+    brief: Brief
     own: np.ndarray
     target: np.ndarray
-    brief: csr_array
-    size: np.ndarray
     _unpredicted: list[Unpredicted] = field(default_factory=list, repr=False)
     _independent: list[tuple[Noise, Block]] = field(default_factory=list, repr=False)
 
     @staticmethod
-    def of(A: np.ndarray, own: np.ndarray, target: np.ndarray) -> Design:
-        """Return the design of columns (P_j, M), in an order of its own."""
+    def of(A: np.ndarray, own: np.ndarray, target: np.ndarray) -> Bare:
+        """Return columns (P_j, M), in an order of their own."""
         brief = np.count_nonzero(A, axis=1) < _BRIEF * A.shape[1]
-        order = np.argsort(brief, kind="stable")
-        return Design(A[~brief], own[order], target, csr_array(A[brief]), np.ones(len(A)))
-
-    def sized(self, size: np.ndarray) -> Design:
-        """Return the same columns with other sizes (P_j,)."""
-        return replace(self, size=size)
-
-    @property
-    def A(self) -> np.ndarray:
-        """All columns, (P_j, M), made anew."""
-        return dense(self.size, self.lasting, self.brief)
-
-    def explained(self, z: np.ndarray) -> np.ndarray:
-        """Return z A of coefficients z (..., P_j), (..., M)."""
-        return along(z * self.size, self.lasting, self.brief)
+        return Bare(A[~brief], Brief.of(A[brief]), own[np.argsort(brief, kind="stable")], target)
 
     def white(self, noise: Noise) -> Block:
-        """Return the rows that a noise leaves white; those of another size are multiples of them, and remembered."""
+        """Return the rows that a noise leaves white; what its predictor leaves is remembered."""
         if not any(known.predictor is noise.predictor for known in self._unpredicted):
-            lasting = noise.unpredicted(self.lasting)
-            target = noise.unpredicted(self.target)
-            self._unpredicted[:] = [Unpredicted(noise.predictor, lasting, self.brief @ noise.band, target)]
+            self._unpredicted[:] = [Unpredicted(noise.predictor, *self._filtered(noise))]
         (known,) = self._unpredicted
-        precise = 1.0 / noise.size
-        brief = _scaled(known.brief, precise)
-        return Block(known.lasting * precise, known.target * precise, self.own, brief, self.size)
+        return self._weighed(known.lasting, known.brief, known.target, noise)
 
     def independent(self, noise: Noise) -> Block:
         """Return the rows of a noise without memory; those of another size are multiples of them, and remembered."""
         for known, block in self._independent:
             if known.spread is noise.spread and known.tail is noise.tail:
-                return block.louder(noise.sigma / known.sigma).sized(self.size)
-        brief = _scaled(self.brief @ noise.band, 1.0 / noise.size)
-        block = Block(noise.white(self.lasting), noise.white(self.target), self.own, brief)
+                return block.louder(noise.sigma / known.sigma)
+        block = self._weighed(*self._filtered(noise), noise)
         self._independent[:] = [(noise, block)]
-        return block.sized(self.size)
+        return block
+
+    def _filtered(self, noise: Noise) -> tuple[np.ndarray, Brief, np.ndarray]:
+        """Return what rows cannot predict of lasting columns (L, m), of brief ones and of the target (m,)."""
+        brief = Brief.of(noise.unpredicted(self.brief.dense))
+        return noise.unpredicted(self.lasting), brief, noise.unpredicted(self.target)
+
+    def _weighed(self, lasting: np.ndarray, brief: Brief, target: np.ndarray, noise: Noise) -> Block:
+        precise = 1.0 / noise.size
+        return Block(lasting * precise, target * precise, self.own, brief.scaled(precise))
 
 
-def _scaled(rows: csr_array, by: np.ndarray) -> csr_array:
-    """Return a sparse matrix (S, m) with its columns multiplied by numbers (m,)."""
-    found = rows.copy()
-    found.data *= by[found.indices]
-    return found
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Columns of a joint: further ones (K, M) and then those of the machine, multiples ``size`` (K + P,) of these.
+
+    ``own`` (K + P,) says which coefficients they have, ``beside`` whose the further ones are.
+    """
+
+    bare: Bare
+    beside: Beside
+    further: np.ndarray
+    own: np.ndarray
+    size: np.ndarray
+
+    @staticmethod
+    def of(bare: Bare, beside: Beside, joint: int) -> Design:
+        """Return the columns of a machine at a joint, and what stands beside them there."""
+        parts = [e.at(joint) * e.std[:, None] for _, e in beside]
+        further = np.concatenate((np.zeros((0, len(bare.target))), *parts))
+        own = np.concatenate([*(first + np.arange(len(e.std)) for first, e in beside), bare.own])
+        return Design(bare, beside, further, own, np.ones(len(own)))
+
+    def has(self, beside: Beside) -> bool:
+        """Say whether just this stands beside the machine."""
+        pairs = zip(self.beside, beside, strict=False)
+        return len(self.beside) == len(beside) and all(k == i and e is one for (k, e), (i, one) in pairs)
+
+    def sized(self, size: np.ndarray) -> Design:
+        """Return the same columns with other sizes (K + P,)."""
+        return replace(self, size=size)
+
+    @property
+    def target(self) -> np.ndarray:
+        """What the columns are to explain, (M,)."""
+        return self.bare.target
+
+    @property
+    def A(self) -> np.ndarray:
+        """All columns, (K + P, M), made anew."""
+        return dense(self.size, np.concatenate((self.further, self.bare.lasting)), self.bare.brief)
+
+    def explained(self, z: np.ndarray) -> np.ndarray:
+        """Return z A of coefficients z (..., K + P), (..., M)."""
+        z, k = z * self.size, len(self.further)
+        return z[..., :k] @ self.further + along(z[..., k:], self.bare.lasting, self.bare.brief)
+
+    def white(self, noise: Noise, bare: Block | None = None) -> Block:
+        """Return the rows that a noise leaves white, of which those of the machine may be known: its ``bare`` block."""
+        return self._with_further(self.bare.white(noise) if bare is None else bare, noise)
+
+    def independent(self, noise: Noise) -> Block:
+        """Return the rows of a noise without memory."""
+        return self._with_further(self.bare.independent(noise), noise)
+
+    def _with_further(self, bare: Block, noise: Noise) -> Block:
+        k = len(self.further)
+        size = self.size.copy()
+        size[k:] *= bare.size
+        if not k:
+            return replace(bare, size=size, bare=bare)
+        lasting = np.concatenate((noise.white(self.further), bare.lasting))
+        return Block(lasting, bare.y, self.own, bare.brief, size, bare)

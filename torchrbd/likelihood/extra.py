@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -17,11 +18,11 @@ class Extra:
 
     def at(self, joint: int) -> np.ndarray | None:
         """Return what they are at a joint, (K, M); None if they are not there."""
-        if self.place is None:
-            return self.features[:, joint]
-        return self.features if self.place == joint else None
+        if joint not in self.joints:
+            return None
+        return self.features[:, joint] if self.place is None else self.features
 
-    @property
+    @cached_property
     def joints(self) -> list[int]:
         """The joints where they are."""
         if self.place is not None:

@@ -21,13 +21,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
 from scipy.special import log_ndtr
 
+from torchrbd.likelihood.block import Block
 from torchrbd.likelihood.root import ROUNDING, Root, forwards
 
 # Sweeps over the sites of truncated coefficients, and the least part of its variance that a truncation leaves.
@@ -41,79 +41,6 @@ class Quadratic:
     precision: np.ndarray
     shift: np.ndarray
     constant: float
-
-
-def along(z: np.ndarray, lasting: np.ndarray, brief: csr_array | None) -> np.ndarray:
-    """Return z X of coefficients z (..., P) and rows X (P, m), the last of which are a sparse matrix (S, m), if any."""
-    if brief is None:
-        return z @ lasting
-    return z[..., : len(lasting)] @ lasting + z[..., len(lasting) :] @ brief
-
-
-def dense(size: np.ndarray | float, lasting: np.ndarray, brief: csr_array | None) -> np.ndarray:
-    """Return these rows and those of a sparse matrix as one, (P, m), each times its size (P,)."""
-    whole = lasting if brief is None else np.concatenate((lasting, brief.toarray()))
-    return (whole.T * size).T
-
-
-@dataclass(frozen=True)
-class Block:
-    """Whitened rows of one joint: X (P_j, m), y (m,), and which coefficients ``own`` (P_j,) its columns are.
-
-    They are multiples ``size`` (P_j,) of rows that others may have too, ``lasting`` (L, m) and then those of a sparse
-    matrix ``brief`` (S, m), if there is one: what a joint has at one moment alone.
-    """
-
-    lasting: np.ndarray
-    y: np.ndarray
-    own: np.ndarray
-    brief: csr_array | None = None
-    size: np.ndarray | float = 1.0
-    _gram: list[np.ndarray] = field(default_factory=list, repr=False)
-
-    @property
-    def X(self) -> np.ndarray:
-        """All rows, (P_j, m), made anew."""
-        return dense(self.size, self.lasting, self.brief)
-
-    @cached_property
-    def gram(self) -> np.ndarray:
-        """X X', (P_j, P_j)."""
-        if not self._gram:
-            self._gram.append(self._product())
-        size = np.broadcast_to(self.size, len(self.own))
-        return self._gram[0] * np.outer(size, size)
-
-    def _product(self) -> np.ndarray:
-        own = self.lasting @ self.lasting.T
-        if self.brief is None:
-            return own
-        cross = self.brief @ self.lasting.T
-        return np.block([[own, cross.T], [cross, (self.brief @ self.brief.T).toarray()]])
-
-    def times(self, C: np.ndarray) -> np.ndarray:
-        """Return X C of C (m, ...)."""
-        found = self.lasting @ C
-        found = found if self.brief is None else np.concatenate((found, self.brief @ C))
-        return (found.T * self.size).T
-
-    def explained(self, z: np.ndarray) -> np.ndarray:
-        """Return z X of coefficients z (..., P_j), (..., m)."""
-        return along(z * self.size, self.lasting, self.brief)
-
-    def some(self, kept: np.ndarray, own: np.ndarray) -> Block:
-        """Return some of the columns, kept (P_j,) bool, under other numbers ``own`` of all (P_j,)."""
-        first, size = len(self.lasting), np.broadcast_to(self.size, len(kept))[kept]
-        brief = None if self.brief is None else self.brief[kept[first:]]
-        return Block(self.lasting[kept[:first]], self.y, own[kept], brief, size)
-
-    def sized(self, by: np.ndarray | float) -> Block:
-        """Return the same rows whose columns are so many times as large, (P_j,)."""
-        return replace(self, size=self.size * by)
-
-    def louder(self, part: float) -> Block:
-        """Return the same rows, their noise so many times as large."""
-        return self if part == 1.0 else replace(self, y=self.y / part, size=self.size / part)
 
 
 @dataclass(frozen=True)
@@ -210,7 +137,6 @@ class Gaussian(Posterior):
         local: indices of coefficients of one block each, none of them among the first.
 
     Attributes:
-        left: per joint, whitened residual (m,).
         log_evidence: of the rows, in units of their noise.
     """
 
@@ -240,9 +166,13 @@ class Gaussian(Posterior):
     def _explain(self, blocks: Sequence[Block], H: np.ndarray, h: np.ndarray, local: Sequence[np.ndarray] = ()) -> None:
         super().__init__(H, h, local=local)
         self.blocks, self._used = tuple(blocks), dict[int, float]()
-        self.left = [b.y - b.explained(self.z[b.own]) for b in blocks]
         power = sum(float(b.y @ b.y) for b in blocks)
         self.log_evidence = self._constant - 0.5 * (power - float(h @ self.z)) - self.root.log_det
+
+    @cached_property
+    def left(self) -> list[np.ndarray]:
+        """Per joint, whitened residual (m,)."""
+        return [b.y - b.explained(self.z[b.own]) for b in self.blocks]
 
     def log_density(self, blocks: Sequence[Block]) -> float:
         """Return the log density of other rows, given those that are explained, in units of their noise.
@@ -263,6 +193,7 @@ class Gaussian(Posterior):
         number[kept] = np.arange(len(kept))
         blocks = [b.some(number[b.own] >= 0, number[b.own]) for b in self.blocks]
         one = copy(self)
+        one.__dict__.pop("left", None)
         local = [number[own][number[own] >= 0] for own, *_ in self.root.local]
         one._explain(blocks, self.H[np.ix_(kept, kept)], self.h[kept], local)
         return one

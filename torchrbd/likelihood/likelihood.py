@@ -6,14 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import takewhile
 
 import numpy as np
 import torch
 
-from torchrbd.likelihood.design import Design
+from torchrbd.likelihood.block import Block
+from torchrbd.likelihood.design import Bare, Design
 from torchrbd.likelihood.extra import Extra
-from torchrbd.likelihood.gaussian import Block, Gaussian, nonnegative
+from torchrbd.likelihood.gaussian import Gaussian, nonnegative
 from torchrbd.likelihood.machine import STICKS, Hyper, Machine
 from torchrbd.likelihood.noise import Noise, learnt, tailed
 from torchrbd.likelihood.physical import expanded, most_probable
@@ -39,8 +39,8 @@ class Likelihood:
         hyper: what is learnt.
         extra: columns beside them.
         slopes: see ``Machine.slopes``.
-        designs: per joint, the columns of a model that has the same, if one has.
-        blocks: per joint, the whitened rows of a model that has the same, if one has.
+        designs: per joint, the columns of a model whose machine has the same, if one has.
+        blocks: per joint, the whitened rows of these columns, if that model has the same noise.
 
     Attributes:
         index: per joint, the rows (m,) that are whitened.
@@ -59,9 +59,10 @@ class Likelihood:
         self.machine, self.hyper, self.extra, self._slopes = machine, hyper, tuple(extra), slopes
         n, none = machine.n, [None] * machine.rows.n_dof
         self._first = n + np.cumsum([0, *(len(e.std) for e in self.extra)])
-        self._designs = [one or self._columns(j) for j, one in enumerate(designs or none)]
+        self._designs = [self._design(j, one) for j, one in enumerate(designs or none)]
         self.index = machine.index
-        whitened = [one or self._whitened(j) for j, one in enumerate(blocks or none)]
+        known = zip(designs or none, blocks or none, strict=True)
+        whitened = [self._block(j, *one) for j, one in enumerate(known)]
         root = np.sqrt(hyper.kappa)
         sites = np.zeros((3, int(self._first[-1])))
         sites[:, machine.resisting] = hyper.resists.reshape(3, -1)
@@ -69,17 +70,19 @@ class Likelihood:
         self.gaussian = Gaussian(whitened, sites.shape[1], self._bodies, sites, machine.local)
         self._settled: dict[tuple[int, ...], Likelihood] = {}
 
-    def _columns(self, joint: int) -> Design:
-        A, own = self.machine.design(joint, self.hyper, self._slopes)
-        for first, e in zip(self._first[:-1], self.extra, strict=True):
-            if (features := e.at(joint)) is not None:
-                A = np.concatenate((A, features * e.std[:, None]))
-                own = np.concatenate((own, first + np.arange(len(e.std))))
-        one = Design.of(A, own, self.machine.target[joint])
+    def _design(self, joint: int, known: Design | None) -> Design:
+        beside = [(int(k), e) for k, e in zip(self._first, self.extra, strict=False) if e.at(joint) is not None]
+        if known is not None and known.has(beside):
+            return known
+        target, parts = self.machine.target[joint], (joint, self.hyper, self._slopes)
+        one = Design.of(known.bare if known else Bare.of(*self.machine.design(*parts), target), beside, joint)
         return one.sized(self.machine.sizes(joint, one.own, self.hyper))
 
-    def _whitened(self, joint: int) -> Block:
-        return self._designs[joint].white(self.hyper.noise[joint])
+    def _block(self, joint: int, known: Design | None, block: Block | None) -> Block:
+        one = self._designs[joint]
+        if block is not None and one is known:
+            return block
+        return one.white(self.hyper.noise[joint], None if block is None else block.bare)
 
     @property
     def log_evidence(self) -> float:
@@ -366,10 +369,14 @@ class Likelihood:
 
     def extended(self, extra: Sequence[Extra]) -> Likelihood:
         """Return the same model with other columns beside the machine's."""
-        same = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(self.extra, extra, strict=False)))
-        other = {j for e in (*self.extra[same:], *extra[same:]) for j in e.joints}
-        kept = [j not in other for j in range(self.machine.rows.n_dof)]
-        return Likelihood(self.machine, self.hyper, extra, self._slopes, *self._kept(kept, kept))
+        return Likelihood(self.machine, self.hyper, extra, self._slopes, self._designs, self.gaussian.blocks)
+
+    def with_noise_of(self, other: Likelihood) -> Likelihood:
+        """Return the same model with the noise of another one, whose rows serve where the machine's columns are one."""
+        noise = other.hyper.noise
+        each = zip(self._designs, other._designs, other.gaussian.blocks, noise, strict=True)
+        blocks = [one.white(n, b.bare if one.bare is its.bare else None) for one, its, b, n in each]
+        return Likelihood(self.machine, self.hyper.with_(noise=noise), self.extra, self._slopes, self._designs, blocks)
 
     def with_(self, **changes: object) -> Likelihood:
         """Return the same model with some of what is learnt changed, see ``Hyper``."""
@@ -379,7 +386,8 @@ class Likelihood:
         same = np.full(self.machine.rows.n_dof, changes.keys() <= _NOT_OF_COLUMNS | _OF_SIZES | {"rest_width"})
         same &= hyper.rest_width == self.hyper.rest_width
         alike = [one is other for one, other in zip(hyper.noise, self.hyper.noise, strict=True)]
-        designs, blocks = self._kept(same, same & alike)
+        designs = [one if kept else None for one, kept in zip(self._designs, same, strict=True)]
+        blocks = [one if kept else None for one, kept in zip(self.gaussian.blocks, same & alike, strict=True)]
         if changes.keys() & _OF_SIZES:
             for j, (design, block) in enumerate(zip(designs, blocks, strict=True)):
                 size = None if design is None else self.machine.sizes(j, design.own, hyper)
@@ -387,12 +395,3 @@ class Likelihood:
                 if design is not None and block is not None and size is not None:
                     blocks[j] = block.sized(size / design.size)
         return Likelihood(self.machine, hyper, self.extra, self._slopes, designs, blocks)
-
-    def _kept(
-        self, designs: Sequence[bool] | np.ndarray, blocks: Sequence[bool] | np.ndarray
-    ) -> tuple[list[Design | None], list[Block | None]]:
-        """Return columns and whitened rows of the joints where they stay as they are, None elsewhere."""
-        return (
-            [one if same else None for one, same in zip(self._designs, designs, strict=True)],
-            [one if same else None for one, same in zip(self.gaussian.blocks, blocks, strict=True)],
-        )

@@ -15,13 +15,13 @@ theorem 3.2.1.
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
-import torch
 from scipy.special import multigammaln  # type: ignore[attr-defined]
 
+from torchrbd.likelihood.central_path import Problem, follow_path
 from torchrbd.likelihood.gaussian import Quadratic
-from torchrbd.likelihood.physical_fit import Problem, follow_path
 from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY
 
 _B = ORTHONORMAL.numpy()
@@ -38,8 +38,9 @@ def expanded(z: np.ndarray, kappa: float) -> Quadratic:
     n = len(z)
     G = np.eye(_SIZE) + np.einsum("bk,kij->bij", z.reshape(-1, PARAMETERS_PER_BODY), _B) / math.sqrt(kappa)
     inverse = np.linalg.inv(G)
-    WB = np.einsum("bij,kjl->bkil", inverse, _B)
-    curvature = np.einsum("bkij,blji->bkl", WB, WB)
+    WB = inverse[:, None] @ _B
+    shape = len(G), PARAMETERS_PER_BODY, _SIZE**2
+    curvature = WB.reshape(shape) @ WB.swapaxes(2, 3).reshape(shape).swapaxes(1, 2)
     slope = math.sqrt(kappa) * (np.einsum("kii->k", _B) - np.einsum("bkii->bk", WB)).ravel()
     P = np.zeros((n, n))
     for b, own in enumerate(curvature):
@@ -50,6 +51,7 @@ def expanded(z: np.ndarray, kappa: float) -> Quadratic:
     return Quadratic(P, P @ z - slope, constant)
 
 
+@cache
 def _log_normaliser(kappa: float) -> float:
     """Return log integral of exp(-kappa [tr G - logdet G]) over z, less 5 log 2 pi.
 
@@ -65,6 +67,5 @@ def _log_normaliser(kappa: float) -> float:
 
 def most_probable(A: np.ndarray, h: np.ndarray, kappa: float) -> np.ndarray:
     """Return the z (10 b,) that maximises -1/2 z'A z + h'z + the log prior, inside what is physical."""
-    problem = Problem(torch.from_numpy(A), torch.from_numpy(h), kappa, len(h) // PARAMETERS_PER_BODY)
-    z, *_ = follow_path(problem)
-    return z.numpy()
+    z, *_ = follow_path(Problem(A, h, kappa, len(h) // PARAMETERS_PER_BODY))
+    return z

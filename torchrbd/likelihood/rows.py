@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, NoReturn
+from functools import partial
+from typing import NoReturn
 
 import numpy as np
 import torch
@@ -18,12 +19,13 @@ from torchrbd.effects import Signals
 from torchrbd.errors import RecordingError
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.reading import Reading
+from torchrbd.likelihood.remembered import Remembered
 from torchrbd.likelihood.spreading import Density
 from torchrbd.recordings import States, Survey
 
 _DENSITY = Density(most_states=100_000, least_rate_hz=100.0, rate_cycles=16.0)
-# Numbers of features that are remembered at most, about.
-_MOST_REMEMBERED = 20_000_000
+# Numbers of features that are remembered at most.
+_MOST_REMEMBERED = 40_000_000
 # Whether a recording is held out as a whole is asked of times so far apart [s]: blocks are longer.
 _LOOK_S = 0.1
 # Blocks of time into which a recording is divided at most.
@@ -83,7 +85,7 @@ class Rows:
     speed_std: np.ndarray
     dt: float
     dt_out: float
-    _known: dict[tuple[Any, ...], np.ndarray] = field(default_factory=dict, repr=False)
+    _known: Remembered = field(default_factory=partial(Remembered, _MOST_REMEMBERED), repr=False)
 
     @property
     def n_dof(self) -> int:
@@ -106,13 +108,11 @@ class Rows:
 
     def features(self, candidate: Candidate) -> np.ndarray:
         """Return the features of a candidate, (K, M) at its joint, or (K, n, M) if it acts on the whole robot."""
-        key = candidate.effect, candidate.site, *candidate.shape.items()
-        if key in self._known:
-            return self._known[key]
-        found = self.evaluated(lambda signals: torch.stack(list(candidate.features(signals).values())))
-        if found.size * (len(self._known) + 1) < _MOST_REMEMBERED:
-            self._known[key] = found
-        return found
+
+        def evaluated() -> np.ndarray:
+            return self.evaluated(lambda signals: torch.stack(list(candidate.features(signals).values())))
+
+        return self._known.of((candidate.effect, candidate.site, *candidate.shape.items()), evaluated)
 
     def evaluated(self, function: Callable[[Signals], Tensor]) -> np.ndarray:
         """Return a function of the signals, (..., N) of each tile, through the filter that the torque has passed."""
@@ -134,7 +134,7 @@ class Rows:
         ]
         columns = self.columns.of_candidates((), pi, friction).at_scales(scales)
         tiles = tuple(replace(t, signals=columns.signals(t.states)) for t in self.tiles)
-        return replace(self, columns=columns, tiles=tiles, _known={})
+        return replace(self, columns=columns, tiles=tiles, _known=Remembered(_MOST_REMEMBERED))
 
 
 def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -112,7 +113,7 @@ class Plant:
         plain = self._viscous * qd + self._coulomb * way + self._uneven * way.abs() + self._offset
         if not self._has_others:
             return plain
-        shape = torch.broadcast_shapes(q.shape, qd.shape)
+        shape = np.broadcast_shapes(q.shape, qd.shape)
         q, qd = (x.expand(shape).reshape(-1, *shape[-2:]) for x in (q, qd))
         added = self._others.term_torque(q, qd, torch.zeros_like(q), at.t[None], at.temperature, at.recording)
         return plain + added.reshape(shape)
