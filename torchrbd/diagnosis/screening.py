@@ -60,13 +60,13 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     cell = at.log_evidence
     for name, axis in varied(columns, h.candidate).items():
         now = at.candidate
-        values = np.linspace(*axis.limits(now.shape[name]), _FINE)
+        values = np.union1d(np.linspace(*axis.limits(now.shape[name]), _FINE), now.shape[name])
         near = [columns.candidate(now.effect, now.site, {**now.shape, name: float(v)}) for v in values]
         found = _told(fit, rows, near)
         if not found:
             continue
         cell += mean_of(np.array([one.log_evidence for one in found])) - at.log_evidence
-        at = max((at, *found), key=lambda one: one.log_evidence)
+        at = max(found, key=lambda one: one.log_evidence)
     mean = float(np.logaddexp(rest, cell - math.log(h.tried)))
     return replace(at, log_evidence=mean, tried=h.tried, paid=mean - at.log_evidence)
 

@@ -7,8 +7,8 @@
           + sum_e (c sum_k h_ek u_e(t) cos(k pi s_e) / (1 + k) + t_e d(c g)/dt)
                                                             each rest or reversal, s_e from 0 to 1 while it lasts: what
                                                             friction holds, and when it turns
-          + t0 d(tau_s)/dt                                  one offset between the clocks of torque and motion, told by
-                                                            what is slow
+          + t0 L d(tau_s)/dt + t1 (1 - L) d(tau_s)/dt       one offset t0 between the clocks of torque and motion: L is
+                                                            what of it is slow, of what is fast noise tells less
           + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
                                                             what the fastest part of each joint's motion is worth
           + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
@@ -45,7 +45,7 @@ from torchrbd.likelihood.noise import Noise, drift_basis, predicted
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import inertial_scale
 
-# Slopes of the torque tell the clocks below this: above, they are those of the positions' noise more than of the motion.
+# Slopes of the torque are slow below this: above, they are those of the positions' noise more than of the motion.
 OFFSET_HZ = 6.0
 # Clocks are off by some samples; a position may be an average over so many.
 _TIMING_SAMPLES, _AVERAGE_SAMPLES = 3.0, 2.0
@@ -138,7 +138,7 @@ class Machine:
         self._carried = np.einsum("mjk,k->jm", mass**2, rows.encoder_std**2)
         self._undirected = {k: rows.evaluated(partial(self._direction_std, k)) for k in STICKS}
         self._resting = [self._rests(j) for j in range(rows.n_dof)]
-        ends = len(self.inertial) + rows.n_dof * (self._local + 1) + len(self._inside)
+        ends = len(self.inertial) + rows.n_dof * (self._local + 1) + 2 * len(self._inside)
         self._around = [_near(rest) for rest in self._resting]
         self._holding = [self._holds(rest) for rest in self._resting]
         both = zip(self._holding, self._around, strict=True)
@@ -239,7 +239,7 @@ class Machine:
     @property
     def timing(self) -> np.ndarray:
         """Where the coefficients of the clocks' offsets stand, one a recording."""
-        return np.arange(self._rest_at[0] - len(self._inside), self._rest_at[0])
+        return self._rest_at[0] - 2 * len(self._inside) + np.arange(len(self._inside))
 
     @property
     def timing_std(self) -> float:
@@ -292,10 +292,10 @@ class Machine:
         return self._first(self.rows.n_dof) + np.arange(self.rows.n_dof)
 
     def slopes(self, hyper: Hyper) -> np.ndarray:
-        """Return the columns (1 + n + 2 + 2, n, M) that follow the load.
+        """Return the columns (2 + n + 2 + 2, n, M) that follow the load.
 
-        d(tau_s)/dt of all that is supplied as far as it is slow, each joint's fastest motion, d/dt and d^2/dt^2 of Coulomb friction, and
-        rounding.
+        d(tau_s)/dt of all that is supplied, what of it is slow and the rest; each joint's fastest motion; d/dt and
+        d^2/dt^2 of Coulomb friction; and rounding.
         """
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
@@ -307,9 +307,9 @@ class Machine:
             fastest = [signals.deviating(k, signals.qdd[k]) for k in range(self.rows.n_dof)]
             turns_at = signals.rate(signals.coulomb_torque)
             rounding = amplitude * turns.sin(), amplitude * turns.cos()
-            t = signals.sequence()
-            late = below(signals.rate(signals.supplied), float(t[1] - t[0]), OFFSET_HZ)
-            return torch.stack((late, *fastest, turns_at, signals.rate(turns_at), *rounding))
+            t, rate = signals.sequence(), signals.rate(signals.supplied)
+            slow = below(rate, float(t[1] - t[0]), OFFSET_HZ)
+            return torch.stack((slow, rate - slow, *fastest, turns_at, signals.rate(turns_at), *rounding))
 
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
 
@@ -341,12 +341,13 @@ class Machine:
             parts.append(np.stack((self.rows.dt * late, lasting * long, *slopes[-_ROUNDING:, joint])))
             places.append(local[-1] + 1 + np.arange(2 + _ROUNDING))
             average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
-            fastest = slopes[1 : -_ROUNDING - 2, joint]
+            fastest = slopes[2 : -_ROUNDING - 2, joint]
             felt = np.flatnonzero(fastest.any(axis=1))
             parts.append(fastest[felt] * average[felt, None])
             places.append(self.averaging[felt])
-            parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))
-            places.append(self.timing)
+            inside = self.timing_std * np.array(self._inside)
+            parts += [slopes[0, joint] * inside, slopes[1, joint] * inside]
+            places += [self.timing, self.timing + len(inside)]
             parts.append(coulomb * self._holding[joint])
             parts.append(_TURNS_SAMPLES * self.rows.dt * late * self._around[joint])
             places.append(self.resting(joint))
