@@ -167,11 +167,11 @@ def test_injected_effect_is_first_with_large_evidence(name: str, joint: int, tor
 def test_load_that_is_taken_up_is_found_with_its_time() -> None:
     fit, rows, found = leading(payload)
     assert found[0].name == ("payload", Site(body=1))
-    best = with_own_noise(fit, rows, sharpened(fit, rows, found[0]))
+    best = with_own_noise(fit, rows, refined(fit, rows, found[0]))
     assert best.log_evidence > 30
     window = best.candidate.site.window
     assert window is not None
-    assert window.start_s == pytest.approx(BEGIN_S, abs=0.1)
+    assert window.start_s == pytest.approx(BEGIN_S, abs=0.06)
     assert window.end_s > 19.0
     # Edges near the best one share its evidence, and are paid for.
     assert best.tried == found[0].tried
