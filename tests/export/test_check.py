@@ -75,7 +75,9 @@ def test_lags_are_left_out_on_both_sides_of_mjcf_and_not_of_urdf() -> None:
     found = checked("mjcf", lag)
     assert found.joints[0].part < 1e-9
     (note,) = found.notes
-    assert note.endswith("(time_constant 0.05 s, bandwidth 1e+04 Hz): is in the file's actuators, whose course in time is not compared")
+    assert note.endswith(
+        "(time_constant 0.05 s, bandwidth 1e+04 Hz): is in the file's actuators, whose course in time is not compared"
+    )
     assert checked("urdf", lag).joints[0].part > 0.01
 
 

@@ -63,7 +63,8 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     shifted = {c.joint for c in own if c.effect.id == "torque_offset" and c.site.always}
     early = [e for e, c in zip(found.fit.extra, own, strict=True) if not stands_in(c)]
     beside = found.fit if len(early) == len(own) else found.fit.extended(early).settled
-    friction = ordinary_friction(beside.with_heavy_tails, columns, may, shifted)
+    laws = [c for c in own if not stands_in(c)]
+    friction = ordinary_friction(beside.with_heavy_tails, columns, may, shifted, laws)
     # Nothing is larger than the likelihood believes; of two kinds at one place, than of the larger.
     believed: dict[tuple[str, Site], np.ndarray] = {}
     for t in found.terms:

@@ -1,7 +1,8 @@
 """Ordinary friction of every joint: what of it the URDF leaves out, how sure that is, and whether directions differ.
 
 Coefficients are estimated in every model. The evidence for them is that of their density at what the URDF says, before
-the data and after (Savage and Dickey).
+the data and after (Savage and Dickey). Where a law that was found has the same column, theirs alone and the sum of both
+have to say otherwise than the URDF: each may stand in for a part of the other.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchrbd.diagnosis.hypotheses import SHARED
 from torchrbd.diagnosis.posterior import probability_of
 from torchrbd.effects import Site, effect
 from torchrbd.likelihood.columns import Candidate, Columns
@@ -35,7 +37,11 @@ class Friction:
 
 
 def ordinary_friction(
-    fit: Likelihood, columns: Columns, may: Sequence[str], shifted: Collection[int] = ()
+    fit: Likelihood,
+    columns: Columns,
+    may: Sequence[str],
+    shifted: Collection[int] = (),
+    laws: Sequence[Candidate] = (),
 ) -> tuple[Friction, ...]:
     """Return the friction of every joint with a torque, as far as it is among the effects that may be there.
 
@@ -47,6 +53,7 @@ def ordinary_friction(
         columns: of the model that the terms are for.
         may: ids of effects.
         shifted: joints at which a constant torque was found.
+        laws: what was found, as the likelihood has it.
     """
     found = []
     for j in range(columns.robot.n_dof):
@@ -54,20 +61,37 @@ def ordinary_friction(
             continue
         at = fit.machine.ordinary(j)
         if VISCOUS in may:
-            found.append(_friction(fit, columns, VISCOUS, j, at[:1]))
+            found.append(_friction(fit, columns, VISCOUS, j, at[:1], laws))
         uneven = UNEVEN in may and j not in shifted and (COULOMB not in may or _uneven(fit, j) > 0.0)
         if uneven or COULOMB in may:
-            found.append(_friction(fit, columns, UNEVEN if uneven else COULOMB, j, at[1:]))
+            found.append(_friction(fit, columns, UNEVEN if uneven else COULOMB, j, at[1:], laws))
     return tuple(found)
 
 
-def _friction(fit: Likelihood, columns: Columns, name: str, joint: int, at: np.ndarray) -> Friction:
+def _friction(
+    fit: Likelihood, columns: Columns, name: str, joint: int, at: np.ndarray, laws: Sequence[Candidate]
+) -> Friction:
     candidate = columns.candidate(effect(name), Site(joint), {})
     urdf = columns.robot.damping[joint] if name == VISCOUS else columns.robot.friction[joint]
     size = fit.machine.friction_size(joint, fit.hyper)[slice(0, 1) if name == VISCOUS else slice(1, None)]
     value = np.divide(float(urdf), size, out=np.zeros_like(size), where=size > 0)
     evidence = fit.gaussian.against(at, value)
+    label = SHARED[0] if name == VISCOUS else SHARED[1]
+    also = [(k, c.labels.index(label)) for k, c in enumerate(laws) if c.place == joint and label in c.labels]
+    if also:
+        index = np.concatenate((at, [fit.further(k)[i] for k, i in also]))
+        into = np.column_stack((np.diag(size), *(np.full(len(size), fit.extra[k].std[i]) for k, i in also)))
+        evidence = min(evidence, _against_sums(fit, index, into, float(urdf)))
     return Friction(candidate, evidence, probability_of(evidence))
+
+
+def _against_sums(fit: Likelihood, index: np.ndarray, into: np.ndarray, value: float) -> float:
+    """Return the log evidence against a value of sums ``into`` (S, K) of coefficients (K,), which have N(0, 1)."""
+    before, after = into @ into.T, into @ fit.gaussian.covariance(index) @ into.T
+    m = into @ fit.gaussian.z[index] - value
+    log_ratio = np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]
+    x = np.full(len(m), value)
+    return 0.5 * float(log_ratio + m @ np.linalg.solve(after, m) - x @ np.linalg.solve(before, x))
 
 
 def _uneven(fit: Likelihood, joint: int) -> float:

@@ -75,7 +75,9 @@ def _agreeing(fit: Likelihood, rows: Rows, one: Hypothesis) -> Hypothesis:
     """Return the likeliest of a candidate and those of its grid whose shapes agree with their coefficients."""
     c, found = one.candidate, [one]
     if c.effect.follows:
-        grid = [rows.columns.candidate(c.effect, c.site, shape) for shape in c.effect.shapes(rows.columns.scale(c.site))]
+        grid = [
+            rows.columns.candidate(c.effect, c.site, shape) for shape in c.effect.shapes(rows.columns.scale(c.site))
+        ]
         found += [agreed(fit, rows, other, plausible=False) for other in _told(fit, rows, [c, *grid])]
     return max(found, key=lambda each: each.log_evidence)
 

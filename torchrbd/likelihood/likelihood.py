@@ -105,13 +105,17 @@ class Likelihood:
         """How much later than the motion each recording's torque is [s]."""
         return -self.machine.timing_std * self.gaussian.z[self.machine.timing]
 
+    def further(self, k: int) -> np.ndarray:
+        """Return where the coefficients of further columns stand, (K,)."""
+        return np.arange(self._first[k], self._first[k + 1])
+
     def coefficients(self, k: int) -> np.ndarray:
         """Return the coefficients (K,) of further columns in their own units."""
-        return self.gaussian.z[self._first[k] : self._first[k + 1]] * self.extra[k].std
+        return self.gaussian.z[self.further(k)] * self.extra[k].std
 
     def coefficients_covariance(self, k: int) -> np.ndarray:
         """Return their posterior covariance (K, K)."""
-        at, std = np.arange(self._first[k], self._first[k + 1]), self.extra[k].std
+        at, std = self.further(k), self.extra[k].std
         return self.gaussian.covariance(at) * np.outer(std, std)
 
     def residual(self, joint: int) -> np.ndarray:
@@ -358,10 +362,7 @@ class Likelihood:
         return self.renoised().with_(rest_width=widths).plausible().renoised(dispersed=True)
 
     def settled_at(self, joints: Sequence[int]) -> Likelihood:
-        """Return the same model with noise and bodies learnt once more, and the widths of some joints.
-
-        Slopes stay: what further columns change of the load, and so of the slopes, is of second order.
-        """
+        """Return the same with noise and bodies learnt once more, and widths of some joints; slopes change little."""
         key = tuple(joints)
         if key not in self._settled:
             self._settled[key] = self.renoised().rewidened(key).plausible().renoised(dispersed=True)
