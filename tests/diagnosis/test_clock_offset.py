@@ -9,20 +9,19 @@ from torchrbd import Diagnosis, diagnose
 from torchrbd.export import write_diagnosis
 
 LATE_S = 0.021
-EFFECTS = ("viscous_friction", "asymmetric_coulomb_friction", "rotor_inertia", "time_delay")
+EFFECTS = ("viscous_friction", "asymmetric_coulomb_friction", "rotor_inertia", "time_delay", "actuator_lag")
 
 
-def found(delay_s: float) -> Diagnosis:
-    """Diagnose an arm whose torque is late in two recordings; the second one is held out."""
+def found(**off: float) -> Diagnosis:
+    """Diagnose an arm whose torque is off in two recordings; the second one is held out."""
     one, other = (
-        recorded(URDF, seed, with_friction(), delay_s=delay_s, name=name, **OPTIONS)
-        for seed, name in ((2, "fit"), (5, "other"))
+        recorded(URDF, seed, with_friction(), name=name, **off, **OPTIONS) for seed, name in ((2, "fit"), (5, "other"))
     )
     return diagnose(wrong_robot(URDF, 1), one, holdout=[other], effects=EFFECTS)
 
 
 def test_late_torque_of_all_joints_is_a_finding(tmp_path) -> None:
-    diagnosis = found(LATE_S)
+    diagnosis = found(delay_s=LATE_S)
     (late,) = (f for f in diagnosis.findings if f.effect == "time_delay")
     assert (late.joints, late.links, late.where.recordings) == ((), (), None)
     assert late.probability > 0.99
@@ -42,5 +41,16 @@ def test_late_torque_of_all_joints_is_a_finding(tmp_path) -> None:
 
 
 def test_clocks_that_agree_are_none() -> None:
-    diagnosis = found(0.0)
+    diagnosis = found()
     assert not [f for f in (*diagnosis.findings, *diagnosis.trifling) if f.effect == "time_delay"]
+
+
+def test_a_command_that_all_actuators_follow_is_a_lag() -> None:
+    diagnosis = found(lag_s=2 * LATE_S)
+    (lag,) = (f for f in diagnosis.findings if f.family == "actuator and sensor")
+    assert (lag.effect, lag.joints) == ("actuator_lag", ())
+    assert lag.probability > 0.99
+    assert lag.parameters["time_constant"].value == pytest.approx(2 * LATE_S, rel=0.05)
+    assert lag.share > 0.9
+    # What a lag takes is more than what it moves: d tau/dt of a torque that is not the recorded one.
+    assert all(x < 2e-3 for x in diagnosis.identification.fits["extended"].nmse.values())

@@ -16,8 +16,9 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from torchrbd.effects import Effect, Shape, Signals, Site
-from torchrbd.effects.actuator_lag import ActuatorLag
+from torchrbd.effects.actuator_lag import ActuatorLag, acting
 from torchrbd.effects.backlash import Backlash, deviation
+from torchrbd.effects.band_limits import below
 from torchrbd.effects.joint_elasticity import JointElasticity
 from torchrbd.effects.presliding_hysteresis import PreslidingHysteresis
 from torchrbd.effects.recurrence import recurrence
@@ -229,6 +230,26 @@ def test_the_acting_torque_is_the_recorded_command_filtered() -> None:
     late = t > 0.5  # a filter that starts at rest has come in by then
     assert np.abs(acting - load)[late].max() < 1e-3 * np.abs(load).max()
     assert not ActuatorLag().plausible({"time_constant": -0.02}, SCALE)
+
+
+def test_what_an_actuator_supplies_is_its_command_filtered() -> None:
+    t, q, lag = np.arange(0, 6, 0.002), motion(3, 1.0), 0.04
+    command = torch.from_numpy(np.stack((q(t) + lag * q(t, 1), 1.0 + 2.0 * (t + lag))))
+    supplied = acting(command, lag / 0.002).numpy()
+    inner = slice(10, None)
+    np.testing.assert_allclose(supplied[0, inner], q(t)[inner], atol=2e-3 * np.abs(q(t)).max())
+    np.testing.assert_allclose(supplied[1], 1.0 + 2.0 * t, rtol=1e-9)
+
+
+@pytest.mark.parametrize("hz", [1.5, 12.0, 1e4])
+def test_below_a_bandwidth(hz: float) -> None:
+    """A sine keeps exp(-(f/b)^2 / 2) of itself, a straight line all, to its ends."""
+    t = torch.arange(0, 6, 0.004, dtype=torch.float64)
+    line, wave = 3.0 - 0.7 * t, torch.sin(2 * torch.pi * 2.5 * t + 0.3)
+    seen = below(torch.stack((line, wave)), 0.004, hz)
+    torch.testing.assert_close(seen[0], line, rtol=1e-9, atol=1e-9 if hz < 100 else 2e-5)
+    inner = slice(200, -200)
+    torch.testing.assert_close(seen[1][inner], wave[inner] * np.exp(-0.5 * (2.5 / hz) ** 2), rtol=1e-6, atol=1e-9)
 
 
 class TestTwoMasses:

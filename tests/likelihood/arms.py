@@ -42,15 +42,26 @@ def recorded(
     noise: float = NOISE,
     encoder_noise: float = 0.0,
     delay_s: float = 0.0,
+    lag_s: float = 0.0,
     gain: float = 1.0,
     missing: Sequence[str] = (),
     **motion_options: float,
 ) -> Recording:
-    """Record a motion; the torque is ``delay_s`` late, its white noise is ``noise`` of each joint's RMS."""
+    """Record a motion; the torque is ``delay_s`` late, its white noise is ``noise`` of each joint's RMS.
+
+    With ``lag_s`` it is the command of actuators that follow with that time constant.
+    """
     names = joint_names(urdf)
     moved = multisine(len(names), seed, **motion_options)
-    shifted = moved if not delay_s else _later(len(names), seed, moved, delay_s, motion_options)
-    tau = inverse_dynamics(urdf, shifted) + (0.0 if extra is None else extra(shifted))
+
+    def late(seconds: float) -> np.ndarray:
+        at = moved if not seconds else _later(len(names), seed, moved, seconds, motion_options)
+        return inverse_dynamics(urdf, at) + (0.0 if extra is None else extra(at))
+
+    tau = late(delay_s)
+    if lag_s:
+        fine = 0.1 / motion_options.get("rate_hz", 200.0)
+        tau = tau + lag_s * (late(delay_s - fine) - late(delay_s + fine)) / (2.0 * fine)
     rng = np.random.default_rng(seed + 10_000)
     tau = gain * (tau + noise * np.sqrt(np.mean(tau**2, 0)) * rng.standard_normal(tau.shape))
     tau[:, [n in missing for n in names]] = np.nan
@@ -63,7 +74,7 @@ def _later(n: int, seed: int, moved: Motion, delay_s: float, options: dict[str, 
     rate, fine = options.get("rate_hz", 200.0), 10
     steps = round(delay_s * rate * fine)
     other = multisine(n, seed, **{**options, "rate_hz": rate * fine})
-    at = np.maximum(fine * np.arange(len(moved.t)) - steps, 0)
+    at = np.clip(fine * np.arange(len(moved.t)) - steps, 0, len(other.t) - 1)
     return Motion(moved.t, other.q[at], other.qd[at], other.qdd[at])
 
 

@@ -9,7 +9,8 @@ from likelihood.arms import reading_of, recorded, wrong_robot
 from likelihood.fits import OPTIONS, URDF, with_friction
 
 import torchrbd
-from torchrbd.likelihood.clocks import in_time, of_one_machine
+from torchrbd.likelihood.clocks import Clocks, in_time, of_one_machine
+from torchrbd.likelihood.reading import Reading
 
 
 def test_a_held_out_recording_has_the_mean_of_the_others() -> None:
@@ -33,6 +34,28 @@ def test_clocks_that_are_far_apart_are_brought_together() -> None:
     assert abs(late - 0.03) < 4.0 * std
     assert abs(float(found.fit.delay_s[0])) < 0.01
     assert found.against > 30.0
+
+
+def read_in_time(off: dict[str, float], encoder_noise: float = 1e-5) -> tuple[Reading, Clocks]:
+    one = recorded(URDF, 2, with_friction(), **{**OPTIONS, **off, "encoder_noise": encoder_noise})
+    reading, columns = reading_of(wrong_robot(URDF, 1), [one])
+    return reading, in_time(reading, columns, lambda _, t: torch.zeros(len(t), dtype=torch.bool), frozenset())
+
+
+@pytest.mark.parametrize("command", [True, False], ids=["a command", "early"])
+@pytest.mark.parametrize("encoder_noise", [0.0, 1e-4])
+def test_a_command_is_told_from_torque_that_is_early(command: bool, encoder_noise: float) -> None:
+    reading, found = read_in_time({"lag_s": 0.04} if command else {"delay_s": -0.04}, encoder_noise)
+    assert found.lags is command
+    assert found.lag_odds > 5.0 if command else found.lag_odds < -5.0
+    assert found.delay_s["simulated"][0] == pytest.approx(-0.04, rel=0.05)
+    assert found.read_with(reading, {"simulated": -0.04}).lag_s == ({"simulated": 0.04} if command else {})
+
+
+@pytest.mark.parametrize("off", [{"lag_s": 0.02}, {"delay_s": -0.02}, {"delay_s": 0.02}])
+def test_two_samples_do_not_tell_a_command(off: dict[str, float]) -> None:
+    _, found = read_in_time(off)
+    assert abs(found.lag_odds) < 3.0
 
 
 def test_a_held_out_recording_is_judged_with_the_clock_of_its_machine() -> None:

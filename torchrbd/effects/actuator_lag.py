@@ -18,7 +18,7 @@ from torchrbd.effects.time_delay import at_site, joints_and_all
 from torchrbd.robot import RobotModel
 
 # After so many time constants what was before is forgotten.
-_FORGOTTEN = 7.0
+_FORGOTTEN = 20.0
 
 
 class ActuatorLag(Effect):

@@ -5,9 +5,10 @@ time constant T. Beside a torque tau_s that was moved by as much, a command has 
 
     g_j (tau_s(t - T) + T dtau_s(t - T)/dt - tau_s(t))
 
-with g = 1, and what was early has g = 0: with m the mean of the g_j by their precision and s^2 its variance, which is
-that of the fit and that of the joints' scatter, log odds are (m - 1/2) / s^2 for the command. Recorded torques are then
-not moved in time but sent through such actuators.
+with g = 1, and what was early has g = 0: with m the mean of the g_j by their precision and s^2 its variance, log odds
+are (m - 1/2) / s^2 for the command. This is of second order, g T^2/2 d2tau_s/dt2, and s^2 is that of the fit, of the
+joints' scatter, and of samples dt apart, which tell a reversal's friction, and so T^2/2, to about dt^2. Where a command
+is likelier, recorded torques are not moved in time but sent through such actuators.
 """
 
 from __future__ import annotations
@@ -117,7 +118,8 @@ def _command_odds(moved: Clocks) -> float:
     weight = np.array([1.0 / beside.coefficients_covariance(k)[0, 0] for k in range(len(seen))])
     mean = weight @ g / weight.sum()
     scatter = weight @ (g - mean) ** 2 / weight.sum() / max(1, len(seen) - 1)
-    return float((mean - 0.5) / (1.0 / weight.sum() + scatter))
+    lag = float(np.mean([moved.shift_s[name] for name in rows.seen_recordings]))
+    return float((mean - 0.5) / (1.0 / weight.sum() + scatter + 4.0 * (rows.dt / lag) ** 4))
 
 
 def in_band(
