@@ -20,6 +20,8 @@ _REACH = 8.0
 
 def below(x: Tensor, dt: float, hz: float) -> Tensor:
     """Return what of x (..., N) at intervals dt [s] lies below a frequency [Hz]; mirrored through its ends."""
+    if hz >= UNLIMITED_HZ:
+        return x
     reach = min(x.shape[-1] - 1, math.ceil(_REACH / (2 * math.pi * hz * dt)))
     before = 2 * x[..., :1] - x[..., 1 : reach + 1].flip(-1)
     after = 2 * x[..., -1:] - x[..., x.shape[-1] - 1 - reach : -1].flip(-1)

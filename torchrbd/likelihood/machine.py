@@ -7,8 +7,8 @@
           + sum_e (c sum_k h_ek u_e(t) cos(k pi s_e) / (1 + k) + t_e d(c g)/dt)
                                                             each rest or reversal, s_e from 0 to 1 while it lasts: what
                                                             friction holds, and when it turns
-          + t0 L d(tau_s)/dt + t1 (1 - L) d(tau_s)/dt       one offset t0 between the clocks of torque and motion: L is
-                                                            what of it is slow, of what is fast noise tells less
+          + t0 d(tau_s)/dt + t1 F d(tau_s)/dt               one offset t0 between the clocks of torque and motion; what is
+                                                            fast of it, F, is less of one as far as it is noise
           + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
                                                             what the fastest part of each joint's motion is worth
           + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
@@ -294,7 +294,7 @@ class Machine:
     def slopes(self, hyper: Hyper) -> np.ndarray:
         """Return the columns (2 + n + 2 + 2, n, M) that follow the load.
 
-        d(tau_s)/dt of all that is supplied, what of it is slow and the rest; each joint's fastest motion; d/dt and
+        d(tau_s)/dt of all that is supplied, and what of it is fast; each joint's fastest motion; d/dt and
         d^2/dt^2 of Coulomb friction; and rounding.
         """
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
@@ -308,8 +308,8 @@ class Machine:
             turns_at = signals.rate(signals.coulomb_torque)
             rounding = amplitude * turns.sin(), amplitude * turns.cos()
             t, rate = signals.sequence(), signals.rate(signals.supplied)
-            slow = below(rate, float(t[1] - t[0]), OFFSET_HZ)
-            return torch.stack((slow, rate - slow, *fastest, turns_at, signals.rate(turns_at), *rounding))
+            fast = rate - below(rate, float(t[1] - t[0]), OFFSET_HZ)
+            return torch.stack((rate, fast, *fastest, turns_at, signals.rate(turns_at), *rounding))
 
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
 
@@ -346,7 +346,7 @@ class Machine:
             parts.append(fastest[felt] * average[felt, None])
             places.append(self.averaging[felt])
             inside = self.timing_std * np.array(self._inside)
-            parts += [slopes[0, joint] * inside, slopes[1, joint] * inside]
+            parts += [slopes[0, joint] * inside, self.rows.noise_share[joint] * slopes[1, joint] * inside]
             places += [self.timing, self.timing + len(inside)]
             parts.append(coulomb * self._holding[joint])
             parts.append(_TURNS_SAMPLES * self.rows.dt * late * self._around[joint])
