@@ -109,9 +109,15 @@ def value(q: Quantity) -> str:
 
 def values(finding: Finding) -> list[str]:
     """Return the quantities of a finding by name, "mass 1.2 ± 0.1 kg"; of many, the first few."""
-    known = {name: q for name, q in finding.parameters.items() if not math.isnan(q.value)}
-    found = [f"{name.replace('_', ' ')} {value(q)}" for name, q in known.items()]
+    found = [f"{name.replace('_', ' ')} {value(q)}" for name, q in _known(finding).items()]
     return found if len(found) <= _MOST_VALUES else found[:_FEW_VALUES]
+
+
+def _known(finding: Finding) -> dict[str, Quantity]:
+    """Return the quantities of a finding that have a value, but those that follow from others."""
+    own = known_effects().get(finding.effect)
+    follow = () if own is None else own.follows
+    return {name: q for name, q in finding.parameters.items() if not math.isnan(q.value) and name not in follow}
 
 
 def finding_sentence(finding: Finding, *, more: bool = False) -> str:
@@ -149,7 +155,7 @@ def most_changed(finding: Finding) -> str | None:
 
 def _untold(finding: Finding) -> str:
     """Say that no number is told from zero; of several correlated ones, all may still be."""
-    numbers = [q for q in finding.parameters.values() if not math.isnan(q.value)]
+    numbers = _known(finding).values()
     if len(finding.parameters) < 2 or any(abs(q.value) >= 1.96 * q.std for q in numbers):
         return ""
     return "No number of it is told from zero; together they are."
