@@ -7,8 +7,8 @@
           + sum_e (c sum_k h_ek u_e(t) cos(k pi s_e) / (1 + k) + t_e d(c g)/dt)
                                                             each rest or reversal, s_e from 0 to 1 while it lasts: what
                                                             friction holds, and when it turns
-          + t0 d(tau_s)/dt + t1 F d(tau_s)/dt               one offset t0 between the clocks of torque and motion; what is
-                                                            fast of it, F, is less of one as far as it is noise
+          + t0 d(tau_s)/dt + t1 F d(tau_s)/dt               one offset t0 between the clocks of torque and motion; F is
+                                                            what is fast, which tells less of it if it is noise
           + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
                                                             what the fastest part of each joint's motion is worth
           + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
