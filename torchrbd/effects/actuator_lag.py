@@ -26,7 +26,7 @@ class ActuatorLag(Effect):
 
     The acting torque tau_s is all that is supplied, to the rigid body and to friction, whose jumps at reversals take
     pulses of the command. A recorded torque that comes late, behind a filter, looks like a negative lag to first order:
-    that is a time delay. It is seen ``below`` a bandwidth that the data chooses as a shape.
+    that is a time delay. What is load of it is seen ``below`` a bandwidth that the data chooses as a shape.
 
     Either the actuator of one joint lags, or all alike.
     """
@@ -53,7 +53,8 @@ class ActuatorLag(Effect):
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, band = signals.sequence(), shape["bandwidth"]
-        slope = below(at_site(signals.rate(signals.supplied), site), float(t[1] - t[0]), band)
+        of_load, of_friction = signals.rate(signals.load), signals.rate(signals.friction_torque)
+        slope = at_site(below(of_load, float(t[1] - t[0]), band) + of_friction, site)
         return {f"dtau/dt({band:.6g} Hz) {site.name(signals.robot)}": slope}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:

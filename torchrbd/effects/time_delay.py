@@ -20,9 +20,9 @@ class TimeDelay(Effect):
     """tau += delay (tau_s(t - step) - tau_s(t)) / step: the torque comes later than the motion if delay > 0.
 
     The torque tau_s that is late is all that the actuator supplies, to the rigid body and to friction. The delay
-    multiplies its slope; the step, where the secant is taken, follows: where both are equal, the term is exact. Of the
-    accelerations' noise a slope is mostly made where that is fast, so that it is seen ``below`` a bandwidth that the
-    data chooses as a shape.
+    multiplies its slope; the step, where the secant is taken, follows: where both are equal, the term is exact. Where
+    it is fast the load's slope is made of the accelerations' noise, so that it is seen ``below`` a bandwidth that the
+    data chooses as a shape; friction's jumps are known.
 
     Either the torque of one joint is late, or that of all.
     """
@@ -53,8 +53,12 @@ class TimeDelay(Effect):
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, step, band = signals.sequence(), shape["step"], shape["bandwidth"]
-        torque, dt = at_site(signals.supplied, site), float(t[1] - t[0])
-        secant = below((delayed(torque, step / dt) - torque) / step, dt, band)
+        dt = float(t[1] - t[0])
+        of_load, of_friction = (
+            (delayed(torque, step / dt) - torque) / step
+            for torque in (at_site(signals.load, site), at_site(signals.friction_torque, site))
+        )
+        secant = below(of_load, dt, band) + of_friction
         return {f"delayed({step:.6g}, {band:.6g} Hz) {site.name(signals.robot)}": secant}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:

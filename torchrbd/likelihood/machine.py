@@ -7,7 +7,7 @@
           + sum_e (c sum_k h_ek u_e(t) cos(k pi s_e) / (1 + k) + t_e d(c g)/dt)
                                                             each rest or reversal, s_e from 0 to 1 while it lasts: what
                                                             friction holds, and when it turns
-          + t0 d(tau_s)/dt + t1 F d(tau_s)/dt               one offset t0 between the clocks of torque and motion; F is
+          + t0 d(tau_s)/dt + t1 F d(tau_load)/dt            one offset t0 between the clocks of torque and motion; F is
                                                             what is fast, which tells less of it if it is noise
           + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
                                                             what the fastest part of each joint's motion is worth
@@ -45,7 +45,7 @@ from torchrbd.likelihood.noise import Noise, drift_basis, predicted
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import inertial_scale
 
-# Slopes of the torque are slow below this: above, they are those of the positions' noise more than of the motion.
+# Slopes of the load are slow below this: above, they are those of the positions' noise more than of the motion.
 OFFSET_HZ = 6.0
 # Clocks are off by some samples; a position may be an average over so many.
 _TIMING_SAMPLES, _AVERAGE_SAMPLES = 3.0, 2.0
@@ -294,7 +294,7 @@ class Machine:
     def slopes(self, hyper: Hyper) -> np.ndarray:
         """Return the columns (2 + n + 2 + 2, n, M) that follow the load.
 
-        d(tau_s)/dt of all that is supplied, and what of it is fast; each joint's fastest motion; d/dt and
+        d(tau_s)/dt of all that is supplied, and what of the load's is fast; each joint's fastest motion; d/dt and
         d^2/dt^2 of Coulomb friction; and rounding.
         """
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
@@ -308,7 +308,8 @@ class Machine:
             turns_at = signals.rate(signals.coulomb_torque)
             rounding = amplitude * turns.sin(), amplitude * turns.cos()
             t, rate = signals.sequence(), signals.rate(signals.supplied)
-            fast = rate - below(rate, float(t[1] - t[0]), OFFSET_HZ)
+            of_load = signals.rate(signals.load)
+            fast = of_load - below(of_load, float(t[1] - t[0]), OFFSET_HZ)
             return torch.stack((rate, fast, *fastest, turns_at, signals.rate(turns_at), *rounding))
 
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
