@@ -53,8 +53,9 @@ class ActuatorLag(Effect):
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, band = signals.sequence(), shape["bandwidth"]
-        of_load, of_friction = signals.rate(signals.load), signals.rate(signals.friction_torque)
-        slope = at_site(below(of_load, float(t[1] - t[0]), band) + of_friction, site)
+        dt = float(t[1] - t[0])
+        of_load = at_site(signals.load, site, lambda x: below(signals.rate(x), dt, band))
+        slope = of_load + at_site(signals.friction_torque, site, signals.rate)
         return {f"dtau/dt({band:.6g} Hz) {site.name(signals.robot)}": slope}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 import torch
@@ -54,12 +54,13 @@ class TimeDelay(Effect):
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, step, band = signals.sequence(), shape["step"], shape["bandwidth"]
         dt = float(t[1] - t[0])
-        of_load, of_friction = (
-            (delayed(torque, step / dt) - torque) / step
-            for torque in (at_site(signals.load, site), at_site(signals.friction_torque, site))
-        )
-        secant = below(of_load, dt, band) + of_friction
-        return {f"delayed({step:.6g}, {band:.6g} Hz) {site.name(signals.robot)}": secant}
+
+        def secant(torque: Tensor) -> Tensor:
+            return (delayed(torque, step / dt) - torque) / step
+
+        of_load = at_site(signals.load, site, lambda x: below(secant(x), dt, band))
+        slope = of_load + at_site(signals.friction_torque, site, secant)
+        return {f"delayed({step:.6g}, {band:.6g} Hz) {site.name(signals.robot)}": slope}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         shapes = {name: coefficients.new_tensor(shape[name]) for name in ("step", "bandwidth")}
@@ -89,13 +90,13 @@ def joints_and_all(robot: RobotModel) -> tuple[Site, ...]:
     return joints if len(joints) == 1 else (*joints, Site())
 
 
-def at_site(torque: Tensor, site: Site) -> Tensor:
-    """Return torques (n, *batch) with zeros at other joints than the site's, if it has one."""
+def at_site(torque: Tensor, site: Site, change: Callable[[Tensor], Tensor]) -> Tensor:
+    """Return a change of torques (n, *batch), joint by joint; zero at other joints than the site's, if it has one."""
     if site.joint is None:
-        return torque
+        return change(torque)
     only = torch.zeros(len(torque), *[1] * (torque.ndim - 1), dtype=torque.dtype, device=torque.device)
     only[site.joint] = 1.0
-    return torque * only
+    return change(torque[site.joint]) * only
 
 
 def delayed(x: Tensor, steps: float) -> Tensor:

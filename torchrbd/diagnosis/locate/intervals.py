@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchrbd.diagnosis.locate.edges import edge_equations
 from torchrbd.diagnosis.locate.signals import LEAST_SHARE
 from torchrbd.diagnosis.rows.regression import Fit
 
@@ -57,21 +58,19 @@ def gains(
     Returns:
         Numbers (P,) of first and second edges, and gains (P,).
     """
-    K, E = len(next(iter(phi.values()))), len(steps)
-    G, alone, u = fit.equations({j: (steps[:, None] * f).reshape(E * K, -1) for j, f in phi.items()})
+    K = len(next(iter(phi.values())))
+    G, alone, u = edge_equations(fit, phi, steps)
     m = sum(fit.rows.counts[j] for j in phi)
     held = steps.sum(1)
     a, b = np.nonzero(allowed & (held[:, None] - held >= LEAST_SAMPLES))
-    u = u.reshape(E, K)
-    power = _between(alone.reshape(E, K, E, K).diagonal(axis1=1, axis2=3), a, b)
+    power = _between(alone.diagonal(axis1=1, axis2=3), a, b)
     size = np.sqrt(np.maximum(power, _LEAST_POWER * max(float(power.max(initial=0.0)), 1e-300)))
     score = (u[a] - u[b]) / size
     if K == 1:
-        g = _between(G[..., None], a, b) / size**2 + LEAST_SHARE
+        g = _between(G[:, 0], a, b) / size**2 + LEAST_SHARE
         told = score / g
     else:
-        blocks = G.reshape(E, K, E, K).transpose(0, 2, 1, 3)
-        g = _between(blocks, a, b) / (size[:, :, None] * size[:, None]) + LEAST_SHARE * np.eye(K)
+        g = _between(G.transpose(0, 2, 1, 3), a, b) / (size[:, :, None] * size[:, None]) + LEAST_SHARE * np.eye(K)
         told = np.linalg.solve(g, score[..., None])[..., 0]
     return a, b, 0.5 * (score * told).sum(1) - 0.5 * K * np.log(max(m, 2)) - np.log(max(searched, 1))
 

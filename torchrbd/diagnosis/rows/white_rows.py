@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -72,6 +73,18 @@ class Rows:
     def white(self, x: np.ndarray, joint: int) -> np.ndarray:
         """Return signals (..., M) of a joint as its whitened rows see them, (..., m_j)."""
         return self.noises[joint].white(x * self.samples.weight[joint])
+
+    def white_part(self, x: np.ndarray, joint: int, begin: int) -> tuple[slice, np.ndarray]:
+        """Return which of a joint's whitened rows see signals (..., L), zero but at samples from ``begin`` on, and how.
+
+        Those rows are (..., their number).
+        """
+        noise, end = self.noises[joint], begin + x.shape[-1] + ORDER
+        first, last = map(int, np.searchsorted(noise.index, (begin, end)))
+        part = replace(noise, index=noise.index[first:last] - begin, spread=noise.spread[begin:end])
+        longer = np.zeros((*x.shape[:-1], len(part.spread)))
+        longer[..., : x.shape[-1]] = x * self.samples.weight[joint, begin : begin + x.shape[-1]]
+        return slice(first, last), part.white(longer)
 
     def columns(self, candidate: Candidate) -> tuple[list[Place], np.ndarray]:
         """Return places and whitened columns (N, K) of a candidate, in prior coordinates."""
