@@ -76,7 +76,7 @@ def with_machine(
     scales = [new if less else old for old, new, less in zip(narrow, wide, better.tolist(), strict=True)]
     columns = prepared.columns.at_scales(scales).sticking(prepared.columns.stick_levels * sticky)
     statistics = reading.statistics(columns, progress)
-    prior = data_prior(statistics.select(~prepared.held_out), held, settings.kappa)
+    prior = data_prior(statistics.together(~prepared.held_out), held, settings.kappa)
     return replace(prepared, columns=columns, statistics=statistics, prior=prior)
 
 
@@ -93,7 +93,7 @@ def _left(
     """Return the squared errors (n_dof,) that least squares leaves with such scales, all samples counting alike."""
     columns = prepared.columns.at_scales(scales)
     columns = columns.sticking(torch.zeros_like(columns.stick_levels))
-    training = prepared.reading.statistics(columns, lambda *_: None).select(~prepared.held_out)
+    training = prepared.reading.statistics(columns, lambda *_: None).together(~prepared.held_out)
     terms = term_candidates(columns, [e.id for e in effects if e.id in ORDINARY_EFFECTS])
     fit = fit_model(training, data_prior(training, held, prepared.prior.kappa), terms)
     return training.squared_error(fit.x).sum(0)

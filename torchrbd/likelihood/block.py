@@ -96,6 +96,8 @@ class Block:
 
     def some(self, kept: np.ndarray, own: np.ndarray) -> Block:
         """Return some of the columns, kept (P_j,) bool, under other numbers ``own`` of all (P_j,)."""
+        if kept.all():
+            return replace(self, own=own)
         first, size = len(self.lasting), np.broadcast_to(self.size, len(kept))[kept]
         brief = None if self.brief is None else self.brief.some(kept[first:])
         return Block(self.lasting[kept[:first]], self.y, own[kept], brief, size)

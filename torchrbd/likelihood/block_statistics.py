@@ -20,6 +20,9 @@ from torch import Tensor
 from torchrbd.likelihood.columns import Columns
 from torchrbd.recordings import States
 
+# Blocks of a recording for which there is room at first.
+_FIRST_BLOCKS = 64
+
 
 @dataclass(frozen=True)
 class Block:
@@ -68,6 +71,13 @@ class BlockStatistics:
             moments=tuple(m[keep] for m in self.moments),
             torque=self.torque[keep],
         )
+
+    def together(self, keep: Tensor) -> BlockStatistics:
+        """Return the blocks that ``keep`` (bool, (B,)) marks as one: all that a fit needs, but for its scatter."""
+        first = [block for block, kept in zip(self.blocks, keep.tolist(), strict=True) if kept][:1]
+        part = keep.to(self.torque)
+        torque, *moments = (torch.tensordot(part, x, 1).unsqueeze(0) for x in (self.torque, *self.moments))
+        return replace(self, blocks=tuple(first), moments=tuple(moments), torque=torque)
 
     def total(self) -> list[Tensor]:
         """Return per joint the moments of all blocks together, (p_j + 1, p_j + 1)."""
@@ -181,7 +191,11 @@ def block_statistics(
         block_s: length of a block, [s].
         independent_rate_hz: independent samples a second, 2 f_c.
     """
-    blocks: dict[tuple[int, int], tuple[Block, list[Tensor], Tensor]] = {}
+    # Blocks as they are found, with room for more: large moments are written once, where they stay.
+    found, places = list[Block](), dict[tuple[int, int], int]()
+    sizes = [len(own) + 1 for own in columns.of_joint]
+    moments = [torch.zeros(_FIRST_BLOCKS, p, p, dtype=torch.float64) for p in sizes]
+    sums = torch.zeros(_FIRST_BLOCKS, len(sizes), 3, dtype=torch.float64)
     for states in tiles:
         rows, torque = filtered_rows(columns, states)
         weights = independent_rate_hz * states.dt_out * columns.weight(states) * measured.unsqueeze(1)
@@ -189,31 +203,20 @@ def block_statistics(
         for b in number.unique().tolist():
             here = number == b
             w, tau = weights[:, here], torque[:, here]
-            inside = [row[:, here] for row in rows]
-            moments = [(a * w_j) @ a.T for a, w_j in zip(inside, w, strict=True)]
-            sums = torch.stack((w.sum(1), (w * tau).sum(1), (w * tau.square()).sum(1)), -1)
             start, end = float(states.t_out[here][0]), float(states.t_out[here][-1])
-            key = (states.segment, b)
-            if key in blocks:
-                block, old, old_sums = blocks[key]
-                for total, new in zip(old, moments, strict=True):
-                    total += new
-                blocks[key] = (Block(recording, block.start_s, end), old, old_sums + sums)
+            k = places.setdefault((states.segment, b), len(found))
+            if k == len(sums):
+                sums, *moments = (torch.cat((x, torch.zeros_like(x))) for x in (sums, *moments))
+            for own, row, w_j in zip(moments, rows, w, strict=True):
+                inside = row[:, here]
+                own[k].addmm_(inside * w_j, inside.T)
+            sums[k] += torch.stack((w.sum(1), (w * tau).sum(1), (w * tau.square()).sum(1)), -1)
+            if k == len(found):
+                found.append(Block(recording, start, end))
             else:
-                blocks[key] = (Block(recording, start, end), moments, sums)
-    entries = list(blocks.values())
-    sizes = [len(own) + 1 for own in columns.of_joint]
-    empty = [torch.zeros(0, p, p, dtype=torch.float64) for p in sizes]
-    return BlockStatistics(
-        columns=columns,
-        blocks=tuple(block for block, _, _ in entries),
-        moments=tuple(
-            torch.stack([moments[j] for _, moments, _ in entries]) if entries else empty[j] for j in range(len(sizes))
-        ),
-        torque=torch.stack([sums for *_, sums in entries])
-        if entries
-        else torch.zeros(0, len(sizes), 3, dtype=torch.float64),
-    )
+                found[k] = replace(found[k], end_s=end)
+    n = len(found)
+    return BlockStatistics(columns, tuple(found), tuple(m[:n] for m in moments), sums[:n])
 
 
 def filtered_rows(columns: Columns, states: States) -> tuple[list[Tensor], Tensor]:

@@ -102,8 +102,8 @@ class Posterior:
         They must be shared ones.
         """
         S, shift = self.root.left, self.h[self.root.shared].copy()
-        for own, L, X in self.root.local:
-            shift -= X.T @ forwards(L, self.h[own])
+        for own, L, X, met in self.root.local:
+            shift[met] -= X.T @ forwards(L, self.h[own])
         across = np.linalg.solve(S[k:, k:], np.column_stack((S[k:, :k], shift[k:])))
         P = S[:k, :k] - S[:k, k:] @ across[:, :k]
         return 0.5 * (P + P.T), shift[:k] - S[:k, k:] @ across[:, k]
@@ -114,10 +114,7 @@ class Posterior:
 
     def covariance(self, index: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the posterior covariance of some coefficients, (K, K)."""
-        units = np.zeros((len(self.z), len(index)))
-        units[index, np.arange(len(index))] = 1.0
-        V = self.half(units)
-        return V.T @ V
+        return self.root.covariance(np.asarray(index, dtype=int))
 
     def against(self, index: Sequence[int] | np.ndarray, value: np.ndarray | float = 0.0) -> float:
         """Return the log evidence against coefficients (K,) of a value: Savage and Dickey's density ratio there."""
@@ -148,7 +145,8 @@ class Gaussian(Posterior):
         sites: np.ndarray | None = None,
         local: Sequence[np.ndarray] = (),
     ) -> None:
-        H, h, self._constant = np.eye(n), np.zeros(n), 0.0
+        H, h, self._constant = np.zeros((n, n)), np.zeros(n), 0.0
+        H[np.diag_indices(n)] = 1.0
         for b in blocks:
             H[np.ix_(b.own, b.own)] += b.gram
             h[b.own] += b.times(b.y)
@@ -183,7 +181,7 @@ class Gaussian(Posterior):
         for b in blocks:
             H[np.ix_(b.own, b.own)] += b.gram
             h[b.own] += b.times(b.y)
-        both = Posterior(H, h, local=[own for own, *_ in self.root.local])
+        both = Posterior(H, h, local=[one.own for one in self.root.local])
         power = sum(float(b.y @ b.y) for b in blocks)
         return 0.5 * (float(h @ both.z - self.h @ self.z) - power) - (both.root.log_det - self.root.log_det)
 
@@ -194,7 +192,7 @@ class Gaussian(Posterior):
         blocks = [b.some(number[b.own] >= 0, number[b.own]) for b in self.blocks]
         one = copy(self)
         one.__dict__.pop("left", None)
-        local = [number[own][number[own] >= 0] for own, *_ in self.root.local]
+        local = [number[one.own][number[one.own] >= 0] for one in self.root.local]
         one._explain(blocks, self.H[np.ix_(kept, kept)], self.h[kept], local)
         return one
 

@@ -7,11 +7,21 @@ others a product (block elimination: Golub and Van Loan, "Matrix Computations", 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtrs
 
 ROUNDING, _LEAST_PRECISION = 1e-13, 1e-280
+
+
+class Local(NamedTuple):
+    """Coefficients ``own`` (k,) of one group, L_j (k, k), and X_j (k, m) for the shared ones that they meet (m,)."""
+
+    own: np.ndarray
+    L: np.ndarray
+    X: np.ndarray
+    met: np.ndarray
 
 
 class Root:
@@ -23,7 +33,8 @@ class Root:
             [     L_1          ]
             [          L_2     ]
 
-    Without such groups it is Cholesky's factor.
+    X_j is kept where it is not zero: a joint shares the bodies that it moves. Without such groups F is Cholesky's
+    factor.
 
     Args:
         H: (P, P) precision.
@@ -38,45 +49,63 @@ class Root:
         self.shared = np.setdiff1d(np.arange(len(H)), np.concatenate(local)) if len(local) else np.arange(len(H))
         self.left, self.local = _raised(H, self.shared, rounding), []
         for own in local:
-            L = np.linalg.cholesky(_raised(H, own, rounding))
-            X = forwards(L, H[np.ix_(own, self.shared)])
-            self.left -= X.T @ X
-            self.local.append((own, L, X))
+            L, across = np.linalg.cholesky(_raised(H, own, rounding)), H[np.ix_(own, self.shared)]
+            met = np.flatnonzero(across.any(axis=0))
+            X = forwards(L, across[:, met])
+            self.left[np.ix_(met, met)] -= X.T @ X
+            self.local.append(Local(own, L, X, met))
         self.L = np.linalg.cholesky(self.left)
 
     @property
     def log_det(self) -> float:
         """log det F."""
-        return float(sum(np.log(L.diagonal()).sum() for L in (self.L, *(L for _, L, _ in self.local))))
+        return float(sum(np.log(L.diagonal()).sum() for L in (self.L, *(one.L for one in self.local))))
 
     @property
     def matrix(self) -> np.ndarray:
         """F, (P, P)."""
-        F = np.zeros((len(self.shared) + sum(len(own) for own, *_ in self.local),) * 2)
+        F = np.zeros((len(self.shared) + sum(len(one.own) for one in self.local),) * 2)
         F[np.ix_(self.shared, self.shared)] = self.L
-        for own, L, X in self.local:
-            F[np.ix_(own, own)], F[np.ix_(self.shared, own)] = L, X.T
+        for own, L, X, met in self.local:
+            F[np.ix_(own, own)], F[np.ix_(self.shared[met], own)] = L, X.T
         return F
 
     def half(self, B: np.ndarray) -> np.ndarray:
         """Return F^-1 B of B (P, ...)."""
         found, shared = np.zeros(B.shape), B[self.shared].astype(float)
-        for own, L, X in self.local:
+        for own, L, X, met in self.local:
             if (part := B[own]).any():
                 found[own] = part = forwards(L, part)
-                shared -= X.T @ part
+                shared[met] -= X.T @ part
         found[self.shared] = forwards(self.L, shared)
         return found
 
     def solve(self, B: np.ndarray) -> np.ndarray:
         """Return H^-1 B of B (P, ...)."""
         found = self.half(B)
-        found[self.shared] = shared = solve_triangular(
-            self.L, found[self.shared], lower=True, trans=1, check_finite=False
-        )
-        for own, L, X in self.local:
-            found[own] = solve_triangular(L, found[own] - X @ shared, lower=True, trans=1, check_finite=False)
+        found[self.shared] = shared = _backwards(self.L, found[self.shared])
+        for own, L, X, met in self.local:
+            found[own] = _backwards(L, found[own] - X @ shared[met])
         return found
+
+    def covariance(self, index: np.ndarray) -> np.ndarray:
+        """Return the part (K, K) of H^-1 that some coefficients have."""
+        place = np.full(len(self.shared) + sum(len(one.own) for one in self.local), -1)
+        place[index] = np.arange(len(index))
+        shared = np.zeros((len(self.shared), len(index)))
+        at = place[self.shared]
+        shared[at >= 0, at[at >= 0]] = 1.0
+        found = np.zeros((len(index),) * 2)
+        for own, L, X, met in self.local:
+            here = np.flatnonzero(place[own] >= 0)
+            if len(here):
+                units = np.zeros((len(own), len(here)))
+                units[here, np.arange(len(here))] = 1.0
+                V, columns = forwards(L, units), place[own[here]]
+                shared[np.ix_(met, columns)] -= X.T @ V
+                found[np.ix_(columns, columns)] = V.T @ V
+        V = forwards(self.L, shared)
+        return found + V.T @ V
 
 
 def _raised(H: np.ndarray, own: np.ndarray, rounding: float) -> np.ndarray:
@@ -89,4 +118,10 @@ def _raised(H: np.ndarray, own: np.ndarray, rounding: float) -> np.ndarray:
 
 def forwards(L: np.ndarray, B: np.ndarray) -> np.ndarray:
     """Return L^-1 B of a lower triangle L."""
-    return solve_triangular(L, B, lower=True, check_finite=False)
+    # What scipy's function for this calls, which takes longer to check its arguments.
+    return dtrtrs(L.T, B, lower=0, trans=1)[0] if B.size else np.zeros(B.shape)
+
+
+def _backwards(L: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Return L'^-1 B of a lower triangle L."""
+    return dtrtrs(L.T, B, lower=0, trans=0)[0] if B.size else np.zeros(B.shape)

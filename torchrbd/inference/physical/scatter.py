@@ -20,7 +20,9 @@ Bayes methods for assessing differential expression", 2004, sect. 3 (the moderat
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from scipy.stats import norm, t
@@ -85,15 +87,25 @@ class Scatter:
 
     def effective_blocks(self, g: Tensor) -> float:
         """Return nu: how many blocks of equal weight would tell g'x as evenly."""
-        statistics = self.statistics
-        along = torch.zeros(statistics.columns.n, dtype=torch.float64).index_copy(0, self.free, self.laplace @ g)
-        told = torch.zeros(len(statistics), dtype=torch.float64)
-        for own, moments, weight in zip(statistics.columns.of_joint, statistics.moments, self.weights, strict=True):
-            # A zero for the torque, not a part of the moments: that would be copied.
-            v = torch.cat((along[own], along.new_zeros(1)))
-            told += weight * ((moments @ v) @ v)
+        at = torch.nonzero(g).flatten()
+        told = (self._told[:, at][:, :, at] @ g[at]) @ g[at]
         power = float(told.square().sum())
         return float(told.sum()) ** 2 / power if power > 0.0 else 1.0
+
+    @cached_property
+    def _told(self) -> Tensor:
+        """P^-1 H_b P^-1, (B, F, F)."""
+        found = self.laplace.new_zeros(len(self.statistics), *self.laplace.shape)
+        for b, own in enumerate(_information(self.statistics, self.weights, self.free)):
+            torch.matmul(self.laplace @ own, self.laplace, out=found[b])
+        return found
+
+
+def _information(statistics: BlockStatistics, weights: Tensor, free: Tensor) -> Iterator[Tensor]:
+    """Yield what each block tells of some coefficients (F,), H_b (F, F)."""
+    for b in range(len(statistics)):
+        H, _ = assemble(statistics.columns, [m[b] for m in statistics.moments], weights)
+        yield H[free.unsqueeze(1), free]
 
 
 def block_scatter(
@@ -115,9 +127,8 @@ def block_scatter(
     size = torch.where(size > 0, size, torch.ones_like(size))
     correlation = laplace / size / size.unsqueeze(1)
     information, steps = torch.zeros_like(laplace), []
-    for b, pull in enumerate(statistics.scores(x, weights)[:, free] * size):
-        H, _ = assemble(statistics.columns, [m[b] for m in statistics.moments], weights)
-        own = H[free.unsqueeze(1), free]
+    pulls = statistics.scores(x, weights)[:, free] * size
+    for own, pull in zip(_information(statistics, weights, free), pulls, strict=True):
         information += own
         left = torch.eye(len(free), dtype=torch.float64) - (own * size * size.unsqueeze(1)) @ correlation
         steps.append(size * (correlation @ torch.linalg.solve(left, pull)))

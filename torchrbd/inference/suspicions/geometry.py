@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -47,6 +48,18 @@ class Moved:
     left: Tensor
     weight: Tensor
     noise: tuple[Tensor, Tensor]
+
+    def squares(self, change: Tensor) -> Tensor:
+        """Return the weighed squares (n_dof,) of what is left as the sizes change by (K,)."""
+        own, cross, alone = self._products
+        return (alone + (own @ change + 2.0 * cross) @ change).clamp_min(0.0)
+
+    @cached_property
+    def _products(self) -> tuple[Tensor, Tensor, Tensor]:
+        """E' W E (n_dof, K, K), E' W r (n_dof, K) and r' W r (n_dof,)."""
+        weighed = self.effect * self.weight.unsqueeze(1)
+        cross = (weighed @ self.left.unsqueeze(-1))[..., 0]
+        return weighed @ self.effect.mT, cross, (self.weight * self.left.square()).sum(1)
 
 
 def move_joints(

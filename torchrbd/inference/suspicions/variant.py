@@ -74,10 +74,10 @@ def _needed(samples: Samples, found: Moved, bound: float) -> list[bool]:
 def _lost(samples: Samples, found: Moved, covariance: Tensor, zero: list[int]) -> float:
     """Return sum_j N/2 log(e_j / e_j0), by which the torques are less likely with some sizes at zero."""
     change = covariance[:, zero] @ torch.linalg.solve(covariance[zero][:, zero], found.size[zero])
-    without = found.left + torch.einsum("jkm,k->jm", found.effect, change)
-    mean = (found.weight * samples.tau).sum(1) / found.weight.sum(1).clamp_min(1e-300)
-    constant = samples.tau - mean.unsqueeze(1)
-    left, lost, most = ((found.weight * x.square()).sum(1) for x in (found.left, without, constant))
+    left, lost = found.squares(torch.zeros_like(change)), found.squares(change)
+    weight, tau = found.weight, samples.tau
+    mean = (weight * tau).sum(1) / weight.sum(1).clamp_min(1e-300)
+    most = (weight * (tau - mean.unsqueeze(1)).square()).sum(1)
     told = samples.judged & (left > 0)
     return samples.nats * float((torch.minimum(lost, most) / torch.minimum(left, most))[told].log().sum())
 
