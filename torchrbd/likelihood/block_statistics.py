@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -194,7 +195,8 @@ def block_statistics(
     # Blocks as they are found, with room for more: large moments are written once, where they stay.
     found, places = list[Block](), dict[tuple[int, int], int]()
     sizes = [len(own) + 1 for own in columns.of_joint]
-    moments = [torch.zeros(_FIRST_BLOCKS, p, p, dtype=torch.float64) for p in sizes]
+    # Numpy's zeros take no memory until something is added to them.
+    moments = [torch.from_numpy(np.zeros((_FIRST_BLOCKS, p, p))) for p in sizes]
     sums = torch.zeros(_FIRST_BLOCKS, len(sizes), 3, dtype=torch.float64)
     for states in tiles:
         rows, torque = filtered_rows(columns, states)

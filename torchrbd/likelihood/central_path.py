@@ -45,12 +45,6 @@ class Problem:
         both = (R[:, :, None, :, None] * R[:, None, :, None, :]).reshape(-1, _SIZE**2, _SIZE**2)
         return self.kappa**0.5 * _B @ both @ _B.T
 
-    def times(self, K: np.ndarray, X: np.ndarray) -> np.ndarray:
-        """Return diag(K, 1) X for X (n, k)."""
-        found, k = X.copy(), self.n_inertial
-        found[:k] = (K @ X[:k].reshape(self.n_bodies, PARAMETERS_PER_BODY, X.shape[1])).reshape(k, X.shape[1])
-        return found
-
     def step(
         self, K: np.ndarray, R: np.ndarray, z: np.ndarray, inverse: np.ndarray, mu: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -59,11 +53,11 @@ class Problem:
         The gradient is that of the objective with the barrier -mu logdet G; ``inverse`` = R' G^-1 R (n_bodies, 4, 4).
         """
         back, own = K.swapaxes(1, 2), slice(self.n_inertial)
-        down = -self.times(back, (self.A @ z - self.h)[:, None])
+        down = -in_blocks(back, (self.A @ z - self.h)[:, None])
         down[own, 0] -= self.kappa * _along(R.swapaxes(1, 2) @ R)
         down = np.repeat(down, len(mu), axis=1)
         down[own] += _along(inverse)[:, None] * mu
-        N = self.times(back, self.times(back, self.A).T)
+        N = in_blocks(back, in_blocks(back, self.A).T)
         N = 0.5 * (N + N.T)
         N[np.diag_indices(self.n_inertial)] += 1.0
         return N, down, _solved(N, down)
@@ -99,9 +93,16 @@ def follow_path(problem: Problem) -> tuple[np.ndarray, np.ndarray, int, bool]:
         if mu == kappa and length == 1.0 and (decrement < _EXACT or _NO_PROGRESS * before < decrement < _SHORT):
             return z, L, steps, True
         before = decrement
-        z = z + length * problem.times(K, y[:, None])[:, 0]
+        z = z + length * in_blocks(K, y[:, None])[:, 0]
         L, M = R @ np.linalg.cholesky(diagonal + length * dX), dual @ np.linalg.cholesky(diagonal + length * dZ)
     return z, L, _MOST_STEPS, False
+
+
+def in_blocks(K: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """Return diag(K, 1) X of blocks K (n_bodies, 10, 10), for X (n, k)."""
+    found, k = X.copy(), K.shape[0] * K.shape[1]
+    found[:k] = (K @ X[:k].reshape(*K.shape[:2], X.shape[1])).reshape(k, X.shape[1])
+    return found
 
 
 def _along(X: np.ndarray) -> np.ndarray:

@@ -47,7 +47,8 @@ class Equations:
 def scaled_equations(prior: Prior, totals: Sequence[Tensor], columns: Columns, weights: Tensor) -> Equations:
     """Return S'HS and S'(h - H x0) of summed moments."""
     H, h = assemble(columns, totals, weights)
-    return Equations(prior.scale.T @ H @ prior.scale, prior.scale.T @ (h - H @ prior.mean))
+    h = prior.scaled((h - H @ prior.mean).unsqueeze(1), back=True)[:, 0]
+    return Equations(prior.scaled(prior.scaled(H, back=True).T, back=True), h)
 
 
 def linear_fit(statistics: BlockStatistics, prior: Prior, free: Tensor) -> tuple[Tensor, Tensor]:

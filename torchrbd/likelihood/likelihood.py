@@ -61,14 +61,13 @@ class Likelihood:
         self._first = n + np.cumsum([0, *(len(e.std) for e in self.extra)])
         self._designs = [self._design(j, one) for j, one in enumerate(designs or none)]
         self.index = machine.index
-        known = zip(designs or none, blocks or none, strict=True)
-        whitened = [self._block(j, *one) for j, one in enumerate(known)]
+        whitened = [self._block(j, *one) for j, one in enumerate(zip(designs or none, blocks or none, strict=True))]
         root = np.sqrt(hyper.kappa)
         sites = np.zeros((3, int(self._first[-1])))
         sites[:, machine.resisting] = hyper.resists.reshape(3, -1)
         self._bodies = expanded(root * hyper.bodies, hyper.kappa)
         self.gaussian = Gaussian(whitened, sites.shape[1], self._bodies, sites, machine.local)
-        self._settled: dict[tuple[int, ...], Likelihood] = {}
+        self._settled, self._residuals = dict[tuple[int, ...], Likelihood](), dict[int, np.ndarray]()
 
     def _design(self, joint: int, known: Design | None) -> Design:
         beside = [(int(k), e) for k, e in zip(self._first, self.extra, strict=False) if e.at(joint) is not None]
@@ -120,8 +119,10 @@ class Likelihood:
 
     def residual(self, joint: int) -> np.ndarray:
         """Return what is left of a joint's torque, (M,) [N m or N]."""
-        one = self._designs[joint]
-        return one.target - one.explained(self.gaussian.z[one.own])
+        if joint not in self._residuals:
+            one = self._designs[joint]
+            self._residuals[joint] = one.target - one.explained(self.gaussian.z[one.own])
+        return self._residuals[joint]
 
     def held(self, joint: int) -> np.ndarray:
         """Return what friction holds a joint with while it rests, beside its law, (M,) [N m or N]."""

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.likelihood.central_path import Problem, follow_path
+from torchrbd.likelihood.central_path import Problem, follow_path, in_blocks
 from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.urdf_prior import Prior, orthonormal_steps
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
@@ -52,29 +52,36 @@ def physical_fit(prior: Prior, equations: Equations, terms: Tensor) -> PhysicalF
     """
     free = torch.cat((prior.inertial, terms))
     L0 = torch.linalg.cholesky(torch.linalg.inv(prior.inverse_inertia))
-    turn = _turn(prior, L0, len(terms))
-    A = turn.T @ equations.H[free.unsqueeze(1), free] @ turn
+    turn = _turn(prior, L0)
+    A = _turned(turn, equations.H[free.unsqueeze(1), free].numpy())
     trust = min(1.0, _STIFFEST / max(float(A.diagonal().max()), 1.0)) if len(free) else 1.0
-    A, h = trust * A, trust * (turn.T @ equations.h[free])
-    A.diagonal()[len(prior.inertial) :] += 1.0
-    problem = Problem(A.numpy(), h.numpy(), prior.kappa, len(prior.bodies))
+    A, h = trust * A, trust * in_blocks(turn.swapaxes(1, 2), equations.h[free, None].numpy())[:, 0]
+    terms_alone = np.arange(len(prior.inertial), len(A))
+    A[terms_alone, terms_alone] += 1.0
+    problem = Problem(A, h, prior.kappa, len(prior.bodies))
     z, L, steps, converged = follow_path(problem)
     K = problem.columns(L)
     N, *_ = problem.step(K, L, z, np.broadcast_to(np.eye(4), L.shape), np.zeros(1))
     N[np.diag_indices(problem.n_inertial)] += prior.kappa - 1.0
-    into = problem.times(np.linalg.inv(K), np.linalg.inv(turn.numpy()))
-    precision = torch.from_numpy(into.T @ N @ into)
-    x = prior.mean + prior.scale[:, free] @ (turn @ torch.from_numpy(z))
+    precision = torch.from_numpy(_turned(np.linalg.inv(turn @ K), N))
+    x = prior.mean + prior.scale[:, free] @ torch.from_numpy(in_blocks(turn, z[:, None])[:, 0])
     factor = L0 @ torch.from_numpy(L)
     x[prior.inertial] = _representable(x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY), factor, L0).flatten()
     return PhysicalFit(x, free, 0.5 * (precision + precision.T), steps, converged)
 
 
-def _turn(prior: Prior, L0: Tensor, n_terms: int) -> Tensor:
-    """Return Q (n_free, n_free) from z of ``Problem`` to the prior's; orthogonal if both mean the same kappa."""
-    S = prior.scale[prior.inertial][:, prior.inertial]
-    own = orthonormal_steps(L0) / prior.kappa**0.5
-    return torch.block_diag(torch.linalg.solve(S, own), torch.eye(n_terms, dtype=S.dtype))
+def _turn(prior: Prior, L0: Tensor) -> np.ndarray:
+    """Return the blocks Q (n_bodies, 10, 10) from z of ``Problem`` to the prior's, terms as they are.
+
+    They are orthogonal if both mean the same kappa.
+    """
+    return torch.linalg.solve(prior.blocks, orthonormal_steps(L0) / prior.kappa**0.5).numpy()
+
+
+def _turned(blocks: np.ndarray, A: np.ndarray) -> np.ndarray:
+    """Return diag(Q, 1)' A diag(Q, 1) of a symmetric A (n, n)."""
+    back = blocks.swapaxes(1, 2)
+    return in_blocks(back, in_blocks(back, A).T)
 
 
 def _representable(pi: Tensor, factor: Tensor, factor0: Tensor) -> Tensor:

@@ -10,9 +10,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dtrtrs
+from scipy.linalg import get_lapack_funcs
 
 ROUNDING, _LEAST_PRECISION = 1e-13, 1e-280
+# What scipy's function for triangles calls, which takes longer to check its arguments.
+(_trtrs,) = get_lapack_funcs(("trtrs",), dtype=np.float64)
 
 
 class Local(NamedTuple):
@@ -118,10 +120,9 @@ def _raised(H: np.ndarray, own: np.ndarray, rounding: float) -> np.ndarray:
 
 def forwards(L: np.ndarray, B: np.ndarray) -> np.ndarray:
     """Return L^-1 B of a lower triangle L."""
-    # What scipy's function for this calls, which takes longer to check its arguments.
-    return dtrtrs(L.T, B, lower=0, trans=1)[0] if B.size else np.zeros(B.shape)
+    return _trtrs(L.T, B, lower=0, trans=1)[0] if B.size else np.zeros(B.shape)
 
 
 def _backwards(L: np.ndarray, B: np.ndarray) -> np.ndarray:
     """Return L'^-1 B of a lower triangle L."""
-    return dtrtrs(L.T, B, lower=0, trans=0)[0] if B.size else np.zeros(B.shape)
+    return _trtrs(L.T, B, lower=0, trans=0)[0] if B.size else np.zeros(B.shape)

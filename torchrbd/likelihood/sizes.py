@@ -36,7 +36,7 @@ def inertial_scale(robot: RobotModel, held: frozenset[str] = frozenset()) -> tup
     pi = robot.pi.reshape(-1, PARAMETERS_PER_BODY).clone()
     bodies = [b for b, name in enumerate(robot.body_names) if float(pi[b, 0]) > 0 and name not in held]
     pi[bodies] = thickened(nearest_physical(pi[bodies]))
-    scale = orthonormal_steps(torch.linalg.cholesky(pseudo_inertia(pi[bodies])))
+    scale = torch.block_diag(*orthonormal_steps(torch.linalg.cholesky(pseudo_inertia(pi[bodies]))), pi.new_zeros(0, 0))
     index = [PARAMETERS_PER_BODY * b + k for b in bodies for k in range(PARAMETERS_PER_BODY)]
     return pi.flatten().numpy(), np.array(index, dtype=int), scale.numpy()
 

@@ -55,6 +55,19 @@ class Prior:
         first = PARAMETERS_PER_BODY * torch.tensor(self.bodies, dtype=torch.long).unsqueeze(1)
         return (first + torch.arange(PARAMETERS_PER_BODY)).flatten()
 
+    @property
+    def blocks(self) -> Tensor:
+        """The parts of S that single bodies have, (n_fitted, 10, 10)."""
+        at = self.inertial.reshape(-1, PARAMETERS_PER_BODY)
+        return self.scale[at.unsqueeze(2), at.unsqueeze(1)]
+
+    def scaled(self, X: Tensor, *, back: bool = False) -> Tensor:
+        """Return S X of X (n, k), or S'X if ``back``: S is diagonal but for the blocks of bodies."""
+        found, at, blocks = self.scale.diagonal().unsqueeze(1) * X, self.inertial, self.blocks
+        own = X[at].reshape(len(blocks), PARAMETERS_PER_BODY, X.shape[1])
+        found[at] = ((blocks.mT if back else blocks) @ own).flatten(0, 1)
+        return found
+
 
 def in_proportion(widths: np.ndarray, std: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return the largest multiple of ``std`` (K,) that is nowhere above ``widths`` (K,), zero where those are."""
@@ -131,17 +144,18 @@ def inverse_root(A: Tensor) -> Tensor:
 
 
 def orthonormal_steps(F: Tensor) -> Tensor:
-    """Return T (10 b, 10 b), pi = pi_F + T y for J = F (1 + sum_k y_k B_k) F' with factors F (b, 4, 4).
+    """Return the blocks (b, 10, 10) of T, pi = pi_F + T y for J = F (1 + sum_k y_k B_k) F' with factors F (b, 4, 4).
 
     B is orthonormal, so that -logdet J has curvature 1 in y at y = 0.
     """
-    return torch.block_diag(*(from_pseudo_inertia(f @ ORTHONORMAL @ f.mT).T for f in F), F.new_zeros(0, 0))
+    F = F.unsqueeze(1)
+    return from_pseudo_inertia(F @ ORTHONORMAL @ F.mT).mT
 
 
 def local_coordinates(prior: Prior, x: Tensor) -> Tensor:
     """Return T (10 b, 10 b): in y, kappa D has curvature 1 at x, fitted inertial parameters being T y away from it."""
     F = torch.linalg.cholesky(pseudo_inertia(x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY)))
-    return orthonormal_steps(F) / prior.kappa**0.5
+    return torch.block_diag(*orthonormal_steps(F), F.new_zeros(0, 0)) / prior.kappa**0.5
 
 
 def local_covariance(prior: Prior, x: Tensor) -> Tensor:

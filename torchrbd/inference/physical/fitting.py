@@ -159,8 +159,9 @@ def fit_model(
 
 def _told(prior: Prior, fit: PhysicalFit) -> tuple[Tensor, Tensor]:
     """Return the coefficients (n,) of a fit and their covariance (n, n)."""
-    S = prior.scale[:, fit.free]
-    return fit.x, S @ torch.linalg.inv(fit.precision) @ S.T
+    covariance, at = torch.zeros_like(prior.scale), fit.free
+    covariance[at.unsqueeze(1), at] = torch.linalg.inv(fit.precision)
+    return fit.x, prior.scaled(prior.scaled(covariance).T)
 
 
 def _positive(columns: Columns, terms: Sequence[Candidate]) -> list[int]:

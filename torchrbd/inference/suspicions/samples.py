@@ -110,17 +110,18 @@ class Samples:
         modelled, n = torch.cat(parts, 1), self.robot.n_dof
         left, share, gain = torch.zeros(3, n, n, dtype=torch.float64)
         left += 1.0
+        seen = torch.nonzero(self.judged).flatten()
+        w, tau = self.weight[seen].sqrt(), self.tau[seen] * self.weight[seen].sqrt()
+        torque = tau.square().sum(1)
         for j, place in enumerate(writing.q_order):
-            for i in torch.nonzero(self.judged).flatten().tolist():
-                w = self.weight[i].sqrt()
-                F, _ = torch.linalg.qr((self._features[place][self._plain[place]] * w).T)
-                s, t = modelled[j] * w, self.tau[i] * w
-                power, torque = float(s @ s), float(t @ t)
-                s, t = s - F @ (F.T @ s), t - F @ (F.T @ t)
-                left[j, i], own = float(t @ t) / torque, float(s @ s)
-                if own > NOTHING * power:
-                    gain[j, i] = float(s @ t) / own
-                    share[j, i] = gain[j, i] * abs(float(s @ t)) / torque
+            # Beside friction's features (J, M, 3), weighed as the torques of the joints (J, M) that this may be.
+            F, _ = torch.linalg.qr(self._features[place][self._plain[place]].T * w.unsqueeze(-1))
+            s = modelled[j] * w
+            power, (s, t) = s.square().sum(1), (_beside(F, x) for x in (s, tau))
+            left[j, seen], own, both = t.square().sum(1) / torque, s.square().sum(1), (s * t).sum(1)
+            told = own > NOTHING * power
+            gain[j, seen] = torch.where(told, both / own, 0.0)
+            share[j, seen] = torch.where(told, gain[j, seen] * both.abs() / torque, 0.0)
         return Shape(left, share, gain)
 
     def explained(
@@ -226,6 +227,11 @@ class Samples:
             ]
             self._design = (writing.motion, robot), rows
         return self._design[1]
+
+
+def _beside(F: Tensor, x: Tensor) -> Tensor:
+    """Return what is left of x (J, M) beside orthonormal columns F (J, M, K)."""
+    return x - (F @ (F.mT @ x.unsqueeze(-1)))[..., 0]
 
 
 def _divergence(prior: Prior, x: Tensor) -> float:
