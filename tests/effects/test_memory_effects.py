@@ -211,6 +211,13 @@ class TestTimeDelay:
         assert all((part.abs().sum(-1) > 0).tolist() == [k == j for k in range(3)] for j, part in enumerate(parts))
         assert TimeDelay().sites(PENDULUM) == (Site(0),)
 
+    def test_no_delay_at_all_has_a_step(self) -> None:
+        at = signals(*states(60))
+        shape = TimeDelay().agreeing(torch.zeros(1), {"step": 0.02, "bandwidth": 6.0})
+        for one in (shape, TimeDelay().coefficients({"delay": 0.0})[1]):
+            (phi,) = TimeDelay().features(at, Site(0), one).values()
+            assert torch.isfinite(phi).all()
+
     def test_plausible_is_a_delay_near_its_step_or_of_first_order(self) -> None:
         assert TimeDelay().plausible({"delay": -0.008, "step": 0.001}, SCALE)
         assert TimeDelay().plausible({"delay": -0.008, "step": -0.01}, SCALE)

@@ -49,7 +49,11 @@ class TimeDelay(Effect):
         return tuple({"step": self._SMALL_S, "bandwidth": hz} for hz in BANDWIDTHS_HZ)
 
     def agreeing(self, coefficients: Tensor, shape: Shape) -> Shape:
-        return {**shape, "step": float(coefficients[0])}
+        return {**shape, "step": self._step(float(coefficients[0]))}
+
+    def _step(self, delay: float) -> float:
+        """Return where the secant of a delay is taken; that of hardly any is a slope."""
+        return math.copysign(max(abs(delay), self._SMALL_S), delay)
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, step, band = signals.sequence(), shape["step"], shape["bandwidth"]
@@ -70,7 +74,7 @@ class TimeDelay(Effect):
         """Return them; without a step, the delay is a pure one, and the step is equal to it."""
         delay = parameters["delay"]
         return (delay,), {
-            "step": parameters.get("step", delay),
+            "step": parameters.get("step", delay or self._SMALL_S),
             "bandwidth": parameters.get("bandwidth", UNLIMITED_HZ),
         }
 
