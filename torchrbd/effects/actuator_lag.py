@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import torch
-from scipy.signal import lfilter
 from torch import Tensor
 
 from torchrbd.effects.band_limits import BANDWIDTHS_HZ, UNLIMITED_HZ, below
 from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
+from torchrbd.effects.recurrence import recurrence
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window
 from torchrbd.effects.time_delay import at_site, joints_and_all
@@ -72,13 +72,15 @@ class ActuatorLag(Effect):
 
 
 def acting(command: Tensor, steps: float) -> Tensor:
-    """Return what an actuator of a time constant of so many samples supplies of a command (..., N), linear between
-    samples; before the first one the command is mirrored through it."""
+    """Return what an actuator of a time constant of so many samples supplies of a command (..., N).
+
+    The command is linear between samples, and mirrored through the first one before it.
+    """
     before = min(command.shape[-1] - 1, math.ceil(_FORGOTTEN * steps))
     longer = torch.cat((2 * command[..., :1] - command[..., 1 : before + 1].flip(-1), command), -1)
     decay = math.exp(-1.0 / steps)
     # Of a command that is a straight line between two samples, what its ends weigh.
     last = 1.0 - steps * (1.0 - decay)
     first = 1.0 - decay - last
-    filtered, _ = lfilter([last, first], [1.0, -decay], longer.numpy(), zi=(longer[..., :1] * (1.0 - last)).numpy())
-    return torch.from_numpy(filtered[..., before:])
+    drive = first * longer[..., :-1] + last * longer[..., 1:]
+    return recurrence(longer[..., 0], torch.full_like(drive, decay), drive)[..., before:]

@@ -27,7 +27,7 @@ def below(x: Tensor, dt: float, hz: float) -> Tensor:
     before = 2 * x[..., :1] - x[..., 1 : reach + 1].flip(-1)
     after = 2 * x[..., -1:] - x[..., x.shape[-1] - 1 - reach : -1].flip(-1)
     longer = torch.cat((before, x, after), -1)
-    size = int(scipy.fft.next_fast_len(longer.shape[-1], real=True) or longer.shape[-1])
+    size = scipy.fft.next_fast_len(longer.shape[-1], real=True)
     f = torch.fft.rfftfreq(size, dt, dtype=x.dtype, device=x.device)
     spectrum = torch.fft.rfft(longer, size) * torch.exp(-0.5 * (f / hz) ** 2)
     return torch.fft.irfft(spectrum, size)[..., reach : reach + x.shape[-1]]
