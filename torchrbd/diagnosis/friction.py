@@ -80,18 +80,9 @@ def _friction(
     also = [(k, c.labels.index(label)) for k, c in enumerate(laws) if c.place == joint and label in c.labels]
     if also:
         index = np.concatenate((at, [fit.further(k)[i] for k, i in also]))
-        into = np.column_stack((np.diag(size), *(np.full(len(size), fit.extra[k].std[i]) for k, i in also)))
-        evidence = min(evidence, _against_sums(fit, index, into, float(urdf)))
+        sums = np.column_stack((np.diag(size), *(np.full(len(size), fit.extra[k].std[i]) for k, i in also)))
+        evidence = min(evidence, fit.gaussian.against(index, float(urdf), sums))
     return Friction(candidate, evidence, probability_of(evidence))
-
-
-def _against_sums(fit: Likelihood, index: np.ndarray, into: np.ndarray, value: float) -> float:
-    """Return the log evidence against a value of sums ``into`` (S, K) of coefficients (K,), which have N(0, 1)."""
-    before, after = into @ into.T, into @ fit.gaussian.covariance(index) @ into.T
-    m = into @ fit.gaussian.z[index] - value
-    log_ratio = np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]
-    x = np.full(len(m), value)
-    return 0.5 * float(log_ratio + m @ np.linalg.solve(after, m) - x @ np.linalg.solve(before, x))
 
 
 def _uneven(fit: Likelihood, joint: int) -> float:

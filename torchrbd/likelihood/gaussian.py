@@ -116,11 +116,17 @@ class Posterior:
         """Return the posterior covariance of some coefficients, (K, K)."""
         return self.root.covariance(np.asarray(index, dtype=int))
 
-    def against(self, index: Sequence[int] | np.ndarray, value: np.ndarray | float = 0.0) -> float:
-        """Return the log evidence against coefficients (K,) of a value: Savage and Dickey's density ratio there."""
-        C, x = self.covariance(index), np.broadcast_to(value, len(index))
-        m = self.z[list(index)] - x
-        return 0.5 * float(np.linalg.slogdet(C)[1] + m @ np.linalg.solve(C, m) - x @ x)
+    def against(
+        self, index: Sequence[int] | np.ndarray, value: np.ndarray | float = 0.0, sums: np.ndarray | None = None
+    ) -> float:
+        """Return the log evidence against a value of coefficients (K,): Savage and Dickey's density ratio there.
+
+        With ``sums`` (S, K) it is that of S weighted sums of them.
+        """
+        W = np.eye(len(index)) if sums is None else sums
+        before, after, x = W @ W.T, W @ self.covariance(index) @ W.T, np.broadcast_to(value, len(W))
+        m, log_ratio = W @ self.z[list(index)] - x, np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]
+        return 0.5 * float(log_ratio + m @ np.linalg.solve(after, m) - x @ np.linalg.solve(before, x))
 
 
 class Gaussian(Posterior):
