@@ -52,5 +52,4 @@ def test_a_command_that_all_actuators_follow_is_a_lag() -> None:
     assert lag.probability > 0.99
     assert lag.parameters["time_constant"].value == pytest.approx(2 * LATE_S, rel=0.05)
     assert lag.share > 0.9
-    # What a lag takes is more than what it moves: d tau/dt of a torque that is not the recorded one.
     assert all(x < 2e-3 for x in diagnosis.identification.fits["extended"].nmse.values())

@@ -1,7 +1,8 @@
 """Torque that is later, or earlier, than the motion in all joints alike: the offset of the clocks, as a finding.
 
 Every model has that offset, so that the search for effects never meets it. What it is worth is seen by moving the
-torque back to where it was recorded: tau(t) = tau'(t - d), tau' being read by d earlier.
+torque back to where it was recorded: tau(t) = tau'(t - d), tau' being read by d earlier; or by adding what the command
+of actuators that lag has beyond what they supply, T dtau'/dt.
 """
 
 from __future__ import annotations

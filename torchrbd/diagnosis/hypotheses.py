@@ -26,8 +26,8 @@ from torchrbd.likelihood.sizes import coefficient_std
 SHARED = ("qd", "sign(qd)")
 # Draws that tell how much of a distribution physics allows, and the part of variances that is rounding.
 _DRAWS, _ROUNDING = 256, 1e-12
-# The gain [nats] that is worth another step towards a shape that agrees, and how many there are.
-_LEAST_GAIN, _MOST_STEPS = 0.1, 10
+# The gain [nats] that is worth another step of a shape, and how many there are towards one that agrees.
+LEAST_GAIN, _MOST_STEPS = 0.1, 10
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def agreed(fit: Likelihood, rows: Rows, one: Hypothesis, *, plausible: bool = Tr
         shape = c.effect.agreeing(torch.from_numpy(one.coefficients), c.shape)
         then = told(fit, rows, rows.columns.candidate(c.effect, c.site, shape))
         must = plausible and not _allowed(one, fit, rows, one.coefficients[None])
-        if then is None or (then.log_evidence < one.log_evidence + _LEAST_GAIN and not must):
+        if then is None or (then.log_evidence < one.log_evidence + LEAST_GAIN and not must):
             break
         one = then
     return one

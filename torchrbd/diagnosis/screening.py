@@ -56,7 +56,7 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
         return h
     # What the average has of this shape is replaced by that of the cell around it, which axes share as factors.
     rest = _less(h.log_evidence, at.log_evidence - math.log(h.tried))
-    at = _agreeing(fit, rows, at)
+    at = _or_agreeing(fit, rows, at)
     cell = at.log_evidence
     for name, axis in varied(columns, h.candidate).items():
         now = at.candidate
@@ -71,7 +71,7 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     return replace(at, log_evidence=mean, tried=h.tried, paid=mean - at.log_evidence)
 
 
-def _agreeing(fit: Likelihood, rows: Rows, one: Hypothesis) -> Hypothesis:
+def _or_agreeing(fit: Likelihood, rows: Rows, one: Hypothesis) -> Hypothesis:
     """Return the likeliest of a candidate and those of its grid whose shapes agree with their coefficients."""
     c, found = one.candidate, [one]
     if c.effect.follows:

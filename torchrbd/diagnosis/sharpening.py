@@ -15,15 +15,15 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, again, agreed, believed, told
+from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, again, agreed, believed, told
 from torchrbd.diagnosis.screening import refined
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.shapes import slopes, varied
 
-# Steps, halvings of one that leads downhill, and the gain [nats] that is worth another one.
-_STEPS, _HALVINGS, _LEAST_GAIN = 6, 3, 0.1
+# Steps, and halvings of one that leads downhill.
+_STEPS, _HALVINGS = 6, 3
 
 
 def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
@@ -52,7 +52,7 @@ def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
             if next_one is not None and next_one.log_evidence > before.log_evidence:
                 best = agreed(fit, rows, next_one)
                 break
-        if best.log_evidence < before.log_evidence + _LEAST_GAIN:
+        if best.log_evidence < before.log_evidence + LEAST_GAIN:
             break
     best = None if best is None else agreed(fit, rows, best)
     return h if best is None else replace(best, scale=h.scale, tried=h.tried, paid=h.paid)

@@ -82,7 +82,7 @@ class _Pass:
         shapes that depend on each other would lead uphill.
         """
         shapes = [dict(c.effect.agreeing(self.x[self.prepared.columns.of(c)], c.shape)) for c in self.terms]
-        settled = [_near(c.shape, shape) for c, shape in zip(self.terms, shapes, strict=True)]
+        settled = [_agree(c.shape, shape) for c, shape in zip(self.terms, shapes, strict=True)]
         if not self.around:
             return list(shapes), settled
         grids = [axes(self.prepared.columns, self.terms[k])[name] for k, name in self.around]
@@ -216,7 +216,7 @@ def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, prog
     return _Pass(prepared, terms, x, loss, around, found.z[at] * width, covariance)
 
 
-def _near(a: Shape, b: Shape) -> bool:
+def _agree(a: Shape, b: Shape) -> bool:
     """Say whether parameters that follow from coefficients have settled."""
     return all(abs(a[name] - b[name]) <= _SETTLED_PART * abs(b[name]) for name in a)
 
