@@ -15,6 +15,7 @@ from torchrbd.effects.coulomb_friction import AsymmetricCoulombFriction, Coulomb
 from torchrbd.effects.position_dependent_friction import PositionDependentFriction
 from torchrbd.effects.power_law_friction import PowerLawFriction
 from torchrbd.effects.quadratic_drag import QuadraticDrag
+from torchrbd.effects.signals import JointState
 from torchrbd.effects.thermal_viscosity import ThermalViscosity
 from torchrbd.effects.time_varying_friction import TimeVaryingFriction
 from torchrbd.errors import InputError
@@ -45,13 +46,19 @@ class TestFriction:
         for exponent, end in zip((0.0, 1.0, 2.0), ends, strict=True):
             np.testing.assert_allclose(torque(PowerLawFriction(), friction=0.3, exponent=exponent), end, rtol=1e-6)
 
-    def test_power_law_has_a_slope_at_rest(self) -> None:
+    @pytest.mark.parametrize("exponent", [0.5, 1.5])
+    def test_power_law_has_a_slope_at_rest(self, exponent: float) -> None:
         qd = torch.zeros(ROBOT.n_dof, 4, dtype=torch.float64, requires_grad=True)
         at = signals(torch.zeros_like(qd), qd, torch.zeros_like(qd))
-        term(PowerLawFriction(), Site(0), {"friction": 1.0, "exponent": 0.5})(at).sum().backward()
+        term(PowerLawFriction(), Site(0), {"friction": 1.0, "exponent": exponent})(at).sum().backward()
         assert qd.grad is not None
         assert torch.isfinite(qd.grad).all()
-        assert (qd.grad[0] > 0).all()
+        assert ((qd.grad[0] > 0) == (exponent < 1)).all()
+
+    def test_power_law_above_one_is_what_it_is_however_soft_signs_are(self) -> None:
+        at = JointState(*(torch.from_numpy(x) for x in (Q, QD, QD)), rest_width=0.2)
+        (found,) = PowerLawFriction().joint_features(at, {"exponent": 1.5}).values()
+        np.testing.assert_allclose(found, np.abs(QD) ** 1.5 * np.sign(QD), rtol=1e-12)
 
     def test_position_dependent(self) -> None:
         given = {"centre": 0.2, "width": 0.7, "coulomb": 0.5, "coulomb_at_centre": 2.0}

@@ -20,7 +20,7 @@ from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.springs import with_springs
-from torchrbd.diagnosis.suspect import contradicted, suspect, tells_nothing
+from torchrbd.diagnosis.suspect import contradicted, loses, suspect, tells_nothing
 from torchrbd.diagnosis.unexplained import unexplained
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.diagnosis.words import strongest_first
@@ -74,9 +74,10 @@ def diagnose(
     asked, prepared = prepared, with_machine(prepared, settings, with_friction(settings), progress, ranked.clocks)
     progress("fitting what was found", 0.0)
     model = extended(prepared, found, may, progress)
-    if tells_nothing(model.prepared, model.model):
-        if tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
-            return suspect(asked, settings, progress, suspected, ranked)
+    worthless = tells_nothing(model.prepared, model.model)
+    if worthless and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
+        return suspect(asked, settings, progress, suspected, ranked)
+    if worthless or (found.terms and loses(model.prepared, model.model, asked)):
         errors = judge(model.prepared.judging, model.model.x).nmse
         return contradicted(asked, settings, progress, suspected, ranked, errors)
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}

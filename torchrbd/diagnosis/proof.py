@@ -42,7 +42,7 @@ def proofs(series: TorqueSeries, cutoff_hz: float, seed: int = 0) -> tuple[Proof
         if len(sums[EXTENDED]) < LEAST_BLOCKS:
             continue
         memory = {m: _memory(series, kept, e) for m, e in errors.items()}
-        over = {m: _ratio(sums[EXTENDED], s, seed) for m, s in sums.items() if m != EXTENDED}
+        over = {m: over_blocks(sums[EXTENDED], s, seed) for m, s in sums.items() if m != EXTENDED}
         found.append(Proof(joint, over, memory, 0.5 / cutoff_hz))
     return tuple(found)
 
@@ -64,8 +64,10 @@ def doubt(proofs: Sequence[Proof], findings: Sequence[Finding]) -> str:
     )
 
 
-def _ratio(after: np.ndarray, before: np.ndarray, seed: int) -> Ratio:
-    """Return sum(after) / sum(before) over blocks (B,), with its interval of 95 %."""
+def over_blocks(after: np.ndarray, before: np.ndarray, seed: int = 0) -> Ratio:
+    """Return sum(after) / sum(before) over blocks (B,), with its interval of 95 %; without end where there is one."""
+    if len(after) < 2:
+        return Ratio(float(after.sum() / max(before.sum(), 1e-300)), 0.0, np.inf)
 
     def ratio(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
         return a.sum(axis) / np.maximum(b.sum(axis), 1e-300)

@@ -181,10 +181,10 @@ class _Search:
         return sorted(found, key=lambda h: -log_odds(h, self.rows))
 
     def judged(self, fit: Likelihood, found: Sequence[Hypothesis], *, sharp: bool = False) -> list[Hypothesis]:
-        """Return hypotheses beside a fit; those that may be there, or lead, with all that is learnt learnt anew.
+        """Return hypotheses beside a fit; those that lead, and their rivals, with all that is learnt learnt anew.
 
-        Those may be there that are likelier than not, and are not far less likely than another; that of the greatest
-        odds and that of the greatest evidence lead.
+        That of the greatest odds and that of the greatest evidence lead. At a glance what is not explained hides much
+        of a law, more of one than of another: what is likelier than not, and acts where a leader does, is its rival.
 
         Args:
             fit: beside which they stand.
@@ -194,8 +194,9 @@ class _Search:
         now, done = [at_a_glance(fit, self.rows, h) for h in found], set[int]()
         while now:
             odds = np.array([log_odds(h, self.rows) for h in now])
-            near = np.flatnonzero(odds >= max(0.0, odds.max() - _TOLD))
-            lead = {int(odds.argmax()), int(np.argmax([h.log_evidence for h in now])), *near.tolist()}
+            lead = {int(odds.argmax()), int(np.argmax([h.log_evidence for h in now]))}
+            near = [any(_meet(h.candidate, now[k].candidate) for k in lead) for h in now]
+            lead |= set(np.flatnonzero(near & (odds >= 0.0)).tolist())
             if lead <= done:
                 break
             for k in lead - done:

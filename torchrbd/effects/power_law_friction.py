@@ -4,7 +4,8 @@ Below 1: lubricated seals and bearings, whose film gets thicker as they run, and
 grease that a gearbox churns.
 
 Source: the Ostwald-de Waele power law of shear-thinning (a < 1) and shear-thickening (a > 1) fluids. |qd|^a has no
-slope at rest for a < 1, so it is softened there as the sign of the velocity is: |qd| is sqrt(qd^2 + rest_width^2).
+slope at rest for a < 1, so it is softened there as the sign of the velocity is: |qd| is sqrt(qd^2 + rest_width^2). For
+a > 1 it is smooth as it is.
 """
 
 from __future__ import annotations
@@ -37,8 +38,11 @@ class PowerLawFriction(JointEffect):
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         a = shape["exponent"]
-        speed_squared = state.qd**2 + state.rest_width**2
-        return {f"|qd|^{a:.6g} sign(qd)": state.qd * speed_squared ** (0.5 * (a - 1.0))}
+        if a > 1.0:
+            resistance = state.qd.sign() * state.qd.abs() ** a
+        else:
+            resistance = state.qd * (state.qd**2 + state.rest_width**2) ** (0.5 * (a - 1.0))
+        return {f"|qd|^{a:.6g} sign(qd)": resistance}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"friction": coefficients[0], "exponent": coefficients.new_tensor(shape["exponent"])}

@@ -20,7 +20,7 @@ from torchrbd.robot import RobotModel, pseudo_inertia
 
 # Parts of a joint's torque, and of what a physical unit's prior says.
 TORQUE_SCALES = (0.02, 0.06, 0.2, 0.6)
-UNIT_SCALES = (0.03, 0.1, 0.3, 1.0)
+UNIT_SCALES = (0.03, 0.1, 0.3, 1.0, 3.0)
 
 
 def inertial_scale(robot: RobotModel, held: frozenset[str] = frozenset()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

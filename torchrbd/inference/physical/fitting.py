@@ -206,16 +206,25 @@ def _sandwich_filling(
 
 def judge(statistics: BlockStatistics, x: Tensor) -> Fit:
     """Return how well coefficients predict blocks; joints whose torque there is missing or constant are left out."""
-    weight = statistics.torque[..., 0].sum(0)
-    mse = statistics.squared_error(x).sum(0) / weight.clamp_min(1e-300)
-    variance = statistics.torque_variance()
-    names = statistics.columns.robot.joint_names
-    square = statistics.torque[..., 2].sum(0) / weight.clamp_min(1e-300)
-    seen = [j for j in range(len(names)) if variance[j] > _LEAST_VARIANCE * square[j]]
+    mse = statistics.squared_error(x).sum(0) / statistics.torque[..., 0].sum(0).clamp_min(1e-300)
+    variance, names = statistics.torque_variance(), statistics.columns.robot.joint_names
+    seen = _varied(statistics)
     return Fit(
         nmse={names[j]: float(mse[j] / variance[j].clamp_min(1e-300)) for j in seen},
         rmse={names[j]: float(mse[j].sqrt()) for j in seen},
     )
+
+
+def nmse_of_blocks(statistics: BlockStatistics, x: Tensor) -> Tensor:
+    """Return what each block (B,) adds to the sum of all joints' nmse, as of ``judge``."""
+    seen, weight = _varied(statistics), statistics.torque[..., 0].sum(0)
+    return (statistics.squared_error(x) / weight / statistics.torque_variance())[:, seen].sum(1)
+
+
+def _varied(statistics: BlockStatistics) -> list[int]:
+    """Return the joints whose torque there is, and which is not constant."""
+    square = statistics.torque[..., 2].sum(0) / statistics.torque[..., 0].sum(0).clamp_min(1e-300)
+    return torch.nonzero(statistics.torque_variance() > _LEAST_VARIANCE * square).flatten().tolist()
 
 
 def beside_constant(fitted: BlockStatistics, judged: BlockStatistics, x: Tensor) -> Tensor:
