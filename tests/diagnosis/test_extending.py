@@ -92,7 +92,7 @@ def test_friction_is_told_without_curves_that_could_stand_in_for_it() -> None:
     may = (*MAY, "asymmetric_coulomb_friction")
     found, alone = (with_curves(wanted, pushed, may).friction for wanted in (EVERY, ()))
     assert [f.candidate.effect.id for f in found] == [f.candidate.effect.id for f in alone]
-    np.testing.assert_allclose([f.log_evidence for f in found], [f.log_evidence for f in alone], rtol=0.1, atol=1.0)
+    np.testing.assert_allclose([f.log_evidence for f in found], [f.log_evidence for f in alone], rtol=0.2, atol=1.0)
 
 
 def test_states_may_be_uncertain() -> None:

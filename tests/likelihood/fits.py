@@ -15,12 +15,18 @@ from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
+from torchrbd.likelihood.noise import Student, Tail
 from torchrbd.likelihood.rows import Rows
 
 URDF = arm_urdf(0, 2)
 VISCOUS, COULOMB, WIDTH, DELAY_S = (0.4, 0.2), (1.0, 0.3), 0.05, 0.004
 BEGIN_S, MASS, CENTRE = 10.3, 0.5, np.array([0.05, 0.1, 0.1])
 OPTIONS = {"duration_s": 20.0, "rate_hz": 100.0, "encoder_noise": 1e-5}
+
+
+def tail_of(weight: np.ndarray) -> Tail:
+    """Return the tail of rows (M,) of these weights, each Student's t for itself."""
+    return Tail((Student(4.0, weight, np.arange(len(weight))),))
 
 
 def with_friction(more: Torque | None = None) -> Torque:

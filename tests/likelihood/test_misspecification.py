@@ -8,13 +8,13 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from likelihood.fits import at_joint, fitted
+from likelihood.fits import at_joint, fitted, tail_of
 from scipy.signal import lfilter
 from scipy.stats import chi2, kstest
 
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates, remembered
-from torchrbd.likelihood.noise import Noise, Tail
+from torchrbd.likelihood.noise import Noise
 
 # So coloured that least squares loses something in every direction.
 PREDICTOR, SIGMA, DRAWS = np.array([1.5, -0.7]), 0.01, 200
@@ -65,7 +65,7 @@ def test_least_squares_is_plain_whatever_the_noise() -> None:
     """Rows that count little by their tails count as all others: least squares is what predicts."""
     fit = drawn(right(), np.random.default_rng(6))
     rare = np.where(np.random.default_rng(7).random(len(fit.machine.rows.t)) < 0.5, 1e-3, 1.0)
-    heavy = fit.with_(noise=tuple(replace(n, tail=Tail(4.0, rare)) for n in fit.hyper.noise))
+    heavy = fit.with_(noise=tuple(replace(n, tail=tail_of(rare)) for n in fit.hyper.noise))
     plain, other = TwoEstimates(fit), TwoEstimates(heavy)
     at = fit.machine.ordinary(0)
     std = np.array([plain.ordinary_std(k) for k in at])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import norm
+from scipy.stats import multivariate_t, norm
 from scipy.stats import t as student_t
 
 from torchrbd.likelihood.noise import Noise, drift_basis, learnt, order_cost, predicted, predictors, tailed
@@ -213,9 +213,9 @@ def test_drift_of_a_long_recording_has_as_many_functions_as_are_allowed() -> Non
 def test_heavy_tails_have_students_density(nu: float) -> None:
     rng = np.random.default_rng(8)
     n, index = 0.3 * rng.standard_t(nu, 4000), np.arange(4000)
-    size, tail = tailed(n, index, len(n))
+    size, tail = tailed(n, index, index // 100)
     assert tail is not None
-    assert tail.freedom == nu
+    assert [part.freedom for part in tail.parts] == [nu]
     assert size == pytest.approx(0.3, rel=0.05)
     noise = Noise(index, np.zeros(0), size, np.ones(len(n)), tail)
     got = -noise.surprise + order_cost(1, len(n)) - 0.5 * (noise.white(n) ** 2).sum() - 0.5 * len(n) * np.log(2 * np.pi)
@@ -228,7 +228,7 @@ def test_heavy_tails_have_students_density(nu: float) -> None:
 
 def test_normal_noise_has_no_tail() -> None:
     n = np.random.default_rng(9).normal(size=4000)
-    size, tail = tailed(n, np.arange(4000), len(n))
+    size, tail = tailed(n, np.arange(4000), np.arange(4000) // 100)
     assert tail is None
     assert size == pytest.approx(n.std(), rel=1e-3)
 
@@ -236,7 +236,35 @@ def test_normal_noise_has_no_tail() -> None:
 def test_few_of_the_rows_may_be_whitened() -> None:
     rng = np.random.default_rng(10)
     n, index = rng.standard_t(2.0, 900), np.arange(50, 950)
-    _, tail = tailed(n, index, 1000)
+    _, tail = tailed(n, index, np.arange(1000) // 50)
     assert tail is not None
     assert (tail.weight[:50] == 1.0).all()
     assert tail.weight[index][np.abs(n).argmax()] == tail.weight.min()
+
+
+@pytest.mark.parametrize("nu", [4.0, 10.0])
+def test_blocks_that_are_noisier_than_others_are_students_together(nu: float) -> None:
+    rng, m, blocks = np.random.default_rng(11), 40, 200
+    scale = np.sqrt(nu / rng.chisquare(nu, blocks))
+    n, index = 0.3 * rng.normal(size=m * blocks) * np.repeat(scale, m), np.arange(m * blocks)
+    block = index // m
+    size, tail = tailed(n, index, block)
+    assert tail is not None
+    assert [part.freedom for part in tail.parts] == [nu]
+    assert size == pytest.approx(0.3, rel=0.1)
+    np.testing.assert_allclose(tail.weight.reshape(blocks, m).mean(1) ** -0.5, scale, rtol=0.5)
+    noise = Noise(index, np.zeros(0), size, np.ones(len(n)), tail)
+    got = -noise.surprise + order_cost(1, len(n)) - 0.5 * (noise.white(n) ** 2).sum() - 0.5 * len(n) * np.log(2 * np.pi)
+    together = multivariate_t(np.zeros(m), size**2 * np.eye(m), df=nu)
+    assert got == pytest.approx(together.logpdf(n.reshape(blocks, m)).sum(), rel=1e-6)
+
+
+def test_spikes_in_recordings_of_different_noise_have_both_tails() -> None:
+    rng = np.random.default_rng(12)
+    n, block = rng.standard_t(4.0, 4000) * np.repeat([0.3, 1.0], 2000), np.arange(4000) // 100
+    _, tail = tailed(n, np.arange(4000), block)
+    assert tail is not None
+    together, each = sorted(tail.parts, key=lambda part: part.group.max())
+    np.testing.assert_array_equal(each.group, np.arange(4000))
+    np.testing.assert_array_equal(together.group, block)
+    assert np.sqrt(together.weight[:2000].mean() / together.weight[2000:].mean()) == pytest.approx(1 / 0.3, rel=0.2)

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from likelihood.fits import tail_of
 from scipy.linalg import toeplitz
 
 from torchrbd.likelihood.design import Bare, Design
-from torchrbd.likelihood.noise import Noise, Tail
+from torchrbd.likelihood.noise import Noise
 
 M, BEFORE = 400, 16
 
@@ -43,7 +44,7 @@ def test_rows_are_those_of_the_whole_filter_matrix(design: Design, predictor: li
 
 def test_what_is_remembered_is_no_other_noise(design: Design) -> None:
     first = noise([0.5])
-    heavy = replace(first, tail=Tail(4.0, 0.5 + np.random.default_rng(2).random(M)))
+    heavy = replace(first, tail=tail_of(0.5 + np.random.default_rng(2).random(M)))
     other = noise([-0.2, 0.1], 1.3)
     for n in (first, heavy, other, replace(other, sigma=0.2), first):
         fresh = Design.of(Bare.of(design.A, design.own, design.target), [], 0).white(n)

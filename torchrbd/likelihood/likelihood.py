@@ -216,7 +216,7 @@ class Likelihood:
             n, index = noise[j], self.index[j]
             free = max(1.0 - self.gaussian.used(j) / len(index), _LEAST_FREEDOM)
             own = self.gaussian.left[j] * n.scatter[index] / n.spread[index]
-            size, tail = tailed(own, index, len(n.spread), normal=plain)
+            size, tail = tailed(own, index, self.machine.rows.block, normal=plain)
             noise[j] = replace(n, sigma=n.sigma * size * math.sqrt(self.hyper.dispersion[j] / free), tail=tail)
         return self._resized(noise, self.hyper.dispersion)
 

@@ -7,9 +7,11 @@ errs where the velocity does not tell its direction. What rows err by has passed
 it, so that one predictor serves. A run's first rows only predict: as many whatever the order, so that models with
 noises of different orders explain the same rows.
 
-Spikes and bursts make tails heavy. Student's density has a normal one below it that touches it at n_0,
+Spikes make tails heavy: n_t is Student's t. Stretches of time that are noisier than others, or recordings, do as well:
+the rows of a block share one more factor, so that they are Student's t together. Student's density of m numbers has a
+normal one below it that touches it at n_0,
 
-    log t(n) >= log N(n; 0, 1/w) + c(w),   w = (nu + 1) / (nu + n_0^2)
+    log t(n) >= log N(n; 0, 1/w) + c(w),   w = (nu + m) / (nu + |n_0|^2)
 
 so that all else stays Gaussian, and rows count by w: Lange, Little and Taylor, "Robust Statistical Modeling Using the t
 Distribution", JASA 1989; the bound: Jaakkola and Jordan, "Bayesian parameter estimation via variational methods", 2000.
@@ -37,23 +39,45 @@ _FREEDOMS, _STEPS = (4.0, 10.0), 6
 
 
 @dataclass(frozen=True)
-class Tail:
-    """Heavy tails of one joint's M rows.
+class Student:
+    """Student's t of one joint's M rows, those of one group together.
 
     Attributes:
         freedom: nu.
-        weight: w (M,) of each row.
+        weight: w (M,) of each row, that of its group.
+        group: (M,) number of the group of each row.
     """
 
     freedom: float
     weight: np.ndarray
+    group: np.ndarray
 
     def constant(self, index: np.ndarray) -> float:
         """Return sum c(w) of some rows (m,): what the normal densities below Student's lack at their own size."""
-        nu, w = self.freedom, self.weight[index]
-        size = gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * math.log(0.5 * nu)
-        each = 0.5 * (nu + 1.0) * (np.log(w * nu / (nu + 1.0)) + 1.0) - 0.5 * nu * w - 0.5 * np.log(w)
-        return float(len(w) * size + each.sum())
+        own, nu = self.group[index], self.freedom
+        w = np.ones(int(own.max(initial=-1)) + 1)
+        w[own] = self.weight[index]
+        m = np.bincount(own)
+        w, m = w[m > 0], m[m > 0]
+        size = gammaln(0.5 * (nu + m)) - gammaln(0.5 * nu) + 0.5 * (m * math.log(2.0) + nu * math.log(nu))
+        each = 0.5 * (nu + m) * (np.log(w / (nu + m)) + 1.0) - 0.5 * nu * w - 0.5 * m * np.log(w)
+        return float((size + each).sum())
+
+
+@dataclass(frozen=True)
+class Tail:
+    """Heavy tails of one joint's M rows: Student's t of each row, of the rows of each block of time, or of both."""
+
+    parts: tuple[Student, ...]
+
+    @cached_property
+    def weight(self) -> np.ndarray:
+        """Weight w (M,) of each row."""
+        return np.prod([one.weight for one in self.parts], axis=0)
+
+    def constant(self, index: np.ndarray) -> float:
+        """Return what the normal densities below those of some rows (m,) lack, see ``Student``."""
+        return sum(one.constant(index) for one in self.parts)
 
 
 @dataclass(frozen=True)
@@ -99,7 +123,8 @@ class Noise:
         """-log p of the rows, but for half the squares of the whitened ones: its order is paid for."""
         volume = float(np.log(self.sigma * self.scatter[self.index]).sum())
         heavy = 0.0 if self.tail is None else self.tail.constant(self.index)
-        return volume - heavy + order_cost(len(self.predictor) + (self.tail is not None), len(self.index))
+        parts = 0 if self.tail is None else len(self.tail.parts)
+        return volume - heavy + order_cost(len(self.predictor) + parts, len(self.index))
 
     def white(self, A: np.ndarray) -> np.ndarray:
         """Return signals (..., M) as the whitened rows (m,) see them, (..., m)."""
@@ -182,22 +207,71 @@ def learnt(
     return replace(noise, sigma=noise.sigma * math.sqrt(raised))
 
 
-def tailed(n: np.ndarray, index: np.ndarray, rows: int, *, normal: bool = False) -> tuple[float, Tail | None]:
-    """Return the size of innovations n (m,) at some of M rows, and their tail, if its evidence pays for it."""
-    size, count = float(np.sqrt(np.mean(n**2))), len(n)
-    found: list[tuple[float, float, Tail | None]] = [(count * math.log(max(size, 1e-150)) + 0.5 * count, size, None)]
-    for nu in () if normal or size <= 0 else _FREEDOMS:
-        now = size
-        for _ in range(_STEPS):
-            w = (nu + 1.0) / (nu + (n / now) ** 2)
-            now = float(np.sqrt(np.mean(w * n**2)))
-        weight = np.ones(rows)
-        weight[index] = w = (nu + 1.0) / (nu + (n / now) ** 2)
-        tail = Tail(nu, weight)
-        volume = count * math.log(now) - 0.5 * float(np.log(w).sum()) - tail.constant(index)
-        found.append((volume + 0.5 * float(w @ (n / now) ** 2) + order_cost(1, count), now, tail))
-    _, size, tail = min(found, key=lambda one: one[0])
-    return size, tail
+def tailed(n: np.ndarray, index: np.ndarray, block: np.ndarray, *, normal: bool = False) -> tuple[float, Tail | None]:
+    """Return the size of innovations n (m,) at some of M rows, and their tail, if its evidence pays for it.
+
+    Args:
+        n: innovations, those of rows as noisy as others.
+        index: (m,) their rows.
+        block: (M,) number of the block of time of each row.
+        normal: whether no tail is to be tried.
+    """
+    size = float(np.sqrt(np.mean(n**2)))
+    best = _loss(n, index, max(size, 1e-150), None), size, None
+    if normal or size <= 0:
+        return size, None
+    each, groups = np.ones(len(block)), {0: np.arange(len(block)), 1: block}
+    while groups:
+        # Tails of rows, or of blocks; then the other kind beside it.
+        others = () if best[2] is None else best[2].parts
+        found = [
+            (_tailed(n, index, best[1], (*others, Student(nu, each, group))), kind)
+            for kind, group in groups.items()
+            for nu in _FREEDOMS
+        ]
+        then, kind = min(found, key=lambda one: one[0][0])
+        if then[0] >= best[0]:
+            break
+        best = then
+        del groups[kind]
+    return best[1:]
+
+
+def _tailed(
+    n: np.ndarray, index: np.ndarray, size: float, parts: tuple[Student, ...]
+) -> tuple[float, float, Tail | None]:
+    """Return the loss, the size and the tail of innovations, see ``tailed``, whose parts have these freedoms.
+
+    Of one part, sum w = m where the size is best: dividing by it leads there faster (Kent, Tyler and Vardi, "A curious
+    likelihood identity for the multivariate t-distribution", Communications in Statistics 1994).
+    """
+    for _ in range(_STEPS):
+        parts = _weighed(n / size, index, parts)
+        w = Tail(parts).weight[index]
+        size = math.sqrt(float(w @ n**2) / (float(w.sum()) if len(parts) == 1 else len(n)))
+    tail = Tail(_weighed(n / size, index, parts))
+    return _loss(n, index, size, tail), size, tail
+
+
+def _weighed(n: np.ndarray, index: np.ndarray, parts: tuple[Student, ...]) -> tuple[Student, ...]:
+    """Return the parts of a tail with the weights of innovations n (m,) of size one, each beside those before it."""
+    for k, one in enumerate(parts):
+        rest, own = Tail((*parts[:k], *parts[k + 1 :])), one.group[index]
+        square = n**2 * rest.weight[index] if rest.parts else n**2
+        weight = np.ones(len(one.group))
+        weight[index] = ((one.freedom + np.bincount(own)) / (one.freedom + np.bincount(own, square)))[own]
+        parts = (*parts[:k], replace(one, weight=weight), *parts[k + 1 :])
+    return parts
+
+
+def _loss(n: np.ndarray, index: np.ndarray, size: float, tail: Tail | None) -> float:
+    """Return -log p of innovations (m,) of a size, but for what is the same for all."""
+    count, square = len(n), (n / size) ** 2
+    if tail is None:
+        return count * math.log(size) + 0.5 * float(square.sum())
+    w = tail.weight[index]
+    volume = count * math.log(size) - 0.5 * float(np.log(w).sum()) - tail.constant(index)
+    return volume + 0.5 * float(w @ square) + order_cost(len(tail.parts), count)
 
 
 def order_cost(order: int, rows: float) -> float:
