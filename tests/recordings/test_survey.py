@@ -1,6 +1,7 @@
 """Check what a survey says against recordings whose noise, clock and motion are known."""
 
 import os
+from functools import partialmethod
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,20 @@ def test_cutoff_falls_with_noise_and_lies_above_the_motion():
     cutoffs = [survey(clean_recording(CLOCK, noise=noise)).cutoff_hz for noise in (0, 1e-5, 1e-3)]
     assert cutoffs[0] >= cutoffs[1] > cutoffs[2] > 0.8
     assert cutoffs[0] <= 0.2 * 250
+
+
+@pytest.mark.parametrize("rows", [16384, 97])
+def test_a_drive_that_is_off_for_a_while_is_told(rows, monkeypatch):
+    off = (CLOCK >= 5.0) & (CLOCK < 9.0)
+    recording = clean_recording(CLOCK, tau=np.where(off[:, None] * [True, False], 0.0, torque(CLOCK)))
+    monkeypatch.setattr(Recording, "chunks", partialmethod(Recording.chunks, rows))
+    (note,) = survey(recording).notes
+    assert note.startswith("tau_a is exactly 0 from 5.00 to 9.00 s while a moves")
+
+
+def test_a_joint_at_rest_may_have_a_torque_that_does_not_change():
+    rest = np.where((CLOCK >= 5.0) & (CLOCK < 9.0), 5.0, CLOCK)
+    assert survey(clean_recording(CLOCK, q=motion(rest)[0], tau=torque(rest))).notes == ()
 
 
 def test_one_cutoff_for_a_data_set():

@@ -14,8 +14,11 @@ from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.spectrum import HIGHEST_SHARE, Spectrum, two_digits
 
 # A peak beyond so many RMS is no motion; a measured velocity off by so much is not dq/dt; a position behind the gear
-# that follows by so much more or less is not that joint's, which a range of so much [rad, m] can tell.
-_PEAK, _VELOCITY_ERROR, _FOLLOWS, _MOVES = 30.0, 0.2, 0.2, 0.01
+# that follows by so much more or less is not that joint's, which a range of so much [rad, m] can tell. A torque that is
+# one number for so long [s] while its joint moves as far is a drive's that is off, or not recorded.
+_PEAK, _VELOCITY_ERROR, _FOLLOWS, _MOVES, _STUCK_S = 30.0, 0.2, 0.2, 0.01, 1.0
+# Interpolation may change a constant in its last digits.
+_SAME = 1e-12
 
 
 @dataclass(frozen=True)
@@ -105,12 +108,15 @@ def survey(recording: Recording) -> Survey:
     n = len(recording.joints)
     census, extent, spectrum = Census(n), _Extent(2 * n), Spectrum(clock.dt, n, recording.has_velocity)
     warmth, follower = _Extent(int(recording.thermal.sum())), _Follower(int(recording.linked.sum()))
+    stuck = [_Stuck() for _ in range(n)]
     segments: dict[int, tuple[float, float]] = {}
     for block in uniform_blocks(recording, clock, census):
         start, _ = segments.setdefault(block.segment, (float(block.t[0]), 0.0))
         segments[block.segment] = (start, float(block.t[-1]))
         extent.add(block.x[: 2 * n])
         spectrum.add(block)
+        for one, q, tau in zip(stuck, block.x[:n], block.x[n : 2 * n], strict=True):
+            one.add(block.t, q, tau)
         if block.q_link is not None:
             follower.add(block.x[:n][recording.linked], block.q_link)
         if block.temperature is not None:
@@ -130,7 +136,15 @@ def survey(recording: Recording) -> Survey:
     coldest[recording.thermal], warmest[recording.thermal] = warmth.low, warmth.high
     link_ratio[recording.linked] = follower.ratio
     link_ratio[(extent.high - extent.low)[:n] < _MOVES] = np.nan
-    suspicions = _suspicions(recording, extent, spectrum, ~np.isnan(qd_noise_std)) + _strangers(recording, link_ratio)
+    suspicions = [
+        *(
+            note
+            for k in np.flatnonzero(tau_varies & recording.measured)
+            for note in stuck[k].notes(recording.joints[k])
+        ),
+        *_suspicions(recording, extent, spectrum, ~np.isnan(qd_noise_std)),
+        *_strangers(recording, link_ratio),
+    ]
     return Survey(
         name=recording.name,
         clock=clock,
@@ -213,6 +227,38 @@ class _Follower:
         return np.divide(product, square, out=np.full_like(square, np.nan), where=square > 1e-12 * self._products[0])
 
 
+class _Stuck:
+    """Follow for how long a torque is one number while its joint moves."""
+
+    def __init__(self) -> None:
+        self._value, self._since = np.inf, np.array([np.nan] * 3)
+        self._longest = (0.0, 0.0, 0.0)
+
+    def add(self, t: np.ndarray, q: np.ndarray, tau: np.ndarray) -> None:
+        """See times, positions and torques (N,) that follow those seen before."""
+        fresh = np.abs(np.diff(tau, prepend=self._value)) > _SAME * (1 + np.abs(tau))
+        begins = np.union1d(0, np.flatnonzero(fresh))
+        ends = np.append(begins[1:], len(t)) - 1
+        runs = np.stack((t[begins], np.minimum.reduceat(q, begins), np.maximum.reduceat(q, begins)))
+        if not fresh[0]:
+            begin, low, high = self._since
+            runs[:, 0] = begin, min(low, runs[1, 0]), max(high, runs[2, 0])
+        self._value, self._since = float(tau[-1]), runs[:, -1].copy()
+        lengths = (t[ends] - runs[0]) * (runs[2] - runs[1] > _MOVES)
+        k = int(lengths.argmax())
+        self._longest = max(self._longest, (float(lengths[k]), float(runs[0, k]), float(tau[begins[k]])))
+
+    def notes(self, joint: str) -> list[str]:
+        """Say it of a joint, of the longest time."""
+        length, begin, value = self._longest
+        if length < _STUCK_S:
+            return []
+        return [
+            f"tau_{joint} is exactly {value:.3g} from {begin:.2f} to {begin + length:.2f} s while {joint} moves: its "
+            "drive is off then, or its torque was not recorded; leave that time out if it was not"
+        ]
+
+
 class _Extent:
     """Follow range and mean square of channels."""
 
@@ -231,8 +277,7 @@ class _Extent:
 
     @property
     def varies(self) -> np.ndarray:
-        # interpolation may change a constant in its last digits
-        return self.high - self.low > 1e-12 * (1 + np.abs(self.high))
+        return self.high - self.low > _SAME * (1 + np.abs(self.high))
 
 
 def _notes(recording: Recording, census: Census, segments: int) -> tuple[str, ...]:
