@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -76,6 +77,14 @@ def test_tilted_base() -> None:
         return rnea(model, *STATES)
 
     assert_first_order(BaseTilt(), Site(), {"tilt_x": 0.03, "tilt_y": -0.05}, changed)
+
+
+def test_bodies_act_through_a_tilt_as_its_torque_says() -> None:
+    w, signals = torch.tensor([0.03, -0.05], dtype=torch.float64), at(*STATES)
+    pi = torch.randn(ROBOT.n_params, dtype=torch.float64)
+    C = BaseTilt().through_bodies(signals, w)
+    both = BaseTilt().features(replace(signals, pi=pi), Site(), {}).values()
+    torch.testing.assert_close(torch.einsum("jpn,p->jn", C, pi), sum(c * phi for c, phi in zip(w, both, strict=True)))
 
 
 def test_base_on_a_wall_tilts_about_the_axes_that_gravity_sees() -> None:

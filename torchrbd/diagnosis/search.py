@@ -234,7 +234,19 @@ class _Search:
 
     def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
         """Return the model with chosen hypotheses, all else learnt beside them."""
-        return base.extended([h.extra(base, self.rows) for h in chosen]).settled
+        fit = base.extended([h.extra(base, self.rows) for h in chosen]).settled
+        for k, h in enumerate(chosen):
+            fit = self.felt_through(fit, k, h)
+        return fit
+
+    def felt_through(self, fit: Likelihood, k: int, h: Hypothesis) -> Likelihood:
+        """Return a model whose bodies act through its k-th term too, if that shows them."""
+        pi = self.rows.columns.pi
+        if pi is None or not (h.candidate.effect.shows_bodies and h.candidate.site.always):
+            return fit
+        C = self.rows.through_bodies(h.candidate, fit.coefficients(k))
+        machine = fit.machine.felt_through(C, pi.numpy())
+        return Likelihood(machine, fit.hyper, fit.extra).settled
 
     def added(
         self, fit: Likelihood, chosen: list[Hypothesis], found: list[Hypothesis]
@@ -254,6 +266,7 @@ class _Search:
             chosen = [*chosen, found[0]]
             self.report(len(chosen))
             fit = fit.extended([*fit.extra, found[0].extra(fit, self.rows)]).settled
+            fit = self.felt_through(fit, len(chosen) - 1, found[0])
             found = self.leading(fit, chosen)
         return fit, chosen, seen, found
 

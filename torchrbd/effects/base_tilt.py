@@ -33,6 +33,7 @@ class BaseTilt(Effect):
     comes_and_goes = True
     whole_robot = True
     uses_load = True
+    shows_bodies = True
     prior = CoefficientPrior("Bases are level to some hundredths of a rad.", std=(0.05, 0.05))
     export_note = "of a base that stands upright: about x and y where gravity is along z"
     _LARGEST_RAD = 0.2
@@ -43,15 +44,22 @@ class BaseTilt(Effect):
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         q, robot = signals.q.movedim(0, -1), signals.robot
         still, pi = torch.zeros_like(q), None if signals.pi is None else signals.pi.to(q)
-        gravity = robot.gravity.to(q)
-        down = int(gravity.abs().argmax())
-        turns = torch.eye(3, dtype=q.dtype, device=q.device)[[(down + 1) % 3, (down + 2) % 3]]
         return {
-            f"dtau/d{name}": robot.inverse_dynamics(q, still, still, pi, -torch.linalg.cross(turn, gravity)).movedim(
-                -1, 0
-            )
-            for name, turn in zip(self.units, turns, strict=True)
+            f"dtau/d{name}": robot.inverse_dynamics(q, still, still, pi, sideways).movedim(-1, 0)
+            for name, sideways in zip(self.units, self._sideways(robot).to(q), strict=True)
         }
+
+    def through_bodies(self, signals: Signals, coefficients: Tensor) -> Tensor:
+        """A first body that turns about the vertical has its centre of mass told by a base that leans."""
+        still = torch.zeros_like(signals.q)
+        sideways = coefficients.to(still) @ self._sideways(signals.robot).to(still)
+        return signals.robot.regressor_batch_last(signals.q, still, still, sideways)
+
+    def _sideways(self, robot: RobotModel) -> Tensor:
+        """Return -e x g for both axes e that a base can be tilted about, (2, 3)."""
+        down = int(robot.gravity.abs().argmax())
+        turns = torch.eye(3, dtype=robot.gravity.dtype)[[(down + 1) % 3, (down + 2) % 3]]
+        return -torch.linalg.cross(turns, robot.gravity.expand(2, 3))
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"tilt_x": coefficients[0], "tilt_y": coefficients[1]}

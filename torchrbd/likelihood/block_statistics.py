@@ -223,10 +223,11 @@ def block_statistics(
 
 def filtered_rows(columns: Columns, states: States) -> tuple[list[Tensor], Tensor]:
     """Return the band-limited rows [Y_j, phi_j, tau_j] of each joint, (p_j + 1, M), and the torque (n_dof, M)."""
-    Y = columns.robot.regressor_batch_last(states.q, states.qd, states.qdd)
+    Y, more = columns.bodies(states)
     tau = states.decimate(torch.nan_to_num(states.tau))
+    explained = tau + states.decimate(more)
     features, rows = columns.features(states), []
     for joint in range(columns.robot.n_dof):
         own = torch.cat((Y[joint, columns.inertial[joint]], features[joint]))
-        rows.append(torch.cat((states.decimate(own), tau[joint : joint + 1])))
+        rows.append(torch.cat((states.decimate(own), explained[joint : joint + 1])))
     return rows, tau

@@ -50,6 +50,10 @@ class Candidate:
         return self.effect.features_at(signals, self.site, self.shape)
 
 
+Through = tuple[tuple[Candidate, Tensor], ...]
+"""Terms through which bodies act, with their coefficients (K,)."""
+
+
 class Columns:
     """The layout of x for one robot, a set of effects and the ranges that the recordings cover.
 
@@ -63,9 +67,10 @@ class Columns:
         sites: by an effect's id where it has columns; at all its sites if not told.
         candidates: all that has columns; if None, every effect at its sites with every shape of its grid.
         stick_levels: (n_dof,) Coulomb friction in standard deviations of each torque's noise; none if not told.
+        through: what bodies act through, see ``bodies``.
 
     Attributes:
-        effects, scales, windows, pi, friction, sites, stick_levels: as given.
+        effects, scales, windows, pi, friction, sites, stick_levels, through: as given.
         n: length of x.
         labels: per joint, labels of its own features.
         shared: labels of the features that all joints have.
@@ -87,9 +92,10 @@ class Columns:
         sites: Mapping[str, Collection[Site]] | None = None,
         candidates: Iterable[Candidate] | None = None,
         stick_levels: Tensor | None = None,
+        through: Through = (),
     ) -> None:
         self.robot, self.effects, self.scales, self.windows = robot, tuple(effects), tuple(scales), tuple(windows)
-        self.pi, self.friction = pi, friction
+        self.pi, self.friction, self.through = pi, friction, through
         self._rest_width = torch.tensor([s.rest_width for s in self.scales], dtype=torch.float64)
         self.sites = dict(sites or {})
         self.stick_levels = torch.zeros(robot.n_dof, dtype=torch.float64) if stick_levels is None else stick_levels
@@ -147,17 +153,43 @@ class Columns:
         return self.of_candidates(self.candidates, pi, friction)
 
     def of_candidates(
-        self, candidates: Iterable[Candidate], pi: Tensor | None, friction: Tensor | None = None
+        self,
+        candidates: Iterable[Candidate],
+        pi: Tensor | None,
+        friction: Tensor | None = None,
+        through: Through | None = None,
     ) -> Columns:
-        """Return columns of these candidates alone, with the torque of pi and friction as in ``around``."""
-        return self._like(pi=pi, friction=friction, candidates=candidates)
+        """Return columns of these candidates alone, with the torque of pi and friction as in ``around``.
+
+        Bodies act through ``through``, see ``shown_bodies``; without it through what they do here.
+        """
+        through = self.through if through is None else through
+        return self._like(pi=pi, friction=friction, candidates=candidates, through=through)
+
+    def shown_bodies(self, terms: Sequence[Candidate], x: Tensor) -> Through:
+        """Return the terms of a model x (n,) through which bodies act too, with their coefficients."""
+        return tuple((c, x[self.of(c)]) for c in terms if c.effect.shows_bodies and c.site.always)
+
+    def bodies(self, states: States) -> tuple[Tensor, Tensor]:
+        """Return what inertial parameters are multiplied with on a tile, (n_dof, n_params, N), and what is added to its
+        torque, (n_dof, N).
+
+        Terms through which bodies act have the torque of ``pi`` in their own columns: other parameters pi' add
+        C (pi' - pi) to it, with C their ``through_bodies``.
+        """
+        Y, more = self.robot.regressor_batch_last(states.q, states.qd, states.qdd), torch.zeros_like(states.q)
+        for c, w in self.through:
+            C = c.effect.through_bodies(self.signals(states), w)
+            assert self.pi is not None
+            Y, more = Y + C, more + torch.einsum("jpn,p->jn", C, self.pi)
+        return Y, more
 
     def sticking(self, levels: Tensor) -> Columns:
         """Return the same columns for joints whose dry friction has these ``stick_levels`` (n_dof,)."""
         return self._like(candidates=self.candidates, stick_levels=levels)
 
     def _like(self, **other: Any) -> Columns:
-        kept = ("robot", "effects", "scales", "windows", "pi", "friction", "sites", "stick_levels")
+        kept = ("robot", "effects", "scales", "windows", "pi", "friction", "sites", "stick_levels", "through")
         return Columns(**({name: getattr(self, name) for name in kept} | other))
 
     def taken_from(self, other: Columns, x: Tensor) -> Tensor:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from torchrbd.likelihood.hyper import Hyper
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.machine import Hyper, Machine
+from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.noise import Noise
 
 # Parts of a joint's torque.

@@ -14,7 +14,8 @@ from torchrbd.likelihood.block import Block
 from torchrbd.likelihood.design import Bare, Design
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import Gaussian, nonnegative
-from torchrbd.likelihood.machine import STICKS, Hyper, Machine
+from torchrbd.likelihood.hyper import Hyper
+from torchrbd.likelihood.machine import STICKS, Machine
 from torchrbd.likelihood.noise import Noise, learnt, tailed
 from torchrbd.likelihood.physical import expanded, most_probable
 from torchrbd.likelihood.widths import likeliest_width

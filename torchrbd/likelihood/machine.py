@@ -30,7 +30,9 @@ harmonic (Widrow and Kollar, "Quantization Noise", 2008).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -41,7 +43,8 @@ from torch import Tensor
 
 from torchrbd.effects import Signals
 from torchrbd.effects.band_limits import below
-from torchrbd.likelihood.noise import Noise, drift_basis, predicted
+from torchrbd.likelihood.hyper import Hyper
+from torchrbd.likelihood.noise import drift_basis, predicted
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import inertial_scale
 
@@ -74,41 +77,6 @@ ORDINARY = ("viscous", "coulomb_plus", "coulomb_minus")
 ORDINARY_EFFECTS = ("viscous_friction", "asymmetric_coulomb_friction")
 
 
-@dataclass(frozen=True)
-class Hyper:
-    """What is learnt beside the linear coefficients.
-
-    Attributes:
-        kappa: inverse square of how far the URDF's inertial parameters err.
-        encoder_share: (n,) part of each joint's noise that encoders make, on average over the rows.
-        rest_width: (n,) speeds over which friction changes its sign [rad/s, m/s].
-        drift: (n,) standard deviation of the slowest cosine [N m or N].
-        noise: of each joint.
-        dispersion: (n,) scatter of blocks over that of white rows.
-        bodies: (P,) coordinates of the inertial parameters around which their prior is expanded, for a kappa of one.
-        resists: (3, n, 3) sites that keep ordinary friction from pushing, see ``nonnegative``.
-        pi: (n_params,) inertial parameters that make the load.
-        friction: (n, 3) beside it, see ``Signals``.
-        white: whether rows are taken to be independent, as least squares does.
-    """
-
-    kappa: float
-    encoder_share: np.ndarray
-    rest_width: np.ndarray
-    drift: np.ndarray
-    noise: tuple[Noise, ...]
-    dispersion: np.ndarray
-    bodies: np.ndarray
-    resists: np.ndarray
-    pi: Tensor
-    friction: Tensor
-    white: bool = False
-
-    def with_(self, **changes: object) -> Hyper:
-        """Return the same with some values changed."""
-        return replace(self, **changes)  # type: ignore[arg-type]
-
-
 class Machine:
     """Columns of rigid body and ordinary physics on one set of rows; coefficients have the prior N(0, 1).
 
@@ -132,8 +100,8 @@ class Machine:
         self._inside = [rows.recording == k for k in np.unique(rows.recording)]
         # Bodies that a joint does not move have no columns there.
         self._moved = [np.flatnonzero(np.isin(self.inertial, own)) for own in rows.columns.inertial]
-        self._rigid = [self._rigid_columns(j) for j in range(rows.n_dof)]
-        self.target = rows.tau - rows.load(self.mean)
+        self._rigid = [self._rigid_columns(j, Y) for j, Y in enumerate(rows.rigid)]
+        self.target = self._beside(self.mean)
         mass = rows.columns.robot.mass_matrix(torch.from_numpy(rows.q.T)).numpy()
         self._carried = np.einsum("mjk,k->jm", mass**2, rows.encoder_std**2)
         self._undirected = {k: rows.evaluated(partial(self._direction_std, k)) for k in STICKS}
@@ -147,11 +115,29 @@ class Machine:
         self.index = [predicted(rows.run, measured) for measured in rows.measured]
         self._directions: dict[tuple[int, float], np.ndarray] = {}
 
-    def _rigid_columns(self, joint: int) -> np.ndarray:
-        """Return the columns (p, M) of the bodies that a joint moves, for a kappa of one."""
+    def _rigid_columns(self, joint: int, Y: np.ndarray) -> np.ndarray:
+        """Return the columns (p, M) of the bodies that a joint moves, for a kappa of one; Y (M, p_j) as ``rigid``."""
         moved = self._moved[joint]
         fitted = np.isin(self.rows.columns.inertial[joint], self.inertial)
-        return (self.rows.rigid[joint][:, fitted] @ self.scale[np.ix_(moved, moved)]).T
+        return (Y[:, fitted] @ self.scale[np.ix_(moved, moved)]).T
+
+    def _beside(self, pi: np.ndarray) -> np.ndarray:
+        """Return what a rigid body of pi (n_params,) leaves of the torques, (n, M)."""
+        return self.rows.tau - self.rows.load(pi)
+
+    def felt_through(self, C: Sequence[np.ndarray], pi: np.ndarray) -> Machine:
+        """Return the same machine, bodies acting through another effect too: tau = Y pi' + C (pi' - pi) + that of pi.
+
+        Args:
+            C: per joint, as ``Rows.rigid``.
+            pi: (n_params,) of the effect's own columns, which stand beside the machine.
+        """
+        other = copy(self)
+        both = zip(self.rows.rigid, C, strict=True)
+        other._rigid = [self._rigid_columns(j, Y + more) for j, (Y, more) in enumerate(both)]
+        own = zip(C, self.rows.columns.inertial, strict=True)
+        other.target = self._beside(self.mean) + np.stack([more @ (pi - self.mean)[at] for more, at in own])
+        return other
 
     def _direction_std(self, stick: float, signals: Signals) -> Tensor:
         """Return the standard deviation of sign(qd), (n, N): 2 sqrt(p (1 - p)), p the probability that it is wrong."""

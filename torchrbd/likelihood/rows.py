@@ -114,6 +114,16 @@ class Rows:
 
         return self._known.of((candidate.effect, candidate.site, *candidate.shape.items()), evaluated)
 
+    def through_bodies(self, candidate: Candidate, coefficients: np.ndarray) -> list[np.ndarray]:
+        """Return per joint what inertial parameters change its torque by through a candidate, as ``rigid`` has them."""
+        w = torch.from_numpy(coefficients)
+        parts = []
+        for tile in self.tiles:
+            Y = candidate.effect.through_bodies(tile.signals, w)
+            own = (tile.states.decimate(Y[j, at]) for j, at in enumerate(self.columns.inertial))
+            parts.append([one[:, tile.kept].T.numpy() for one in own])
+        return [np.concatenate(own) for own in zip(*parts, strict=True)]
+
     def evaluated(self, function: Callable[[Signals], Tensor]) -> np.ndarray:
         """Return a function of the signals, (..., N) of each tile, through the filter that the torque has passed."""
         parts = [tile.states.decimate(function(tile.signals))[..., tile.kept].numpy() for tile in self.tiles]

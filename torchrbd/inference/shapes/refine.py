@@ -26,7 +26,7 @@ from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.grid import Terms, best_on_grid, columns_of, linear_fit_of
 from torchrbd.inference.shapes.reread import reread, with_input_noise
 from torchrbd.likelihood.block_statistics import assemble
-from torchrbd.likelihood.columns import URDF_FRICTION, Candidate
+from torchrbd.likelihood.columns import URDF_FRICTION, Candidate, Through
 from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.shapes import ShapeSlope, axes, feature_slopes, slopes
@@ -41,7 +41,9 @@ _WORSE = 0.1
 # Change of load and friction between passes, as part of the torque.
 _SETTLED_LOAD = 1e-4
 
-Carried = tuple[Tensor, Tensor]
+
+Carried = tuple[Tensor, Tensor, Through]
+"""Inertial parameters (n_params,), friction (n_dof, 3), and what bodies act through."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ class _Pass:
 
     @property
     def carried(self) -> Carried:
-        """Inertial parameters (n_params,) and friction (n_dof, 3) of this fit."""
+        """Inertial parameters and friction of this fit, and what bodies act through."""
         return _carried(self.prepared, self.terms, self.x)
 
     def load_settled(self) -> bool:
@@ -108,7 +110,7 @@ class _Pass:
         columns, training = self.prepared.columns, self.prepared.training
         if columns.pi is None:
             return True
-        (pi, friction), change = self.carried, torch.zeros_like(self.x)
+        (pi, friction, _), change = self.carried, torch.zeros_like(self.x)
         change[: len(pi)] = pi - columns.pi
         if columns.friction is not None:
             friction = friction - columns.friction
@@ -188,7 +190,8 @@ def fit_with_shapes(prepared: Prepared, terms: Sequence[Candidate]) -> FittedMod
 
 
 def _carried(prepared: Prepared, terms: Sequence[Candidate], x: Tensor) -> Carried:
-    return x[: prepared.robot.n_params], prepared.columns.friction_of(terms, x)
+    columns = prepared.columns
+    return x[: prepared.robot.n_params], columns.friction_of(terms, x), columns.shown_bodies(terms, x)
 
 
 def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, progress: Progress) -> _Pass:
@@ -196,9 +199,9 @@ def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, prog
     columns, terms = prepared.columns, tuple(terms)
     by_term = [feature_slopes(columns, c) for c in terms]
     around = tuple((k, name) for k, own in enumerate(by_term) for name in own)
-    pi, friction = carried if any(c.effect.uses_load for c in terms) else (None, None)
+    known = carried if any(c.effect.uses_load for c in terms) else (None, None, ())
     every = [s for own in by_term for parts in own.values() for s in parts]
-    prepared = reread(prepared, columns.of_candidates((*terms, *every), pi, friction), progress)
+    prepared = reread(prepared, columns.of_candidates((*terms, *every), *known), progress)
     columns = prepared.columns
     x, noise = linear_fit_of(prepared, terms)
     count = prepared.training.torque[..., 0].sum(0)
