@@ -73,7 +73,7 @@ def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:
 def loses(prepared: Prepared, model: FittedModel, asked: Prepared) -> bool:
     """Say whether a model predicts held-out torque worse than the plain model does, in the mean over the joints.
 
-    Blocks of time are drawn again: it does in 95 of 100 draws.
+    Blocks of time are drawn again: the interval of 95 % of the ratio lies above one.
 
     Args:
         prepared, model: with what was found.
