@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -146,6 +147,9 @@ class Table(search._Search):
 
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         return []
+
+    def side_by_side(self, fit: Likelihood, now: list[Hypothesis], done: Collection[int]) -> list[Hypothesis]:
+        return now
 
 
 @pytest.fixture(scope="module")
@@ -290,6 +294,30 @@ def test_rivals_of_what_leads_are_learnt_anew_as_it_is(rows: Rows, monkeypatch: 
     judged = Table(rows, (), lambda _: None).judged(cast(Any, frozenset()), found)
     assert learnt == ["A", "B"]
     assert [h.log_evidence for h in judged] == [640.0, 645.0, 1.0, 45.0]
+
+
+def test_rivals_are_weighed_by_the_noise_that_is_learnt_with_the_likeliest(rows: Rows, monkeypatch) -> None:
+    """Each with its own noise says little of which is right, where both are worth hundreds of nats."""
+    beside = {"A": {"A": 400.0, "B": 410.0}, "B": {"A": 370.0, "B": 390.0}}
+
+    class Learnt:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def extended(self, extra: Any) -> str:
+            return self.name
+
+    fit = SimpleNamespace(extra=())
+    monkeypatch.setattr(search, "learnt_with", lambda fit, rows, h: Learnt(letter(h)))
+    monkeypatch.setattr(
+        search, "again", lambda fit, rows, h: replace(h, log_evidence=beside[fit].get(letter(h), np.nan))
+    )
+    worth = {"A": 405.0, "B": 398.0, "C": 30.0}
+    found = [Hypothesis(candidate(rows, *SITES[name]), w, np.zeros(2), np.ones(2), 1.0, 1) for name, w in worth.items()]
+    at = search._Search(rows, (), lambda _: None)
+    judged = at.side_by_side(cast(Any, fit), found, {0, 1, 2})
+    # Beside the noise of A, B is 10 nats better; beside that of B, A is 20 worse.
+    assert [h.log_evidence for h in judged] == [395.0, 415.0, 30.0]
 
 
 def test_a_term_that_is_swapped_for_another_time_is_that_of_the_model(rows: Rows, monkeypatch) -> None:

@@ -80,10 +80,11 @@ def diagnose(
     if worthless or (found.terms and loses(model.prepared, model.model, asked)):
         errors = judge(model.prepared.judging, model.model.x).nmse
         return contradicted(asked, settings, progress, suspected, ranked, errors)
+    told = explain(found, model)
+    findings, trifling, model = told.findings, told.trifling, told.model
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = deflections(model.prepared, model.model)
-    findings, trifling = explain(found, model)
     late = clock_offset(ranked, model, identification)
     if late is not None and is_trifling(late, model):
         trifling = strongest_first((*trifling, late))
@@ -91,7 +92,7 @@ def diagnose(
         findings = strongest_first((*findings, late))
     findings = with_springs(findings, springs)
     proof = proofs(identification.series, identification.cutoff_hz)
-    rest = unexplained(found, model, findings, proof)
+    rest = unexplained(told.found, model, findings, proof)
     progress("looking at what is left", 0.0)
     locations, maps = _located(prepared, model)
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -34,26 +34,44 @@ LARGEST_PROBABILITY = 0.999
 _LEAST_TORQUE, _LEAST_SHARE = 0.01, 0.1
 
 
-def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
+@dataclass(frozen=True)
+class Explained:
+    """What is told of what was found.
+
+    Attributes:
+        findings: that count, the largest gain first.
+        trifling: others that are as certain, but trifling, all of these together.
+        found, model: without terms that are trifling: what is told of a model is told of the one without them.
+    """
+
+    findings: tuple[Finding, ...]
+    trifling: tuple[Finding, ...]
+    found: Explanation
+    model: Extended
+
+
+def explain(found: Explanation, extended: Extended) -> Explained:
     """Describe what was found, if it, or its family, is likelier than not.
 
     Args:
         found: by the search.
         extended: the fit with it.
-
-    Returns:
-        Findings, the largest gain first, and others that are as certain but trifling, all of these together.
     """
     reading, robot = extended.prepared.reading, extended.prepared.robot
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
-    terms = list(_sure(found, extended))
-    everywhere = {(c.effect, c.site) for c, _, _ in terms}
-    told: list[tuple[Candidate, Finding]] = []
-    for term, evidence, sure in terms:
-        if max(sure.probability, sure.family_probability) > LIKELY:
-            alike = _alternatives(term, sure, extended, found.fit)
-            told.append((term, _finding(term, evidence, sure, extended, ends_s, alike)))
-    kept, apart = set_apart(told, partial(_error_without, extended), lambda one: is_trifling(one, extended))
+    terms = [
+        (term, evidence, sure)
+        for term, evidence, sure in _sure(found, extended)
+        if max(sure.probability, sure.family_probability) > LIKELY
+    ]
+    everywhere = {(c.effect, c.site) for c, _, _ in _sure(found, extended)}
+
+    def told(model: Extended, within: Callable[[Candidate], bool]) -> list[tuple[Candidate, Finding]]:
+        return [
+            (term, _finding(term, evidence, sure, model, ends_s, _alternatives(term, sure, model, found.fit)))
+            for term, evidence, sure in terms
+            if within(term)
+        ]
 
     def worded(chosen: Sequence[tuple[Candidate, Finding]]) -> tuple[Finding, ...]:
         sentences = []
@@ -63,7 +81,18 @@ def explain(found: Explanation, extended: Extended) -> tuple[tuple[Finding, ...]
             sentences.append(replace(one, statement=statement))
         return strongest_first(sentences)
 
-    return worded(kept), worded(apart)
+    every = told(extended, lambda _: True)
+    kept, apart = set_apart(every, partial(_error_without, extended), lambda one: is_trifling(one, extended))
+    trifling, gone = worded(apart), {term for term, _ in apart if term in extended.terms}
+    if gone:
+        left = [t for t, c in zip(found.terms, extended.terms, strict=True) if c not in gone]
+        found, extended = replace(found, terms=tuple(left)), extended.without(gone)
+        errors = dict(kept)
+        kept = [
+            (term, replace(one, nmse_before=errors[term].nmse_before, nmse_after=errors[term].nmse_after))
+            for term, one in told(extended, errors.__contains__)
+        ]
+    return Explained(worded(kept), trifling, found, extended)
 
 
 def set_apart(
@@ -95,7 +124,7 @@ def set_apart(
     for pair in sorted((p for p in kept if trifling(p[1])), key=lambda p: p[1].log_evidence_gain):
         term, one = pair
         gone = [other for other, _ in apart]
-        again = beside(term, one, gone, error_without(gone)) if apart else one
+        again = beside(term, one, gone, whole) if apart else one
         if trifling(again):
             apart.append((term, again))
             kept = [other for other in kept if other is not pair]
@@ -107,7 +136,7 @@ def set_apart(
 
 def _error_without(extended: Extended, gone: Sequence[Candidate]) -> Mapping[str, float]:
     """Return held-out nmse without some terms, and without laws that refine ordinary friction which is not there."""
-    judging, terms, columns = extended.prepared.judging, extended.first.terms, extended.first.columns
+    judging, terms, columns = extended.prepared.judging, extended.first.proper_terms, extended.first.columns
     if not gone:
         return judge(judging, extended.first.x).nmse
     shared = {k for c in terms[: len(extended.friction)] if c in gone for k in columns.of(c)}

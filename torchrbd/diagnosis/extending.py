@@ -8,7 +8,7 @@ all else leaves, so that none stands in for a part of these; what friction there
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,6 +47,16 @@ class Extended:
     friction: tuple[Friction, ...]
     terms: tuple[Candidate, ...]
     open: tuple[np.ndarray, ...]
+
+    def without(self, gone: Collection[Candidate]) -> Extended:
+        """Return the fit without some of its ``terms``, all else at the shapes that it has."""
+        kept = [(c, cov) for c, cov in zip(self.terms, self.open, strict=True) if c not in gone]
+        terms = tuple(c for c, _ in kept)
+        early = (*self.first.proper_terms[: len(self.friction)], *(c for c in terms if not stands_in(c)))
+        late = tuple(c for c in terms if stands_in(c))
+        first = fit_with_shapes(self.prepared, early)
+        model = with_late(self.prepared, first, late) if late else first
+        return replace(self, first=first, model=model, terms=terms, open=tuple(cov for _, cov in kept))
 
 
 def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progress: Progress) -> Extended:

@@ -30,8 +30,8 @@ _LEADING = 5
 MOST_TERMS = 12
 # Rivals of a term that are looked at beside all others, and those of them that are judged; sweeps over all terms.
 _RIVALS, _JUDGED, _SWEEPS = 12, 3, 2
-# Laws a thousand times less likely than the likeliest are not told of.
-_TOLD = 7.0
+# How often the likeliest of several rivals may turn out to be another one.
+_TURNS = 2
 
 
 @dataclass(frozen=True)
@@ -98,13 +98,19 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """
     extra = h.extra(fit, rows)
     beside, at = fit.extended((*fit.extra, extra)), extra.joints
-    base, extended = fit.settled_at(at), beside.settled_at(at)
+    base, extended = fit.settled_at(at), learnt_with(fit, rows, h)
     dispersion, widths = extended.hyper.dispersion, (base.hyper.rest_width, extended.hyper.rest_width)
     with_it, without = [extended], [base.dispersed(dispersion)]
     if not np.allclose(*widths):
         with_it.append(beside.settled_with(widths[0]).dispersed(dispersion))
         without.append(fit.settled_with(widths[1]).dispersed(dispersion))
     return _weighed(fit, rows, h, beside, with_it, without)
+
+
+def learnt_with(fit: Likelihood, rows: Rows, h: Hypothesis) -> Likelihood:
+    """Return the model with a hypothesis, and all that is learnt learnt beside it."""
+    extra = h.extra(fit, rows)
+    return fit.extended((*fit.extra, extra)).settled_at(extra.joints)
 
 
 def at_a_glance(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
@@ -203,6 +209,32 @@ class _Search:
                 h = sharpened(fit, self.rows, found[k]) if sharp else found[k]
                 now[k] = with_own_noise(fit, self.rows, h)
             done |= lead
+        return self.side_by_side(fit, now, done)
+
+    def side_by_side(self, fit: Likelihood, now: list[Hypothesis], done: Collection[int]) -> list[Hypothesis]:
+        """Return hypotheses, rivals of the likeliest against it beside the noise that is learnt with that one.
+
+        What rows count is learnt with each of them, to a hundredth of their evidence, which may be many nats. What is
+        worth nothing in the place of the likeliest, where both are weighed alike, is no rival, but there as well.
+        """
+        now = list(now)
+        for _ in range(_TURNS if len(done) > 1 else 0):
+            first = max(done, key=lambda k: log_odds(now[k], self.rows))
+            best = now[first]
+            beside = learnt_with(fit, self.rows, best).extended(fit.extra)
+            level = again(beside, self.rows, best)
+            rivals = [k for k in done if k != first and _meet(now[k].candidate, best.candidate)]
+            for k in rivals:
+                one = again(beside, self.rows, now[k])
+                worth = (
+                    -np.inf
+                    if one is None or level is None
+                    else best.log_evidence + one.log_evidence - level.log_evidence
+                )
+                if worth > 0.0 and np.isfinite(now[k].log_evidence):
+                    now[k] = replace(now[k], log_evidence=worth)
+            if max(done, key=lambda k: log_odds(now[k], self.rows)) == first:
+                break
         return now
 
     def sought(self, fit: Likelihood, known: Collection[tuple[str, Site]]) -> list[Hypothesis]:

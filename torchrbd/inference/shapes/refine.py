@@ -178,7 +178,8 @@ def _finished(last: _Pass, progress: Progress) -> tuple[Prepared, Terms]:
 def fit_with_shapes(prepared: Prepared, terms: Sequence[Candidate]) -> FittedModel:
     """Fit refined terms; covariances include what is not known of their shapes."""
     fitted = prepared.fit(terms)
-    around = [c for c in prepared.columns.candidates if isinstance(c, ShapeSlope)]
+    slopes = (c for c in prepared.columns.candidates if isinstance(c, ShapeSlope))
+    around = [slope for slope in slopes if any(slope.belongs_to(c) for c in terms)]
     if around:
         known = prepared.fit((*terms, *around), fitted.noise_variance)
         fitted = replace(known, x=fitted.x, converged=fitted.converged)
