@@ -26,7 +26,7 @@ OPTIONS = {"duration_s": 20.0, "rate_hz": 100.0, "encoder_noise": 1e-5}
 
 def tail_of(weight: np.ndarray) -> Tail:
     """Return the tail of rows (M,) of these weights, each Student's t for itself."""
-    return Tail((Student(4.0, weight, np.arange(len(weight))),))
+    return Tail((Student(4.0, weight),))
 
 
 def with_friction(more: Torque | None = None) -> Torque:

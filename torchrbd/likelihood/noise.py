@@ -45,20 +45,29 @@ class Student:
     Attributes:
         freedom: nu.
         weight: w (M,) of each row, that of its group.
-        group: (M,) number of the group of each row.
+        group: (M,) number of the group of each row; None if each stands alone.
     """
 
     freedom: float
     weight: np.ndarray
-    group: np.ndarray
+    group: np.ndarray | None = None
+
+    def weighed(self, square: np.ndarray, index: np.ndarray) -> Student:
+        """Return the same with the weights of rows (m,) whose n^2 is this."""
+        nu, weight = self.freedom, np.ones(len(self.weight))
+        if self.group is None:
+            weight[index] = (nu + 1.0) / (nu + square)
+        else:
+            own = self.group[index]
+            weight[index] = ((nu + np.bincount(own)) / (nu + np.bincount(own, square)))[own]
+        return replace(self, weight=weight)
 
     def constant(self, index: np.ndarray) -> float:
         """Return sum c(w) of some rows (m,): what the normal densities below Student's lack at their own size."""
-        own, nu = self.group[index], self.freedom
-        w = np.ones(int(own.max(initial=-1)) + 1)
-        w[own] = self.weight[index]
-        m = np.bincount(own)
-        w, m = w[m > 0], m[m > 0]
+        nu, w, m = self.freedom, self.weight[index], np.ones(1)
+        if self.group is not None:
+            _, first, m = np.unique(self.group[index], return_index=True, return_counts=True)
+            w = w[first]
         size = gammaln(0.5 * (nu + m)) - gammaln(0.5 * nu) + 0.5 * (m * math.log(2.0) + nu * math.log(nu))
         each = 0.5 * (nu + m) * (np.log(w / (nu + m)) + 1.0) - 0.5 * nu * w - 0.5 * m * np.log(w)
         return float((size + each).sum())
@@ -220,7 +229,7 @@ def tailed(n: np.ndarray, index: np.ndarray, block: np.ndarray, *, normal: bool 
     best = _loss(n, index, max(size, 1e-150), None), size, None
     if normal or size <= 0:
         return size, None
-    each, groups = np.ones(len(block)), {0: np.arange(len(block)), 1: block}
+    each, groups = np.ones(len(block)), {"row": None, "block": block}
     while groups:
         # Tails of rows, or of blocks; then the other kind beside it.
         others = () if best[2] is None else best[2].parts
@@ -256,11 +265,9 @@ def _tailed(
 def _weighed(n: np.ndarray, index: np.ndarray, parts: tuple[Student, ...]) -> tuple[Student, ...]:
     """Return the parts of a tail with the weights of innovations n (m,) of size one, each beside those before it."""
     for k, one in enumerate(parts):
-        rest, own = Tail((*parts[:k], *parts[k + 1 :])), one.group[index]
-        square = n**2 * rest.weight[index] if rest.parts else n**2
-        weight = np.ones(len(one.group))
-        weight[index] = ((one.freedom + np.bincount(own)) / (one.freedom + np.bincount(own, square)))[own]
-        parts = (*parts[:k], replace(one, weight=weight), *parts[k + 1 :])
+        others = (*parts[:k], *parts[k + 1 :])
+        square = n**2 * Tail(others).weight[index] if others else n**2
+        parts = (*parts[:k], one.weighed(square, index), *parts[k + 1 :])
     return parts
 
 
