@@ -30,6 +30,7 @@ from torchrbd.robot import RobotModel
 # A law is told of, and an alternative, if it is so probable among what explains the same.
 _LEAST_LAW = 0.05
 LARGEST_PROBABILITY = 0.999
+_FRICTION = "friction"
 # Parts of a joint's torque, and of its held-out error, that are nobody's business.
 _LEAST_TORQUE, _LEAST_SHARE = 0.01, 0.1
 
@@ -41,7 +42,7 @@ class Explained:
     Attributes:
         findings: that count, the largest gain first.
         trifling: others that are as certain, but trifling, all of these together.
-        found, model: without terms that are trifling: what is told of a model is told of the one without them.
+        found, model: without laws of friction that are trifling: what they take is ordinary friction's, which is told.
     """
 
     findings: tuple[Finding, ...]
@@ -83,7 +84,8 @@ def explain(found: Explanation, extended: Extended) -> Explained:
 
     every = told(extended, lambda _: True)
     kept, apart = set_apart(every, partial(_error_without, extended), lambda one: is_trifling(one, extended))
-    trifling, gone = worded(apart), {term for term, _ in apart if term in extended.terms}
+    trifling = worded(apart)
+    gone = {term for term, _ in apart if term in extended.terms and term.effect.family == _FRICTION}
     if gone:
         left = [t for t, c in zip(found.terms, extended.terms, strict=True) if c not in gone]
         found, extended = replace(found, terms=tuple(left)), extended.without(gone)
