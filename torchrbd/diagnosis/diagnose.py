@@ -77,10 +77,10 @@ def diagnose(
     worthless = tells_nothing(model.prepared, model.model)
     if worthless and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
         return suspect(asked, settings, progress, suspected, ranked)
-    if worthless or (found.terms and loses(model.prepared, model.model, asked)):
-        errors = judge(model.prepared.judging, model.model.x).nmse
-        return contradicted(asked, settings, progress, suspected, ranked, errors)
     told = explain(found, model)
+    if worthless or (found.terms and loses(told.model.prepared, told.model.model, asked)):
+        errors = judge(told.model.prepared.judging, told.model.model.x).nmse
+        return contradicted(asked, settings, progress, suspected, ranked, errors)
     findings, trifling, model = told.findings, told.trifling, told.model
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)
