@@ -13,6 +13,7 @@ from likelihood.arms import recorded
 from likelihood.fits import OPTIONS, URDF, at_joint, with_friction
 from simulated import Motion, with_wrong_inertials
 
+from torchrbd.diagnosis.explain import _error_without
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import curves, is_curve, stands_in
@@ -20,6 +21,7 @@ from torchrbd.diagnosis.search import Term
 from torchrbd.effects import Site
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
+from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.physical.terms import told_parameters
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
@@ -102,3 +104,24 @@ def test_states_may_be_uncertain() -> None:
     assert smoothed.prepared.states.lost.shape == (smoothed.model.columns.n, smoothed.model.columns.n)
     fit = smoothed.prepared.fit(smoothed.first.terms)
     assert torch.isfinite(fit.x).all()
+
+
+def test_a_model_without_a_law_is_the_fit_without_it_and_its_slopes() -> None:
+    """Slopes of a law in its shape would stand in for a part of it."""
+    resisting = at_joint(0, lambda m: 2.0 * np.sign(m.qd[:, 0]) * np.abs(m.qd[:, 0]) ** 1.5)
+    recording = recorded(URDF, 2, with_friction(resisting), **{**OPTIONS, "duration_s": 30.0})
+    settings = Settings.from_mapping({"effects": (*MAY, "power_law_friction")}, "test")
+    prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [recording], settings, ())
+    ranked = ranking(prepared.reading, settings, prepared.kept_back, lambda *_: None)
+    prepared = with_machine(prepared, settings, friction_of(settings), lambda *_: None, ranked.clocks)
+    model = extended(prepared, ranked.explanation, MAY, lambda *_: None)
+    (law,) = model.terms
+    assert any(c not in model.first.proper_terms for c in model.first.terms), "the law has slopes"
+    ordinary = model.first.proper_terms[: len(model.friction)]
+    judging, without = model.prepared.judging, model.without({law})
+    assert (without.terms, without.open, without.first.terms) == ((), (), ordinary)
+    expected = judge(judging, model.prepared.fit(ordinary).x).nmse
+    assert judge(judging, without.model.x).nmse == pytest.approx(expected, rel=1e-6)
+    # At the noise of the whole model, which the other joint's torque is weighed against.
+    assert _error_without(model, [law])["joint1"] == pytest.approx(expected["joint1"], rel=0.02)
+    assert expected["joint1"] > 10.0 * judge(judging, model.model.x).nmse["joint1"]

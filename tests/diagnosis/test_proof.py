@@ -131,3 +131,15 @@ def test_of_findings_that_stand_in_for_each_other_one_is_told() -> None:
     assert [one.effect for _, one in apart] == ["torque_ripple", "power_law_friction"]
     assert kept[0][1].nmse_before == {"hinge": 0.51}
     assert {one.nmse_after["hinge"] for _, one in (*kept, *apart)} == {0.01}
+
+
+def test_what_is_set_apart_is_trifling_all_together() -> None:
+    """Each of three is worth 15 of a thousand parts, two of them more than 20."""
+    terms = {name: SimpleNamespace(place=0, name=name) for name in ("torque_ripple", "joint_spring", "backlash")}
+    told = [(one, replace(finding(k, "hinge"), log_evidence_gain=20.0)) for k, one in terms.items()]
+
+    def error_without(gone: Sequence[SimpleNamespace]) -> dict[str, float]:
+        return {"hinge": 0.01 / (1.0 - 0.015 * len(gone))}
+
+    kept, apart = set_apart(told, error_without, lambda one: one.share < 0.02)  # type: ignore[arg-type]
+    assert (len(kept), len(apart)) == (2, 1)

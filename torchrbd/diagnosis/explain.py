@@ -60,18 +60,14 @@ def explain(found: Explanation, extended: Extended) -> Explained:
     """
     reading, robot = extended.prepared.reading, extended.prepared.robot
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
-    terms = [
-        (term, evidence, sure)
-        for term, evidence, sure in _sure(found, extended)
-        if max(sure.probability, sure.family_probability) > LIKELY
-    ]
-    everywhere = {(c.effect, c.site) for c, _, _ in _sure(found, extended)}
+    terms = list(_sure(found, extended))
+    everywhere = {(c.effect, c.site) for c, _, _ in terms}
 
     def told(model: Extended, within: Callable[[Candidate], bool]) -> list[tuple[Candidate, Finding]]:
         return [
             (term, _finding(term, evidence, sure, model, ends_s, _alternatives(term, sure, model, found.fit)))
             for term, evidence, sure in terms
-            if within(term)
+            if max(sure.probability, sure.family_probability) > LIKELY and within(term)
         ]
 
     def worded(chosen: Sequence[tuple[Candidate, Finding]]) -> tuple[Finding, ...]:

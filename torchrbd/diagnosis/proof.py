@@ -65,8 +65,8 @@ def doubt(proofs: Sequence[Proof], findings: Sequence[Finding]) -> str:
 
 
 def over_blocks(after: np.ndarray, before: np.ndarray, seed: int = 0) -> Ratio:
-    """Return sum(after) / sum(before) over blocks (B,), with its interval of 95 %; without end where there is one."""
-    if len(after) < 2:
+    """Return sum(after) / sum(before) over blocks (B,), with its interval of 95 %, without end where there are few."""
+    if len(after) < LEAST_BLOCKS:
         return Ratio(float(after.sum() / max(before.sum(), 1e-300)), 0.0, np.inf)
 
     def ratio(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:

@@ -19,6 +19,7 @@ from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
 from torchrbd.diagnosis.screening import refined, screened
 from torchrbd.diagnosis.sharpening import sharpened
 from torchrbd.effects import Effect, Site
+from torchrbd.effects.base import ShowsBodies
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import truncated
@@ -98,7 +99,7 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """
     extra = h.extra(fit, rows)
     beside, at = fit.extended((*fit.extra, extra)), extra.joints
-    base, extended = fit.settled_at(at), learnt_with(fit, rows, h)
+    base, extended = fit.settled_at(at), beside.settled_at(at)
     dispersion, widths = extended.hyper.dispersion, (base.hyper.rest_width, extended.hyper.rest_width)
     with_it, without = [extended], [base.dispersed(dispersion)]
     if not np.allclose(*widths):
@@ -226,12 +227,10 @@ class _Search:
             rivals = [k for k in done if k != first and _meet(now[k].candidate, best.candidate)]
             for k in rivals:
                 one = again(beside, self.rows, now[k])
-                worth = (
-                    -np.inf
-                    if one is None or level is None
-                    else best.log_evidence + one.log_evidence - level.log_evidence
-                )
-                if worth > 0.0 and np.isfinite(now[k].log_evidence):
+                if one is None or level is None or not np.isfinite(now[k].log_evidence):
+                    continue
+                worth = best.log_evidence + one.log_evidence - level.log_evidence
+                if worth > 0.0:
                     now[k] = replace(now[k], log_evidence=worth)
             if max(done, key=lambda k: log_odds(now[k], self.rows)) == first:
                 break
@@ -273,10 +272,10 @@ class _Search:
 
     def felt_through(self, fit: Likelihood, k: int, h: Hypothesis) -> Likelihood:
         """Return a model whose bodies act through its k-th term too, if that shows them."""
-        pi = self.rows.columns.pi
-        if pi is None or not (h.candidate.effect.shows_bodies and h.candidate.site.always):
+        pi, effect = self.rows.columns.pi, h.candidate.effect
+        if pi is None or not (isinstance(effect, ShowsBodies) and h.candidate.site.always):
             return fit
-        C = self.rows.through_bodies(h.candidate, fit.coefficients(k))
+        C = self.rows.through_bodies(effect, fit.coefficients(k))
         machine = fit.machine.felt_through(C, pi.numpy())
         return Likelihood(machine, fit.hyper, fit.extra).settled
 

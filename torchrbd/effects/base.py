@@ -93,7 +93,6 @@ class Effect(ABC):
         has_memory: True if the features depend on a sequence of states, and not on the present one alone.
         prior: what is believed of the coefficients.
         shifts_clocks: True if, at all joints alike, it is to first order what an offset of clocks is.
-        shows_bodies: True if inertial parameters that no torque tells without it act through it.
         kinds: shape parameters that choose between kinds, such as the side of a stop: none lies between two of them.
         follows: shape parameters that follow from the coefficients, see ``agreeing``.
         needs: what a recording must hold beside positions and torques, in words.
@@ -115,7 +114,6 @@ class Effect(ABC):
     sees_friction: ClassVar[bool] = False
     has_memory: ClassVar[bool] = False
     shifts_clocks: ClassVar[bool] = False
-    shows_bodies: ClassVar[bool] = False
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
     kinds: ClassVar[tuple[str, ...]] = ()
     follows: ClassVar[tuple[str, ...]] = ()
@@ -151,14 +149,6 @@ class Effect(ABC):
             return found
         inside, names = float(signals.recording in site.recordings), ", ".join(site.recordings)
         return {f"{label} in {names}": phi * inside for label, phi in found.items()}
-
-    def through_bodies(self, signals: Signals, coefficients: Tensor) -> Tensor:
-        """Return what the torque of the coefficients (K,) changes by with inertial parameters, (n, n_params, N).
-
-        Raises:
-            NotImplementedError: of an effect that does not say ``shows_bodies``.
-        """
-        raise NotImplementedError
 
     @abstractmethod
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
@@ -207,6 +197,14 @@ class Effect(ABC):
     def unit(self, parameter: str, *, prismatic: bool) -> str:
         """Return the SI unit of a physical parameter at a revolute or prismatic joint."""
         return self.units[parameter].format(**({"tau": "N", "q": "m"} if prismatic else {"tau": "N m", "q": "rad"}))
+
+
+class ShowsBodies(Effect):
+    """An effect through which inertial parameters act that no torque tells without it."""
+
+    @abstractmethod
+    def through_bodies(self, signals: Signals, coefficients: Tensor) -> Tensor:
+        """Return what the torque of the coefficients (K,) changes by with inertial parameters, (n, n_params, N)."""
 
 
 class JointEffect(Effect):

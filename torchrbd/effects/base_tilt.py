@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
+from torchrbd.effects.base import CoefficientPrior, Mjcf, Shape, ShowsBodies
 from torchrbd.effects.mjcf import quaternion
 from torchrbd.effects.placed import telling
 from torchrbd.effects.signals import JointScale, Signals
@@ -16,7 +16,7 @@ from torchrbd.effects.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 
-class BaseTilt(Effect):
+class BaseTilt(ShowsBodies):
     """tau += G(q, -theta x g): the base is turned by the rotation vector theta = (tilt_x, tilt_y, 0), in its own axes.
 
     G(q, g) is the torque that gravity g takes, linear in g. In the base's axes gravity becomes exp(-[theta]x) g, to
@@ -33,7 +33,6 @@ class BaseTilt(Effect):
     comes_and_goes = True
     whole_robot = True
     uses_load = True
-    shows_bodies = True
     prior = CoefficientPrior("Bases are level to some hundredths of a rad.", std=(0.05, 0.05))
     export_note = "of a base that stands upright: about x and y where gravity is along z"
     _LARGEST_RAD = 0.2

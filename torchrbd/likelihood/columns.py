@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.effects import Effect, JointScale, Shape, Signals, Site, Window, effect
+from torchrbd.effects.base import ShowsBodies
 from torchrbd.effects.plain_friction import plain_friction
 from torchrbd.errors import InputError
 from torchrbd.likelihood.sticking import stick_weight, undetermined
@@ -50,8 +51,8 @@ class Candidate:
         return self.effect.features_at(signals, self.site, self.shape)
 
 
-Through = tuple[tuple[Candidate, Tensor], ...]
-"""Terms through which bodies act, with their coefficients (K,)."""
+Through = tuple[tuple[ShowsBodies, Tensor], ...]
+"""Effects through which bodies act, with their coefficients (K,)."""
 
 
 class Columns:
@@ -167,22 +168,23 @@ class Columns:
         return self._like(pi=pi, friction=friction, candidates=candidates, through=through)
 
     def shown_bodies(self, terms: Sequence[Candidate], x: Tensor) -> Through:
-        """Return the terms of a model x (n,) through which bodies act too, with their coefficients."""
-        return tuple((c, x[self.of(c)]) for c in terms if c.effect.shows_bodies and c.site.always)
+        """Return what bodies act through in a model x (n,) of these terms."""
+        always = (c for c in terms if c.site.always)
+        return tuple((c.effect, x[self.of(c)]) for c in always if isinstance(c.effect, ShowsBodies))
 
-    def bodies(self, states: States) -> tuple[Tensor, Tensor]:
+    def bodies(self, states: States) -> tuple[Tensor, Tensor | None]:
         """Return what inertial parameters are multiplied with on a tile, (n_dof, n_params, N), and what is added to its
-        torque, (n_dof, N).
+        torque, (n_dof, N), if anything is.
 
         Terms through which bodies act have the torque of ``pi`` in their own columns: other parameters pi' add
         C (pi' - pi) to it, with C their ``through_bodies``.
         """
-        Y, more = self.robot.regressor_batch_last(states.q, states.qd, states.qdd), torch.zeros_like(states.q)
-        for c, w in self.through:
-            C = c.effect.through_bodies(self.signals(states), w)
-            assert self.pi is not None
-            Y, more = Y + C, more + torch.einsum("jpn,p->jn", C, self.pi)
-        return Y, more
+        Y = self.robot.regressor_batch_last(states.q, states.qd, states.qdd)
+        if self.pi is None or not self.through:
+            return Y, None
+        signals = self.signals(states)
+        C = torch.stack([effect.through_bodies(signals, w) for effect, w in self.through]).sum(0)
+        return Y + C, torch.einsum("jpn,p->jn", C, self.pi)
 
     def sticking(self, levels: Tensor) -> Columns:
         """Return the same columns for joints whose dry friction has these ``stick_levels`` (n_dof,)."""

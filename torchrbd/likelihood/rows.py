@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.effects import Signals
+from torchrbd.effects.base import ShowsBodies
 from torchrbd.errors import RecordingError
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.reading import Reading
@@ -114,12 +115,12 @@ class Rows:
 
         return self._known.of((candidate.effect, candidate.site, *candidate.shape.items()), evaluated)
 
-    def through_bodies(self, candidate: Candidate, coefficients: np.ndarray) -> list[np.ndarray]:
-        """Return per joint what inertial parameters change its torque by through a candidate, as ``rigid`` has them."""
+    def through_bodies(self, effect: ShowsBodies, coefficients: np.ndarray) -> list[np.ndarray]:
+        """Return per joint what inertial parameters change its torque by through an effect, as ``rigid`` has them."""
         w = torch.from_numpy(coefficients)
         parts = []
         for tile in self.tiles:
-            Y = candidate.effect.through_bodies(tile.signals, w)
+            Y = effect.through_bodies(tile.signals, w)
             own = (tile.states.decimate(Y[j, at]) for j, at in enumerate(self.columns.inertial))
             parts.append([one[:, tile.kept].T.numpy() for one in own])
         return [np.concatenate(own) for own in zip(*parts, strict=True)]
