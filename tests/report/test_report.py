@@ -12,7 +12,7 @@ from report.rendered import Text, render
 from torchrbd.diagnosis.numbers import number
 from torchrbd.diagnosis.results import Diagnosis, Proof, Ratio
 from torchrbd.inference.verdict import verdict_of
-from torchrbd.report.words import change, worth
+from torchrbd.report.words import change, sentence, worth
 
 
 @pytest.mark.parametrize("n", [1, 7, 30])
@@ -224,3 +224,8 @@ def test_one_line_says_what_findings_are_worth():
     )
     assert "at no joint surely better" in told(0.95, 1.2)
     assert told() == worth(replace(result, findings=())) == ""
+
+
+@pytest.mark.parametrize(("words", "told"), [("masses are odd", "Masses are odd."), ("is it odd?", "Is it odd?")])
+def test_words_are_told_as_a_sentence(words: str, told: str) -> None:
+    assert sentence(words) == told

@@ -7,7 +7,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from torchrbd.diagnosis.numbers import measure, number, plain, unit, with_unit
-from torchrbd.report.words import change, percent, tied
+from torchrbd.report.words import change, percent, sentence, tied
 
 
 def environment() -> Environment:
@@ -20,5 +20,5 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     found.filters |= {"number": number, "measure": measure, "percent": percent, "change": change}
-    found.filters |= {"plain": plain, "unit": unit, "with_unit": with_unit, "tied": tied}
+    found.filters |= {"plain": plain, "unit": unit, "with_unit": with_unit, "tied": tied, "sentence": sentence}
     return found

@@ -104,6 +104,11 @@ def change(before: float, after: float) -> str:
     return f"{100 * (after / before - 1):+.0f} %".replace("+0 %", "±0 %").replace("-0 %", "±0 %").replace("-", MINUS)
 
 
+def sentence(words: str) -> str:
+    """Return words as a sentence: a capital first, a full stop last unless they end with a question mark."""
+    return words[:1].upper() + words[1:] + ("" if words.endswith("?") else ".")
+
+
 def tied(sentence: str) -> str:
     """Return a sentence that breaks no line before a per-cent sign or N m, after < or around ±."""
     return (
