@@ -13,7 +13,7 @@ from likelihood.arms import recorded
 from likelihood.fits import OPTIONS, URDF, at_joint, with_friction
 from simulated import Motion, with_wrong_inertials
 
-from torchrbd.diagnosis.explain import _error_without
+from torchrbd.diagnosis.explain import _Fits
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import curves, is_curve, stands_in
@@ -123,5 +123,5 @@ def test_a_model_without_a_law_is_the_fit_without_it_and_its_slopes() -> None:
     expected = judge(judging, model.prepared.fit(ordinary).x).nmse
     assert judge(judging, without.model.x).nmse == pytest.approx(expected, rel=1e-6)
     # At the noise of the whole model, which the other joint's torque is weighed against.
-    assert _error_without(model, [law])["joint1"] == pytest.approx(expected["joint1"], rel=0.02)
+    assert _Fits(model).error_without([law])["joint1"] == pytest.approx(expected["joint1"], rel=0.02)
     assert expected["joint1"] > 10.0 * judge(judging, model.model.x).nmse["joint1"]

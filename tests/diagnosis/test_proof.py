@@ -9,10 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from inference.problems import columns_of, dense, recorded, statistics_of
 
 from torchrbd.diagnosis.explain import is_trifling, set_apart
-from torchrbd.diagnosis.proof import doubt, proofs
-from torchrbd.diagnosis.results import Finding, Where
+from torchrbd.diagnosis.proof import confirmed, doubt, proofs
+from torchrbd.diagnosis.results import Finding, Ratio, Where
 from torchrbd.inference.results import TorqueSeries
 
 STEP_S = 0.05
@@ -93,6 +94,36 @@ def test_a_model_that_does_worse_where_something_was_found_is_told_of() -> None:
     assert doubt(better, [here]) == doubt(worse, [elsewhere]) == doubt((), [here]) == ""
     assert "at hinge (1.44 times, 1.44 to 1.44): what was found there does not carry over." in doubt(worse, [here])
     assert doubt(worse, [finding("base_tilt")])
+    assert doubt(better, [here], Ratio(0.9, 0.8, 1.01)) == ""
+    assert doubt(better, [here], Ratio(0.5, 0.3, 0.7)).startswith("That is less than was found")
+
+
+def test_what_is_added_is_regressed_on_what_others_leave() -> None:
+    """Of a model that adds half of what is there, twice as much is; of what is not, nothing; and of nothing, no word.
+
+    The slope is that of least squares without a constant (numpy), in parts of each joint's variance.
+    """
+    robot, recording = recorded(2, 3, torque_noise=0.05)
+    columns = columns_of(robot)
+    statistics, full = statistics_of(columns, recording), dense(columns, recording)
+    true = torch.zeros(columns.n, dtype=torch.float64)
+    true[: robot.n_params] = robot.pi
+    rng = np.random.default_rng(0)
+    without = true + 0.2 * true.abs().max() * torch.from_numpy(rng.standard_normal(columns.n)) * (true != 0)
+    for part in (1.0, 0.5):
+        x = without + part * (true - without)
+        found = confirmed(statistics, x, without)
+        assert found is not None
+        added, left = (full.A @ (x - without).numpy()).ravel(), (full.tau - full.A @ without.numpy()).ravel()
+        weight = np.repeat(1.0 / full.tau.std(1), full.tau.shape[1])
+        slope = np.linalg.lstsq((added * weight)[:, None], left * weight, rcond=None)[0][0]
+        assert found.value == pytest.approx(slope, rel=1e-6)
+        assert found.value == pytest.approx(1.0 / part, rel=0.01)
+        assert found.low < found.value < found.high
+    astray = confirmed(statistics, 2.0 * true - without, true, [1])
+    assert astray is not None
+    assert astray.value == pytest.approx(0.0, abs=0.01)
+    assert confirmed(statistics, true, true) is None
 
 
 @pytest.mark.parametrize(

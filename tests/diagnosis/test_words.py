@@ -10,7 +10,7 @@ import pytest
 from torchrbd.diagnosis.changes.results import Difference
 from torchrbd.diagnosis.changes.words import signed
 from torchrbd.diagnosis.numbers import joined, measure, percent, unit, with_unit
-from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Region, Unexplained, Where
+from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Ratio, Region, Unexplained, Where
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.diagnosis.words import all_or_some, alternatives, finding_sentence, guessed, strongest_first, when
 from torchrbd.inference.torque_error import Fit
@@ -27,6 +27,12 @@ def finding(effect: str, *joints: str, links: tuple[str, ...] = (), **changes: A
 def statement(*findings: Finding, rest: tuple[Unexplained, ...] = ()) -> str:
     fit = Fit(dict.fromkeys(JOINTS, 0.1), {})
     return verdict_statement("missing_physics", findings, rest, dict.fromkeys(("urdf", "rigid_body", "extended"), fit))
+
+
+def test_the_verdict_says_how_much_of_it_is_there() -> None:
+    fits = dict.fromkeys(("urdf", "rigid_body", "extended"), Fit({"joint1": 0.1}, {}))
+    told = verdict_statement("missing_physics", [finding("backlash", "joint1")], (), fits, confirmed=Ratio(1, 0.9, 1.1))
+    assert told.endswith("10 % with what was found, which is 1.00 times as large (0.90 to 1.10) there.")
 
 
 def everywhere(effect: str, *but: str) -> list[Finding]:
@@ -247,6 +253,8 @@ def test_a_sentence_says_what_it_is_worth_where_it_is_worth_most() -> None:
         assert finding_sentence(one).endswith(
             "Without it 50 % of the torque variance of joint2 on held-out time stays unpredicted, with it 10 %."
         )
+    there = finding("backlash", "joint1", **worth, confirmed=Ratio(-0.204, -1.0, 0.5))
+    assert finding_sentence(there).endswith("with it 10 %; there it is −0.20 times as large (−1.00 to 0.50).")
     nowhere = {key: {"joint1": 0.02, "joint2": 0.5} for key in worth}
     assert finding_sentence(finding("backlash", "joint1", **nowhere)).endswith(
         "Held-out time does not show it: 2 % of the torque variance stays unpredicted with and without it."

@@ -10,7 +10,18 @@ from inference.problems import urdf_of
 from report.fabricated import ranking
 from simulated import record, with_wrong_inertials
 
-from torchrbd.diagnosis.results import Alternative, Curve, Diagnosis, Finding, Law, Quantity, Region, Unexplained, Where
+from torchrbd.diagnosis.results import (
+    Alternative,
+    Curve,
+    Diagnosis,
+    Finding,
+    Law,
+    Quantity,
+    Ratio,
+    Region,
+    Unexplained,
+    Where,
+)
 from torchrbd.export import write_parameters
 from torchrbd.export.json_files import write_comparison, write_diagnosis
 from torchrbd.inference import EstimatorComparison, Fit, Identification, identify
@@ -129,7 +140,7 @@ def test_a_finding_says_its_family_its_laws_and_what_it_carries(found: Identific
     one = Finding(
         "stribeck_friction", ("a",), (), 0.6, 40.0, {}, Where(), (), {"a": 0.4, "b": 0.2}, {"a": 0.1, "b": 0.2}, "x",
         family="friction", family_probability=0.98, laws=(Law("stribeck_friction", 0.7), Law("quadratic_drag", 0.3)),
-        torque_rms={"a": 1.5},
+        torque_rms={"a": 1.5}, confirmed=Ratio(0.9, 0.8, 1.0),
     )  # fmt: skip
     small = replace(one, effect="torque_ripple", nmse_before={"a": 0.0}, laws=())
     write_diagnosis(Diagnosis(found, "missing_physics", "z", (one,), trifling=(small,)), tmp_path / "d")
@@ -141,6 +152,7 @@ def test_a_finding_says_its_family_its_laws_and_what_it_carries(found: Identific
         {"effect": "quadratic_drag", "probability": 0.3},
     ]
     assert told["torque_rms"] == {"a": 1.5}
+    assert (told["confirmed"], content["confirmed"]) == ({"value": 0.9, "low": 0.8, "high": 1.0}, None)
     # The largest of its joints.
     assert told["share"] == pytest.approx(0.75)
     assert trifling["effect"] == "torque_ripple"

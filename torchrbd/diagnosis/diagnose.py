@@ -13,7 +13,7 @@ from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
 from torchrbd.diagnosis.posterior import refit_matters
-from torchrbd.diagnosis.proof import doubt, proofs
+from torchrbd.diagnosis.proof import confirmed, doubt, proofs
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.results import Diagnosis, Finding, LeftoverMap, Location, Unexplained
 from torchrbd.diagnosis.rows.regression import fitted
@@ -98,8 +98,10 @@ def diagnose(
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))
     simulated = tuple(one.name for one in prepared.reading.simulated)
     compared = "simulation" if simulated else "URDF"
-    statement = verdict_statement(verdict, findings, rest, identification.fits, compared)
-    statement = " ".join(filter(None, (statement, doubt(proof, findings))))
+    plain = model.prepared.fit(model.prepared.columns.urdf_friction)
+    there = confirmed(model.prepared.judging, model.model.x, plain.x) if findings else None
+    statement = verdict_statement(verdict, findings, rest, identification.fits, compared, there)
+    statement = " ".join(filter(None, (statement, doubt(proof, findings, there))))
     absent = limits(found)
     return Diagnosis(
         identification,
@@ -115,6 +117,7 @@ def diagnose(
         proof,
         ranking=ranked,
         trifling=trifling,
+        confirmed=there,
     )
 
 

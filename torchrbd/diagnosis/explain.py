@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -15,8 +14,9 @@ from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.hypotheses import whole
 from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion
+from torchrbd.diagnosis.proof import confirmed
 from torchrbd.diagnosis.residual import is_curve
-from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Region, Where
+from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Ratio, Region, Where
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.diagnosis.words import NO_CHANGE, finding_sentence, strongest_first
@@ -78,10 +78,12 @@ def explain(found: Explanation, extended: Extended) -> Explained:
             sentences.append(replace(one, statement=statement))
         return strongest_first(sentences)
 
-    every = told(extended, lambda _: True)
-    kept, apart = set_apart(every, partial(_error_without, extended), lambda one: is_trifling(one, extended))
-    trifling = worded(apart)
-    gone = {term for term, _ in apart if term in extended.terms and term.effect.family == _FRICTION}
+    fits, every = _Fits(extended), told(extended, lambda _: True)
+    kept, apart = set_apart(every, fits.error_without, lambda one: is_trifling(one, extended))
+    others = [term for term, _ in apart]
+    shown = {term: fits.confirmed(term, one, others) for term, one in kept}
+    trifling = worded([(term, replace(one, confirmed=fits.confirmed(term, one, []))) for term, one in apart])
+    gone = {term for term in others if term in extended.terms and term.effect.family == _FRICTION}
     if gone:
         left = [t for t, c in zip(found.terms, extended.terms, strict=True) if c not in gone]
         found, extended = replace(found, terms=tuple(left)), extended.without(gone)
@@ -90,6 +92,7 @@ def explain(found: Explanation, extended: Extended) -> Explained:
             (term, replace(one, nmse_before=errors[term].nmse_before, nmse_after=errors[term].nmse_after))
             for term, one in told(extended, errors.__contains__)
         ]
+    kept = [(term, replace(one, confirmed=shown[term])) for term, one in kept]
     return Explained(worded(kept), trifling, found, extended)
 
 
@@ -132,14 +135,34 @@ def set_apart(
     return kept, apart
 
 
-def _error_without(extended: Extended, gone: Sequence[Candidate]) -> Mapping[str, float]:
-    """Return held-out nmse without some terms, and without laws that refine ordinary friction which is not there."""
-    judging, terms, columns = extended.prepared.judging, extended.first.proper_terms, extended.first.columns
-    if not gone:
-        return judge(judging, extended.first.x).nmse
-    shared = {k for c in terms[: len(extended.friction)] if c in gone for k in columns.of(c)}
-    rest = [c for c in terms if c not in gone and not shared & set(columns.of(c))]
-    return judge(judging, extended.prepared.fit(rest, extended.model.noise_variance).x).nmse
+class _Fits:
+    """The model as it is first fitted, without some of its terms, each fitted once."""
+
+    def __init__(self, extended: Extended) -> None:
+        self.prepared, self.first = extended.prepared, extended.first
+        self._friction, self._noise = len(extended.friction), extended.model.noise_variance
+        self._fitted = {frozenset[Candidate](): self.first.x}
+
+    def without(self, gone: Sequence[Candidate]) -> torch.Tensor:
+        """Return coefficients (n,) without some terms, and without laws that refine ordinary friction that is gone."""
+        key = frozenset(gone)
+        if key not in self._fitted:
+            terms, columns = self.first.proper_terms, self.first.columns
+            shared = {k for c in terms[: self._friction] if c in key for k in columns.of(c)}
+            rest = [c for c in terms if c not in key and not shared & set(columns.of(c))]
+            self._fitted[key] = self.prepared.fit(rest, self._noise).x
+        return self._fitted[key]
+
+    def error_without(self, gone: Sequence[Candidate]) -> Mapping[str, float]:
+        """Return held-out nmse by joint without some terms."""
+        return judge(self.prepared.judging, self.without(gone)).nmse
+
+    def confirmed(self, term: Candidate, told: Finding, others: Sequence[Candidate]) -> Ratio | None:
+        """Return the part of what a term adds that held-out time shows, others being left out."""
+        names = self.prepared.robot.joint_names
+        joints = None if term.place is None else [names.index(name) for name in told.joints]
+        x, without = self.without(others), self.without([*others, term])
+        return confirmed(self.prepared.judging, x, without, joints)
 
 
 def is_trifling(finding: Finding, extended: Extended) -> bool:

@@ -72,6 +72,12 @@ def percent(part: float) -> str:
     return f"{100 * part:.2g} %" if part < 0.995 else f"{100 * part:.0f} %"
 
 
+def as_large(ratio: float, low: float, high: float) -> str:
+    """Return a ratio and its interval, e.g. "1.02 times as large (0.81 to 1.22)"."""
+    value, *ends = (f"{x:.2f}".replace("-", MINUS) for x in (ratio, low, high))
+    return f"{value} times as large ({' to '.join(ends)})"
+
+
 def unit(symbol: str) -> str:
     """Return a unit as one reads it, e.g. "kg m²", and nothing for a pure number."""
     return _KNOWN.get(symbol, symbol).replace("^2", "²").replace("^3", "³")

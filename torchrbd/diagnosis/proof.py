@@ -13,10 +13,14 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.stats import bootstrap
+from torch import Tensor
 
 from torchrbd.diagnosis.numbers import number
 from torchrbd.diagnosis.results import Finding, Proof, Ratio
+from torchrbd.diagnosis.words import NO_CHANGE
+from torchrbd.inference.physical.fitting import weighed_blocks
 from torchrbd.inference.results import TorqueSeries
+from torchrbd.likelihood.block_statistics import BlockStatistics
 
 EXTENDED = "extended"
 BLOCK_S, LEAST_BLOCKS, _RESAMPLES, _LONGEST_S = 1.0, 4, 2000, 2.0
@@ -47,21 +51,60 @@ def proofs(series: TorqueSeries, cutoff_hz: float, seed: int = 0) -> tuple[Proof
     return tuple(found)
 
 
-def doubt(proofs: Sequence[Proof], findings: Sequence[Finding]) -> str:
-    """Say at which joints with findings unseen torque is predicted worse than by the rigid body; nothing if at none."""
+def doubt(proofs: Sequence[Proof], findings: Sequence[Finding], there: Ratio | None = None) -> str:
+    """Say what of the findings unseen torque does not show; nothing if it shows all.
+
+    Args:
+        proofs: of the joints.
+        findings: what is told.
+        there: the part of what they add that it shows, see ``confirmed``.
+    """
     everywhere = any(not f.joints for f in findings)
     joints = {joint for f in findings for joint in f.joints}
     asked = [p for p in proofs if everywhere or p.joint in joints]
     worse = {p.joint: p.over["rigid_body"] for p in asked if p.over["rigid_body"].low > 1.0}
-    if not worse:
-        return ""
-    told = ", ".join(
-        f"{joint} ({number(r.value)} times, {number(r.low)} to {number(r.high)})" for joint, r in worse.items()
-    )
-    return (
-        f"The extended model's squared error on held-out torque is larger than the re-fitted rigid body's at {told}: "
-        "what was found there does not carry over."
-    )
+    if worse:
+        told = ", ".join(
+            f"{joint} ({number(r.value)} times, {number(r.low)} to {number(r.high)})" for joint, r in worse.items()
+        )
+        return (
+            f"The extended model's squared error on held-out torque is larger than the re-fitted rigid body's at "
+            f"{told}: what was found there does not carry over."
+        )
+    if there is not None and there.high < 1.0:
+        return (
+            "That is less than was found: on held-out time the robot or its motion was another, or a part of what was "
+            "found stands for something else."
+        )
+    return ""
+
+
+def confirmed(
+    judging: BlockStatistics, x: Tensor, without: Tensor, joints: Sequence[int] | None = None
+) -> Ratio | None:
+    """Return the part of the torque that coefficients add to others that held-out blocks show: a calibration slope.
+
+        slope = sum_b r_b'd_b / sum_b d_b'd_b
+
+    with d what x adds to the torque of ``without``, and r what that leaves of the measured one. It is one where that is
+    as it was found, zero where nothing of it is there; below a half, predictions without it are better.
+
+    Source: Mincer and Zarnowitz, "The Evaluation of Economic Forecasts", NBER 1969 (regression of outcomes on
+        forecasts); Cox, "Two Further Applications of a Model for Binary Regression", Biometrika 1958.
+
+    Args:
+        judging: blocks that no fit has seen.
+        x, without: coefficients (n,).
+        joints: whose torque counts, in parts of its variance; all if not given.
+
+    Returns:
+        None where blocks are few, or hold too little of it.
+    """
+    left, added = (weighed_blocks(judging, each, joints).numpy() for each in judging.added(x, without))
+    error = float(weighed_blocks(judging, judging.squared_error(x), joints).sum())
+    if len(added) < LEAST_BLOCKS or not added.sum() > NO_CHANGE * error:
+        return None
+    return over_blocks(left, added)
 
 
 def over_blocks(after: np.ndarray, before: np.ndarray, seed: int = 0) -> Ratio:

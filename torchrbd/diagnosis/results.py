@@ -66,6 +66,15 @@ class Curve:
 
 
 @dataclass(frozen=True)
+class Ratio:
+    """A ratio with the ends of its interval of 95 %."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
 class Law:
     """An effect in the place of a finding, and its probability given that one of them is there."""
 
@@ -80,7 +89,8 @@ class Finding:
     ``probability`` is against none and its rivals in its place, ``family_probability`` that of some effect of its
     ``family`` there; ``laws`` are the effects that explain the same. ``depends_on`` are signals of other joints that it
     depends on, e.g. "q_joint2", ``curve`` is the function that shows it best, ``torque_rms`` what it carries by joint
-    [N m or N], ``statement`` a sentence for a person.
+    [N m or N], ``confirmed`` the part of what it adds that held-out time shows (one: all of it; None where that holds
+    too little of it), ``statement`` a sentence for a person.
     """
 
     effect: str
@@ -100,6 +110,7 @@ class Finding:
     family_probability: float = 0.0
     laws: tuple[Law, ...] = ()
     torque_rms: dict[str, float] = field(default_factory=dict)
+    confirmed: Ratio | None = None
 
     @property
     def share(self) -> float:
@@ -256,15 +267,6 @@ class Deflection:
 
 
 @dataclass(frozen=True)
-class Ratio:
-    """A ratio with the ends of its interval of 95 %."""
-
-    value: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
 class Proof:
     """What the extended model is worth at one joint, on torque that no fit and no choice has seen.
 
@@ -296,8 +298,9 @@ class Diagnosis(Displayed):
     what was not found could be, ``deflections`` what encoders behind the gears show. ``simulated`` names the
     recordings of a simulator that stood for the URDF. ``proofs`` say what the extended model is worth on torque
     that was held out. ``trifling`` are effects that are as likely as findings and that held-out time does not show:
-    they carry next to no torque, or other inertial parameters than the URDF's do as well. ``ranking`` has all that
-    was considered, by its evidence.
+    they carry next to no torque, or other inertial parameters than the URDF's do as well. ``confirmed`` is the part of
+    the torque that the extended model adds to a rigid body with plain friction that held-out time shows: one if it is
+    right, None where that cannot be told. ``ranking`` has all that was considered, by its evidence.
     """
 
     identification: Identification
@@ -313,6 +316,7 @@ class Diagnosis(Displayed):
     proofs: tuple[Proof, ...] = field(default=())
     ranking: Ranking | None = None
     trifling: tuple[Finding, ...] = field(default=())
+    confirmed: Ratio | None = None
 
     def __repr__(self) -> str:
         names = [f"{f.effect} at {', '.join((*f.joints, *f.links)) or 'whole robot'}" for f in self.findings]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import astuple
 
-from torchrbd.diagnosis.numbers import joined, percent
+from torchrbd.diagnosis.numbers import as_large, joined, percent
 from torchrbd.diagnosis.posterior import LIKELY
-from torchrbd.diagnosis.results import Finding, Unexplained, Where
+from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, Where
 from torchrbd.diagnosis.words import alternatives, at, named, when, words_of
 from torchrbd.effects.registry import PLAIN
 from torchrbd.inference.suspicions.results import Suspicions
@@ -30,8 +31,15 @@ def verdict_statement(
     rest: Sequence[Unexplained],
     fits: Mapping[str, Fit],
     model: str = "URDF",
+    confirmed: Ratio | None = None,
 ) -> str:
-    """Say the verdict in one or two sentences; ``model`` is what the recordings are compared with."""
+    """Say the verdict in a few sentences.
+
+    Args:
+        verdict, findings, rest, confirmed: of the diagnosis.
+        fits: of its identification.
+        model: what the recordings are compared with.
+    """
     urdf, rigid, extended = (percent(fits[name].mean_nmse) for name in ("urdf", "rigid_body", "extended"))
     everywhere = [j for j, nmse in fits["urdf"].nmse.items() if math.isfinite(nmse)]
     open_end = ""
@@ -52,9 +60,10 @@ def verdict_statement(
     usual = _told(plain_ones, everywhere)
     first, second = (special, f" It also {usual}." if usual else "") if special else (usual, "")
     first = first or f"leaves something out, {_guesses(findings, everywhere)}"
+    there = "" if confirmed is None else f", which is {as_large(*astuple(confirmed))} there"
     return (
         f"The {model} {first}.{second} The unpredicted part of the torque variance on held-out time is {urdf} with the "
-        f"{model}, {rigid} with a re-fitted rigid body and {extended} with what was found.{open_end}"
+        f"{model}, {rigid} with a re-fitted rigid body and {extended} with what was found{there}.{open_end}"
     )
 
 

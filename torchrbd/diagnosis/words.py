@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple
 
-from torchrbd.diagnosis.numbers import joined, measure, number, percent, plain, with_unit
+from torchrbd.diagnosis.numbers import as_large, joined, measure, number, percent, plain, with_unit
 from torchrbd.diagnosis.posterior import LIKELY
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
 from torchrbd.effects import effect, known_effects
@@ -169,7 +170,9 @@ def _worth(finding: Finding) -> str:
     variance = "the torque variance" + ("" if joint in finding.joints else f" of {joint}")
     if abs(before - after) <= NO_CHANGE * max(before, after):
         return f"Held-out time does not show it: {percent(after)} of {variance} stays unpredicted with and without it."
-    return f"Without it {percent(before)} of {variance} on held-out time stays unpredicted, with it {percent(after)}."
+    error = f"Without it {percent(before)} of {variance} on held-out time stays unpredicted, with it {percent(after)}"
+    there = finding.confirmed
+    return f"{error}." if there is None else f"{error}; there it is {as_large(*astuple(there))}."
 
 
 def _alike(finding: Finding) -> str:

@@ -71,7 +71,9 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
         the same is there; the likeliest first), nmse_before and nmse_after by joint, statement, depends_on (signals of
         other joints), curve: the function that shows it best, or null, family, family_probability, laws (effect and
         probability, of those that explain the same, given that one of them is there), torque_rms by joint, and share
-        (of its joint's held-out squared error that it removes).
+        (of its joint's held-out squared error that it removes), confirmed (the part of what it adds that held-out time
+        shows: value, low and high of 95 %; 1 is all of it; null where that holds too little of it).
+    confirmed: the same of all that the extended model adds to a rigid body with plain friction.
     trifling: effects as likely as findings that held-out time does not show, in the same form.
     unexplained: list of joints, depends_on, where, share, statement, curve.
     curve: signal ("q_joint2", "t", ...), at, torque and std, lists of one length in the order of drawing.
@@ -111,6 +113,7 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
             "verdict": result.verdict,
             "statement": result.statement,
             "findings": [_finding(f) for f in result.findings],
+            "confirmed": None if result.confirmed is None else asdict(result.confirmed),
             "trifling": [_finding(f) for f in result.trifling],
             "unexplained": [asdict(u) for u in result.unexplained],
             "locations": [asdict(x) for x in result.locations],

@@ -100,6 +100,19 @@ class BlockStatistics:
             errors.append(((moments @ v) * v).sum(-1))
         return torch.stack(errors, -1).clamp_min(0.0)
 
+    def added(self, x: Tensor, without: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what coefficients x (n,) add to the torque of others (n,), times what these leave, and its square.
+
+        Returns:
+            weighted sums, (B, n_dof) each, [(N m)^2] or [N^2].
+        """
+        left, square = [], []
+        for own, moments in zip(self.columns.of_joint, self.moments, strict=True):
+            more = moments @ torch.cat(((x - without)[own], x.new_zeros(1)))
+            left.append(more @ torch.cat((-without[own], x.new_ones(1))))
+            square.append(more[:, :-1] @ (x - without)[own])
+        return torch.stack(left, -1), torch.stack(square, -1)
+
     def scores(self, x: Tensor, weights: Tensor) -> Tensor:
         """Return sum_j w_j A_jb (tau - x), the pull of each block at coefficients x (n,), (B, n)."""
         found = torch.zeros(len(self), self.columns.n, dtype=torch.float64)

@@ -217,8 +217,20 @@ def judge(statistics: BlockStatistics, x: Tensor) -> Fit:
 
 def nmse_of_blocks(statistics: BlockStatistics, x: Tensor) -> Tensor:
     """Return what each block (B,) adds to the sum of all joints' nmse, as of ``judge``."""
+    return weighed_blocks(statistics, statistics.squared_error(x))
+
+
+def weighed_blocks(statistics: BlockStatistics, squares: Tensor, joints: Sequence[int] | None = None) -> Tensor:
+    """Return what each block (B,) adds to the mean of squares (B, n_dof) over their torque's variance, of all joints.
+
+    Args:
+        statistics: the blocks.
+        squares: [(N m)^2] or [N^2].
+        joints: which count, of those whose torque there is, and which is not constant; all if not given.
+    """
     seen, weight = _varied(statistics), statistics.torque[..., 0].sum(0)
-    return (statistics.squared_error(x) / weight / statistics.torque_variance())[:, seen].sum(1)
+    counted = [j for j in seen if joints is None or j in joints]
+    return (squares / weight / statistics.torque_variance())[:, counted].sum(1)
 
 
 def _varied(statistics: BlockStatistics) -> list[int]:
