@@ -85,6 +85,8 @@ class CaseScore:
         seconds: that the diagnosis took.
         error: why there is no diagnosis.
         told: whether a search that was told the effect and its joint finds it; None without one.
+        slope, slope_covers: how large held-out time has what was found, and whether the interval of that holds one;
+            None where it cannot be told, or something else was found than is there.
     """
 
     case: str
@@ -100,6 +102,8 @@ class CaseScore:
     seconds: float
     error: str | None = None
     told: bool | None = None
+    slope: float | None = None
+    slope_covers: bool | None = None
 
 
 def score_case(truth: Json, diagnosis: Json, seconds: float, oracle: Json | None = None) -> CaseScore:
@@ -115,11 +119,13 @@ def score_case(truth: Json, diagnosis: Json, seconds: float, oracle: Json | None
     judged = judge(findings, truth)
     false = [f for f, j in zip(findings, judged, strict=True) if not j.right]
     named = {j.effect: (f, j) for f, j in zip(findings, judged, strict=True) if j.effect is not None}
+    effects = tuple(_effect_score(e, diagnosis, truth, named.get(k)) for k, e in enumerate(truth["effects"]))
+    there = diagnosis.get("confirmed") if not false and all(e.in_class for e in effects) else None
     return CaseScore(
         case=truth["id"],
         tier=truth["tier"],
         robot=truth["robot"]["name"],
-        effects=tuple(_effect_score(e, diagnosis, truth, named.get(k)) for k, e in enumerate(truth["effects"])),
+        effects=effects,
         background=_background(findings, truth),
         judgements=tuple(
             Judged(float(f["probability"]), j.right, None if _is_plain(f) else float(f["log_evidence_gain"]))
@@ -132,6 +138,8 @@ def score_case(truth: Json, diagnosis: Json, seconds: float, oracle: Json | None
         gain_share=_gain_share(truth, diagnosis, oracle),
         seconds=seconds,
         error=diagnosis.get("error"),
+        slope=there and there["value"],
+        slope_covers=there and there["low"] <= 1.0 <= there["high"],
     )
 
 

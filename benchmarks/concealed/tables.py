@@ -19,7 +19,7 @@ from .score import CaseScore, EffectScore
 
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 GAINS = (0.0, 30.0, 40.0, 60.0, 100.0, 300.0, math.inf)
-_ABOUT_8 = (0.07, 0.09)
+_ABOUT_8, _ABOUT_15 = (0.07, 0.09), (0.14, 0.17)
 EFFECT_COLUMNS = ("named exactly", "in class", "parameter error", "shape error", "95 % intervals cover")
 PLACE_COLUMNS = (
     "joint", "link", "recordings", "ends of times [s]", "IoU of times", "IoU of ranges",
@@ -62,6 +62,8 @@ def case_figures(cases: Sequence[CaseScore]) -> dict[str, Figure]:
         "gain share": median(c.gain_share for c in cases),
         "seconds": median(c.seconds for c in cases),
         "found where told": rate(c.told for c in cases),
+        "slope where right": median(c.slope for c in cases),
+        "its interval holds one": rate(c.slope_covers for c in cases),
         "failed": rate(c.error is not None for c in cases),
     }
 
@@ -128,14 +130,15 @@ def must_hold(cases: Sequence[CaseScore]) -> list[tuple[str, Figure, str, bool |
     named = [e for c in cases if c.tier in ("clean", "field") for e in c.effects]
     field8, measured, overall = effect_figures(effects("field", *_ABOUT_8)), effect_figures(named), case_figures(cases)
     sure, right = sure_and_right(cases)
-    tellable = [e for c in of("injected") if c.told for e in c.effects if _ABOUT_8[0] <= e.size <= _ABOUT_8[1]]
+    tellable = [e for c in of("injected") if c.told for e in c.effects]
     rows: list[tuple[str, Figure, str, float]] = [
         ("clean, 8 % and more: in class", rate(e.in_class for e in effects("clean", 0.07)), ">=", 0.97),
         ("field, 8 %: in class", field8["in class"], ">=", 0.88),
         ("field, 4 %: in class", rate(e.in_class for e in effects("field", 0.03, 0.05)), ">=", 0.65),
         ("field: friction on the other joints", case_figures(of("field"))["other friction found"], ">=", 0.95),
-        ("injected, 8 %: in class", rate(e.in_class for e in effects("injected", *_ABOUT_8)), ">=", 0.8),
-        ("injected, 8 %, where it can be told: in class", rate(e.in_class for e in tellable), ">=", 0.8),
+        ("injected, 15 %: in class", rate(e.in_class for e in effects("injected", *_ABOUT_15)), ">=", 0.8),
+        ("injected, 8 %: in class", rate(e.in_class for e in effects("injected", *_ABOUT_8)), ">=", 0.6),
+        ("injected, where it can be told: in class", rate(e.in_class for e in tellable), ">=", 0.8),
         ("nulls: cases with a false finding", rate(bool(c.false) for c in of("null")), "<=", 0.02),
         ("nulls: joints with an alarm", case_figures(of("null"))["joints with an alarm"], "<=", 0.02),
         ("all: findings false", overall["findings false"], "<=", 0.05),

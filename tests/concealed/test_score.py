@@ -7,7 +7,7 @@ import pytest
 from concealed.matching import covers, judge, new_findings
 from concealed.overlap import end_errors, interval_iou, region_iou
 from concealed.score import score_case, score_injected
-from concealed.tables import must_hold
+from concealed.tables import case_figures, must_hold
 
 JOINTS = ["a", "b", "c"]
 NOWHERE = {"recordings": None, "time_s": None, "region": None}
@@ -258,6 +258,17 @@ def test_times_of_what_is_left_count_where_nothing_is_named() -> None:
     assert (nothing.window_iou, nothing.recordings) == (0.0, False)
 
 
+def test_how_large_held_out_time_has_it_is_judged_where_all_of_it_is_right() -> None:
+    there = {"confirmed": {"value": 1.1, "low": 0.9, "high": 1.3}}
+    right, wrong = (diagnosis(finding(name, "b")) | there for name in ("torque_ripple", "joint_spring"))
+    scores = [score_case(truth(effect("torque_ripple", "b")), told, 1.0) for told in (right, wrong)]
+    assert [(s.slope, s.slope_covers) for s in scores] == [(1.1, True), (None, None)]
+    off = score_case(
+        truth(effect("torque_ripple", "b")), right | {"confirmed": {**there["confirmed"], "low": 1.05}}, 1.0
+    )
+    assert case_figures([*scores, off])["its interval holds one"].value == 0.5
+
+
 def test_injected_counts_what_is_new() -> None:
     case = truth(effect("torque_ripple", "b"), tier="injected", baseline="0")
     left = (left_at("c", "q_c"), left_at("d"))
@@ -274,7 +285,7 @@ def test_injected_counts_what_is_new() -> None:
         again = score_injected(case, after, before, 1.0, told)
         assert again is not None
         assert again.told == seen
-        (row,) = (figure for words, figure, *_ in must_hold([again]) if words.startswith("injected, 8 %, where"))
+        (row,) = (figure for words, figure, *_ in must_hold([again]) if words.startswith("injected, where"))
         assert row.n == seen
     assert [f["effect"] for f in new_findings(after["findings"], before["findings"])] == [
         "torque_ripple", "joint_spring",
