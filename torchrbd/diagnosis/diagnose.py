@@ -20,7 +20,7 @@ from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.springs import with_springs
-from torchrbd.diagnosis.suspect import contradicted, loses, suspect, tells_nothing
+from torchrbd.diagnosis.suspect import contradicted, refuted, suspect, tells_nothing
 from torchrbd.diagnosis.unexplained import unexplained
 from torchrbd.diagnosis.verdict_words import verdict_statement
 from torchrbd.diagnosis.words import strongest_first
@@ -78,10 +78,11 @@ def diagnose(
     if worthless and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
         return suspect(asked, settings, progress, suspected, ranked)
     told = explain(found, model)
-    if worthless or (found.terms and loses(told.model.prepared, told.model.model, asked)):
-        errors = judge(told.model.prepared.judging, told.model.model.x).nmse
-        return contradicted(asked, settings, progress, suspected, ranked, errors)
     findings, trifling, model = told.findings, told.trifling, told.model
+    plain, x, judging = model.prepared.fit(model.prepared.columns.urdf_friction), model.model.x, model.prepared.judging
+    there = confirmed(judging, x, plain.x)
+    if worthless or (found.terms and refuted(model.prepared, model.model, asked, there)):
+        return contradicted(asked, settings, progress, suspected, ranked, judge(judging, x).nmse)
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = deflections(model.prepared, model.model)
@@ -98,8 +99,7 @@ def diagnose(
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))
     simulated = tuple(one.name for one in prepared.reading.simulated)
     compared = "simulation" if simulated else "URDF"
-    plain = model.prepared.fit(model.prepared.columns.urdf_friction)
-    there = confirmed(model.prepared.judging, model.model.x, plain.x) if findings else None
+    there = there if findings else None
     statement = verdict_statement(verdict, findings, rest, identification.fits, compared, there)
     statement = " ".join(filter(None, (statement, doubt(proof, findings, there))))
     absent = limits(found)

@@ -9,9 +9,8 @@ from collections.abc import Iterator, Mapping
 
 import torch
 
-from torchrbd.diagnosis.proof import over_blocks
 from torchrbd.diagnosis.ranking import Ranking
-from torchrbd.diagnosis.results import Diagnosis, Unexplained, Where
+from torchrbd.diagnosis.results import Diagnosis, Ratio, Unexplained, Where
 from torchrbd.diagnosis.verdict_words import contradicted_sentence, contradicted_statement, suspect_statement
 from torchrbd.inference.identify import summarise
 from torchrbd.inference.physical.fitting import FittedModel, beside_constant, nmse_of_blocks
@@ -70,18 +69,18 @@ def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:
     return bool(error.isfinite().any()) and float(torch.nanmean(error)) > 1.0
 
 
-def loses(prepared: Prepared, model: FittedModel, asked: Prepared) -> bool:
-    """Say whether a model predicts held-out torque worse than the plain model does, in the mean over the joints.
-
-    Blocks of time are drawn again: the interval of 95 % of the ratio lies above one.
+def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Ratio | None) -> bool:
+    """Say whether held-out time refutes what was found: it has less of it for certain, and does better without it.
 
     Args:
         prepared, model: with what was found.
-        asked: the same data without it.
+        asked: the same data without it; its model is the plain one.
+        there: how large held-out time has what was found, see ``confirmed``.
     """
+    if there is None or there.high >= 1.0:
+        return False
     plain = asked.fit(asked.columns.urdf_friction)
-    found, without = nmse_of_blocks(prepared.judging, model.x), nmse_of_blocks(asked.judging, plain.x)
-    return over_blocks(found.numpy(), without.numpy()).low > 1.0
+    return bool(nmse_of_blocks(prepared.judging, model.x).sum() > nmse_of_blocks(asked.judging, plain.x).sum())
 
 
 def _plain(prepared: Prepared, settings: Settings, progress: Progress, suspected: Suspicions) -> Identification:
