@@ -81,19 +81,20 @@ def explain(found: Explanation, extended: Extended) -> Explained:
     fits, every = _Fits(extended), told(extended, lambda _: True)
     kept, apart = set_apart(every, fits.error_without, lambda one: is_trifling(one, extended))
     others = [term for term, _ in apart]
-    shown = {term: fits.confirmed(term, one, others) for term, one in kept}
+    kept = [(term, replace(one, confirmed=fits.confirmed(term, one, others))) for term, one in kept]
     trifling = worded([(term, replace(one, confirmed=fits.confirmed(term, one, []))) for term, one in apart])
     gone = {term for term in others if term in extended.terms and term.effect.family == _FRICTION}
     if gone:
         left = [t for t, c in zip(found.terms, extended.terms, strict=True) if c not in gone]
         found, extended = replace(found, terms=tuple(left)), extended.without(gone)
-        errors = dict(kept)
-        kept = [
-            (term, replace(one, nmse_before=errors[term].nmse_before, nmse_after=errors[term].nmse_after))
-            for term, one in told(extended, errors.__contains__)
-        ]
-    kept = [(term, replace(one, confirmed=shown[term])) for term, one in kept]
+        judged = dict(kept)
+        kept = [(term, _judged_as(judged[term], one)) for term, one in told(extended, judged.__contains__)]
     return Explained(worded(kept), trifling, found, extended)
+
+
+def _judged_as(judged: Finding, one: Finding) -> Finding:
+    """Return a finding with what held-out time says of it in another fit."""
+    return replace(one, nmse_before=judged.nmse_before, nmse_after=judged.nmse_after, confirmed=judged.confirmed)
 
 
 def set_apart(
