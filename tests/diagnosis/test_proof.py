@@ -9,12 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from inference.problems import columns_of, dense, recorded, statistics_of
+from inference.problems import columns_of, dense, prior_of, recorded, statistics_of
 
 from torchrbd.diagnosis.explain import is_trifling, set_apart
 from torchrbd.diagnosis.proof import confirmed, doubt, proofs
 from torchrbd.diagnosis.results import Finding, Ratio, Where
+from torchrbd.effects import Site, effect
+from torchrbd.inference.physical.fitting import fit_model
 from torchrbd.inference.results import TorqueSeries
+from torchrbd.recordings import Recording
 
 STEP_S = 0.05
 
@@ -106,13 +109,14 @@ def test_what_is_added_is_regressed_on_what_others_leave() -> None:
     robot, recording = recorded(2, 3, torque_noise=0.05)
     columns = columns_of(robot)
     statistics, full = statistics_of(columns, recording), dense(columns, recording)
+    model = fit_model(statistics, prior_of(columns))
     true = torch.zeros(columns.n, dtype=torch.float64)
     true[: robot.n_params] = robot.pi
     rng = np.random.default_rng(0)
     without = true + 0.2 * true.abs().max() * torch.from_numpy(rng.standard_normal(columns.n)) * (true != 0)
     for part in (1.0, 0.5):
         x = without + part * (true - without)
-        found = confirmed(statistics, x, without)
+        found = confirmed(statistics, replace(model, x=x), without)
         assert found is not None
         added, left = (full.A @ (x - without).numpy()).ravel(), (full.tau - full.A @ without.numpy()).ravel()
         weight = np.repeat(1.0 / full.tau.std(1), full.tau.shape[1])
@@ -120,10 +124,29 @@ def test_what_is_added_is_regressed_on_what_others_leave() -> None:
         assert found.value == pytest.approx(slope, rel=1e-6)
         assert found.value == pytest.approx(1.0 / part, rel=0.01)
         assert found.low < found.value < found.high
-    astray = confirmed(statistics, 2.0 * true - without, true, [1])
+    astray = confirmed(statistics, replace(model, x=2.0 * true - without), true, [1])
     assert astray is not None
     assert astray.value == pytest.approx(0.0, abs=0.01)
-    assert confirmed(statistics, true, true) is None
+    assert confirmed(statistics, replace(model, x=true), true) is None
+
+
+def test_its_interval_holds_one_where_what_was_found_is_right() -> None:
+    """A spring of a fifth of its joint's torque, fitted to every other block beside noise of half of the torque."""
+    robot, recording = recorded(2, 3, torque_noise=0.0, duration_s=40.0)
+    (chunk,) = recording.chunks(10**7)
+    columns, t, q, clean = columns_of(robot), chunk.t, chunk.q, chunk.tau.copy()
+    clean[:, 1] += 0.2 * clean[:, 1].std() / q[:, 1].std() * q[:, 1]
+    spring, prior = columns.candidate(effect("joint_spring"), Site(1), {}), prior_of(columns)
+    hit, held = 0, 40
+    for seed in range(held):
+        noise = 0.5 * clean.std(0) * np.random.default_rng(seed).standard_normal(clean.shape)
+        statistics = statistics_of(columns, Recording.from_arrays("noisy", recording.joints, t, q, clean + noise))
+        fitted = torch.arange(len(statistics)) % 2 == 0
+        training, judging = statistics.select(fitted), statistics.select(~fitted)
+        there = confirmed(judging, fit_model(training, prior, [spring]), fit_model(training, prior).x, [1])
+        assert there is not None
+        hit += there.low <= 1.0 <= there.high
+    assert 0.8 * held <= hit
 
 
 @pytest.mark.parametrize(

@@ -79,10 +79,10 @@ def diagnose(
         return suspect(asked, settings, progress, suspected, ranked)
     told = explain(found, model)
     findings, trifling, model = told.findings, told.trifling, told.model
-    plain, x, judging = model.prepared.fit(model.prepared.columns.urdf_friction), model.model.x, model.prepared.judging
-    there = confirmed(judging, x, plain.x)
+    plain, judging = model.prepared.fit(model.prepared.columns.urdf_friction), model.prepared.judging
+    there = confirmed(judging, model.model, plain.x)
     if worthless or (found.terms and refuted(model.prepared, model.model, asked, there)):
-        return contradicted(asked, settings, progress, suspected, ranked, judge(judging, x).nmse)
+        return contradicted(asked, settings, progress, suspected, ranked, judge(judging, model.model.x).nmse)
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = deflections(model.prepared, model.model)

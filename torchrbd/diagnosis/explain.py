@@ -21,7 +21,7 @@ from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.diagnosis.words import NO_CHANGE, finding_sentence, strongest_first
 from torchrbd.effects import effect
-from torchrbd.inference.physical.fitting import judge
+from torchrbd.inference.physical.fitting import FittedModel, judge
 from torchrbd.inference.physical.terms import told_parameters
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood
@@ -142,28 +142,27 @@ class _Fits:
     def __init__(self, extended: Extended) -> None:
         self.prepared, self.first = extended.prepared, extended.first
         self._friction, self._noise = len(extended.friction), extended.model.noise_variance
-        self._fitted = {frozenset[Candidate](): self.first.x}
+        self._fitted = {frozenset[Candidate](): self.first}
 
-    def without(self, gone: Sequence[Candidate]) -> torch.Tensor:
-        """Return coefficients (n,) without some terms, and without laws that refine ordinary friction that is gone."""
+    def without(self, gone: Sequence[Candidate]) -> FittedModel:
+        """Return the model without some terms, and without laws that refine ordinary friction that is gone."""
         key = frozenset(gone)
         if key not in self._fitted:
             terms, columns = self.first.proper_terms, self.first.columns
             shared = {k for c in terms[: self._friction] if c in key for k in columns.of(c)}
             rest = [c for c in terms if c not in key and not shared & set(columns.of(c))]
-            self._fitted[key] = self.prepared.fit(rest, self._noise).x
+            self._fitted[key] = self.prepared.fit(rest, self._noise)
         return self._fitted[key]
 
     def error_without(self, gone: Sequence[Candidate]) -> Mapping[str, float]:
         """Return held-out nmse by joint without some terms."""
-        return judge(self.prepared.judging, self.without(gone)).nmse
+        return judge(self.prepared.judging, self.without(gone).x).nmse
 
     def confirmed(self, term: Candidate, told: Finding, others: Sequence[Candidate]) -> Ratio | None:
         """Return the part of what a term adds that held-out time shows, others being left out."""
         names = self.prepared.robot.joint_names
         joints = None if term.place is None else [names.index(name) for name in told.joints]
-        x, without = self.without(others), self.without([*others, term])
-        return confirmed(self.prepared.judging, x, without, joints)
+        return confirmed(self.prepared.judging, self.without(others), self.without([*others, term]).x, joints)
 
 
 def is_trifling(finding: Finding, extended: Extended) -> bool:

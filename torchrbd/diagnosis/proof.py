@@ -9,21 +9,25 @@ Source: Efron, Tibshirani, "An Introduction to the Bootstrap", 1993, ch. 8 (bloc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import torch
 from scipy.stats import bootstrap
 from torch import Tensor
 
 from torchrbd.diagnosis.numbers import number
 from torchrbd.diagnosis.results import Finding, Proof, Ratio
 from torchrbd.diagnosis.words import NO_CHANGE
-from torchrbd.inference.physical.fitting import weighed_blocks
+from torchrbd.inference.physical.fitting import FittedModel, nmse_weights
 from torchrbd.inference.results import TorqueSeries
 from torchrbd.likelihood.block_statistics import BlockStatistics
 
 EXTENDED = "extended"
 BLOCK_S, LEAST_BLOCKS, _RESAMPLES, _LONGEST_S = 1.0, 4, 2000, 2.0
+# Standard deviations of an interval of 95 %.
+_CERTAIN = 1.96
 
 
 def proofs(series: TorqueSeries, cutoff_hz: float, seed: int = 0) -> tuple[Proof, ...]:
@@ -80,31 +84,39 @@ def doubt(proofs: Sequence[Proof], findings: Sequence[Finding], there: Ratio | N
 
 
 def confirmed(
-    judging: BlockStatistics, x: Tensor, without: Tensor, joints: Sequence[int] | None = None
+    judging: BlockStatistics, model: FittedModel, without: Tensor, joints: Sequence[int] | None = None
 ) -> Ratio | None:
-    """Return the part of the torque that coefficients add to others that held-out blocks show: a calibration slope.
+    """Return the part of the torque that a model adds to another one that held-out blocks show: a calibration slope.
 
         slope = sum_b r_b'd_b / sum_b d_b'd_b
 
-    with d what x adds to the torque of ``without``, and r what that leaves of the measured one. It is one where that is
-    as it was found, zero where nothing of it is there; below a half, predictions without it are better.
+    with d what it adds, and r what the other leaves of the measured torque. It is one where that is as it was found,
+    zero where nothing of it is there; below a half, predictions without it are better. Its interval is that of a
+    bootstrap over blocks, and of how sure the fit is: d = A (x - x'), so that the slope errs by d'A (x - x*) / d'd.
 
     Source: Mincer and Zarnowitz, "The Evaluation of Economic Forecasts", NBER 1969 (regression of outcomes on
         forecasts); Cox, "Two Further Applications of a Model for Binary Regression", Biometrika 1958.
 
     Args:
         judging: blocks that no fit has seen.
-        x, without: coefficients (n,).
+        model: what is judged.
+        without: coefficients (n,) of the other.
         joints: whose torque counts, in parts of its variance; all if not given.
 
     Returns:
         None where blocks are few, or hold too little of it.
     """
-    left, added = (weighed_blocks(judging, each, joints).numpy() for each in judging.added(x, without))
-    error = float(weighed_blocks(judging, judging.squared_error(x), joints).sum())
+    weights, x = nmse_weights(judging, joints), model.x
+    left, added = ((each @ weights).numpy() for each in judging.added(x, without))
+    error = float((judging.squared_error(x) @ weights).sum())
     if len(added) < LEAST_BLOCKS or not added.sum() > NO_CHANGE * error:
         return None
-    return over_blocks(left, added)
+    slope, pull = over_blocks(left, added), torch.zeros_like(x)
+    for own, moments, weight in zip(judging.columns.of_joint, judging.total(), weights, strict=True):
+        pull[own] += weight * moments[:-1, :-1] @ (x - without)[own]
+    fit = float((pull[model.free] @ model.covariance @ pull[model.free]).clamp_min(0.0).sqrt()) / float(added.sum())
+    down, up = (math.hypot(end - slope.value, _CERTAIN * fit) for end in (slope.low, slope.high))
+    return Ratio(slope.value, slope.value - down, slope.value + up)
 
 
 def over_blocks(after: np.ndarray, before: np.ndarray, seed: int = 0) -> Ratio:

@@ -217,20 +217,20 @@ def judge(statistics: BlockStatistics, x: Tensor) -> Fit:
 
 def nmse_of_blocks(statistics: BlockStatistics, x: Tensor) -> Tensor:
     """Return what each block (B,) adds to the sum of all joints' nmse, as of ``judge``."""
-    return weighed_blocks(statistics, statistics.squared_error(x))
+    return statistics.squared_error(x) @ nmse_weights(statistics)
 
 
-def weighed_blocks(statistics: BlockStatistics, squares: Tensor, joints: Sequence[int] | None = None) -> Tensor:
-    """Return what each block (B,) adds to the mean of squares (B, n_dof) over their torque's variance, of all joints.
+def nmse_weights(statistics: BlockStatistics, joints: Sequence[int] | None = None) -> Tensor:
+    """Return what makes parts of nmse of squared errors, (n_dof,) [1 / (N m)^2] or [1 / N^2].
 
     Args:
-        statistics: the blocks.
-        squares: [(N m)^2] or [N^2].
+        statistics: all blocks that are judged.
         joints: which count, of those whose torque there is, and which is not constant; all if not given.
     """
-    seen, weight = _varied(statistics), statistics.torque[..., 0].sum(0)
-    counted = [j for j in seen if joints is None or j in joints]
-    return (squares / weight / statistics.torque_variance())[:, counted].sum(1)
+    counted = [j for j in _varied(statistics) if joints is None or j in joints]
+    weights, square = torch.zeros(len(statistics.moments), dtype=torch.float64), statistics.torque[..., 0].sum(0)
+    weights[counted] = 1.0 / (square * statistics.torque_variance())[counted]
+    return weights
 
 
 def _varied(statistics: BlockStatistics) -> list[int]:
