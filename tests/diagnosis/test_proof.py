@@ -98,7 +98,7 @@ def test_a_model_that_does_worse_where_something_was_found_is_told_of() -> None:
     assert "at hinge (1.44 times, 1.44 to 1.44): what was found there does not carry over." in doubt(worse, [here])
     assert doubt(worse, [finding("base_tilt")])
     assert doubt(better, [here], Ratio(0.9, 0.8, 1.01)) == ""
-    assert doubt(better, [here], Ratio(0.5, 0.3, 0.7)).startswith("That is less than was found")
+    assert doubt(better, [here], Ratio(0.5, 0.3, 0.7)).startswith("Held-out time has less of it")
 
 
 def test_what_is_added_is_regressed_on_what_others_leave() -> None:

@@ -77,8 +77,8 @@ def doubt(proofs: Sequence[Proof], findings: Sequence[Finding], there: Ratio | N
         )
     if there is not None and there.high < 1.0:
         return (
-            "That is less than was found: on held-out time the robot or its motion was another, or a part of what was "
-            "found stands for something else."
+            "Held-out time has less of it than was found: the robot or its motion was another there, or a part of what "
+            "was found stands for something else."
         )
     return ""
 

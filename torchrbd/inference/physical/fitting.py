@@ -228,8 +228,8 @@ def nmse_weights(statistics: BlockStatistics, joints: Sequence[int] | None = Non
         joints: which count, of those whose torque there is, and which is not constant; all if not given.
     """
     counted = [j for j in _varied(statistics) if joints is None or j in joints]
-    weights, square = torch.zeros(len(statistics.moments), dtype=torch.float64), statistics.torque[..., 0].sum(0)
-    weights[counted] = 1.0 / (square * statistics.torque_variance())[counted]
+    weights, samples = torch.zeros(len(statistics.moments), dtype=torch.float64), statistics.torque[..., 0].sum(0)
+    weights[counted] = 1.0 / (samples * statistics.torque_variance())[counted]
     return weights
 
 
