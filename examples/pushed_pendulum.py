@@ -11,11 +11,11 @@ it: the motor turns six times as fast. ``real_recordings.py`` says where the rec
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 
 import numpy as np
+from real_recordings import data_folder
 from scipy.optimize import least_squares
 from scipy.signal import butter, sosfiltfilt
 
@@ -59,13 +59,13 @@ class Filtered:
 
 def main() -> int:
     """Print what both tell of each recording."""
-    data = os.environ.get("TORCHRBD_DATA")
-    if not data:
-        print("TORCHRBD_DATA names no folder of real recordings; see examples/real_recordings.py for their sources")
+    folder = data_folder()
+    if folder is None:
+        print("Set TORCHRBD_DATA to the folder of the recordings; see real_recordings.py for their sources.")
         return 2
     print("| recording | least squares: J, m g l | robust: J, m g l, d, c | largest error [N m] | a, b [mrad] |")
     print("| --- | --- | --- | --- | --- |")
-    for file in sorted((Path(data) / "dfki_pendulum").glob("*.csv")):
+    for file in sorted((folder / "dfki_pendulum").glob("*.csv")):
         one, wide = Filtered(file, BAND_HZ), Filtered(file, WIDE_HZ)
         plain, robust, error = one.regressed(one.tau, one.qdd, one.others)
         waves = (wide.twice(f(TWICE_A_TURN * wide.position)) for f in (np.sin, np.cos))

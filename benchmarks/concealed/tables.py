@@ -130,15 +130,19 @@ def must_hold(cases: Sequence[CaseScore]) -> list[tuple[str, Figure, str, bool |
     named = [e for c in cases if c.tier in ("clean", "field") for e in c.effects]
     field8, measured, overall = effect_figures(effects("field", *_ABOUT_8)), effect_figures(named), case_figures(cases)
     sure, right = sure_and_right(cases)
-    tellable = [e for c in of("injected") if c.told for e in c.effects]
+
+    def tellable(least: float, most: float) -> list[EffectScore]:
+        return [e for c in of("injected") if c.told for e in c.effects if least <= e.size <= most]
+
     rows: list[tuple[str, Figure, str, float]] = [
         ("clean, 8 % and more: in class", rate(e.in_class for e in effects("clean", 0.07)), ">=", 0.97),
         ("field, 8 %: in class", field8["in class"], ">=", 0.88),
         ("field, 4 %: in class", rate(e.in_class for e in effects("field", 0.03, 0.05)), ">=", 0.65),
         ("field: friction on the other joints", case_figures(of("field"))["other friction found"], ">=", 0.95),
         ("injected, 15 %: in class", rate(e.in_class for e in effects("injected", *_ABOUT_15)), ">=", 0.8),
-        ("injected, 8 %: in class", rate(e.in_class for e in effects("injected", *_ABOUT_8)), ">=", 0.6),
-        ("injected, where it can be told: in class", rate(e.in_class for e in tellable), ">=", 0.8),
+        ("injected, 15 %, where it can be told: in class", rate(e.in_class for e in tellable(*_ABOUT_15)), ">=", 0.8),
+        ("injected, 8 %: in class", rate(e.in_class for e in effects("injected", *_ABOUT_8)), ">=", 0.8),
+        ("injected, 8 %, where it can be told: in class", rate(e.in_class for e in tellable(*_ABOUT_8)), ">=", 0.8),
         ("nulls: cases with a false finding", rate(bool(c.false) for c in of("null")), "<=", 0.02),
         ("nulls: joints with an alarm", case_figures(of("null"))["joints with an alarm"], "<=", 0.02),
         ("all: findings false", overall["findings false"], "<=", 0.05),

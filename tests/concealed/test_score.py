@@ -285,7 +285,7 @@ def test_injected_counts_what_is_new() -> None:
         again = score_injected(case, after, before, 1.0, told)
         assert again is not None
         assert again.told == seen
-        (row,) = (figure for words, figure, *_ in must_hold([again]) if words.startswith("injected, where"))
+        (row,) = (figure for words, figure, *_ in must_hold([again]) if words.startswith("injected, 8 %, where"))
         assert row.n == seen
     assert [f["effect"] for f in new_findings(after["findings"], before["findings"])] == [
         "torque_ripple", "joint_spring",

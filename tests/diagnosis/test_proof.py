@@ -94,9 +94,11 @@ def test_a_model_that_does_worse_where_something_was_found_is_told_of() -> None:
     better = proofs(series({"rigid_body": error, "extended": 0.9 * error}), 10.0)
     worse = proofs(series({"rigid_body": error, "extended": 1.2 * error}), 10.0)
     here, elsewhere = finding("backlash", "hinge"), finding("backlash", "slide")
-    assert doubt(better, [here]) == doubt(worse, [elsewhere]) == doubt((), [here]) == ""
-    assert "at hinge (1.44 times, 1.44 to 1.44): what was found there does not carry over." in doubt(worse, [here])
-    assert doubt(worse, [finding("base_tilt")])
+    assert doubt(better, [here], None) == doubt(worse, [elsewhere], None) == doubt((), [here], None) == ""
+    assert "at hinge (1.44 times, 1.44 to 1.44): what was found there does not carry over." in doubt(
+        worse, [here], None
+    )
+    assert doubt(worse, [finding("base_tilt")], None)
     assert doubt(better, [here], Ratio(0.9, 0.8, 1.01)) == ""
     assert doubt(better, [here], Ratio(0.5, 0.3, 0.7)).startswith("Held-out time has less of it")
 

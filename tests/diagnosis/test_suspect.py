@@ -4,6 +4,7 @@ import json
 import time
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from simulated import joint_names, record
 
 import torchrbd
 from torchrbd.cli import main
+from torchrbd.diagnosis.results import Ratio
 from torchrbd.inference.torque_error import Fit
 from torchrbd.recordings import Recording
 
@@ -105,6 +107,26 @@ def test_what_held_out_recordings_contradict_is_not_named(
     assert one.joints == (NAMES[0],)
     assert "150 % with what explains the rest" in one.statement
     assert "predicts held-out time worse than a plain model does" in diagnosis.statement
+
+
+@pytest.mark.parametrize(
+    ("there", "found", "plain", "is_refuted"),
+    [
+        (Ratio(0.4, 0.2, 0.7), 0.3, 0.2, True),
+        (Ratio(0.4, 0.2, 0.7), 0.2, 0.3, False),
+        (Ratio(0.4, -0.2, 1.1), 0.3, 0.2, False),
+        (None, 0.3, 0.2, False),
+    ],
+)
+def test_held_out_time_refutes_what_it_has_less_of_for_certain_and_does_better_without(
+    monkeypatch: pytest.MonkeyPatch, there: Ratio | None, found: float, plain: float, is_refuted: bool
+) -> None:
+    """What a small effect is worth may be less than nothing by chance; what is less may still be worth it."""
+    suspect = import_module("torchrbd.diagnosis.suspect")
+    monkeypatch.setattr(suspect, "judge", lambda _, x: Fit(dict(zip("ab", x, strict=True)), {}))
+    model, asked = SimpleNamespace(x=(found, found)), SimpleNamespace(judging=None)
+    asked.columns, asked.fit = SimpleNamespace(urdf_friction=()), lambda _: SimpleNamespace(x=(plain, plain))
+    assert suspect.refuted(SimpleNamespace(judging=None), model, asked, there) is is_refuted
 
 
 def test_a_spring_that_is_gone_on_another_day_is_not_named(arrays: dict[str, np.ndarray]) -> None:

@@ -32,7 +32,9 @@ def statement(*findings: Finding, rest: tuple[Unexplained, ...] = ()) -> str:
 def test_the_verdict_says_how_much_of_it_is_there() -> None:
     fits = dict.fromkeys(("urdf", "rigid_body", "extended"), Fit({"joint1": 0.1}, {}))
     told = verdict_statement("missing_physics", [finding("backlash", "joint1")], (), fits, confirmed=Ratio(1, 0.9, 1.1))
-    assert told.endswith("10 % with what was found, which is 1.00 times as large (0.90 to 1.10) there.")
+    assert told.endswith(
+        "10 % with what was found, which held-out time has 1.00 times as large as found (0.90 to 1.10)."
+    )
 
 
 def everywhere(effect: str, *but: str) -> list[Finding]:
@@ -254,7 +256,9 @@ def test_a_sentence_says_what_it_is_worth_where_it_is_worth_most() -> None:
             "Without it 50 % of the torque variance of joint2 on held-out time stays unpredicted, with it 10 %."
         )
     there = finding("backlash", "joint1", **worth, confirmed=Ratio(-0.204, -1.0, 0.5))
-    assert finding_sentence(there).endswith("with it 10 %; there it is −0.20 times as large (−1.00 to 0.50).")
+    assert finding_sentence(there).endswith(
+        "with it 10 %; held-out time has it −0.20 times as large as found (−1.00 to 0.50)."
+    )
     nowhere = {key: {"joint1": 0.02, "joint2": 0.5} for key in worth}
     assert finding_sentence(finding("backlash", "joint1", **nowhere)).endswith(
         "Held-out time does not show it: 2 % of the torque variance stays unpredicted with and without it."

@@ -73,9 +73,9 @@ def percent(part: float) -> str:
 
 
 def as_large(ratio: float, low: float, high: float) -> str:
-    """Return a ratio and its interval, e.g. "1.02 times as large (0.81 to 1.22)"."""
+    """Return a ratio and its interval, e.g. "1.02 times as large as found (0.81 to 1.22)"."""
     value, *ends = (f"{x:.2f}".replace("-", MINUS) for x in (ratio, low, high))
-    return f"{value} times as large ({' to '.join(ends)})"
+    return f"{value} times as large as found ({' to '.join(ends)})"
 
 
 def unit(symbol: str) -> str:

@@ -55,7 +55,7 @@ def proofs(series: TorqueSeries, cutoff_hz: float, seed: int = 0) -> tuple[Proof
     return tuple(found)
 
 
-def doubt(proofs: Sequence[Proof], findings: Sequence[Finding], there: Ratio | None = None) -> str:
+def doubt(proofs: Sequence[Proof], findings: Sequence[Finding], there: Ratio | None) -> str:
     """Say what of the findings unseen torque does not show; nothing if it shows all.
 
     Args:

@@ -13,7 +13,7 @@ from torchrbd.diagnosis.ranking import Ranking
 from torchrbd.diagnosis.results import Diagnosis, Ratio, Unexplained, Where
 from torchrbd.diagnosis.verdict_words import contradicted_sentence, contradicted_statement, suspect_statement
 from torchrbd.inference.identify import summarise
-from torchrbd.inference.physical.fitting import FittedModel, beside_constant, nmse_of_blocks
+from torchrbd.inference.physical.fitting import FittedModel, beside_constant, judge
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
@@ -80,7 +80,7 @@ def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Rati
     if there is None or there.high >= 1.0:
         return False
     plain = asked.fit(asked.columns.urdf_friction)
-    return bool(nmse_of_blocks(prepared.judging, model.x).sum() > nmse_of_blocks(asked.judging, plain.x).sum())
+    return judge(prepared.judging, model.x).mean_nmse > judge(asked.judging, plain.x).mean_nmse
 
 
 def _plain(prepared: Prepared, settings: Settings, progress: Progress, suspected: Suspicions) -> Identification:

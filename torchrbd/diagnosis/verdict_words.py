@@ -60,7 +60,7 @@ def verdict_statement(
     usual = _told(plain_ones, everywhere)
     first, second = (special, f" It also {usual}." if usual else "") if special else (usual, "")
     first = first or f"leaves something out, {_guesses(findings, everywhere)}"
-    there = "" if confirmed is None else f", which is {as_large(*astuple(confirmed))} there"
+    there = "" if confirmed is None else f", which held-out time has {as_large(*astuple(confirmed))}"
     return (
         f"The {model} {first}.{second} The unpredicted part of the torque variance on held-out time is {urdf} with the "
         f"{model}, {rigid} with a re-fitted rigid body and {extended} with what was found{there}.{open_end}"

@@ -172,7 +172,7 @@ def _worth(finding: Finding) -> str:
         return f"Held-out time does not show it: {percent(after)} of {variance} stays unpredicted with and without it."
     error = f"Without it {percent(before)} of {variance} on held-out time stays unpredicted, with it {percent(after)}"
     there = finding.confirmed
-    return f"{error}." if there is None else f"{error}; there it is {as_large(*astuple(there))}."
+    return f"{error}." if there is None else f"{error}; held-out time has it {as_large(*astuple(there))}."
 
 
 def _alike(finding: Finding) -> str:
