@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from robot.random_robots import random_urdf
 from simulated import joint_names, record
 
@@ -109,23 +110,28 @@ def test_what_held_out_recordings_contradict_is_not_named(
     assert "predicts held-out time worse than a plain model does" in diagnosis.statement
 
 
+LESS, PERHAPS_ALL = Ratio(0.4, 0.2, 0.7), Ratio(0.4, -0.2, 1.1)
+
+
 @pytest.mark.parametrize(
-    ("there", "found", "plain", "is_refuted"),
+    ("there", "found", "is_refuted"),
     [
-        (Ratio(0.4, 0.2, 0.7), 0.3, 0.2, True),
-        (Ratio(0.4, 0.2, 0.7), 0.2, 0.3, False),
-        (Ratio(0.4, -0.2, 1.1), 0.3, 0.2, False),
-        (None, 0.3, 0.2, False),
+        (LESS, [0.1, 0.4, 0.1, 0.4, 0.3], True),
+        (LESS, [0.1, 0.1, 0.1, 0.4, 0.2], False),
+        (PERHAPS_ALL, [0.1, 0.4, 0.1, 0.4, 0.3], False),
+        (None, [0.1, 0.4, 0.1, 0.4, 0.3], False),
+        (PERHAPS_ALL, [0.3, 0.4, 0.3, 0.4, 0.3], True),
     ],
+    ids=["less and worse", "less but better", "worse by chance", "too little of it", "worse for certain"],
 )
-def test_held_out_time_refutes_what_it_has_less_of_for_certain_and_does_better_without(
-    monkeypatch: pytest.MonkeyPatch, there: Ratio | None, found: float, plain: float, is_refuted: bool
+def test_held_out_time_refutes_what_it_has_less_of_or_is_certain_to_be_worse_with(
+    monkeypatch: pytest.MonkeyPatch, there: Ratio | None, found: list[float], is_refuted: bool
 ) -> None:
-    """What a small effect is worth may be less than nothing by chance; what is less may still be worth it."""
+    """The plain model leaves 0.2 in each of five blocks."""
     suspect = import_module("torchrbd.diagnosis.suspect")
-    monkeypatch.setattr(suspect, "judge", lambda _, x: Fit(dict(zip("ab", x, strict=True)), {}))
-    model, asked = SimpleNamespace(x=(found, found)), SimpleNamespace(judging=None)
-    asked.columns, asked.fit = SimpleNamespace(urdf_friction=()), lambda _: SimpleNamespace(x=(plain, plain))
+    monkeypatch.setattr(suspect, "nmse_of_blocks", lambda _, x: torch.tensor(x))
+    model, asked = SimpleNamespace(x=found), SimpleNamespace(judging=None)
+    asked.columns, asked.fit = SimpleNamespace(urdf_friction=()), lambda _: SimpleNamespace(x=[0.2] * 5)
     assert suspect.refuted(SimpleNamespace(judging=None), model, asked, there) is is_refuted
 
 

@@ -9,11 +9,12 @@ from collections.abc import Iterator, Mapping
 
 import torch
 
+from torchrbd.diagnosis.proof import over_blocks
 from torchrbd.diagnosis.ranking import Ranking
 from torchrbd.diagnosis.results import Diagnosis, Ratio, Unexplained, Where
 from torchrbd.diagnosis.verdict_words import contradicted_sentence, contradicted_statement, suspect_statement
 from torchrbd.inference.identify import summarise
-from torchrbd.inference.physical.fitting import FittedModel, beside_constant, judge
+from torchrbd.inference.physical.fitting import FittedModel, beside_constant, nmse_of_blocks
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
@@ -70,17 +71,19 @@ def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:
 
 
 def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Ratio | None) -> bool:
-    """Say whether held-out time refutes what was found: it has less of it for certain, and does better without it.
+    """Say whether held-out time refutes what was found: the plain model predicts it better, joints taken together.
+
+    Either that is certain (blocks of time are drawn again), or it is that held-out time has less of what was found.
 
     Args:
         prepared, model: with what was found.
         asked: the same data without it; its model is the plain one.
         there: how large held-out time has what was found, see ``confirmed``.
     """
-    if there is None or there.high >= 1.0:
-        return False
     plain = asked.fit(asked.columns.urdf_friction)
-    return judge(prepared.judging, model.x).mean_nmse > judge(asked.judging, plain.x).mean_nmse
+    found, without = nmse_of_blocks(prepared.judging, model.x), nmse_of_blocks(asked.judging, plain.x)
+    worse, less = over_blocks(found.numpy(), without.numpy()), there is not None and there.high < 1.0
+    return worse.low > 1.0 or (worse.value > 1.0 and less)
 
 
 def _plain(prepared: Prepared, settings: Settings, progress: Progress, suspected: Suspicions) -> Identification:

@@ -215,6 +215,11 @@ def judge(statistics: BlockStatistics, x: Tensor) -> Fit:
     )
 
 
+def nmse_of_blocks(statistics: BlockStatistics, x: Tensor) -> Tensor:
+    """Return what each block (B,) adds to the sum of all joints' nmse, as of ``judge``."""
+    return statistics.squared_error(x) @ nmse_weights(statistics)
+
+
 def nmse_weights(statistics: BlockStatistics, joints: Sequence[int] | None = None) -> Tensor:
     """Return what makes parts of nmse of squared errors, (n_dof,) [1 / (N m)^2] or [1 / N^2].
 
