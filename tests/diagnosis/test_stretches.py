@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from likelihood.arms import recorded, rows_of, wrong_robot
 from likelihood.fits import BEGIN_S, OPTIONS, URDF, candidate, carried, fitted, payload, with_friction
 from scipy.special import logsumexp
+from simulated import Motion
 
+from torchrbd.diagnosis.edges import Edges
 from torchrbd.diagnosis.hypotheses import averaged, told
-from torchrbd.diagnosis.stretches import Stretches, in_recordings, in_stretches
+from torchrbd.diagnosis.stretches import Stretches, in_recordings, in_stretches, in_windows, located
 from torchrbd.effects import JointScale, Shape, Site, Window
 from torchrbd.effects.registry import effect
 from torchrbd.effects.stribeck_friction import StribeckFriction
@@ -109,12 +112,149 @@ def test_effect_without_shapes_is_no_hypothesis_in_some_recordings(two_recording
     assert averaged(fit, rows, []) is None
 
 
+def edges_of(fit: Likelihood, rows: Rows, name: str) -> Edges:
+    return Edges(fit, rows, rows.recording == rows.recordings.index(name))
+
+
+@pytest.mark.parametrize("name", ["payload", "external_wrench"])
+def test_what_begins_and_ends_at_once_is_told_as_its_rows_are(
+    two_recordings: tuple[Likelihood, Rows], name: str
+) -> None:
+    """Moments of steps that are added to those between edges are those of the features themselves."""
+    fit, rows = two_recordings
+    edges = edges_of(fit, rows, "second")
+    t = rows.t[edges.inside]
+    times = np.concatenate(([-np.inf], t[[40, 141, 250, 333]], [np.inf]))
+    for pair in ((1, 2), (1, 4), (2, 3), (0, 3), (2, 5)):
+        one = Stretches(edges.inside, times, np.array([pair]), at_once=True)
+        (found,) = in_stretches(fit, rows, candidate(rows, name, Site(body=1, window=Window("second"))), [one])
+        assert found is not None
+        exact = told(fit, rows, found[0].candidate)
+        assert exact is not None
+        assert found[0].log_evidence == pytest.approx(exact.log_evidence, rel=0.02, abs=0.1)
+        window = found[0].candidate.site.window
+        assert window == Window("second", *times[list(pair)])
+
+
+def test_step_is_the_low_passed_one(two_recordings: tuple[Likelihood, Rows]) -> None:
+    fit, rows = two_recordings
+    edges = edges_of(fit, rows, "second")
+    k = int(np.flatnonzero(edges.inside)[200])
+    passed = rows.evaluated(lambda signals: signals.inside(Window("second", -np.inf, float(rows.t[k]))))
+    np.testing.assert_allclose(passed[k - edges.reach : k + edges.reach + 1], edges.step, atol=1e-9)
+    assert passed[k - edges.reach - 1] == pytest.approx(1.0)
+    assert passed[k + edges.reach + 1] == pytest.approx(0.0)
+    assert not passed[~edges.inside].any()
+
+
+PUSHED_S, FORCE = (5.13, 8.02), np.array([4.0, -2.0, 3.0])
+
+
+def pushes(m: Motion) -> np.ndarray:
+    """Return the torques (N, 2) of a force at the origin of the last link, by Pinocchio."""
+    model = pin.buildModelFromXML(URDF)
+    data, found = model.createData(), np.zeros((len(m.t), 2))
+    for k in np.flatnonzero((m.t >= PUSHED_S[0]) & (m.t < PUSHED_S[1])):
+        pin.computeJointJacobians(model, data, m.q[k])
+        J = pin.getJointJacobian(model, data, 2, pin.LOCAL_WORLD_ALIGNED)
+        found[k] = -J[:3].T @ FORCE
+    return found
+
+
+def wandering_and_pushed(m: Motion) -> np.ndarray:
+    """Return a random walk (N, 2), and a force for a time, about what the walk goes."""
+    return pushes(m) + np.cumsum(np.random.default_rng(0).standard_normal((len(m.t), 2)), axis=0) * 0.03
+
+
+@pytest.fixture(scope="module")
+def wandering() -> tuple[Likelihood, Rows]:
+    """Return a fit of a recording with strongly coloured noise, in which something pushes for a time."""
+    one = recorded(URDF, 5, with_friction(wandering_and_pushed), noise=1e-3, **{**OPTIONS, "duration_s": 14.0})
+    fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [one])))
+    return fit, carried(fit)
+
+
+def test_innovations_jump_where_something_begins_and_ends(wandering: tuple[Likelihood, Rows]) -> None:
+    fit, rows = wandering
+    edges = edges_of(fit, rows, rows.recordings[0])
+    np.testing.assert_allclose(rows.t[edges.jumps(2)], PUSHED_S, atol=rows.dt_out)
+    many = edges.jumps(20)
+    assert len(many) == 20
+    assert (np.diff(many) > 3).all()
+    assert edges.inside[many].all()
+    assert len(edges.jumps(len(rows.t))) < len(rows.t)
+
+
+def test_push_is_found_by_its_edges_where_noise_is_coloured(wandering: tuple[Likelihood, Rows]) -> None:
+    """Between them it is one of the ways in which the noise may have gone."""
+    fit, rows = wandering[0].with_normal_noise, wandering[1]
+    name = rows.recordings[0]
+    found = [h for h in in_windows(fit, rows, effect("external_wrench")) if h is not None]
+    best = max(found, key=lambda h: h.log_evidence)
+    window = best.candidate.site.window
+    np.testing.assert_allclose((window.start_s, window.end_s), PUSHED_S, atol=rows.dt_out)
+    c = candidate(rows, "external_wrench", Site(body=best.candidate.site.body, window=Window(name)))
+    (somehow,) = in_stretches(fit, rows, c, [Stretches.of_blocks(rows, name)])
+    assert somehow is not None
+    assert somehow[0].log_evidence < best.log_evidence - 5.0
+
+
+def test_window_is_told_of_those_that_begin_and_end_somehow_and_at_once(
+    two_recordings: tuple[Likelihood, Rows],
+) -> None:
+    """Both are as likely, of the latter all that are not looked at have no evidence; one end is as likely as two."""
+    fit, rows = two_recordings
+    edges = edges_of(fit, rows, "second")
+    both, one = Stretches.at_jumps(edges)
+    n = int(edges.inside.sum()) // 2
+    somehow = Stretches.of_blocks(rows, "second"), Stretches.with_one_end(rows, "second")
+    every = [h for h in in_windows(fit, rows, effect("payload")) if h is not None and h.candidate.site.body == 1]
+    in_second = [h for h in every if h.candidate.site.window.recording == "second"]
+    c = candidate(rows, "payload", Site(body=1, window=Window("second")))
+    for h, kinds, count in zip(
+        in_second, zip(somehow, (both, one), strict=True), (n * (n - 1) // 2, 2 * n), strict=True
+    ):
+        soft, sharp = (found[0] for found in in_stretches(fit, rows, c, kinds) if found is not None)
+        looked_at = np.log(len(kinds[1].pairs) / count)
+        expected = np.logaddexp(soft.log_evidence, sharp.log_evidence + looked_at) - np.log(4)
+        assert h.log_evidence == pytest.approx(expected, abs=1e-6)
+        assert h.tried == count
+        best = max(soft.log_evidence - soft.paid, sharp.log_evidence - sharp.paid)
+        assert h.log_evidence - h.paid == pytest.approx(best, abs=1e-6)
+    # It stays, and its edge is told to some rows.
+    found = max(every, key=lambda h: h.log_evidence)
+    assert found.candidate.site.window.one_ended
+    near = located(fit, rows, found)
+    assert near.candidate.site.window.start_s == pytest.approx(BEGIN_S, abs=2 * rows.dt_out)
+
+
+def test_located_window_pays_for_all_that_may_be(two_recordings: tuple[Likelihood, Rows]) -> None:
+    """Its evidence is the mean over all moments, of which those nearby have any."""
+    fit, rows = two_recordings
+    edges = edges_of(fit, rows, "second")
+    (_, h), *_ = [
+        (h.log_evidence, h)
+        for h in sorted(in_windows(fit, rows, effect("payload")), key=lambda h: -h.log_evidence if h else np.inf)
+        if h is not None
+    ]
+    near = Stretches.near(edges, h.candidate.site.window)
+    found = located(fit, rows, h)
+    (each,) = in_stretches(fit, rows, candidate(rows, "payload", Site(body=1, window=Window("second"))), [near])
+    assert each is not None
+    assert found.tried == h.tried
+    assert found.paid == pytest.approx(each[0].paid + np.log(len(near.pairs) / h.tried))
+    alone = told(fit, rows, found.candidate)
+    assert alone is not None
+    assert found.log_evidence == pytest.approx(alone.log_evidence + found.paid)
+
+
 def test_stretches_cover_most_of_a_single_recording_at_most(two_recordings: tuple[Likelihood, Rows]) -> None:
     rows = carried(fitted())
     stretches = Stretches.of_blocks(rows, rows.recordings[0])
     n = len(stretches.times) - 1
     longest = int(0.9 * n)
-    expected = {(a, b) for a in range(n) for b in range(a + 1, min(a + longest, n) + 1)}
+    # What has one end is of another kind.
+    expected = {(a, b) for a in range(1, n) for b in range(a + 1, min(a + longest, n - 1) + 1)}
     assert set(map(tuple, stretches.pairs.tolist())) == expected
     assert longest < n
     assert (np.diff(stretches.times) > 0).all()
@@ -123,10 +263,12 @@ def test_stretches_cover_most_of_a_single_recording_at_most(two_recordings: tupl
 
 
 def test_window_is_located_between_rows() -> None:
-    rows = carried(fitted())
+    fit = fitted()
+    rows = carried(fit)
     name = rows.recordings[0]
+    edges = edges_of(fit, rows, name)
     for window in (Window(name, 6.0, 9.0), Window(name, 6.0), Window(name)):
-        near = Stretches.near(rows, window)
+        near = Stretches.near(edges, window)
         begin, end = near.times[near.pairs].T
         assert (end > begin).all()
         reach = 2.0 * np.ptp(rows.t) / len(np.unique(rows.block))
@@ -134,3 +276,5 @@ def test_window_is_located_between_rows() -> None:
             assert (edge == now).all() if np.isinf(now) else (np.abs(edge - now) <= reach + 1e-9).all()
         if np.isfinite(window.start_s):
             assert np.diff(np.unique(begin)).max() == pytest.approx(2 * rows.dt_out)
+            jumps = rows.t[edges.jumps(16)]
+            assert set(jumps[np.abs(jumps - window.start_s) < reach]) <= set(begin)

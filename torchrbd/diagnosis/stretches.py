@@ -1,7 +1,10 @@
 """Stretches of time, and recordings, in which something may act: which, the whitened rows say.
 
 Moments of a stretch are differences of sums over the rows before its edges, those of several recordings are sums of
-theirs, so that all of them cost one pass.
+theirs, so that all of them cost one pass. What begins and ends somehow, within a row or within half a second, shows in
+the rows between the edges; what does so at once shows at the edges as well, and there most of all where noise is
+coloured: stretches that begin and end with blocks are judged without their edges, and those between the moments at
+which the innovations jump with them.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
+from torchrbd.diagnosis.edges import Edges
 from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, told
 from torchrbd.effects import Effect, Window
 from torchrbd.likelihood.columns import Candidate
@@ -22,30 +26,48 @@ from torchrbd.likelihood.rows import Rows
 
 # Edges of the stretches of time in which something may act, spread over a recording.
 _MOST_EDGES = 33
-# Moments at which something may begin or end for good.
-_MOST_TIMES = 300
+# Moments at which something may begin or end for good, and those at which the innovations jump that are looked at.
+_MOST_TIMES, _JUMPS = 300, 16
+# Moments are told apart by so many rows.
+_TOLD_ROWS = 2
 # What is there for more than this part of a recording is there always.
 _MOST_OF_TIME = 0.9
 # Of so many recordings all subsets are tried.
 _MOST_RECORDINGS = 8
+_HOW = (False, True)
 
 
 def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
     """Yield an effect at every place where it may act for a time, averaged over the stretches of each recording.
 
     What comes and stays, or is there and goes, is as likely as what comes and goes, and another hypothesis; when, is
-    told to some rows.
+    told to some rows. Either may do so at once or somehow.
     """
     for name in rows.seen_recordings:
-        kinds = Stretches.of_blocks(rows, name), Stretches.with_one_end(rows, name)
-        shared = math.log(len(kinds))
+        edges = Edges(fit, rows, rows.recording == rows.recordings.index(name))
+        kinds = Stretches.of_blocks(rows, name), Stretches.with_one_end(rows, name), *Stretches.at_jumps(edges)
+        moments = int(edges.inside.sum()) // _TOLD_ROWS
         for site in e.sites(rows.columns.robot, (Window(name),)):
-            for one in in_stretches(fit, rows, rows.columns.candidate(e, site, {}), kinds):
-                yield (
-                    None
-                    if one is None
-                    else replace(one[0], log_evidence=one[0].log_evidence - shared, paid=one[0].paid - shared)
-                )
+            both, one, both_at_once, one_at_once = in_stretches(fit, rows, rows.columns.candidate(e, site, {}), kinds)
+            yield _either(both, both_at_once, moments * (moments - 1) // 2)
+            yield _either(one, one_at_once, 2 * moments)
+
+
+def _either(
+    somehow: tuple[Hypothesis, float] | None, at_once: tuple[Hypothesis, float] | None, count: int
+) -> Hypothesis | None:
+    """Return a hypothesis that begins and ends somehow or at once, both as likely, of so many stretches in all."""
+    if somehow is None:
+        return None
+    found, evidence = [somehow], [somehow[0].log_evidence]
+    if at_once is not None:
+        # That of the stretches that are not looked at is none.
+        found.append(at_once)
+        evidence.append(at_once[0].log_evidence + math.log(at_once[0].tried / count))
+    best, alone = max(found, key=lambda one: one[1])
+    # Half of what comes or goes has one end.
+    mean = float(np.logaddexp.reduce(evidence)) - 2.0 * math.log(2.0)
+    return replace(best, log_evidence=mean, tried=count, paid=mean - alone)
 
 
 def in_recordings(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
@@ -119,47 +141,77 @@ def _one_by_one(parts: tuple[np.ndarray, np.ndarray, np.ndarray], count: int) ->
 
 @dataclass(frozen=True)
 class Stretches:
-    """Stretches of one recording: its rows (M,), times (B + 1,) of edges [s] from -inf to inf, pairs of them (N, 2)."""
+    """Stretches of one recording.
+
+    Attributes:
+        inside: (M,) its rows.
+        times: (B + 1,) edges [s], from -inf to inf.
+        pairs: (N, 2) of them.
+        at_once: whether things begin and end at their edges at once.
+    """
 
     inside: np.ndarray
     times: np.ndarray
     pairs: np.ndarray
+    at_once: bool = False
 
     @staticmethod
     def of_blocks(rows: Rows, recording: str) -> Stretches:
-        """Return all that begin and end with blocks; at most most of it, or all where there are other recordings."""
+        """Return all that begin and end with blocks, or all of it; at most most of it where it is the only one."""
         inside = rows.recording == rows.recordings.index(recording)
         _, first = np.unique(rows.block[inside], return_index=True)
         n = len(first[:: (step := math.ceil(len(first) / (_MOST_EDGES - 1)))])
         times = np.append(rows.t[inside][first][::step], math.inf)
         times[0] = -math.inf
         longest = math.floor(_MOST_OF_TIME * n) if inside.all() else n
-        return Stretches(inside, times, _pairs(np.arange(n + 1), np.arange(n + 1), longest))
+        pairs = _pairs(np.arange(n + 1), np.arange(n + 1), longest)
+        return Stretches(inside, times, pairs[(pairs[:, 0] > 0) == (pairs[:, 1] < n)])
 
     @staticmethod
     def with_one_end(rows: Rows, recording: str) -> Stretches:
         """Return all that begin between two rows and last, or lasted until then; each other row will do."""
         inside = rows.recording == rows.recordings.index(recording)
-        step = max(2, math.ceil(inside.sum() / _MOST_TIMES))
+        step = max(_TOLD_ROWS, math.ceil(inside.sum() / _MOST_TIMES))
         times = np.concatenate(([-math.inf], rows.t[inside][step:-step:step], [math.inf]))
-        k = np.arange(1, len(times) - 1)
-        pairs = np.concatenate((np.stack((0 * k, k), 1), np.stack((k, 0 * k + len(times) - 1), 1)))
-        return Stretches(inside, times, pairs)
+        return Stretches(inside, times, _one_ended(len(times)))
 
     @staticmethod
-    def near(rows: Rows, window: Window) -> Stretches:
+    def at_jumps(edges: Edges) -> tuple[Stretches, Stretches]:
+        """Return all between moments at which innovations jump, and those that begin or end at one of them."""
+        at = edges.jumps(_JUMPS)
+        times = np.concatenate(([-math.inf], edges.rows.t[at], [math.inf]))
+        first, last = np.flatnonzero(edges.inside)[[0, -1]]
+        # Edges are to be felt apart.
+        rows = np.concatenate(([first - edges.felt], at, [last + 1 + edges.felt]))
+        inner = np.arange(1, len(times) - 1)
+        both, one = _pairs(inner, inner, len(times)), _one_ended(len(times))
+        apart = [pairs[np.diff(rows[pairs], axis=1)[:, 0] >= 2 * edges.felt] for pairs in (both, one)]
+        both, one = (Stretches(edges.inside, times, pairs, at_once=True) for pairs in apart)
+        return both, one
+
+    @staticmethod
+    def near(edges: Edges, window: Window) -> Stretches:
         """Return those whose edges lie within a block of a window's."""
-        inside = rows.recording == rows.recordings.index(window.recording)
-        t, reach = rows.t[inside], 2.0 * float(np.ptp(rows.t[inside])) / len(np.unique(rows.block[inside]))
-        least, ends = t[0] + 0.5 * reach, []
+        rows, inside = edges.rows, edges.inside
+        t, blocks = rows.t[inside], len(np.unique(rows.block[inside]))
+        reach = 2.0 * float(np.ptp(t)) / blocks
+        least, ends, jumps = t[0] + 0.5 * reach, [], rows.t[edges.jumps(_JUMPS)]
         for now in (window.start_s, window.end_s):
             low, high = max(now - reach, least), min(now + reach, t[-1] - 0.5 * reach)
             told = math.isinf(now) or not low < high
-            ends.append(np.array([now]) if told else np.arange(low, high, 2 * rows.dt_out))
+            near = jumps[(jumps >= low) & (jumps <= high)]
+            ends.append(np.array([now]) if told else np.union1d(t[(t >= low) & (t <= high)][::_TOLD_ROWS], near))
         times = np.unique(np.concatenate((*ends, (-math.inf, math.inf))))
         begin, end = (np.searchsorted(times, e) for e in ends)
         pairs = _pairs(begin, end, len(times))
-        return Stretches(inside, times, pairs[times[pairs[:, 1]] - times[pairs[:, 0]] > 0.25 * reach])
+        shortest = max(0.25 * reach, edges.felt * rows.dt_out)
+        return Stretches(inside, times, pairs[times[pairs[:, 1]] - times[pairs[:, 0]] > shortest], at_once=True)
+
+
+def _one_ended(edges: int) -> np.ndarray:
+    """Return pairs (N, 2) of so many edges that one of the inner ones ends, first those that end there."""
+    k = np.arange(1, edges - 1)
+    return np.concatenate((np.stack((0 * k, k), 1), np.stack((k, 0 * k + edges - 1), 1)))
 
 
 def _pairs(begin: np.ndarray, end: np.ndarray, longest: int) -> np.ndarray:
@@ -182,11 +234,11 @@ def in_stretches(
     always = rows.columns.candidate(candidate.effect, replace(candidate.site, window=None), candidate.shape)
     F = rows.features(always)
     std, multiples = believed(fit, rows, always, F)
-    times = np.unique(np.concatenate([kind.times for kind in kinds]))
-    sums = _sums(fit, rows, F, kinds[0].inside, times)
+    times = [np.unique(np.concatenate([np.zeros(0), *(k.times for k in kinds if k.at_once is at)])) for at in _HOW]
+    sums = _sums(Edges(fit, rows, kinds[0].inside), F, *times)
     found = []
     for kind in kinds:
-        at = np.searchsorted(times, kind.times)
+        at = np.searchsorted(times[kind.at_once], kind.times) + len(times[0]) * kind.at_once
         found.append(_averaged(rows, candidate, kind, [x[at] for x in sums], std, np.array(multiples)))
     return found
 
@@ -200,13 +252,14 @@ def _averaged(
     scales: np.ndarray,
 ) -> tuple[Hypothesis, float] | None:
     """Average over stretches, given the sums before their edges and standard deviations (K,) with multiples (S,)."""
-    V, gram, score = sums
+    V, gram, passed, score = sums
     begin, end = stretches.pairs.T
-    counts = np.trace(gram[end] - gram[begin], axis1=1, axis2=2) > 0
+    own = (gram[end] + gram[begin]) - (passed + passed.transpose(0, 2, 1))[begin]
+    counts = np.trace(own, axis1=1, axis2=2) > 0
     if not counts.any():
         return None
     told_by = V.transpose(0, 2, 1) @ V
-    S = (gram - told_by)[end] - (gram + told_by)[begin] + _shared(V, begin, end)
+    S = own - told_by[end] - told_by[begin] + _shared(V, begin, end)
     r = score[end] - score[begin]
     found = added(S[:, None], r[:, None], std * scales[:, None], candidate.effect.prior.positive)
     told_of = np.where(counts[:, None], found.log_evidence, -math.inf)
@@ -237,13 +290,43 @@ def _shared(V: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
     return both + both.transpose(0, 2, 1)
 
 
-def _sums(
-    fit: Likelihood, rows: Rows, F: np.ndarray, inside: np.ndarray, times: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return L^-1 X'C (B, P, K), C'C (B, K, K) and C'e (B, K) of a recording's rows (M,) before times (B,) [s]."""
-    part = np.where(inside, np.searchsorted(times, rows.t, side="right") - 1, -1)
-    parts = moments(fit, None, F, part, len(times) - 1)
-    return tuple(np.concatenate((np.zeros_like(x[:1]), np.cumsum(x, 0))) for x in parts)  # type: ignore[return-value]
+def _sums(edges: Edges, F: np.ndarray, somehow: np.ndarray, at_once: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the moments of what ends at edges, at times (B,) [s] somehow and then at others (E,) at once.
+
+    The rows before an edge are those of the features; where something ends at once, those around it are others.
+
+    Returns:
+        L^-1 X'G (B + E, P, K), G'G, G'C (B + E, K, K) and G'e (B + E, K) of what ends there, G, and what goes on, C.
+    """
+    fit, inside = edges.fit, np.flatnonzero(edges.inside)
+    first, behind, count = inside[0], inside[-1] + 1, len(somehow)
+    at = first + np.searchsorted(edges.rows.t[inside], np.concatenate((somehow, at_once)))
+    sharp = count + np.flatnonzero(np.isfinite(at_once))
+    before = at.copy()
+    before[sharp] = np.maximum(at[sharp] - edges.reach, first)
+    cuts = np.unique(np.concatenate(([first, behind], before)))
+    part = np.full(len(edges.inside), -1)
+    part[inside] = np.searchsorted(cuts, inside, side="right") - 1
+    parts = moments(fit, None, F, part, len(cuts))
+    kept = np.searchsorted(cuts, before)
+    V, gram, score = (np.concatenate((np.zeros_like(x[:1]), np.cumsum(x, 0)))[kept] for x in parts)
+    passed = gram.copy()
+    if len(sharp):
+        cross = np.zeros((len(sharp), len(fit.gaussian.z), len(F)))
+        for joint, (block, left) in enumerate(zip(fit.gaussian.blocks, fit.gaussian.left, strict=True)):
+            leap, going, row = edges.leap(joint, F[:, joint], at[sharp])
+            gram[sharp] += leap @ leap.transpose(0, 2, 1)
+            passed[sharp] += leap @ going.transpose(0, 2, 1)
+            score[sharp] += (leap @ left[row][..., None])[..., 0]
+            cross[:, block.own] += block.at(row).swapaxes(0, 1) @ leap.transpose(0, 2, 1)
+        V[sharp] += _halves(fit, cross)
+    return V, gram, passed, score
+
+
+def _halves(fit: Likelihood, cross: np.ndarray) -> np.ndarray:
+    """Return L^-1 X'C (B, P, K) of X'C (B, P, K)."""
+    count, P, K = cross.shape
+    return fit.gaussian.half(cross.transpose(1, 0, 2).reshape(P, -1)).reshape(P, count, K).transpose(1, 0, 2)
 
 
 def moments(
@@ -274,8 +357,7 @@ def moments(
         cross[np.ix_(seen, b.own)] += b.in_parts(C, edges)
         gram[seen] += np.stack([C[:, begin:end] @ C[:, begin:end].T for begin, end in pairwise(edges)])
         score[seen] += np.add.reduceat((C * fit.gaussian.left[j])[:, : edges[-1]], edges[:-1], axis=1).T
-    V = fit.gaussian.half(cross.transpose(1, 0, 2).reshape(P, -1))
-    return V.reshape(P, count, K).transpose(1, 0, 2), gram, score
+    return _halves(fit, cross), gram, score
 
 
 def located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
@@ -287,12 +369,11 @@ def located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     window = h.candidate.site.window
     assert window is not None
     always = replace(h.candidate, site=replace(h.candidate.site, window=Window(window.recording)))
-    stretches = Stretches.near(rows, window)
-    (near,) = in_stretches(fit, rows, always, [stretches])
+    inside = rows.recording == rows.recordings.index(window.recording)
+    stretches = Stretches.near(Edges(fit, rows, inside), window)
+    (near,) = in_stretches(fit, rows, always, [stretches]) if len(stretches.pairs) else (None,)
     exact = None if near is None else told(fit, rows, near[0].candidate)
     if near is None or exact is None:
         return h
-    # All that are near stand for one that begins and ends with blocks, or for themselves among finer ones.
-    part = len(stretches.pairs) / h.tried if window.one_ended else 1.0 / h.tried
-    paid = near[1] - near[0].log_evidence - math.log(part)
+    paid = near[1] - near[0].log_evidence - math.log(len(stretches.pairs) / h.tried)
     return replace(exact, log_evidence=exact.log_evidence - paid, tried=h.tried, paid=-paid)

@@ -258,13 +258,13 @@ class Signals:
         return torch.gradient(x, spacing=float(t[1] - t[0]), dim=-1)[0]
 
     def inside(self, window: Window | None) -> Tensor:
-        """Return 1 where a window is, 0 elsewhere, as the last dimension of q; 1 everywhere for None."""
+        """Return 1 where a window is, up to its end, 0 elsewhere, as the last dimension of q; 1 everywhere for None."""
         if window is None:
             return torch.ones_like(self.q[0])
         if self.recording != window.recording:
             return torch.zeros_like(self.q[0])
         t = _times(self.t)
-        return ((t >= window.start_s) & (t <= window.end_s)).to(self.q).expand_as(self.q[0])
+        return ((t >= window.start_s) & (t < window.end_s)).to(self.q).expand_as(self.q[0])
 
 
 def _times(t: Tensor | None) -> Tensor:

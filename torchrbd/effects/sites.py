@@ -11,7 +11,7 @@ from torchrbd.robot.inertia import PARAMETERS
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of one recording, in seconds from its start."""
+    """A stretch of one recording, in seconds from its start, up to its end."""
 
     recording: str
     start_s: float = -math.inf

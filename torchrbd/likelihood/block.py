@@ -71,6 +71,12 @@ class Block:
             return own
         return _bordered(own, self.brief.times(self.lasting.T), self.brief.x @ self.brief.x.T)
 
+    def at(self, rows: np.ndarray) -> np.ndarray:
+        """Return some of the rows, by their numbers (...), as (P_j, ...)."""
+        found = self.lasting[:, rows]
+        found = found if self.brief is None else np.concatenate((found, self.brief.of_rows(rows)))
+        return (found.T * self.size).T
+
     def times(self, C: np.ndarray) -> np.ndarray:
         """Return X C of C (m, ...)."""
         found = self.lasting @ C

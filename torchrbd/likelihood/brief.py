@@ -38,6 +38,13 @@ class Brief:
         """Return some of the columns, kept (S,) bool."""
         return Brief(self.x[kept], self.at, self.rows)
 
+    def of_rows(self, rows: np.ndarray) -> np.ndarray:
+        """Return the columns at some rows (...), (S, ...)."""
+        if not len(self.at):
+            return np.zeros((len(self.x), *rows.shape))
+        place = np.minimum(np.searchsorted(self.at, rows), len(self.at) - 1)
+        return self.x[:, place] * (self.at[place] == rows)
+
     def scaled(self, by: np.ndarray) -> Brief:
         """Return the columns times (m,)."""
         return Brief(self.x * by[self.at], self.at, self.rows)

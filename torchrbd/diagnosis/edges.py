@@ -1,0 +1,120 @@
+"""Edges: the rows at which something begins or ends, and how the innovations jump there.
+
+What begins at a moment is a step, low-passed as all rows are, and whitened: of coloured noise, which a step is unlike,
+the innovations leap at its edges, and say little in between. Features change slowly beside that, so that the rows
+around an edge are those of a low-passed step times the features.
+
+    G_e = white(F s_e),   s_e = 1 before the edge e, 0 behind it, low-passed between
+
+Source: Tsay, "Outliers, Level Shifts, and Variance Changes in Time Series", Journal of Forecasting 1988 (level shifts
+    as innovations see them).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.noise import Noise
+from torchrbd.likelihood.rows import Rows
+
+# Rows between two edges that are told apart; less than this of a step is rounding.
+_APART, _ROUNDING = 3, 1e-9
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Edges of one recording.
+
+    Attributes:
+        fit: whose noise whitens.
+        rows: of all recordings.
+        inside: (M,) which rows are those of the recording.
+    """
+
+    fit: Likelihood
+    rows: Rows
+    inside: np.ndarray
+
+    @cached_property
+    def step(self) -> np.ndarray:
+        """What a low-passed step has left (2 H + 1,) of one, from H rows before its edge to H rows behind."""
+        name = self.rows.recordings[int(self.rows.recording[self.inside][0])]
+        own = (tile.states for tile in self.rows.tiles if tile.states.recording == name)
+        states = max(own, key=lambda one: len(one.t_out))
+        k = len(states.t_out) // 2
+        passed = states.decimate((states.t < states.t_out[k]).to(states.q)).numpy()
+        between = np.flatnonzero(np.abs(passed - (np.arange(len(passed)) < k)) > _ROUNDING)
+        reach = 1 + min(np.abs(between - k).max(initial=0), k - 1, len(passed) - k - 2)
+        return passed[k - reach : k + reach + 1]
+
+    @property
+    def reach(self) -> int:
+        """H, rows by which a low-passed step reaches beyond its edge."""
+        return len(self.step) // 2
+
+    @property
+    def felt(self) -> int:
+        """Rows around an edge in which any joint's innovations feel it."""
+        return 2 * self.reach + max(len(noise.predictor) for noise in self.fit.hyper.noise)
+
+    def jumps(self, count: int) -> np.ndarray:
+        """Return the rows, at most so many, in their order, at which the innovations of all joints jump most.
+
+        z^2 = sum_j (d_j'n_j)^2 / d_j'd_j, with d_j what a step of a constant torque is to the noise of joint j. However
+        heavy its tails: what leaps may be a row that errs, or an edge.
+        """
+        z2 = np.zeros(len(self.rows.t))
+        for noise, left in zip(self.fit.hyper.noise, self.fit.gaussian.left, strict=True):
+            around = np.pad(self.step, (len(noise.predictor), 0), constant_values=1.0)
+            d = np.convolve(around, np.append(1.0, -noise.predictor))[len(noise.predictor) :]
+            n, power = np.zeros((2, len(z2)))
+            usual = noise.sigma * noise.spread[noise.index]
+            n[noise.index], power[noise.index] = left * noise.size / usual**2, usual**-2.0
+            ends = self.reach, len(d) - self.reach - 1
+            found, most = (np.correlate(np.pad(x, ends), y) for x, y in ((n, d), (power, d**2)))
+            z2 += np.divide(found**2, most, out=np.zeros_like(z2), where=most > 0)
+        z2[~self.inside], kept = 0.0, []
+        for _ in range(count):
+            k = int(z2.argmax())
+            if z2[k] <= 0.0:
+                break
+            kept.append(k)
+            z2[max(k - _APART, 0) : k + _APART + 1] = 0.0
+        return np.sort(np.array(kept, dtype=int))
+
+    def leap(self, joint: int, F: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the whitened rows around edges of features that end there, and of those that go on.
+
+        Args:
+            joint: whose noise whitens.
+            F: (K, M) features.
+            at: (E,) rows of the edges.
+
+        Returns:
+            both (E, K, L), and the numbers (E, L) of the whitened rows; rows that do not count are zero.
+        """
+        noise = self.fit.hyper.noise[joint]
+        order, whitened = len(noise.predictor), _whitening(noise, len(self.step) - 1 + len(noise.predictor))
+        around = np.zeros(len(whitened))
+        around[:order], around[order : order + len(self.step)] = 1.0, self.step[: len(whitened) - order]
+        last = len(self.rows.t) - 1
+        rows = at[:, None] + np.arange(len(around)) - self.reach - order
+        number = np.full(last + 1, -1)
+        number[noise.index] = np.where(self.inside[noise.index], np.arange(len(noise.index)), -1)
+        whole = rows[:, order:]
+        row = np.where((whole >= 0) & (whole <= last), number[np.clip(whole, 0, last)], -1)
+        here, counts = F[:, np.clip(rows, 0, last)].swapaxes(0, 1), ((row >= 0) / noise.size[row])[:, None]
+        return (here * around) @ whitened * counts, here @ whitened * counts, np.maximum(row, 0)
+
+
+def _whitening(noise: Noise, count: int) -> np.ndarray:
+    """Return the matrix (count + p, count) that takes rows, and p before them, to what they cannot predict."""
+    order, k = len(noise.predictor), np.arange(count)
+    found = np.zeros((count + order, count))
+    for lag, a in enumerate(np.append(1.0, -noise.predictor)):
+        found[k + order - lag, k] = a
+    return found
