@@ -355,3 +355,8 @@ def test_no_more_terms_are_added_than_a_person_would_read(rows: Rows, monkeypatc
     monkeypatch.setattr(Table, "leading", lambda self, fit, chosen=(): [sure])
     _, chosen, seen, _ = at.added(fitted(), [], [sure])
     assert len(chosen) == len(seen) == MOST_TERMS
+    # What is left, and likelier than not, is told.
+    chance = replace(sure, log_evidence=0.0)
+    likelier = replace(sure, log_evidence=120.0)
+    found = Explanation(fitted(), fitted(), rows, (), [], [sure, chance, likelier], 3)
+    assert found.more == [likelier, sure]

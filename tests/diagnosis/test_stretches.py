@@ -147,7 +147,7 @@ def test_step_is_the_low_passed_one(two_recordings: tuple[Likelihood, Rows]) -> 
     assert not passed[~edges.inside].any()
 
 
-PUSHED_S, FORCE = (5.13, 8.02), np.array([4.0, -2.0, 3.0])
+PUSHED_S, FORCE = (5.13, 8.02), np.array([8.0, -4.0, 6.0])
 
 
 def pushes(m: Motion) -> np.ndarray:

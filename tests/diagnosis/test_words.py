@@ -11,7 +11,7 @@ from torchrbd.diagnosis.changes.results import Difference
 from torchrbd.diagnosis.changes.words import signed
 from torchrbd.diagnosis.numbers import joined, measure, percent, unit, with_unit
 from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Ratio, Region, Unexplained, Where
-from torchrbd.diagnosis.verdict_words import verdict_statement
+from torchrbd.diagnosis.verdict_words import ended_statement, verdict_statement
 from torchrbd.diagnosis.words import all_or_some, alternatives, finding_sentence, guessed, strongest_first, when
 from torchrbd.inference.torque_error import Fit
 
@@ -35,6 +35,16 @@ def test_the_verdict_says_how_much_of_it_is_there() -> None:
     assert told.endswith(
         "10 % with what was found, which held-out time has 1.00 times as large as found (0.90 to 1.10)."
     )
+
+
+def test_a_search_that_ends_early_says_so() -> None:
+    more = [Alternative("stribeck_friction", ("joint1",)), Alternative("payload", (), ("hand",))]
+    assert ended_statement(12, []) == ""
+    assert ended_statement(12, more) == (
+        "The search ends with 12 terms, though more is likelier than not beside them: first of all Stribeck friction "
+        "at joint1."
+    )
+    assert ended_statement(12, more[1:]).endswith("first of all payload on hand.")
 
 
 def everywhere(effect: str, *but: str) -> list[Finding]:

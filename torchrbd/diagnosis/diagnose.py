@@ -8,7 +8,7 @@ from typing import Any
 
 from torchrbd.diagnosis.clock_offset import clock_offset
 from torchrbd.diagnosis.deflection import deflections
-from torchrbd.diagnosis.explain import explain, is_trifling
+from torchrbd.diagnosis.explain import explain, is_trifling, more
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
@@ -22,7 +22,7 @@ from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import contradicted, refuted, suspect, tells_nothing
 from torchrbd.diagnosis.unexplained import unexplained
-from torchrbd.diagnosis.verdict_words import verdict_statement
+from torchrbd.diagnosis.verdict_words import ended_statement, verdict_statement
 from torchrbd.diagnosis.words import strongest_first
 from torchrbd.effects import Site, effect
 from torchrbd.effects.registry import PLAIN
@@ -101,7 +101,8 @@ def diagnose(
     compared = "simulation" if simulated else "URDF"
     there = there if findings else None
     statement = verdict_statement(verdict, findings, rest, identification.fits, compared, there)
-    statement = " ".join(filter(None, (statement, doubt(proof, findings, there))))
+    ended = ended_statement(len(found.terms), more(found))
+    statement = " ".join(filter(None, (statement, ended, doubt(proof, findings, there))))
     absent = limits(found)
     return Diagnosis(
         identification,

@@ -197,6 +197,13 @@ def places(robot: RobotModel, term: Candidate) -> tuple[tuple[str, ...], tuple[s
     return joints, () if site.body is None else (robot.body_names[site.body],)
 
 
+def more(found: Explanation) -> tuple[Alternative, ...]:
+    """Return what is likelier than not beside what was found, where the search has ended before it."""
+    robot = found.rows.columns.robot
+    own = [h.candidate for h in found.more]
+    return tuple(Alternative(c.effect.id, *places(robot, c), driven_by(c, robot)) for c in own)
+
+
 def where(term: Candidate, columns: Columns, quantities: Mapping[str, Quantity], ends_s: Mapping[str, float]) -> Where:
     """Return when and in which range of a signal a term acts; ``ends_s`` are the lengths of the recordings."""
     robot, window, region = columns.robot, term.site.window, None

@@ -180,12 +180,11 @@ class Stretches:
         """Return all between moments at which innovations jump, and those that begin or end at one of them."""
         at = edges.jumps(_JUMPS)
         times = np.concatenate(([-math.inf], edges.rows.t[at], [math.inf]))
-        first, last = np.flatnonzero(edges.inside)[[0, -1]]
-        # Edges are to be felt apart.
-        rows = np.concatenate(([first - edges.felt], at, [last + 1 + edges.felt]))
+        rows = np.concatenate((np.flatnonzero(edges.inside)[:1], at, np.flatnonzero(edges.inside)[-1:] + 1))
         inner = np.arange(1, len(times) - 1)
         both, one = _pairs(inner, inner, len(times)), _one_ended(len(times))
-        apart = [pairs[np.diff(rows[pairs], axis=1)[:, 0] >= 2 * edges.felt] for pairs in (both, one)]
+        # Two edges are to be felt apart.
+        apart = [pairs[np.diff(rows[pairs], axis=1)[:, 0] >= edges.felt] for pairs in (both, one)]
         both, one = (Stretches(edges.inside, times, pairs, at_once=True) for pairs in apart)
         return both, one
 
@@ -314,6 +313,8 @@ def _sums(edges: Edges, F: np.ndarray, somehow: np.ndarray, at_once: np.ndarray)
     if len(sharp):
         cross = np.zeros((len(sharp), len(fit.gaussian.z), len(F)))
         for joint, (block, left) in enumerate(zip(fit.gaussian.blocks, fit.gaussian.left, strict=True)):
+            if not len(left):
+                continue
             leap, going, row = edges.leap(joint, F[:, joint], at[sharp])
             gram[sharp] += leap @ leap.transpose(0, 2, 1)
             passed[sharp] += leap @ going.transpose(0, 2, 1)

@@ -8,7 +8,7 @@ from dataclasses import astuple
 
 from torchrbd.diagnosis.numbers import as_large, joined, percent
 from torchrbd.diagnosis.posterior import LIKELY
-from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, Where
+from torchrbd.diagnosis.results import Alternative, Finding, Ratio, Unexplained, Where
 from torchrbd.diagnosis.words import alternatives, at, named, when, words_of
 from torchrbd.effects.registry import PLAIN
 from torchrbd.inference.suspicions.results import Suspicions
@@ -64,6 +64,17 @@ def verdict_statement(
     return (
         f"The {model} {first}.{second} The unpredicted part of the torque variance on held-out time is {urdf} with the "
         f"{model}, {rigid} with a re-fitted rigid body and {extended} with what was found{there}.{open_end}"
+    )
+
+
+def ended_statement(terms: int, more: Sequence[Alternative]) -> str:
+    """Say that a search has ended with so many terms before what is likelier than not beside them; nothing if not."""
+    if not more:
+        return ""
+    first = more[0]
+    return (
+        f"The search ends with {terms} terms, though more is likelier than not beside them: first of all "
+        f"{named(first)}{at(first.joints, first.links)}."
     )
 
 
