@@ -16,7 +16,7 @@ from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Unexplained
 from torchrbd.diagnosis.search import Explanation
-from torchrbd.diagnosis.unexplained import _loud, unexplained
+from torchrbd.diagnosis.unexplained import _left, _loud, unexplained
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
 from torchrbd.inference.preparation import prepare
@@ -100,6 +100,12 @@ def test_torque_without_a_law_is_told_with_its_place_signal_and_shape(told: Unex
     assert np.ptp(y) == pytest.approx(SIZE, rel=0.35)
     assert np.corrcoef(y, true)[0, 1] > 0.9
     assert (np.array(told.curve.std) > 0).all()
+
+
+def test_held_out_time_is_told_of_what_it_shows() -> None:
+    everywhere = _left("3 N m", 0.25, None)
+    assert everywhere == "a torque of 3 N m RMS that no known effect explains, 25 % of what is left on held-out time"
+    assert _left("3 N m", 0.0, "B.csv") == "a torque of 3 N m RMS in B.csv that no known effect explains"
 
 
 def test_a_tone_is_told_by_its_joint_and_frequency() -> None:

@@ -75,16 +75,20 @@ def _curve(extended: Extended, term: Candidate) -> Unexplained:
     share = max(0.0, 1.0 - with_[name] / without[name]) if without.get(name) else 0.0
     signals, region, curve = depends_on(term, robot.joint_names), None, fitted_curve(model, term)
     carried = torque_rms(term, extended).get(name, 0.0)
-    statement = (
-        f"{name}: a torque of {number(carried)} {unit} RMS that no known effect explains, {percent(share)} of what is "
-        f"left on held-out time. It depends on {joined(signals)}"
-    )
+    recording = None if term.site.window is None else term.site.window.recording
+    statement = f"{name}: {_left(f'{number(carried)} {unit}', share, recording)}. It depends on {joined(signals)}"
     if curve is not None and signals[0] != "t":
         region = Region(signals[0], *_loud(np.array(curve.at), np.array(curve.torque)))
         statement += f", most of it where {signals[0]} is between {number(region.low)} and {number(region.high)}"
-    recordings = None if term.site.window is None else (term.site.window.recording,)
-    where = Where(recordings, None, None if region is None else (region,))
+    where = Where(None if recording is None else (recording,), None, None if region is None else (region,))
     return Unexplained((name,), signals, where, share, statement + ".", curve)
+
+
+def _left(torque: str, share: float, recording: str | None) -> str:
+    """Say how large a torque is, and its share of the error on held-out time, which shows none of other recordings."""
+    only = "" if recording is None else f" in {recording}"
+    shown = f", {percent(share)} of what is left on held-out time" if share >= NO_CHANGE else ""
+    return f"a torque of {torque} RMS{only} that no known effect explains{shown}"
 
 
 def _silent(extended: Extended, proofs: Sequence[Proof]) -> Iterator[Unexplained]:
