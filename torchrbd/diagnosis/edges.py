@@ -98,17 +98,17 @@ class Edges:
             both (E, K, L), and the numbers (E, L) of the whitened rows; rows that do not count are zero.
         """
         noise = self.fit.hyper.noise[joint]
-        order, whitened = len(noise.predictor), _whitening(noise, len(self.step) - 1 + len(noise.predictor))
-        around = np.zeros(len(whitened))
-        around[:order], around[order : order + len(self.step)] = 1.0, self.step[: len(whitened) - order]
-        last = len(self.rows.t) - 1
-        rows = at[:, None] + np.arange(len(around)) - self.reach - order
+        order, last = len(noise.predictor), len(self.rows.t) - 1
+        whitening = _whitening(noise, 2 * self.reach + order)
+        step = np.concatenate((np.ones(order), self.step, np.zeros(order)))[: len(whitening)]
+        rows = at[:, None] + np.arange(len(step)) - self.reach - order
+        here = F[:, np.clip(rows, 0, last)].swapaxes(0, 1)
         number = np.full(last + 1, -1)
         number[noise.index] = np.where(self.inside[noise.index], np.arange(len(noise.index)), -1)
-        whole = rows[:, order:]
-        row = np.where((whole >= 0) & (whole <= last), number[np.clip(whole, 0, last)], -1)
-        here, counts = F[:, np.clip(rows, 0, last)].swapaxes(0, 1), ((row >= 0) / noise.size[row])[:, None]
-        return (here * around) @ whitened * counts, here @ whitened * counts, np.maximum(row, 0)
+        known = (rows >= 0) & (rows <= last)
+        row = np.where(known, number[np.clip(rows, 0, last)], -1)[:, order:]
+        precise = np.where(row >= 0, 1.0 / noise.size[row], 0.0)[:, None]
+        return (here * step) @ whitening * precise, here @ whitening * precise, np.maximum(row, 0)
 
 
 def _whitening(noise: Noise, count: int) -> np.ndarray:

@@ -1,10 +1,9 @@
 """Stretches of time, and recordings, in which something may act: which, the whitened rows say.
 
 Moments of a stretch are differences of sums over the rows before its edges, those of several recordings are sums of
-theirs, so that all of them cost one pass. What begins and ends somehow, within a row or within half a second, shows in
-the rows between the edges; what does so at once shows at the edges as well, and there most of all where noise is
-coloured: stretches that begin and end with blocks are judged without their edges, and those between the moments at
-which the innovations jump with them.
+theirs, so that all of them cost one pass. What comes and goes gradually shows in the rows between its edges; what does
+so at once shows at the edges as well, and there most of all where noise is coloured. Stretches that begin and end with
+blocks of time are judged without their edges, those between moments at which the innovations jump with them.
 """
 
 from __future__ import annotations
@@ -34,14 +33,13 @@ _TOLD_ROWS = 2
 _MOST_OF_TIME = 0.9
 # Of so many recordings all subsets are tried.
 _MOST_RECORDINGS = 8
-_HOW = (False, True)
 
 
 def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
     """Yield an effect at every place where it may act for a time, averaged over the stretches of each recording.
 
     What comes and stays, or is there and goes, is as likely as what comes and goes, and another hypothesis; when, is
-    told to some rows. Either may do so at once or somehow.
+    told to some rows. Either may do so at once or gradually.
     """
     for name in rows.seen_recordings:
         edges = Edges(fit, rows, rows.recording == rows.recordings.index(name))
@@ -54,17 +52,16 @@ def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | 
 
 
 def _either(
-    somehow: tuple[Hypothesis, float] | None, at_once: tuple[Hypothesis, float] | None, count: int
+    gradually: tuple[Hypothesis, float] | None, at_once: tuple[Hypothesis, float] | None, count: int
 ) -> Hypothesis | None:
-    """Return a hypothesis that begins and ends somehow or at once, both as likely, of so many stretches in all."""
-    if somehow is None:
+    """Return a hypothesis that comes and goes gradually or at once, both as likely, of so many stretches in all."""
+    if gradually is None and at_once is None:
         return None
-    found, evidence = [somehow], [somehow[0].log_evidence]
+    evidence = [] if gradually is None else [gradually[0].log_evidence]
     if at_once is not None:
         # That of the stretches that are not looked at is none.
-        found.append(at_once)
         evidence.append(at_once[0].log_evidence + math.log(at_once[0].tried / count))
-    best, alone = max(found, key=lambda one: one[1])
+    best, alone = max((one for one in (gradually, at_once) if one is not None), key=lambda one: one[1])
     # Half of what comes or goes has one end.
     mean = float(np.logaddexp.reduce(evidence)) - 2.0 * math.log(2.0)
     return replace(best, log_evidence=mean, tried=count, paid=mean - alone)
@@ -233,7 +230,10 @@ def in_stretches(
     always = rows.columns.candidate(candidate.effect, replace(candidate.site, window=None), candidate.shape)
     F = rows.features(always)
     std, multiples = believed(fit, rows, always, F)
-    times = [np.unique(np.concatenate([np.zeros(0), *(k.times for k in kinds if k.at_once is at)])) for at in _HOW]
+    times = [
+        np.unique(np.concatenate([np.zeros(0), *(kind.times for kind in kinds if kind.at_once is at_once)]))
+        for at_once in (False, True)
+    ]
     sums = _sums(Edges(fit, rows, kinds[0].inside), F, *times)
     found = []
     for kind in kinds:
@@ -289,8 +289,8 @@ def _shared(V: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
     return both + both.transpose(0, 2, 1)
 
 
-def _sums(edges: Edges, F: np.ndarray, somehow: np.ndarray, at_once: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the moments of what ends at edges, at times (B,) [s] somehow and then at others (E,) at once.
+def _sums(edges: Edges, F: np.ndarray, gradually: np.ndarray, at_once: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the moments of what ends at edges, at times (B,) [s] gradually and then at others (E,) at once.
 
     The rows before an edge are those of the features; where something ends at once, those around it are others.
 
@@ -298,8 +298,8 @@ def _sums(edges: Edges, F: np.ndarray, somehow: np.ndarray, at_once: np.ndarray)
         L^-1 X'G (B + E, P, K), G'G, G'C (B + E, K, K) and G'e (B + E, K) of what ends there, G, and what goes on, C.
     """
     fit, inside = edges.fit, np.flatnonzero(edges.inside)
-    first, behind, count = inside[0], inside[-1] + 1, len(somehow)
-    at = first + np.searchsorted(edges.rows.t[inside], np.concatenate((somehow, at_once)))
+    first, behind, count = inside[0], inside[-1] + 1, len(gradually)
+    at = first + np.searchsorted(edges.rows.t[inside], np.concatenate((gradually, at_once)))
     sharp = count + np.flatnonzero(np.isfinite(at_once))
     before = at.copy()
     before[sharp] = np.maximum(at[sharp] - edges.reach, first)
