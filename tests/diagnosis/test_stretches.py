@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+import torch
 from likelihood.arms import recorded, rows_of, wrong_robot
 from likelihood.fits import BEGIN_S, OPTIONS, URDF, candidate, carried, fitted, payload, with_friction
 from scipy.special import logsumexp
@@ -197,6 +198,28 @@ def test_push_is_found_by_its_edges_where_noise_is_coloured(wandering: tuple[Lik
     (gradually,) = in_stretches(fit, rows, c, [Stretches.of_blocks(rows, name)])
     assert gradually is not None
     assert gradually[0].log_evidence < best.log_evidence - 5.0
+
+
+def test_edges_on_both_sides_of_what_is_held_out_are_apart_by_rows() -> None:
+    """Seconds between them that no fit may see do not part what the rows feel."""
+
+    def kept_back(name: str, t: torch.Tensor) -> torch.Tensor:
+        return (t > 4.0) & (t < 8.0)
+
+    one = recorded(URDF, 3, with_friction(payload), **{**OPTIONS, "duration_s": 14.0})
+    fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [one], kept_back)))
+    rows = carried(fit)
+    edges, name = edges_of(fit, rows, rows.recordings[0]), rows.recordings[0]
+    before, behind = rows.t[rows.t < 6.0][-3], rows.t[rows.t > 6.0][2]
+    times = np.array([-np.inf, 1.0, before, behind, 12.0, np.inf])
+    pairs = [tuple(p) for p in edges.apart(times, np.array([(1, 2), (2, 3), (1, 3), (3, 4), (2, 4)])).tolist()]
+    assert pairs == [(1, 2), (1, 3), (3, 4), (2, 4)]
+    near = Stretches.near(edges, Window(name, before, behind))
+    at = edges.at(near.times)
+    assert len(near.pairs)
+    assert (np.diff(at[near.pairs], axis=1) > 2 * edges.reach).all()
+    (found,) = in_stretches(fit, rows, candidate(rows, "payload", Site(body=1, window=Window(name))), [near])
+    assert found is not None
 
 
 def test_window_is_told_of_those_that_come_gradually_and_at_once(

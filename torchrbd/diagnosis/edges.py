@@ -56,10 +56,15 @@ class Edges:
         """H, rows by which a low-passed step reaches beyond its edge."""
         return len(self.step) // 2
 
-    @property
-    def felt(self) -> int:
-        """Rows around an edge in which any joint's innovations feel it."""
-        return 2 * self.reach + max(len(noise.predictor) for noise in self.fit.hyper.noise)
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """Return the first rows that are not before times [s], of which -inf is before all and inf behind."""
+        inside = np.flatnonzero(self.inside)
+        return inside[0] + np.searchsorted(self.rows.t[inside], times)
+
+    def apart(self, times: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+        """Return those pairs (N, 2) of times (B,) [s] that no row feels both of."""
+        felt = 2 * self.reach + max(len(noise.predictor) for noise in self.fit.hyper.noise)
+        return pairs[np.diff(self.at(times)[pairs], axis=1)[:, 0] >= felt]
 
     def jumps(self, count: int) -> np.ndarray:
         """Return the rows, at most so many, in their order, at which the innovations of all joints jump most.

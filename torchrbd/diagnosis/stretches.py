@@ -175,14 +175,10 @@ class Stretches:
     @staticmethod
     def at_jumps(edges: Edges) -> tuple[Stretches, Stretches]:
         """Return all between moments at which innovations jump, and those that begin or end at one of them."""
-        at = edges.jumps(_JUMPS)
-        times = np.concatenate(([-math.inf], edges.rows.t[at], [math.inf]))
-        rows = np.concatenate((np.flatnonzero(edges.inside)[:1], at, np.flatnonzero(edges.inside)[-1:] + 1))
+        times = np.concatenate(([-math.inf], edges.rows.t[edges.jumps(_JUMPS)], [math.inf]))
         inner = np.arange(1, len(times) - 1)
-        both, one = _pairs(inner, inner, len(times)), _one_ended(len(times))
-        # Two edges are to be felt apart.
-        apart = [pairs[np.diff(rows[pairs], axis=1)[:, 0] >= edges.felt] for pairs in (both, one)]
-        both, one = (Stretches(edges.inside, times, pairs, at_once=True) for pairs in apart)
+        pairs = _pairs(inner, inner, len(times)), _one_ended(len(times))
+        both, one = (Stretches(edges.inside, times, edges.apart(times, each), at_once=True) for each in pairs)
         return both, one
 
     @staticmethod
@@ -199,9 +195,8 @@ class Stretches:
             ends.append(np.array([now]) if told else np.union1d(t[(t >= low) & (t <= high)][::_TOLD_ROWS], near))
         times = np.unique(np.concatenate((*ends, (-math.inf, math.inf))))
         begin, end = (np.searchsorted(times, e) for e in ends)
-        pairs = _pairs(begin, end, len(times))
-        shortest = max(0.25 * reach, edges.felt * rows.dt_out)
-        return Stretches(inside, times, pairs[times[pairs[:, 1]] - times[pairs[:, 0]] > shortest], at_once=True)
+        pairs = edges.apart(times, _pairs(begin, end, len(times)))
+        return Stretches(inside, times, pairs[times[pairs[:, 1]] - times[pairs[:, 0]] > 0.25 * reach], at_once=True)
 
 
 def _one_ended(edges: int) -> np.ndarray:
@@ -299,7 +294,7 @@ def _sums(edges: Edges, F: np.ndarray, gradually: np.ndarray, at_once: np.ndarra
     """
     fit, inside = edges.fit, np.flatnonzero(edges.inside)
     first, behind, count = inside[0], inside[-1] + 1, len(gradually)
-    at = first + np.searchsorted(edges.rows.t[inside], np.concatenate((gradually, at_once)))
+    at = edges.at(np.concatenate((gradually, at_once)))
     sharp = count + np.flatnonzero(np.isfinite(at_once))
     before = at.copy()
     before[sharp] = np.maximum(at[sharp] - edges.reach, first)
