@@ -12,6 +12,7 @@ import pytest
 from likelihood.fits import at_joint, candidate, carried, fitted
 
 from torchrbd.diagnosis import search
+from torchrbd.diagnosis.explain import likeliest_left
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import is_curve
@@ -360,3 +361,8 @@ def test_no_more_terms_are_added_than_a_person_would_read(rows: Rows, monkeypatc
     likelier = replace(sure, log_evidence=120.0)
     found = Explanation(fitted(), fitted(), rows, (), [], [sure, chance, likelier], 3)
     assert found.more == [likelier, sure]
+    assert likeliest_left(found) == f"joint spring at {rows.columns.robot.joint_names[0]}"
+    for_a_time = candidate(rows, "payload", Site(body=1, window=Window("simulated", 1.0)))
+    found = replace(found, last=[replace(sure, candidate=for_a_time)])
+    assert likeliest_left(found) == f"payload on {rows.columns.robot.body_names[1]} for a time in simulated"
+    assert likeliest_left(replace(found, last=[chance])) == ""

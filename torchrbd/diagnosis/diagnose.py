@@ -8,7 +8,7 @@ from typing import Any
 
 from torchrbd.diagnosis.clock_offset import clock_offset
 from torchrbd.diagnosis.deflection import deflections
-from torchrbd.diagnosis.explain import explain, is_trifling, more
+from torchrbd.diagnosis.explain import explain, is_trifling, likeliest_left
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
@@ -101,7 +101,7 @@ def diagnose(
     compared = "simulation" if simulated else "URDF"
     there = there if findings else None
     statement = verdict_statement(verdict, findings, rest, identification.fits, compared, there)
-    ended = ended_statement(len(found.terms), more(found))
+    ended = ended_statement(len(found.terms), likeliest_left(found))
     statement = " ".join(filter(None, (statement, ended, doubt(proof, findings, there))))
     absent = limits(found)
     return Diagnosis(

@@ -19,7 +19,7 @@ from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Ratio, Region, Where
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.variant import another_variant
-from torchrbd.diagnosis.words import NO_CHANGE, finding_sentence, strongest_first
+from torchrbd.diagnosis.words import NO_CHANGE, at, finding_sentence, named, strongest_first
 from torchrbd.effects import effect
 from torchrbd.inference.physical.fitting import FittedModel, judge
 from torchrbd.inference.physical.terms import told_parameters
@@ -197,11 +197,14 @@ def places(robot: RobotModel, term: Candidate) -> tuple[tuple[str, ...], tuple[s
     return joints, () if site.body is None else (robot.body_names[site.body],)
 
 
-def more(found: Explanation) -> tuple[Alternative, ...]:
-    """Return what is likelier than not beside what was found, where the search has ended before it."""
-    robot = found.rows.columns.robot
-    own = [h.candidate for h in found.more]
-    return tuple(Alternative(c.effect.id, *places(robot, c), driven_by(c, robot)) for c in own)
+def likeliest_left(found: Explanation) -> str:
+    """Return in words what is likeliest beside what was found, if it is likelier than not: the search ended before."""
+    if not found.more:
+        return ""
+    robot, c = found.rows.columns.robot, found.more[0].candidate
+    joints, links = places(robot, c)
+    only = "" if c.site.window is None else f" for a time in {c.site.window.recording}"
+    return named(Alternative(c.effect.id, joints, links, driven_by(c, robot))) + at(joints, links) + only
 
 
 def where(term: Candidate, columns: Columns, quantities: Mapping[str, Quantity], ends_s: Mapping[str, float]) -> Where:

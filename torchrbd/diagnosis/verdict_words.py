@@ -8,7 +8,7 @@ from dataclasses import astuple
 
 from torchrbd.diagnosis.numbers import as_large, joined, percent
 from torchrbd.diagnosis.posterior import LIKELY
-from torchrbd.diagnosis.results import Alternative, Finding, Ratio, Unexplained, Where
+from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, Where
 from torchrbd.diagnosis.words import alternatives, at, named, when, words_of
 from torchrbd.effects.registry import PLAIN
 from torchrbd.inference.suspicions.results import Suspicions
@@ -67,15 +67,11 @@ def verdict_statement(
     )
 
 
-def ended_statement(terms: int, more: Sequence[Alternative]) -> str:
-    """Say that a search has ended with so many terms before what is likelier than not beside them; nothing if not."""
-    if not more:
+def ended_statement(terms: int, left: str) -> str:
+    """Say that a search has ended with so many terms before what is likelier than not; nothing if nothing is left."""
+    if not left:
         return ""
-    first = more[0]
-    return (
-        f"The search ends with {terms} terms, though more is likelier than not beside them: first of all "
-        f"{named(first)}{at(first.joints, first.links)}."
-    )
+    return f"The search ends with {terms} terms, though more is likelier than not beside them: first of all {left}."
 
 
 def suspect_statement(suspected: Suspicions) -> str:
