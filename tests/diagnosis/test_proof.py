@@ -182,7 +182,7 @@ def test_of_findings_that_stand_in_for_each_other_one_is_told() -> None:
         friction = 0.5 * ({"viscous_friction", "power_law_friction"} <= names)
         return {"hinge": 0.01 + friction + 0.2 * ("joint_spring" in names), "other": 0.1}
 
-    kept, apart = set_apart(told, error_without, lambda one: one.share < 0.02)  # type: ignore[arg-type]
+    kept, apart = set_apart(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
     assert [one.effect for _, one in kept] == ["viscous_friction", "joint_spring"]
     assert [one.effect for _, one in apart] == ["torque_ripple", "power_law_friction"]
     assert kept[0][1].nmse_before == {"hinge": 0.51}
@@ -197,5 +197,5 @@ def test_what_is_set_apart_is_trifling_all_together() -> None:
     def error_without(gone: Sequence[SimpleNamespace]) -> dict[str, float]:
         return {"hinge": 0.01 / (1.0 - 0.015 * len(gone))}
 
-    kept, apart = set_apart(told, error_without, lambda one: one.share < 0.02)  # type: ignore[arg-type]
+    kept, apart = set_apart(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
     assert (len(kept), len(apart)) == (2, 1)

@@ -14,15 +14,16 @@ from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.hypotheses import whole
 from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion
-from torchrbd.diagnosis.proof import confirmed
+from torchrbd.diagnosis.proof import LEAST_BLOCKS, confirmed
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Ratio, Region, Where
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.diagnosis.words import NO_CHANGE, at, finding_sentence, named, strongest_first
-from torchrbd.effects import effect
+from torchrbd.effects import Site, effect
 from torchrbd.inference.physical.fitting import FittedModel, judge
 from torchrbd.inference.physical.terms import told_parameters
+from torchrbd.likelihood.block_statistics import Block
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.robot import RobotModel
@@ -79,7 +80,8 @@ def explain(found: Explanation, extended: Extended) -> Explained:
         return strongest_first(sentences)
 
     fits, every = _Fits(extended), told(extended, lambda _: True)
-    kept, apart = set_apart(every, fits.error_without, lambda one: is_trifling(one, extended))
+    unseen = {term for term, _ in every if not fits.shown_in_its_time(term)}
+    kept, apart = set_apart(every, fits.error_without, lambda term, one: term in unseen or is_trifling(one, extended))
     others = [term for term, _ in apart]
     kept = [(term, replace(one, confirmed=fits.confirmed(term, one, others))) for term, one in kept]
     trifling = worded([(term, replace(one, confirmed=fits.confirmed(term, one, []))) for term, one in apart])
@@ -100,14 +102,14 @@ def _judged_as(judged: Finding, one: Finding) -> Finding:
 def set_apart(
     told: Sequence[tuple[Candidate, Finding]],
     error_without: Callable[[Sequence[Candidate]], Mapping[str, float]],
-    trifling: Callable[[Finding], bool],
+    trifling: Callable[[Candidate, Finding], bool],
 ) -> tuple[list[tuple[Candidate, Finding]], list[tuple[Candidate, Finding]]]:
     """Set findings apart that are trifling together: of two that stand in for each other, one is not.
 
     Args:
         told: terms and what is told of them; their errors are given here.
         error_without: nmse by joint of the model without some terms.
-        trifling: says whether a finding is, of its errors with it and without it.
+        trifling: says whether a term is, of what is told of it, with its errors with it and without it.
 
     Returns:
         Those that count, their errors beside all others that do, and those that are set apart, the least likely first.
@@ -123,11 +125,11 @@ def set_apart(
         )
 
     kept = [(term, beside(term, one, [], whole)) for term, one in told]
-    for pair in sorted((p for p in kept if trifling(p[1])), key=lambda p: p[1].log_evidence_gain):
+    for pair in sorted((p for p in kept if trifling(*p)), key=lambda p: p[1].log_evidence_gain):
         term, one = pair
         gone = [other for other, _ in apart]
         again = beside(term, one, gone, whole) if apart else one
-        if trifling(again):
+        if trifling(term, again):
             apart.append((term, again))
             kept = [other for other in kept if other is not pair]
     gone = [term for term, _ in apart]
@@ -158,11 +160,39 @@ class _Fits:
         """Return held-out nmse by joint without some terms."""
         return judge(self.prepared.judging, self.without(gone).x).nmse
 
+    def shown_in_its_time(self, term: Candidate) -> bool:
+        """Say whether blocks of the time in which a term acts show it, of which a fit has seen every other one.
+
+        It is as well if it acts always, if held-out blocks have seen it, which judge it then, or if its time is too
+        short to tell.
+        """
+        statistics, held_out = self.prepared.statistics, self.prepared.held_out
+        inside = torch.tensor([_acts_in(block, term.site) for block in statistics.blocks])
+        own = torch.nonzero(inside)[:, 0]
+        if term.site.always or (inside & held_out).any() or len(own) < LEAST_BLOCKS:
+            return True
+        rest = [c for c in self.first.proper_terms if c != term]
+        error = torch.zeros(2, len(statistics.moments), dtype=torch.float64)
+        for half in (own[::2], own[1::2]):
+            left_out = torch.zeros_like(held_out).index_fill(0, half, True)
+            prepared, judged = replace(self.prepared, held_out=held_out | left_out), statistics.select(left_out)
+            for k, terms in enumerate((self.first.proper_terms, rest)):
+                error[k] += judged.squared_error(prepared.fit(terms, self._noise).x).sum(0)
+        return bool((error[0] < (1.0 - NO_CHANGE) * error[1]).any())
+
     def confirmed(self, term: Candidate, told: Finding, others: Sequence[Candidate]) -> Ratio | None:
         """Return the part of what a term adds that held-out time shows, others being left out."""
         names = self.prepared.robot.joint_names
         joints = None if term.place is None else [names.index(name) for name in told.joints]
         return confirmed(self.prepared.judging, self.without(others), self.without([*others, term]).x, joints)
+
+
+def _acts_in(block: Block, site: Site) -> bool:
+    """Say whether something at a site acts in a block, or a part of it."""
+    w = site.window
+    if w is not None:
+        return block.recording == w.recording and block.start_s < w.end_s and block.end_s > w.start_s
+    return site.recordings is None or block.recording in site.recordings
 
 
 def is_trifling(finding: Finding, extended: Extended) -> bool:

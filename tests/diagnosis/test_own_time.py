@@ -1,0 +1,78 @@
+"""What acts while only the fit's own recordings see it is proven on blocks of its time that are left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from likelihood.arms import recorded
+from likelihood.fits import BEGIN_S, MASS, OPTIONS, URDF, candidate, payload, with_friction
+from simulated import with_wrong_inertials
+
+from torchrbd.diagnosis.explain import _Fits
+from torchrbd.diagnosis.extending import Extended, extended
+from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.ranking import ranking
+from torchrbd.diagnosis.search import Explanation, Term
+from torchrbd.effects import Site, Window
+from torchrbd.inference.ordinary import with_friction as friction_of
+from torchrbd.inference.ordinary import with_machine
+from torchrbd.inference.preparation import prepare
+from torchrbd.inference.settings import Settings
+from torchrbd.robot import RobotModel
+
+MAY = ("viscous_friction", "coulomb_friction", "payload")
+
+
+def quiet(*_: object) -> None:
+    """Tell nobody how far the work is."""
+
+
+def searched(torque: Callable | None) -> tuple[Explanation, Callable[[Explanation], Extended]]:
+    """Return what is found in one recording, another one held out, and what makes a model of an explanation."""
+    first = recorded(URDF, 2, with_friction(torque), name="first", **OPTIONS)
+    second = recorded(URDF, 3, with_friction(), name="second", **{**OPTIONS, "duration_s": 10.0})
+    settings = Settings.from_mapping({"effects": MAY, "holdout": [second]}, "test")
+    prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [first], settings, ())
+    ranked = ranking(prepared.reading, settings, prepared.kept_back, quiet)
+    prepared = with_machine(prepared, settings, friction_of(settings), quiet, ranked.clocks)
+    return ranked.explanation, lambda found: extended(prepared, found, MAY, quiet)
+
+
+def told(found: Explanation, window: Window) -> Explanation:
+    """Return the same with a load in a window, believed to be as heavy as a load may be."""
+    c = candidate(found.rows, "payload", Site(body=1, window=window))
+    one = Hypothesis(c, 30.0, np.zeros(10), np.ones(10), 1.0, 1)
+    fit = found.base.extended([one.extra(found.base, found.rows)])
+    return replace(found, fit=fit, terms=(Term(one, ()),))
+
+
+@pytest.mark.parametrize("loaded", [True, False])
+def test_load_is_shown_by_blocks_of_its_time_where_it_is_carried(loaded: bool) -> None:
+    found, model_of = searched(payload if loaded else None)
+    model = model_of(told(found, Window("first", BEGIN_S)))
+    (term,) = model.terms
+    assert _Fits(model).shown_in_its_time(term) is loaded
+    if loaded:
+        w, _ = model.model.coefficients(term)
+        assert float(w[0]) == pytest.approx(MASS, rel=0.2)
+
+
+def test_what_held_out_blocks_see_or_is_too_short_is_not_judged_by_its_own_time() -> None:
+    found, model_of = searched(None)
+    brief = model_of(told(found, Window("first", 5.0, 6.0)))
+    assert _Fits(brief).shown_in_its_time(brief.terms[0])
+    model = model_of(told(found, Window("first", BEGIN_S)))
+    (term,) = model.terms
+    held_out = model.prepared.held_out.clone()
+    inside = [b.recording == "first" and b.start_s > BEGIN_S for b in model.prepared.statistics.blocks]
+    held_out[torch.nonzero(torch.tensor(inside))[0]] = True
+    seen = replace(model, prepared=replace(model.prepared, held_out=held_out))
+    assert not _Fits(model).shown_in_its_time(term)
+    assert _Fits(seen).shown_in_its_time(term)
+    # What acts always is judged by what is held out.
+    for friction in model.friction:
+        assert _Fits(model).shown_in_its_time(friction.candidate)
