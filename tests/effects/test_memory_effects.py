@@ -214,7 +214,8 @@ class TestTimeDelay:
     def test_no_delay_at_all_has_a_step(self) -> None:
         at = signals(*states(60))
         shape = TimeDelay().agreeing(torch.zeros(1), {"step": 0.02, "bandwidth": 6.0})
-        for one in (shape, TimeDelay().coefficients({"delay": 0.0})[1]):
+        # Midway between a step before and one behind there is none.
+        for one in (shape, TimeDelay().coefficients({"delay": 0.0})[1], {"step": 0.0, "bandwidth": 6.0}):
             (phi,) = TimeDelay().features(at, Site(0), one).values()
             assert torch.isfinite(phi).all()
 

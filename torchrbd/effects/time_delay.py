@@ -56,7 +56,8 @@ class TimeDelay(Effect):
         return math.copysign(max(abs(delay), self._SMALL_S), delay)
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        t, step, band = signals.sequence(), shape["step"], shape["bandwidth"]
+        t, band = signals.sequence(), shape["bandwidth"]
+        step = shape["step"] or self._SMALL_S
         dt = float(t[1] - t[0])
 
         def secant(torque: Tensor) -> Tensor:
