@@ -358,11 +358,10 @@ def test_no_more_terms_are_added_than_a_person_would_read(rows: Rows, monkeypatc
     assert len(chosen) == len(seen) == MOST_TERMS
     # What is left, and likelier than not, is told.
     chance = replace(sure, log_evidence=0.0)
-    likelier = replace(sure, log_evidence=120.0)
-    found = Explanation(fitted(), fitted(), rows, (), [], [sure, chance, likelier], 3)
-    assert found.more == [likelier, sure]
+    found = Explanation(fitted(), fitted(), rows, (), [], [sure, chance], 3)
     assert likeliest_left(found) == f"joint spring at {rows.columns.robot.joint_names[0]}"
     for_a_time = candidate(rows, "payload", Site(body=1, window=Window("simulated", 1.0)))
     found = replace(found, last=[replace(sure, candidate=for_a_time)])
     assert likeliest_left(found) == f"payload on {rows.columns.robot.body_names[1]} for a time in simulated"
-    assert likeliest_left(replace(found, last=[chance])) == ""
+    for nothing in ([chance], []):
+        assert likeliest_left(replace(found, last=nothing)) == ""

@@ -113,21 +113,17 @@ def test_effect_without_shapes_is_no_hypothesis_in_some_recordings(two_recording
     assert averaged(fit, rows, []) is None
 
 
-def edges_of(fit: Likelihood, rows: Rows, name: str) -> Edges:
-    return Edges(fit, rows, rows.recording == rows.recordings.index(name))
-
-
 @pytest.mark.parametrize("name", ["payload", "external_wrench"])
 def test_what_begins_and_ends_at_once_is_told_as_its_rows_are(
     two_recordings: tuple[Likelihood, Rows], name: str
 ) -> None:
     """Moments of steps that are added to those between edges are those of the features themselves."""
     fit, rows = two_recordings
-    edges = edges_of(fit, rows, "second")
+    edges = Edges(fit, rows, "second")
     t = rows.t[edges.inside]
     times = np.concatenate(([-np.inf], t[[40, 141, 250, 333]], [np.inf]))
     for pair in ((1, 2), (1, 4), (2, 3), (0, 3), (2, 5)):
-        one = Stretches(edges.inside, times, np.array([pair]), at_once=True)
+        one = Stretches(times, np.array([pair]), at_once=True)
         (found,) = in_stretches(fit, rows, candidate(rows, name, Site(body=1, window=Window("second"))), [one])
         assert found is not None
         exact = told(fit, rows, found[0].candidate)
@@ -139,7 +135,7 @@ def test_what_begins_and_ends_at_once_is_told_as_its_rows_are(
 
 def test_step_is_the_low_passed_one(two_recordings: tuple[Likelihood, Rows]) -> None:
     fit, rows = two_recordings
-    edges = edges_of(fit, rows, "second")
+    edges = Edges(fit, rows, "second")
     k = int(np.flatnonzero(edges.inside)[200])
     passed = rows.evaluated(lambda signals: signals.inside(Window("second", -np.inf, float(rows.t[k]))))
     np.testing.assert_allclose(passed[k - edges.reach : k + edges.reach + 1], edges.step, atol=1e-9)
@@ -177,7 +173,7 @@ def wandering() -> tuple[Likelihood, Rows]:
 
 def test_innovations_jump_where_something_begins_and_ends(wandering: tuple[Likelihood, Rows]) -> None:
     fit, rows = wandering
-    edges = edges_of(fit, rows, rows.recordings[0])
+    edges = Edges(fit, rows, rows.recordings[0])
     np.testing.assert_allclose(rows.t[edges.jumps(2)], PUSHED_S, atol=rows.dt_out)
     many = edges.jumps(20)
     assert len(many) == 20
@@ -209,7 +205,7 @@ def test_edges_on_both_sides_of_what_is_held_out_are_apart_by_rows() -> None:
     one = recorded(URDF, 3, with_friction(payload), **{**OPTIONS, "duration_s": 14.0})
     fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [one], kept_back)))
     rows = carried(fit)
-    edges, name = edges_of(fit, rows, rows.recordings[0]), rows.recordings[0]
+    edges, name = Edges(fit, rows, rows.recordings[0]), rows.recordings[0]
     before, behind = rows.t[rows.t < 6.0][-3], rows.t[rows.t > 6.0][2]
     times = np.array([-np.inf, 1.0, before, behind, 12.0, np.inf])
     pairs = [tuple(p) for p in edges.apart(times, np.array([(1, 2), (2, 3), (1, 3), (3, 4), (2, 4)])).tolist()]
@@ -227,7 +223,7 @@ def test_window_is_told_of_those_that_come_gradually_and_at_once(
 ) -> None:
     """Both are as likely, of the latter all that are not looked at have no evidence; one end is as likely as two."""
     fit, rows = two_recordings
-    edges = edges_of(fit, rows, "second")
+    edges = Edges(fit, rows, "second")
     both, one = Stretches.at_jumps(edges)
     n = int(edges.inside.sum()) // 2
     gradually = Stretches.of_blocks(rows, "second"), Stretches.with_one_end(rows, "second")
@@ -254,7 +250,7 @@ def test_window_is_told_of_those_that_come_gradually_and_at_once(
 def test_located_window_pays_for_all_that_may_be(two_recordings: tuple[Likelihood, Rows]) -> None:
     """Its evidence is the mean over all moments, of which those nearby have any."""
     fit, rows = two_recordings
-    edges = edges_of(fit, rows, "second")
+    edges = Edges(fit, rows, "second")
     h = max((h for h in in_windows(fit, rows, effect("payload")) if h is not None), key=lambda h: h.log_evidence)
     near = Stretches.near(edges, h.candidate.site.window)
     found = located(fit, rows, h)
@@ -285,7 +281,7 @@ def test_window_is_located_between_rows() -> None:
     fit = fitted()
     rows = carried(fit)
     name = rows.recordings[0]
-    edges = edges_of(fit, rows, name)
+    edges = Edges(fit, rows, name)
     for window in (Window(name, 6.0, 9.0), Window(name, 6.0), Window(name)):
         near = Stretches.near(edges, window)
         begin, end = near.times[near.pairs].T

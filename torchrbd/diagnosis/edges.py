@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import convolution_matrix
 
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.noise import Noise
 from torchrbd.likelihood.rows import Rows
 
 # Rows between two edges that are told apart; less than this of a step is rounding.
@@ -32,18 +32,22 @@ class Edges:
     Attributes:
         fit: whose noise whitens.
         rows: of all recordings.
-        inside: (M,) which rows are those of the recording.
+        recording: its name.
     """
 
     fit: Likelihood
     rows: Rows
-    inside: np.ndarray
+    recording: str
+
+    @cached_property
+    def inside(self) -> np.ndarray:
+        """Which rows are those of the recording, (M,) bool."""
+        return self.rows.recording == self.rows.recordings.index(self.recording)
 
     @cached_property
     def step(self) -> np.ndarray:
         """What a low-passed step has left (2 H + 1,) of one, from H rows before its edge to H rows behind."""
-        name = self.rows.recordings[int(self.rows.recording[self.inside][0])]
-        own = (tile.states for tile in self.rows.tiles if tile.states.recording == name)
+        own = (tile.states for tile in self.rows.tiles if tile.states.recording == self.recording)
         states = max(own, key=lambda one: len(one.t_out))
         k = len(states.t_out) // 2
         passed = states.decimate((states.t < states.t_out[k]).to(states.q)).numpy()
@@ -104,7 +108,8 @@ class Edges:
         """
         noise = self.fit.hyper.noise[joint]
         order, last = len(noise.predictor), len(self.rows.t) - 1
-        whitening = _whitening(noise, 2 * self.reach + order)
+        # Takes rows, and those before them, to what they cannot predict.
+        whitening = convolution_matrix(np.append(1.0, -noise.predictor), 2 * (self.reach + order), mode="valid").T
         step = np.concatenate((np.ones(order), self.step, np.zeros(order)))[: len(whitening)]
         rows = at[:, None] + np.arange(len(step)) - self.reach - order
         here = F[:, np.clip(rows, 0, last)].swapaxes(0, 1)
@@ -114,12 +119,3 @@ class Edges:
         row = np.where(known, number[np.clip(rows, 0, last)], -1)[:, order:]
         precise = np.where(row >= 0, 1.0 / noise.size[row], 0.0)[:, None]
         return (here * step) @ whitening * precise, here @ whitening * precise, np.maximum(row, 0)
-
-
-def _whitening(noise: Noise, count: int) -> np.ndarray:
-    """Return the matrix (count + p, count) that takes rows, and p before them, to what they cannot predict."""
-    order, k = len(noise.predictor), np.arange(count)
-    found = np.zeros((count + order, count))
-    for lag, a in enumerate(np.append(1.0, -noise.predictor)):
-        found[k + order - lag, k] = a
-    return found

@@ -13,7 +13,7 @@ from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.hypotheses import whole
-from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion
+from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds
 from torchrbd.diagnosis.proof import LEAST_BLOCKS, confirmed
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Ratio, Region, Where
@@ -229,9 +229,9 @@ def places(robot: RobotModel, term: Candidate) -> tuple[tuple[str, ...], tuple[s
 
 def likeliest_left(found: Explanation) -> str:
     """Return in words what is likeliest beside what was found, if it is likelier than not: the search ended before."""
-    if not found.more:
+    if not found.last or log_odds(found.last[0], found.rows) <= 0.0:
         return ""
-    robot, c = found.rows.columns.robot, found.more[0].candidate
+    robot, c = found.rows.columns.robot, found.last[0].candidate
     joints, links = places(robot, c)
     only = "" if c.site.window is None else f" for a time in {c.site.window.recording}"
     return named(Alternative(c.effect.id, joints, links, driven_by(c, robot))) + at(joints, links) + only

@@ -68,12 +68,6 @@ class Explanation:
     last: list[Hypothesis]
     considered: int
 
-    @property
-    def more(self) -> list[Hypothesis]:
-        """What is likelier than not beside the model and not in it, likeliest first: the search has ended before."""
-        found = [h for h in self.last if log_odds(h, self.rows) > 0.0]
-        return sorted(found, key=lambda h: -log_odds(h, self.rows))
-
 
 def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int], None]) -> Explanation:
     """Search among effects, and curves where they do not suffice.

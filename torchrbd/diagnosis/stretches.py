@@ -42,7 +42,7 @@ def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | 
     told to some rows. Either may do so at once or gradually.
     """
     for name in rows.seen_recordings:
-        edges = Edges(fit, rows, rows.recording == rows.recordings.index(name))
+        edges = Edges(fit, rows, name)
         kinds = Stretches.of_blocks(rows, name), Stretches.with_one_end(rows, name), *Stretches.at_jumps(edges)
         moments = int(edges.inside.sum()) // _TOLD_ROWS
         for site in e.sites(rows.columns.robot, (Window(name),)):
@@ -141,13 +141,11 @@ class Stretches:
     """Stretches of one recording.
 
     Attributes:
-        inside: (M,) its rows.
         times: (B + 1,) edges [s], from -inf to inf.
         pairs: (N, 2) of them.
         at_once: whether things begin and end at their edges at once.
     """
 
-    inside: np.ndarray
     times: np.ndarray
     pairs: np.ndarray
     at_once: bool = False
@@ -162,7 +160,7 @@ class Stretches:
         times[0] = -math.inf
         longest = math.floor(_MOST_OF_TIME * n) if inside.all() else n
         pairs = _pairs(np.arange(n + 1), np.arange(n + 1), longest)
-        return Stretches(inside, times, pairs[(pairs[:, 0] > 0) == (pairs[:, 1] < n)])
+        return Stretches(times, pairs[(pairs[:, 0] > 0) == (pairs[:, 1] < n)])
 
     @staticmethod
     def with_one_end(rows: Rows, recording: str) -> Stretches:
@@ -170,7 +168,7 @@ class Stretches:
         inside = rows.recording == rows.recordings.index(recording)
         step = max(_TOLD_ROWS, math.ceil(inside.sum() / _MOST_TIMES))
         times = np.concatenate(([-math.inf], rows.t[inside][step:-step:step], [math.inf]))
-        return Stretches(inside, times, _one_ended(len(times)))
+        return Stretches(times, _one_ended(len(times)))
 
     @staticmethod
     def at_jumps(edges: Edges) -> tuple[Stretches, Stretches]:
@@ -178,14 +176,14 @@ class Stretches:
         times = np.concatenate(([-math.inf], edges.rows.t[edges.jumps(_JUMPS)], [math.inf]))
         inner = np.arange(1, len(times) - 1)
         pairs = _pairs(inner, inner, len(times)), _one_ended(len(times))
-        both, one = (Stretches(edges.inside, times, edges.apart(times, each), at_once=True) for each in pairs)
+        both, one = (Stretches(times, edges.apart(times, each), at_once=True) for each in pairs)
         return both, one
 
     @staticmethod
     def near(edges: Edges, window: Window) -> Stretches:
         """Return those whose edges lie within a block of a window's."""
-        rows, inside = edges.rows, edges.inside
-        t, blocks = rows.t[inside], len(np.unique(rows.block[inside]))
+        rows = edges.rows
+        t, blocks = rows.t[edges.inside], len(np.unique(rows.block[edges.inside]))
         reach = 2.0 * float(np.ptp(t)) / blocks
         least, ends, jumps = t[0] + 0.5 * reach, [], rows.t[edges.jumps(_JUMPS)]
         for now in (window.start_s, window.end_s):
@@ -196,7 +194,7 @@ class Stretches:
         times = np.unique(np.concatenate((*ends, (-math.inf, math.inf))))
         begin, end = (np.searchsorted(times, e) for e in ends)
         pairs = edges.apart(times, _pairs(begin, end, len(times)))
-        return Stretches(inside, times, pairs[times[pairs[:, 1]] - times[pairs[:, 0]] > 0.25 * reach], at_once=True)
+        return Stretches(times, pairs[times[pairs[:, 1]] - times[pairs[:, 0]] > 0.25 * reach], at_once=True)
 
 
 def _one_ended(edges: int) -> np.ndarray:
@@ -229,7 +227,8 @@ def in_stretches(
         np.unique(np.concatenate([np.zeros(0), *(kind.times for kind in kinds if kind.at_once is at_once)]))
         for at_once in (False, True)
     ]
-    sums = _sums(Edges(fit, rows, kinds[0].inside), F, *times)
+    assert candidate.site.window is not None
+    sums = _sums(Edges(fit, rows, candidate.site.window.recording), F, *times)
     found = []
     for kind in kinds:
         at = np.searchsorted(times[kind.at_once], kind.times) + len(times[0]) * kind.at_once
@@ -314,7 +313,7 @@ def _sums(edges: Edges, F: np.ndarray, gradually: np.ndarray, at_once: np.ndarra
             gram[sharp] += leap @ leap.transpose(0, 2, 1)
             passed[sharp] += leap @ going.transpose(0, 2, 1)
             score[sharp] += (leap @ left[row][..., None])[..., 0]
-            cross[:, block.own] += block.at(row).swapaxes(0, 1) @ leap.transpose(0, 2, 1)
+            cross[:, block.own] += block.of_rows(row).swapaxes(0, 1) @ leap.transpose(0, 2, 1)
         V[sharp] += _halves(fit, cross)
     return V, gram, passed, score
 
@@ -365,8 +364,7 @@ def located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     window = h.candidate.site.window
     assert window is not None
     always = replace(h.candidate, site=replace(h.candidate.site, window=Window(window.recording)))
-    inside = rows.recording == rows.recordings.index(window.recording)
-    stretches = Stretches.near(Edges(fit, rows, inside), window)
+    stretches = Stretches.near(Edges(fit, rows, window.recording), window)
     (near,) = in_stretches(fit, rows, always, [stretches]) if len(stretches.pairs) else (None,)
     exact = None if near is None else told(fit, rows, near[0].candidate)
     if near is None or exact is None:

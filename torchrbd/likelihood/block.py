@@ -71,7 +71,7 @@ class Block:
             return own
         return _bordered(own, self.brief.times(self.lasting.T), self.brief.x @ self.brief.x.T)
 
-    def at(self, rows: np.ndarray) -> np.ndarray:
+    def of_rows(self, rows: np.ndarray) -> np.ndarray:
         """Return some of the rows, by their numbers (...), as (P_j, ...)."""
         found = self.lasting[:, rows]
         found = found if self.brief is None else np.concatenate((found, self.brief.of_rows(rows)))
