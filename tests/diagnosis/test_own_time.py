@@ -12,7 +12,7 @@ from likelihood.arms import recorded
 from likelihood.fits import BEGIN_S, MASS, OPTIONS, URDF, candidate, payload, with_friction
 from simulated import with_wrong_inertials
 
-from torchrbd.diagnosis.explain import _Fits
+from torchrbd.diagnosis.explain import _any_falls, _Fits
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.ranking import ranking
@@ -55,7 +55,12 @@ def test_load_is_shown_by_blocks_of_its_time_where_it_is_carried(loaded: bool) -
     found, model_of = searched(payload if loaded else None)
     model = model_of(told(found, Window("first", BEGIN_S)))
     (term,) = model.terms
-    assert _Fits(model).shown_in_its_time(term) is loaded
+    fits = _Fits(model)
+    errors = fits.errors_in_its_time(term)
+    assert errors is not None
+    assert not fits.held_out_sees(term)
+    assert _any_falls(*errors) is loaded
+    assert all(0 < x < 1.5 for each in errors for x in each.values())
     if loaded:
         w, _ = model.model.coefficients(term)
         assert float(w[0]) == pytest.approx(MASS, rel=0.2)
@@ -64,15 +69,15 @@ def test_load_is_shown_by_blocks_of_its_time_where_it_is_carried(loaded: bool) -
 def test_what_held_out_blocks_see_or_is_too_short_is_not_judged_by_its_own_time() -> None:
     found, model_of = searched(None)
     brief = model_of(told(found, Window("first", 5.0, 6.0)))
-    assert _Fits(brief).shown_in_its_time(brief.terms[0])
+    assert _Fits(brief).errors_in_its_time(brief.terms[0]) is None
+    assert not _Fits(brief).held_out_sees(brief.terms[0])
     model = model_of(told(found, Window("first", BEGIN_S)))
     (term,) = model.terms
     held_out = model.prepared.held_out.clone()
     inside = [b.recording == "first" and b.start_s > BEGIN_S for b in model.prepared.statistics.blocks]
     held_out[torch.nonzero(torch.tensor(inside))[0]] = True
     seen = replace(model, prepared=replace(model.prepared, held_out=held_out))
-    assert not _Fits(model).shown_in_its_time(term)
-    assert _Fits(seen).shown_in_its_time(term)
+    assert not _Fits(model).held_out_sees(term)
+    assert _Fits(seen).held_out_sees(term)
     # What acts always is judged by what is held out.
-    for friction in model.friction:
-        assert _Fits(model).shown_in_its_time(friction.candidate)
+    assert all(_Fits(model).held_out_sees(friction.candidate) for friction in model.friction)

@@ -199,3 +199,19 @@ def test_what_is_set_apart_is_trifling_all_together() -> None:
 
     kept, apart = set_apart(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
     assert (len(kept), len(apart)) == (2, 1)
+
+
+def test_what_is_worse_than_nothing_without_what_is_set_apart_goes_too() -> None:
+    """A spring makes up for a ripple that nothing needs; alone it doubles the error."""
+    terms = {name: SimpleNamespace(place=0, name=name) for name in ("torque_ripple", "joint_spring", "backlash")}
+    told = [(one, replace(finding(k, "hinge"), log_evidence_gain=20.0)) for k, one in terms.items()]
+    errors = {(): 0.1, ("torque_ripple",): 0.1, ("joint_spring",): 0.2, ("joint_spring", "torque_ripple"): 0.05}
+
+    def error_without(gone: Sequence[SimpleNamespace]) -> dict[str, float]:
+        names = {one.name for one in gone}
+        return {"hinge": errors[tuple(sorted(names - {"backlash"}))] + 0.3 * ("backlash" in names)}
+
+    kept, apart = set_apart(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
+    assert [one.effect for _, one in kept] == ["backlash"]
+    assert [one.effect for _, one in apart] == ["torque_ripple", "joint_spring"]
+    assert kept[0][1].nmse_after == {"hinge": 0.05}

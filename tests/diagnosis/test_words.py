@@ -10,7 +10,16 @@ import pytest
 from torchrbd.diagnosis.changes.results import Difference
 from torchrbd.diagnosis.changes.words import signed
 from torchrbd.diagnosis.numbers import joined, measure, percent, unit, with_unit
-from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Ratio, Region, Unexplained, Where
+from torchrbd.diagnosis.results import (
+    OWN_TIME,
+    Alternative,
+    Finding,
+    Quantity,
+    Ratio,
+    Region,
+    Unexplained,
+    Where,
+)
 from torchrbd.diagnosis.verdict_words import ended_statement, verdict_statement
 from torchrbd.diagnosis.words import all_or_some, alternatives, finding_sentence, guessed, strongest_first, when
 from torchrbd.inference.torque_error import Fit
@@ -271,6 +280,13 @@ def test_a_sentence_says_what_it_is_worth_where_it_is_worth_most() -> None:
     assert finding_sentence(finding("backlash", "joint1", **nowhere)).endswith(
         "Held-out time does not show it: 2 % of the torque variance stays unpredicted with and without it."
     )
+    alone = finding("payload", **worth, judged_on=OWN_TIME)
+    assert finding_sentence(alone).endswith(
+        "Held-out time sees nothing of it; of its own, each half predicted by a fit to the other, 50 % of the torque "
+        "variance of joint2 stays unpredicted without it and 10 % with it."
+    )
+    brief = finding("payload", nmse_before={}, nmse_after={}, judged_on="")
+    assert finding_sentence(brief).endswith("Held-out time sees nothing of it, and its own is too short to be divided.")
 
 
 def test_alternatives_say_their_place_where_it_is_another() -> None:

@@ -16,12 +16,12 @@ from torchrbd.diagnosis.hypotheses import whole
 from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds
 from torchrbd.diagnosis.proof import LEAST_BLOCKS, confirmed
 from torchrbd.diagnosis.residual import is_curve
-from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Ratio, Region, Where
+from torchrbd.diagnosis.results import OWN_TIME, Alternative, Finding, Law, Quantity, Ratio, Region, Where
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.diagnosis.words import NO_CHANGE, at, finding_sentence, named, strongest_first
 from torchrbd.effects import Site, effect
-from torchrbd.inference.physical.fitting import FittedModel, judge
+from torchrbd.inference.physical.fitting import FittedModel, judge, nmse_weights
 from torchrbd.inference.physical.terms import told_parameters
 from torchrbd.likelihood.block_statistics import Block
 from torchrbd.likelihood.columns import Candidate, Columns
@@ -80,11 +80,19 @@ def explain(found: Explanation, extended: Extended) -> Explained:
         return strongest_first(sentences)
 
     fits, every = _Fits(extended), told(extended, lambda _: True)
-    unseen = {term for term, _ in every if not fits.shown_in_its_time(term)}
+    own_time = {term: fits.errors_in_its_time(term) for term, _ in every if not fits.held_out_sees(term)}
+    unseen = {term for term, errors in own_time.items() if errors and not _any_falls(*errors)}
     kept, apart = set_apart(every, fits.error_without, lambda term, one: term in unseen or is_trifling(one, extended))
+
+    def proven(term: Candidate, one: Finding, others: Sequence[Candidate]) -> Finding:
+        if term not in own_time:
+            return replace(one, confirmed=fits.confirmed(term, one, others))
+        before, after = own_time[term] or ({}, {})
+        return replace(one, nmse_before=before, nmse_after=after, judged_on=OWN_TIME if before else "")
+
     others = [term for term, _ in apart]
-    kept = [(term, replace(one, confirmed=fits.confirmed(term, one, others))) for term, one in kept]
-    trifling = worded([(term, replace(one, confirmed=fits.confirmed(term, one, []))) for term, one in apart])
+    kept = [(term, proven(term, one, others)) for term, one in kept]
+    trifling = worded([(term, proven(term, one, [])) for term, one in apart])
     gone = {term for term in others if term in extended.terms and term.effect.family == _FRICTION}
     if gone:
         left = [t for t, c in zip(found.terms, extended.terms, strict=True) if c not in gone]
@@ -95,8 +103,9 @@ def explain(found: Explanation, extended: Extended) -> Explained:
 
 
 def _judged_as(judged: Finding, one: Finding) -> Finding:
-    """Return a finding with what held-out time says of it in another fit."""
-    return replace(one, nmse_before=judged.nmse_before, nmse_after=judged.nmse_after, confirmed=judged.confirmed)
+    """Return a finding with what unseen time says of it in another fit."""
+    taken = ("nmse_before", "nmse_after", "judged_on", "confirmed")
+    return replace(one, **{name: getattr(judged, name) for name in taken})
 
 
 def set_apart(
@@ -124,17 +133,20 @@ def set_apart(
             nmse_after={name: x for name, x in after.items() if name in touched},
         )
 
-    kept = [(term, beside(term, one, [], whole)) for term, one in told]
-    for pair in sorted((p for p in kept if trifling(*p)), key=lambda p: p[1].log_evidence_gain):
-        term, one = pair
-        gone = [other for other, _ in apart]
-        again = beside(term, one, gone, whole) if apart else one
-        if trifling(term, again):
-            apart.append((term, again))
-            kept = [other for other in kept if other is not pair]
-    gone = [term for term, _ in apart]
-    if gone:
-        kept = [(term, beside(term, one, gone, error_without(gone))) for term, one in kept]
+    kept, judged = [(term, beside(term, one, [], whole)) for term, one in told], -1
+    while len(apart) != judged:
+        judged = len(apart)
+        for pair in sorted((p for p in kept if trifling(*p)), key=lambda p: p[1].log_evidence_gain):
+            term, one = pair
+            gone = [other for other, _ in apart]
+            again = beside(term, one, gone, whole) if apart else one
+            if trifling(term, again):
+                apart.append((term, again))
+                kept = [other for other in kept if other is not pair]
+        gone = [term for term, _ in apart]
+        if len(apart) > judged:
+            after = error_without(gone)
+            kept = [(term, beside(term, one, gone, after)) for term, one in kept]
     return kept, apart
 
 
@@ -160,31 +172,44 @@ class _Fits:
         """Return held-out nmse by joint without some terms."""
         return judge(self.prepared.judging, self.without(gone).x).nmse
 
-    def shown_in_its_time(self, term: Candidate) -> bool:
-        """Say whether blocks of the time in which a term acts show it, of which a fit has seen every other one.
+    def held_out_sees(self, term: Candidate) -> bool:
+        """Say whether a term acts always, or in blocks that are held out."""
+        blocks, held_out = self.prepared.statistics.blocks, self.prepared.held_out.tolist()
+        return term.site.always or any(out and _acts_in(b, term.site) for b, out in zip(blocks, held_out, strict=True))
 
-        It is as well if it acts always, if held-out blocks have seen it, which judge it then, or if its time is too
-        short to tell.
+    def errors_in_its_time(self, term: Candidate) -> tuple[dict[str, float], dict[str, float]] | None:
+        """Return nmse by joint on the blocks in which a term acts, without it and with it, each half told by the other.
+
+        Neither fit of a half has seen it, every other block. None if blocks are too few to tell.
         """
         statistics, held_out = self.prepared.statistics, self.prepared.held_out
         inside = torch.tensor([_acts_in(block, term.site) for block in statistics.blocks])
         own = torch.nonzero(inside)[:, 0]
-        if term.site.always or (inside & held_out).any() or len(own) < LEAST_BLOCKS:
-            return True
+        if len(own) < LEAST_BLOCKS:
+            return None
         rest = [c for c in self.first.proper_terms if c != term]
         error = torch.zeros(2, len(statistics.moments), dtype=torch.float64)
         for half in (own[::2], own[1::2]):
             left_out = torch.zeros_like(held_out).index_fill(0, half, True)
             prepared, judged = replace(self.prepared, held_out=held_out | left_out), statistics.select(left_out)
-            for k, terms in enumerate((self.first.proper_terms, rest)):
+            for k, terms in enumerate((rest, self.first.proper_terms)):
                 error[k] += judged.squared_error(prepared.fit(terms, self._noise).x).sum(0)
-        return bool((error[0] < (1.0 - NO_CHANGE) * error[1]).any())
+        joints = None if term.place is None else [term.place]
+        weights, names = nmse_weights(statistics.select(inside), joints), self.prepared.robot.joint_names
+        counted = [(j, name) for j, name in enumerate(names) if weights[j] > 0]
+        without, beside = ({name: float(one[j] * weights[j]) for j, name in counted} for one in error)
+        return without, beside
 
     def confirmed(self, term: Candidate, told: Finding, others: Sequence[Candidate]) -> Ratio | None:
         """Return the part of what a term adds that held-out time shows, others being left out."""
         names = self.prepared.robot.joint_names
         joints = None if term.place is None else [names.index(name) for name in told.joints]
         return confirmed(self.prepared.judging, self.without(others), self.without([*others, term]).x, joints)
+
+
+def _any_falls(before: Mapping[str, float], after: Mapping[str, float]) -> bool:
+    """Say whether the error of any joint falls by what counts."""
+    return any(after[joint] < (1.0 - NO_CHANGE) * error for joint, error in before.items())
 
 
 def _acts_in(block: Block, site: Site) -> bool:

@@ -9,6 +9,7 @@ from torchrbd.display import Displayed
 from torchrbd.inference.results import Identification
 
 _MOST_IN_REPR = 5
+HELD_OUT, OWN_TIME = "held-out time", "own time"
 
 
 @dataclass(frozen=True)
@@ -89,8 +90,11 @@ class Finding:
     ``probability`` is against none and its rivals in its place, ``family_probability`` that of some effect of its
     ``family`` there; ``laws`` are the effects that explain the same. ``depends_on`` are signals of other joints that it
     depends on, e.g. "q_joint2", ``curve`` is the function that shows it best, ``torque_rms`` what it carries by joint
-    [N m or N], ``confirmed`` the part of what it adds that held-out time shows (one: all of it; None where that holds
-    too little of it), ``statement`` a sentence for a person.
+    [N m or N]. ``nmse_before`` and ``nmse_after`` are parts of the torque variance that stay unpredicted without it and
+    with it, ``judged_on`` held-out time; or on its own time, each half of it predicted by a fit to the other, where
+    held-out time sees nothing of it; or on nothing, where its own is short, too. ``confirmed`` is the part of what it
+    adds that held-out time shows (one: all of it; None where that holds too little of it), ``statement`` a sentence for
+    a person.
     """
 
     effect: str
@@ -110,11 +114,12 @@ class Finding:
     family_probability: float = 0.0
     laws: tuple[Law, ...] = ()
     torque_rms: dict[str, float] = field(default_factory=dict)
+    judged_on: str = HELD_OUT
     confirmed: Ratio | None = None
 
     @property
     def share(self) -> float:
-        """The part of its joint's held-out squared error that it removes, the largest of several joints."""
+        """The part of its joint's squared error that it removes where it is judged, the largest of several joints."""
         shares = [1.0 - self.nmse_after[j] / b for j, b in self.nmse_before.items() if b > 0 and j in self.nmse_after]
         return max(shares, default=0.0)
 

@@ -8,7 +8,7 @@ from dataclasses import astuple
 
 from torchrbd.diagnosis.numbers import as_large, joined, measure, number, percent, plain, with_unit
 from torchrbd.diagnosis.posterior import LIKELY
-from torchrbd.diagnosis.results import Alternative, Finding, Quantity, Where
+from torchrbd.diagnosis.results import HELD_OUT, Alternative, Finding, Quantity, Where
 from torchrbd.effects import effect, known_effects
 from torchrbd.robot import RobotModel
 
@@ -144,7 +144,7 @@ def finding_sentence(finding: Finding, *, more: bool = False) -> str:
 
 
 def most_changed(finding: Finding) -> str | None:
-    """Return the joint that shows a finding: its own, or if that does not, the one whose held-out error falls most."""
+    """Return the joint that shows a finding: its own, or if that does not, the one whose error falls most."""
     pairs = {j: (b, finding.nmse_after[j]) for j, b in finding.nmse_before.items() if j in finding.nmse_after}
     gains = {j: before - after for j, (before, after) in pairs.items() if math.isfinite(before - after)}
     own = [j for j in finding.joints if j in gains]
@@ -164,10 +164,16 @@ def _untold(finding: Finding) -> str:
 
 def _worth(finding: Finding) -> str:
     joint = most_changed(finding)
+    unseen = "" if finding.judged_on == HELD_OUT else "Held-out time sees nothing of it"
     if joint is None:
-        return ""
+        return unseen and f"{unseen}, and its own is too short to be divided."
     before, after = finding.nmse_before[joint], finding.nmse_after[joint]
     variance = "the torque variance" + ("" if joint in finding.joints else f" of {joint}")
+    if unseen:
+        return (
+            f"{unseen}; of its own, each half predicted by a fit to the other, {percent(before)} of {variance} stays "
+            f"unpredicted without it and {percent(after)} with it."
+        )
     if abs(before - after) <= NO_CHANGE * max(before, after):
         return f"Held-out time does not show it: {percent(after)} of {variance} stays unpredicted with and without it."
     error = f"Without it {percent(before)} of {variance} on held-out time stays unpredicted, with it {percent(after)}"

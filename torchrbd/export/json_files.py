@@ -70,11 +70,13 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
         depends_on, parameters by name that it would have there [SI], probability given that one of those that explain
         the same is there; the likeliest first), nmse_before and nmse_after by joint, statement, depends_on (signals of
         other joints), curve: the function that shows it best, or null, family, family_probability, laws (effect and
-        probability, of those that explain the same, given that one of them is there), torque_rms by joint, and share
-        (of its joint's held-out squared error that it removes), confirmed (the part of what it adds that held-out time
-        shows: value, low and high of 95 %; 1 is all of it; null where that holds too little of it).
+        probability, of those that explain the same, given that one of them is there), torque_rms by joint, share (of
+        its joint's squared error that it removes), judged_on (where nmse and share are from: "held-out time"; "own
+        time", each half of it predicted by a fit to the other, where held-out time sees nothing of it; "", nmse empty,
+        where that is too short), confirmed (the part of what it adds that held-out time shows: value, low and high of
+        95 %; 1 is all of it; null where that holds too little of it).
     confirmed: the same of all that the extended model adds to a rigid body with plain friction.
-    trifling: effects as likely as findings that held-out time does not show, in the same form.
+    trifling: effects as likely as findings that unseen time does not show, in the same form.
     unexplained: list of joints, depends_on, where, share, statement, curve.
     curve: signal ("q_joint2", "t", ...), at, torque and std, lists of one length in the order of drawing.
     locations: where models and robot differ, named or not: list of model ("rigid_body", re-fitted, with friction and an
