@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 from likelihood.arms import recorded
 from likelihood.fits import COULOMB, OPTIONS, URDF, VISCOUS, at_joint, with_friction
-from simulated import Motion, joint_names, with_wrong_inertials
+from simulated import Motion, inverse_dynamics, joint_names, with_wrong_inertials
 
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.friction import UNEVEN
@@ -17,6 +17,7 @@ from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Unexplained
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.unexplained import _left, _loud, unexplained
+from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
 from torchrbd.inference.preparation import prepare
@@ -26,6 +27,7 @@ from torchrbd.robot import RobotModel
 FIRST, SECOND = joint_names(URDF)
 SIZE, WIDTH = 2.0, 0.15
 TONE, TONE_HZ = 0.1, 2.73
+WALK, STEP = 0.3, 6.0
 MAY = ("viscous_friction", "coulomb_friction", UNEVEN, "quadratic_drag")
 
 
@@ -41,11 +43,14 @@ def quiet(*_: object) -> None:
     """Tell nobody how far the work is."""
 
 
-def diagnosed(torque: Callable | None) -> tuple[Explanation, Extended]:
-    """Return what the search finds of few laws, and the model with it."""
-    recording = recorded(URDF, 2, with_friction(torque), **{**OPTIONS, "duration_s": 30.0})
+def diagnosed(torque: Callable | None, seconds: Sequence[float] = (30.0,)) -> tuple[Explanation, Extended]:
+    """Return what the search finds of few laws in recordings that last so long, and the model with it."""
+    recordings = [
+        recorded(URDF, 2 + k, with_friction(torque), name=f"run{k + 1}", **{**OPTIONS, "duration_s": length})
+        for k, length in enumerate(seconds)
+    ]
     settings = Settings.from_mapping({"effects": MAY}, "test")
-    prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [recording], settings, ())
+    prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), recordings, settings, ())
     ranked = ranking(prepared.reading, settings, prepared.kept_back, quiet)
     prepared = with_machine(prepared, settings, friction_of(settings), quiet, ranked.clocks)
     return ranked.explanation, extended(prepared, ranked.explanation, MAY, quiet)
@@ -108,15 +113,48 @@ def test_held_out_time_is_told_of_what_it_shows() -> None:
     assert _left("3 N m", 0.0, "B.csv") == "a torque of 3 N m RMS in B.csv that no known effect explains"
 
 
-def test_a_tone_is_told_by_its_joint_and_frequency() -> None:
-    found, model = diagnosed(at_joint(1, lambda m: TONE * np.sin(2 * np.pi * TONE_HZ * m.t)))
+@pytest.mark.parametrize("seconds", [(30.0,), (15.0, 20.0)])
+def test_a_tone_is_told_by_its_joint_and_frequency(seconds: tuple[float, ...]) -> None:
+    """In all recordings, each at a phase of its own: what one of them is without, another would leave to the noise."""
+
+    def tone(m: Motion) -> np.ndarray:
+        return TONE * np.sin(2 * np.pi * TONE_HZ * m.t + len(m.t))
+
+    found, model = diagnosed(at_joint(1, tone), seconds)
     (one,) = (u for u in unexplained(found, model, (), ()) if u.depends_on == ("t",))
     assert one.joints == (SECOND,)
+    assert one.where.recordings == tuple(found.rows.seen_recordings)
+    assert len(one.where.recordings) == len(seconds)
+    (hum,) = (t.own for t in found.terms if t.own.candidate.effect is HUM)
+    assert np.hypot(hum.coefficients[::2], hum.coefficients[1::2]) == pytest.approx(TONE, rel=0.1)
     assert one.where.region is not None
     (band,) = one.where.region
     assert 0.5 * (band.low + band.high) == pytest.approx(TONE_HZ, abs=0.02)
     assert f"{TONE_HZ:.2f} Hz" in one.statement
     assert one.share > 0.5
+
+
+def test_a_torque_that_wanders_is_told_though_noise_could_pass_for_it() -> None:
+    def walk(m: Motion) -> np.ndarray:
+        steps = np.cumsum(np.random.default_rng(0).standard_normal(60))
+        return WALK * np.interp(m.t, 0.5 * np.arange(60), (steps - steps.mean()) / steps.std())
+
+    found, model = diagnosed(at_joint(0, walk))
+    (one,) = unexplained(found, model, (), ())
+    assert (one.joints, one.depends_on) == ((FIRST,), ("t",))
+    assert float(np.std(found.fit.drift(0))) == pytest.approx(WALK, rel=0.3)
+    assert 0.5 < one.share < 1.0
+
+
+def test_a_function_that_the_noise_has_the_colour_of_is_told() -> None:
+    """Steps where the load changes its sign look like slow noise until noise is learnt beside them."""
+
+    def dead_zone(m: Motion) -> np.ndarray:
+        return STEP * np.sign(inverse_dynamics(URDF, m)[:, 0])
+
+    found, model = diagnosed(at_joint(0, dead_zone))
+    (one,) = (u for u in unexplained(found, model, (), ()) if u.joints == (FIRST,))
+    assert one.depends_on == (f"tau_{FIRST}",)
 
 
 def test_where_nothing_is_left_nothing_is_told() -> None:

@@ -94,7 +94,7 @@ def believed(
 
     ``features`` of the candidate need not be evaluated again where they are at hand.
     """
-    if not candidate.site.always:
+    if not (candidate.site.always or candidate.effect.of_each_recording):
         at = replace(candidate.site, window=None, recordings=None)
         candidate, features = rows.columns.candidate(candidate.effect, at, candidate.shape), None
     features = rows.features(candidate) if features is None else features

@@ -40,7 +40,10 @@ def curves_at(fit: Likelihood, rows: Rows, joints: Collection[int]) -> list[Hypo
 
 
 def _tones(fit: Likelihood, rows: Rows) -> Iterator[Hypothesis | None]:
-    """Yield the tone that stands out most, of all joints and recordings."""
+    """Yield the tone that stands out most, of all joints and recordings, in its recording and in all of them.
+
+    Noise is learnt of all: one tone in each is a colour of it as long as another is left.
+    """
     found = []
     for j in np.flatnonzero(rows.seen).tolist():
         left = fit.residual(j)
@@ -58,8 +61,9 @@ def _tones(fit: Likelihood, rows: Rows) -> Iterator[Hypothesis | None]:
     _, j, name, near, reach, tried = max(found)
     inside = rows.recording == rows.recordings.index(name)
     shape = {"frequency": _peak(fit.residual(j)[inside], rows.t[inside], near, reach)}
-    h = averaged(fit, rows, [rows.columns.candidate(HUM, Site(j, window=Window(name)), shape)])
-    yield None if h is None else replace(h, log_evidence=h.log_evidence - tried, paid=h.paid - tried)
+    for recordings in dict.fromkeys(((name,), tuple(rows.seen_recordings))):
+        h = averaged(fit, rows, [rows.columns.candidate(HUM, Site(j, recordings=recordings), shape)])
+        yield None if h is None else replace(h, log_evidence=h.log_evidence - tried, paid=h.paid - tried)
 
 
 def _peak(x: np.ndarray, t: np.ndarray, near: float, reach: float) -> float:

@@ -257,11 +257,17 @@ class _Search:
         return [h for h in best if first[_alike(h)] is h]
 
     def curves(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return the likeliest curve and the likeliest tone beside a fit; one at most for each joint and signal."""
+        """Return the likeliest curves and tones beside a fit; one curve at most for each joint and signal.
+
+        Noise that was learnt without a curve has its colour: beside independent rows it is not hidden.
+        """
         known = {h.name for h in chosen}
         found = [h for h in curves(fit, self.rows) if h.name not in known]
-        kinds = [[h for h in found if (h.candidate.effect is HUM) is tone] for tone in (False, True)]
-        return self.judged(fit, [self.ordered(kind)[0] for kind in kinds if kind])
+        beside = {h.candidate: h for h in found if h.candidate.effect is not HUM}
+        plain = [h for h in curves_at(fit.least_squares, self.rows, range(self.rows.n_dof)) if h.candidate in beside]
+        likely = [*self.ordered(list(beside.values()))[:1], *(beside[h.candidate] for h in self.ordered(plain)[:1])]
+        tones = [h for h in found if h.candidate.effect is HUM]
+        return self.judged(fit, [*{h.candidate: h for h in likely}.values(), *tones])
 
     def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
         """Return the model with chosen hypotheses, all else learnt beside them."""

@@ -12,7 +12,9 @@ import torch
 from torchrbd.diagnosis.proof import over_blocks
 from torchrbd.diagnosis.ranking import Ranking
 from torchrbd.diagnosis.results import Diagnosis, Ratio, Unexplained, Where
+from torchrbd.diagnosis.unexplained import whatever_the_motion
 from torchrbd.diagnosis.verdict_words import contradicted_sentence, contradicted_statement, suspect_statement
+from torchrbd.diagnosis.words import NO_CHANGE
 from torchrbd.inference.identify import summarise
 from torchrbd.inference.physical.fitting import FittedModel, beside_constant, nmse_of_blocks
 from torchrbd.inference.preparation import Prepared
@@ -59,8 +61,9 @@ def contradicted(
         errors: held-out nmse by joint of what was found, in the mean worse than the plain model's or a constant's.
     """
     identification = _plain(prepared, settings, progress, suspected)
-    rest = tuple(_missed(errors, identification))
-    statement = contradicted_statement([joint for u in rest for joint in u.joints], identification.fits)
+    rest = (*whatever_the_motion(ranked.explanation), *_missed(errors, identification))
+    joints = dict.fromkeys(joint for u in rest for joint in u.joints)
+    statement = contradicted_statement(list(joints), identification.fits)
     return Diagnosis(identification, "unexplained", statement, (), rest, simulated=_simulated(prepared), ranking=ranked)
 
 
@@ -97,8 +100,9 @@ def _simulated(prepared: Prepared) -> tuple[str, ...]:
 
 
 def _missed(errors: Mapping[str, float], plain: Identification) -> Iterator[Unexplained]:
-    """Yield the joints whose held-out torque what was found predicts worse than the plain model does."""
-    for joint, without in plain.fits["extended"].nmse.items():
-        if errors.get(joint, 0.0) > without:
-            sentence = contradicted_sentence(joint, errors[joint], without)
-            yield Unexplained((joint,), (), Where(), 1.0, sentence)
+    """Yield the joints whose held-out torque what was found predicts worse than the plain model, clearly if any is."""
+    worse = {j: without for j, without in plain.fits["extended"].nmse.items() if errors.get(j, 0.0) > without}
+    clearly = {j: without for j, without in worse.items() if errors[j] > (1.0 + NO_CHANGE) * without}
+    for joint, without in (clearly or worse).items():
+        sentence = contradicted_sentence(joint, errors[joint], without)
+        yield Unexplained((joint,), (), Where(), 1.0, sentence)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -21,7 +22,7 @@ from torchrbd.likelihood.columns import Candidate
 
 # A function acts where it is above this part of its largest departure from its middle.
 _ACTS = 0.5
-# Held-out errors that are so many times those of the fit are not explained.
+# Errors that are so many times those of the fit, or of its noise, are not explained.
 _LARGER = 1.5
 # Errors that stay alike for so many times as long as white noise does are no noise.
 _LASTS = 2.0
@@ -38,32 +39,48 @@ def unexplained(
         findings: what has a name.
         proofs: what the extended model is worth on held-out time.
     """
-    pairs = zip(extended.terms, found.terms, strict=True)
-    nameless = [
-        _tone(found, one.own) if term.effect is HUM else _curve(extended, term) for term, one in pairs if is_curve(term)
-    ]
+    curves = [_curve(extended, term) for term in extended.terms if is_curve(term) and term.effect is not HUM]
     # What held-out time does not show is in the model, and told with all that was considered.
-    nameless = [one for one in nameless if one.share >= NO_CHANGE or one.where.recordings is not None]
+    nameless = [one for one in curves if one.share >= NO_CHANGE or one.where.recordings is not None]
+    nameless += whatever_the_motion(found)
     named = {j for f in findings for j in f.joints} | {j for u in nameless for j in u.joints}
     return (*nameless, *(one for one in _silent(extended, proofs) if one.joints[0] not in named))
 
 
+def whatever_the_motion(found: Explanation) -> tuple[Unexplained, ...]:
+    """Return tones and drifts of the recordings that were fitted, of which those held out tell nothing."""
+    tones = [_tone(found, term.own) for term in found.terms if term.own.candidate.effect is HUM]
+    return (*tones, *_drifting(found))
+
+
+def _drifting(found: Explanation) -> Iterator[Unexplained]:
+    """Yield joints whose torque wanders with time by more than their noise explains."""
+    fit, robot = found.fit, found.rows.columns.robot
+    for j in np.flatnonzero(found.rows.seen).tolist():
+        drift, noise, name = float(np.sqrt(np.mean(fit.drift(j) ** 2))), fit.hyper.noise[j].std, robot.joint_names[j]
+        if math.hypot(drift, noise) > _LARGER * noise:
+            words = (
+                f"{name}: a torque of {number(drift)} {torque_unit(robot, j)} RMS changes slowly with time; no known "
+                "effect explains it."
+            )
+            yield Unexplained((name,), ("t",), Where(), drift**2 / (drift**2 + noise**2), words)
+
+
 def _tone(found: Explanation, h: Hypothesis) -> Unexplained:
     """Describe torque of one frequency, whatever the motion, as the wide band shows it."""
-    robot, window, f = found.rows.columns.robot, h.candidate.site.window, h.candidate.shape["frequency"]
-    assert window is not None
-    joint = h.candidate.joint
-    inside = found.rows.recording == found.rows.recordings.index(window.recording)
-    width = 1.0 / max(float(np.ptp(found.rows.t[inside])), 1e-9)
-    amplitude = float(np.hypot(*h.coefficients))
-    share = min(1.0, 0.5 * amplitude**2 / max(float(np.mean(found.base.residual(joint)[inside] ** 2)), 1e-300))
-    where = f" in {window.recording}" if len(found.rows.seen_recordings) > 1 else ""
-    words = (
-        f"{robot.joint_names[joint]}: a tonal disturbance of {f:.2f} Hz, {number(amplitude)} "
-        f"{torque_unit(robot, joint)} high{where}, is not explained."
-    )
+    rows, joint, names, f = found.rows, h.candidate.joint, h.candidate.site.recordings, h.candidate.shape["frequency"]
+    assert names is not None
+    robot, inside = rows.columns.robot, np.isin(rows.recording, [rows.recordings.index(name) for name in names])
+    width = 1.0 / max(float(np.ptp(rows.t[inside])), 1e-9)
+    amplitudes = np.hypot(h.coefficients[::2], h.coefficients[1::2])
+    left = found.base.residual(joint)[inside]
+    share = min(1.0, 0.5 * float(np.mean(amplitudes**2)) / max(float(np.mean(left**2)), 1e-300))
+    where = "" if len(names) == len(rows.seen_recordings) else f" in {joined(names)}"
+    between = dict.fromkeys(number(float(x)) for x in (amplitudes.min(), amplitudes.max()))
+    sizes = f"{' to '.join(between)} {torque_unit(robot, joint)}"
+    words = f"{robot.joint_names[joint]}: a tonal disturbance of {f:.2f} Hz, {sizes} high{where}, is not explained."
     region = (Region("frequency", f - width, f + width),)
-    return Unexplained((robot.joint_names[joint],), ("t",), Where((window.recording,), None, region), share, words)
+    return Unexplained((robot.joint_names[joint],), ("t",), Where(names, None, region), share, words)
 
 
 def _curve(extended: Extended, term: Candidate) -> Unexplained:

@@ -89,6 +89,7 @@ class Effect(ABC):
         uses_load: True if the features depend on the rigid body's torque, and so on the inertial parameters.
         comes_and_goes: True if it may be there in some recordings of a robot and not in others: after service, in the
             cold, with a cable, with a sensor set anew. What a robot is built of does not.
+        of_each_recording: True if coefficients differ from one recording of a site to the next: the site names them.
         sees_friction: True if the features depend on the plain friction beside that torque (``Signals.supplied``).
         has_memory: True if the features depend on a sequence of states, and not on the present one alone.
         prior: what is believed of the coefficients.
@@ -111,6 +112,7 @@ class Effect(ABC):
     whole_robot: ClassVar[bool] = False
     uses_load: ClassVar[bool] = False
     comes_and_goes: ClassVar[bool] = False
+    of_each_recording: ClassVar[bool] = False
     sees_friction: ClassVar[bool] = False
     has_memory: ClassVar[bool] = False
     shifts_clocks: ClassVar[bool] = False

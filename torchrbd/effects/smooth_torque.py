@@ -110,7 +110,9 @@ class SmoothTorque(Effect):
 
 
 class Hum(SmoothTorque):
-    """Torque of one frequency, whatever the motion: tau += a cos(2 pi f t) + b sin(2 pi f t), in one recording."""
+    """Torque of one frequency, whatever the motion: tau += a_r cos(2 pi f t) + b_r sin(2 pi f t) in recording r."""
+
+    of_each_recording = True
 
     def __init__(self) -> None:
         super().__init__("t", 2)
@@ -124,9 +126,19 @@ class Hum(SmoothTorque):
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         assert site.joint is not None
-        angle = 2.0 * math.pi * shape["frequency"] * self.values(signals, site.joint)
-        inside, name = signals.inside(site.window), f"{self.id} {site.window} {shape['frequency']:.6g}"
-        return {f"{name} cosine": angle.cos() * inside, f"{name} sine": angle.sin() * inside}
+        angle, found = 2.0 * math.pi * shape["frequency"] * self.values(signals, site.joint), dict[str, Tensor]()
+        for recording in site.recordings or (signals.recording,):
+            inside, name = float(signals.recording == recording), f"{self.id} {recording} {shape['frequency']:.6g}"
+            found |= {f"{name} cosine": angle.cos() * inside, f"{name} sine": angle.sin() * inside}
+        return found
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        """Return the parameters in the first recording of the site."""
+        return super().parameters(coefficients[: len(self._values)], shape)
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
+        """Return one site for each joint and recording; it may be in several of them."""
+        return tuple(Site(j, recordings=(w.recording,)) for j in range(robot.n_dof) for w in windows)
 
     def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
         return None

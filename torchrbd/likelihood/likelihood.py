@@ -127,9 +127,15 @@ class Likelihood:
 
     def held(self, joint: int) -> np.ndarray:
         """Return what friction holds a joint with while it rests, beside its law, (M,) [N m or N]."""
+        return self._of_some(joint, (*self.machine.sticks(joint), *self.machine.resting(joint)))
+
+    def drift(self, joint: int) -> np.ndarray:
+        """Return what drifts at a joint, (M,) [N m or N]."""
+        return self._of_some(joint, self.machine.wandering(joint))
+
+    def _of_some(self, joint: int, coefficients: Sequence[int] | np.ndarray) -> np.ndarray:
         one = self._designs[joint]
-        at = np.isin(one.own, (*self.machine.sticks(joint), *self.machine.resting(joint)))
-        return one.explained(np.where(at, self.gaussian.z[one.own], 0.0))
+        return one.explained(np.where(np.isin(one.own, coefficients), self.gaussian.z[one.own], 0.0))
 
     def columns(self, joint: int) -> np.ndarray:
         """Return the columns of a joint before they are whitened, (P_j, M), in prior coordinates."""
