@@ -68,7 +68,7 @@ def test_load_is_shown_by_blocks_of_its_time_where_it_is_carried(loaded: bool) -
 
 def test_what_held_out_blocks_see_or_is_too_short_is_not_judged_by_its_own_time() -> None:
     found, model_of = searched(None)
-    brief = model_of(told(found, Window("first", 5.0, 6.0)))
+    brief = model_of(told(found, Window("first", 5.1, 5.4)))
     assert _Fits(brief).errors_in_its_time(brief.terms[0]) is None
     assert not _Fits(brief).held_out_sees(brief.terms[0])
     model = model_of(told(found, Window("first", BEGIN_S)))

@@ -14,7 +14,7 @@ from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.hypotheses import whole
 from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds
-from torchrbd.diagnosis.proof import LEAST_BLOCKS, confirmed
+from torchrbd.diagnosis.proof import confirmed
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import OWN_TIME, Alternative, Finding, Law, Quantity, Ratio, Region, Where
 from torchrbd.diagnosis.search import Explanation
@@ -180,12 +180,12 @@ class _Fits:
     def errors_in_its_time(self, term: Candidate) -> tuple[dict[str, float], dict[str, float]] | None:
         """Return nmse by joint on the blocks in which a term acts, without it and with it, each half told by the other.
 
-        Neither fit of a half has seen it, every other block. None if blocks are too few to tell.
+        Neither fit of a half has seen it, every other block. None if there is only one.
         """
         statistics, held_out = self.prepared.statistics, self.prepared.held_out
         inside = torch.tensor([_acts_in(block, term.site) for block in statistics.blocks])
         own = torch.nonzero(inside)[:, 0]
-        if len(own) < LEAST_BLOCKS:
+        if len(own) < 2:
             return None
         rest = [c for c in self.first.proper_terms if c != term]
         error = torch.zeros(2, len(statistics.moments), dtype=torch.float64)

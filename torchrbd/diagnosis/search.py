@@ -180,7 +180,7 @@ class _Search:
 
     def __init__(self, rows: Rows, effects: Sequence[Effect], report: Callable[[int], None]) -> None:
         self.rows, self.effects, self.report = rows, effects, report
-        # What leads beside normal noise where there is nothing yet: steps in time look like heavy tails.
+        # What acts for a time and leads beside normal noise where there is nothing yet: steps look like heavy tails.
         self.beside_normal: list[Hypothesis] | None = None
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -247,8 +247,9 @@ class _Search:
         near = [refined(fit, self.rows, h) for h in likely[:_LEADING]]
         if self.beside_normal is None:
             plain = fit.with_normal_noise
-            others = [] if plain is fit else self.sought(plain, known)[:_LEADING]
-            self.beside_normal = [refined(plain, self.rows, h) for h in others]
+            others = [] if plain is fit else self.sought(plain, known)
+            brief = [h for h in others if h.candidate.site.window is not None][:_LEADING]
+            self.beside_normal = [refined(plain, self.rows, h) for h in brief]
         seen = [h.candidate for h in (*near, *chosen)]
         others = [again(fit, self.rows, h) for h in self.beside_normal if h.name not in known]
         near += [h for h in others if h is not None and h.candidate not in seen]
