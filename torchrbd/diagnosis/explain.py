@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -84,15 +84,16 @@ def explain(found: Explanation, extended: Extended) -> Explained:
     unseen = {term for term, errors in own_time.items() if errors and not _any_falls(*errors)}
     kept, apart = set_apart(every, fits.error_without, lambda term, one: term in unseen or is_trifling(one, extended))
 
-    def proven(term: Candidate, one: Finding, others: Sequence[Candidate]) -> Finding:
-        if term not in own_time:
+    def proven(term: Candidate, one: Finding, others: Sequence[Candidate], by_own: Collection[Candidate]) -> Finding:
+        if term not in by_own:
             return replace(one, confirmed=fits.confirmed(term, one, others))
         before, after = own_time[term] or ({}, {})
         return replace(one, nmse_before=before, nmse_after=after, judged_on=OWN_TIME if before else "")
 
     others = [term for term, _ in apart]
-    kept = [(term, proven(term, one, others)) for term, one in kept]
-    trifling = worded([(term, proven(term, one, [])) for term, one in apart])
+    kept = [(term, proven(term, one, others, own_time)) for term, one in kept]
+    # What its own time shows is set apart where held-out time is told worse with it.
+    trifling = worded([(term, proven(term, one, [], unseen)) for term, one in apart])
     gone = {term for term in others if term in extended.terms and term.effect.family == _FRICTION}
     if gone:
         left = [t for t, c in zip(found.terms, extended.terms, strict=True) if c not in gone]

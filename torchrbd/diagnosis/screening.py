@@ -34,10 +34,8 @@ def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hyp
     robot = rows.columns.robot
     found: list[Hypothesis | None] = []
     for e in (e for e in effects if e.id not in ORDINARY):
-        places = e.sites(robot)
-        if not places:
-            found += in_windows(fit, rows, e)
-        for site in places:
+        found += in_windows(fit, rows, e)
+        for site in e.sites(robot):
             if _may_be(e, site, rows):
                 grid = e.shapes(rows.columns.scale(site))
                 found.append(averaged(fit, rows, [rows.columns.candidate(e, site, shape) for shape in grid]))

@@ -42,10 +42,13 @@ def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | 
     told to some rows. Either may do so at once or gradually.
     """
     for name in rows.seen_recordings:
+        sites = [site for site in e.sites(rows.columns.robot, (Window(name),)) if site.window is not None]
+        if not sites:
+            return
         edges = Edges(fit, rows, name)
         kinds = Stretches.of_blocks(rows, name), Stretches.with_one_end(rows, name), *Stretches.at_jumps(edges)
         moments = int(edges.inside.sum()) // _TOLD_ROWS
-        for site in e.sites(rows.columns.robot, (Window(name),)):
+        for site in (s for s in sites if s.joint is None or rows.seen[s.joint]):
             both, one, both_at_once, one_at_once = in_stretches(fit, rows, rows.columns.candidate(e, site, {}), kinds)
             yield _either(both, both_at_once, moments * (moments - 1) // 2)
             yield _either(one, one_at_once, 2 * moments)
@@ -221,8 +224,11 @@ def in_stretches(
         For each kind its hypothesis, and the evidence of the best stretch.
     """
     always = rows.columns.candidate(candidate.effect, replace(candidate.site, window=None), candidate.shape)
-    F = rows.features(always)
+    F, place = rows.features(always), candidate.place
     std, multiples = believed(fit, rows, always, F)
+    if place is not None:
+        own, F = F, np.zeros((len(F), rows.n_dof, F.shape[-1]))
+        F[:, place] = own
     times = [
         np.unique(np.concatenate([np.zeros(0), *(kind.times for kind in kinds if kind.at_once is at_once)]))
         for at_once in (False, True)

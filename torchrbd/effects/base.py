@@ -125,7 +125,10 @@ class Effect(ABC):
     urdf_note: ClassVar[str] = ""
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
-        """Return where on a robot the effect may sit; ``windows`` are stretches of time in which it may act."""
+        """Return where on a robot the effect may sit; ``windows`` are stretches of time in which it may act.
+
+        Without them, where it may sit all the time; none if it acts for a time only.
+        """
         return tuple(Site(joint) for joint in range(robot.n_dof))
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
@@ -218,7 +221,11 @@ class JointEffect(Effect):
     drawn_over: ClassVar[str] = "qd"
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        return self.joint_features(signals.joint(site.joint, load=self.uses_load), shape)
+        found = self.joint_features(signals.joint(site.joint, load=self.uses_load), shape)
+        if site.window is None:
+            return found
+        inside = signals.inside(site.window)
+        return {f"{label} {site.window}": phi * inside for label, phi in found.items()}
 
     def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
         state = scale.sweep(self.drawn_over)

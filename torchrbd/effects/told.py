@@ -50,7 +50,8 @@ class ToldEffect:
         Raises:
             OptionError: it cannot sit there.
         """
-        sites, name = self.effect.sites(robot, windows), self.effect.id
+        name, always = self.effect.id, self.effect.sites(robot)
+        sites = always if always and self.window is None else self.effect.sites(robot, windows)
         if not sites and not self.effect.sites(robot, (_SOME_TIME,)):
             raise OptionError(f"'{name}' has no place on robot '{robot.name}'")
         if self.place is None:

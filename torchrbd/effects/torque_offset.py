@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import torch
@@ -10,7 +10,10 @@ from torch import Tensor
 
 from torchrbd.effects.base import JointEffect, Mjcf, Shape
 from torchrbd.effects.mjcf import affine
+from torchrbd.effects.placed import in_windows
 from torchrbd.effects.signals import JointScale, JointState
+from torchrbd.effects.sites import Site, Window
+from torchrbd.robot import RobotModel
 
 
 class TorqueOffset(JointEffect):
@@ -24,6 +27,10 @@ class TorqueOffset(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}
     comes_and_goes = True
     drawn_over = "q"
+
+    def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
+        """Return every joint, all the time or in stretches of time: brakes drag, cables pull, sensors are set anew."""
+        return in_windows(super().sites(robot), windows) if windows else super().sites(robot)
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"1": torch.ones_like(state.q)}

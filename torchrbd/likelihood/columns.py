@@ -130,7 +130,7 @@ class Columns:
 
     def _grid(self) -> Iterator[Candidate]:
         for e in {e.id: e for e in self.effects}.values():
-            for site in self.sites.get(e.id, e.sites(self.robot, self.windows)):
+            for site in self.sites.get(e.id, e.sites(self.robot) or e.sites(self.robot, self.windows)):
                 for shape in e.shapes(self.scale(site)):
                     yield self.candidate(e, site, shape)
 
