@@ -35,6 +35,8 @@ EFFECTS = (
 ROTOR = at_joint(1, lambda m: 0.05 * m.qdd[:, 1])
 BOTH = at_joint(1, lambda m: 0.05 * m.qdd[:, 1] + 0.08 * np.sin(17.4 * m.q[:, 1] + 0.7))
 BUMP = at_joint(0, lambda m: 1.5 * np.exp(-(((m.q[:, 0] - np.median(m.q[:, 0])) / 0.15) ** 2)))
+PULL_SIZE, PULLS_S = 0.8, (6.2, 9.1)
+PULL = at_joint(0, lambda m: PULL_SIZE * ((m.t >= PULLS_S[0]) & (m.t < PULLS_S[1])))
 
 
 def searched(torque: Any, names: Sequence[str] = EFFECTS) -> tuple[Explanation, list[int]]:
@@ -65,6 +67,17 @@ def test_what_is_concealed_is_found_and_nothing_else(torque: Any, names: set[tup
         assert odds == sorted(odds, reverse=True)
     assert not names & {h.name for h in found.last}
     assert all(log_odds(h, found.rows) <= 0.0 for h in found.last)
+
+
+def test_torque_of_one_joint_that_comes_and_goes_is_no_load() -> None:
+    """A body could be made to weigh on one joint alone; an offset there has one number."""
+    found, _ = searched(PULL, (*EFFECTS, "torque_offset", "external_wrench"))
+    (term,) = found.terms
+    assert term.own.name == ("torque_offset", Site(0))
+    window = term.own.candidate.site.window
+    assert window is not None
+    assert (window.start_s, window.end_s) == pytest.approx(PULLS_S, abs=0.1)
+    assert float(term.own.coefficients[0]) == pytest.approx(PULL_SIZE, rel=0.2)
 
 
 def test_evidence_of_a_term_is_beside_all_others() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -113,9 +115,13 @@ def test_effect_without_shapes_is_no_hypothesis_in_some_recordings(two_recording
     assert averaged(fit, rows, []) is None
 
 
-@pytest.mark.parametrize("name", ["payload", "external_wrench"])
+@pytest.mark.parametrize(
+    ("name", "at"),
+    [("payload", Site(body=1)), ("external_wrench", Site(body=1)), ("torque_offset", Site(1))],
+    ids=["payload", "external_wrench", "torque_offset"],
+)
 def test_what_begins_and_ends_at_once_is_told_as_its_rows_are(
-    two_recordings: tuple[Likelihood, Rows], name: str
+    two_recordings: tuple[Likelihood, Rows], name: str, at: Site
 ) -> None:
     """Moments of steps that are added to those between edges are those of the features themselves."""
     fit, rows = two_recordings
@@ -124,7 +130,7 @@ def test_what_begins_and_ends_at_once_is_told_as_its_rows_are(
     times = np.concatenate(([-np.inf], t[[40, 141, 250, 333]], [np.inf]))
     for pair in ((1, 2), (1, 4), (2, 3), (0, 3), (2, 5)):
         one = Stretches(times, np.array([pair]), at_once=True)
-        (found,) = in_stretches(fit, rows, candidate(rows, name, Site(body=1, window=Window("second"))), [one])
+        (found,) = in_stretches(fit, rows, candidate(rows, name, replace(at, window=Window("second"))), [one])
         assert found is not None
         exact = told(fit, rows, found[0].candidate)
         assert exact is not None

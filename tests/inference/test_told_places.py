@@ -83,6 +83,11 @@ def test_places_of_pairs_and_of_windows() -> None:
     sites, windows = told_sites([timed, ToldEffect(Ripple(), "joint3")], robot, ["a.csv", "b.csv"])
     assert sites == {"test_ripple": (Site(1, 0, window=windows[0]), Site(2))}
     assert windows == (Window("a.csv", 2.0, 8.0),)
+    offset, pulled = ToldEffect.parse("torque_offset@joint2"), ToldEffect.parse("torque_offset@joint2@a.csv=2:8")
+    sites, _ = told_sites([offset, timed], robot, ["a.csv"])
+    assert sites["torque_offset"] == (Site(1),)
+    sites, _ = told_sites([offset, pulled, timed], robot, ["a.csv"])
+    assert sites["torque_offset"] == (Site(1), Site(1, window=windows[0]))
     with pytest.raises(OptionError, match=r"'test_ripple' acts for a time only; tell it as .*@RECORDING="):
         told_sites([ToldEffect(Timed(), "joint2_joint1")], robot, ["a.csv"])
     assert ToldEffect.parse("rotor_inertia@joint3@a.csv=2:").window == Window("a.csv", 2.0)
