@@ -28,7 +28,8 @@ def driven_by(term: Candidate, robot: RobotModel) -> tuple[str, ...]:
 def fitted_curve(model: FittedModel, term: Candidate) -> Curve | None:
     """Return a term as a function of one signal, y = J w with the standard deviation sqrt(diag(J cov(w) J')).
 
-    The coefficients enter linearly; the shape is taken as known. None if no signal of one joint tells the torque.
+    The coefficients enter linearly; the shape is taken as known. None if no signal of one joint tells the torque, the
+    time beside it included.
     """
     site, columns = term.site, model.columns
     if site.joint is None:
@@ -37,7 +38,7 @@ def fitted_curve(model: FittedModel, term: Candidate) -> Curve | None:
     scale = columns.scale(replace(site, joint=driver))
     w, covariance = model.coefficients(term)
     curve = term.effect.curve(w, term.shape, scale)
-    if curve is None:
+    if curve is None or (site.window is not None and curve.signal != "t"):
         return None
     units = (term.effect.curve(e, term.shape, scale) for e in torch.eye(len(w), dtype=w.dtype))
     J = torch.stack([unit.y for unit in units if unit is not None], dim=1)

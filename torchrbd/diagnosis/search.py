@@ -180,7 +180,7 @@ class _Search:
 
     def __init__(self, rows: Rows, effects: Sequence[Effect], report: Callable[[int], None]) -> None:
         self.rows, self.effects, self.report = rows, effects, report
-        # What acts for a time and leads beside normal noise where there is nothing yet: steps look like heavy tails.
+        # What leads beside normal noise where nothing is explained, and what acts for a time: steps look heavy-tailed.
         self.beside_normal: list[Hypothesis] | None = None
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -236,9 +236,17 @@ class _Search:
                 break
         return now
 
-    def sought(self, fit: Likelihood, known: Collection[tuple[str, Site]]) -> list[Hypothesis]:
-        """Return laws beside a fit, the likeliest first, but those that are known."""
-        return self.ordered([h for h in screened(fit, self.rows, self.effects) if h.name not in known])
+    def distinct(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return hypotheses, the likeliest first, and of those that are one but for their window that one."""
+        best = self.ordered(found)
+        first = {_alike(h): h for h in reversed(best)}
+        return [h for h in best if first[_alike(h)] is h]
+
+    def sought(
+        self, fit: Likelihood, known: Collection[tuple[str, Site]], joint: int | None = None
+    ) -> list[Hypothesis]:
+        """Return laws beside a fit, of one joint if given, the likeliest first, but those that are known."""
+        return self.ordered([h for h in screened(fit, self.rows, self.effects, joint) if h.name not in known])
 
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
@@ -248,27 +256,30 @@ class _Search:
         if self.beside_normal is None:
             plain = fit.with_normal_noise
             others = [] if plain is fit else self.sought(plain, known)
-            brief = [h for h in others if h.candidate.site.window is not None][:_LEADING]
-            self.beside_normal = [refined(plain, self.rows, h) for h in brief]
+            brief = [h for h in others[_LEADING:] if h.candidate.site.window is not None]
+            self.beside_normal = [refined(plain, self.rows, h) for h in (*others[:_LEADING], *brief[:_LEADING])]
         seen = [h.candidate for h in (*near, *chosen)]
         others = [again(fit, self.rows, h) for h in self.beside_normal if h.name not in known]
         near += [h for h in others if h is not None and h.candidate not in seen]
-        best = self.ordered((*self.judged(fit, near, sharp=True), *likely[_LEADING:]))
-        first = {_alike(h): h for h in reversed(best)}
-        return [h for h in best if first[_alike(h)] is h]
+        return self.distinct((*self.judged(fit, near, sharp=True), *likely[_LEADING:]))
 
     def curves(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return the likeliest curves and tones beside a fit; one curve at most for each joint and signal.
 
-        Noise that was learnt without a curve has its colour: beside independent rows it is not hidden.
+        Noise that was learnt without a curve has its colour: beside independent rows it is not hidden. Nor are laws
+        that lead there at its joint, which are its rivals.
         """
-        known = {h.name for h in chosen}
+        known, plain = {h.name for h in chosen}, fit.least_squares
         found = [h for h in curves(fit, self.rows) if h.name not in known]
-        beside = {h.candidate: h for h in found if h.candidate.effect is not HUM}
-        plain = [h for h in curves_at(fit.least_squares, self.rows, range(self.rows.n_dof)) if h.candidate in beside]
-        likely = [*self.ordered(list(beside.values()))[:1], *(beside[h.candidate] for h in self.ordered(plain)[:1])]
+        functions = {h.candidate: h for h in found if h.candidate.effect is not HUM}
+        hidden = [h for h in curves_at(plain, self.rows, range(self.rows.n_dof)) if h.candidate in functions]
+        first = [h.candidate for kind in (list(functions.values()), hidden) for h in self.ordered(kind)[:1]]
+        likely = [functions[c] for c in dict.fromkeys(first)]
         tones = [h for h in found if h.candidate.effect is HUM]
-        return self.judged(fit, [*{h.candidate: h for h in likely}.values(), *tones])
+        there, joints = _only_once(chosen, self.effects), dict.fromkeys(c.joint for c in first)
+        laws = [refined(plain, self.rows, h) for j in joints for h in self.sought(plain, there, j)[:_JUDGED]]
+        rivals = [h for one in laws if (h := again(fit, self.rows, one)) is not None]
+        return self.judged(fit, [*likely, *tones, *rivals])
 
     def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
         """Return the model with chosen hypotheses, all else learnt beside them."""
@@ -297,7 +308,7 @@ class _Search:
         seen: list[list[Hypothesis]] = []
         while len(chosen) < MOST_TERMS:
             if not found or log_odds(found[0], self.rows) <= 0.0:
-                found = self.ordered((*self.curves(fit, chosen), *found))
+                found = self.distinct((*self.curves(fit, chosen), *found))
                 if not found or log_odds(found[0], self.rows) <= 0.0:
                     break
             seen.append(found[1:])
