@@ -23,26 +23,24 @@ ORDINARY = (*ORDINARY_EFFECTS, "coulomb_friction")
 _FINE = 9
 
 
-def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect], joint: int | None = None) -> list[Hypothesis]:
+def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
     """Return every effect at every place beside a fit, greatest evidence first.
 
     Args:
         fit: the base.
         rows: its rows, whose signals carry its load and friction.
         effects: what may be there.
-        joint: where alone, and then all the time and in all recordings.
     """
     robot = rows.columns.robot
     found: list[Hypothesis | None] = []
     for e in (e for e in effects if e.id not in ORDINARY):
-        if joint is None:
-            found += in_windows(fit, rows, e)
+        found += in_windows(fit, rows, e)
         for site in e.sites(robot):
-            if joint in (None, site.joint) and _may_be(e, site, rows):
+            if _may_be(e, site, rows):
                 grid = e.shapes(rows.columns.scale(site))
                 found.append(averaged(fit, rows, [rows.columns.candidate(e, site, shape) for shape in grid]))
     # Friction of some recordings only is not the machine's.
-    for e in effects if joint is None else ():
+    for e in effects:
         found += in_recordings(fit, rows, e)
     return sorted((h for h in found if h is not None), key=lambda h: -h.log_evidence)
 

@@ -236,17 +236,9 @@ class _Search:
                 break
         return now
 
-    def distinct(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return hypotheses, the likeliest first, and of those that are one but for their window that one."""
-        best = self.ordered(found)
-        first = {_alike(h): h for h in reversed(best)}
-        return [h for h in best if first[_alike(h)] is h]
-
-    def sought(
-        self, fit: Likelihood, known: Collection[tuple[str, Site]], joint: int | None = None
-    ) -> list[Hypothesis]:
-        """Return laws beside a fit, of one joint if given, the likeliest first, but those that are known."""
-        return self.ordered([h for h in screened(fit, self.rows, self.effects, joint) if h.name not in known])
+    def sought(self, fit: Likelihood, known: Collection[tuple[str, Site]]) -> list[Hypothesis]:
+        """Return laws beside a fit, the likeliest first, but those that are known."""
+        return self.ordered([h for h in screened(fit, self.rows, self.effects) if h.name not in known])
 
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
@@ -261,13 +253,14 @@ class _Search:
         seen = [h.candidate for h in (*near, *chosen)]
         others = [again(fit, self.rows, h) for h in self.beside_normal if h.name not in known]
         near += [h for h in others if h is not None and h.candidate not in seen]
-        return self.distinct((*self.judged(fit, near, sharp=True), *likely[_LEADING:]))
+        best = self.ordered((*self.judged(fit, near, sharp=True), *likely[_LEADING:]))
+        first = {_alike(h): h for h in reversed(best)}
+        return [h for h in best if first[_alike(h)] is h]
 
     def curves(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return the likeliest curves and tones beside a fit; one curve at most for each joint and signal.
 
-        Noise that was learnt without a curve has its colour: beside independent rows it is not hidden. Nor are laws
-        that lead there at its joint, which are its rivals.
+        Noise that was learnt without a curve has its colour: beside independent rows it is not hidden.
         """
         known, plain = {h.name for h in chosen}, fit.least_squares
         found = [h for h in curves(fit, self.rows) if h.name not in known]
@@ -276,10 +269,7 @@ class _Search:
         first = [h.candidate for kind in (list(functions.values()), hidden) for h in self.ordered(kind)[:1]]
         likely = [functions[c] for c in dict.fromkeys(first)]
         tones = [h for h in found if h.candidate.effect is HUM]
-        there, joints = _only_once(chosen, self.effects), dict.fromkeys(c.joint for c in first)
-        laws = [refined(plain, self.rows, h) for j in joints for h in self.sought(plain, there, j)[:_JUDGED]]
-        rivals = [h for one in laws if (h := again(fit, self.rows, one)) is not None]
-        return self.judged(fit, [*likely, *tones, *rivals])
+        return self.judged(fit, [*likely, *tones])
 
     def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
         """Return the model with chosen hypotheses, all else learnt beside them."""
@@ -308,7 +298,7 @@ class _Search:
         seen: list[list[Hypothesis]] = []
         while len(chosen) < MOST_TERMS:
             if not found or log_odds(found[0], self.rows) <= 0.0:
-                found = self.distinct((*self.curves(fit, chosen), *found))
+                found = self.ordered((*self.curves(fit, chosen), *found))
                 if not found or log_odds(found[0], self.rows) <= 0.0:
                     break
             seen.append(found[1:])
