@@ -121,8 +121,9 @@ LESS, PERHAPS_ALL = Ratio(0.4, 0.2, 0.7), Ratio(0.4, -0.2, 1.1)
         (PERHAPS_ALL, [0.1, 0.4, 0.1, 0.4, 0.3], False),
         (None, [0.1, 0.4, 0.1, 0.4, 0.3], False),
         (PERHAPS_ALL, [0.3, 0.4, 0.3, 0.4, 0.3], True),
+        (None, [0.201, 0.202, 0.201, 0.202, 0.201], False),
     ],
-    ids=["less and worse", "less but better", "worse by chance", "too little of it", "worse for certain"],
+    ids=["less and worse", "less but better", "worse by chance", "too little of it", "worse for certain", "by nothing"],
 )
 def test_held_out_time_refutes_what_it_has_less_of_or_is_certain_to_be_worse_with(
     monkeypatch: pytest.MonkeyPatch, there: Ratio | None, found: list[float], is_refuted: bool

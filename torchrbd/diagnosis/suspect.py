@@ -76,7 +76,8 @@ def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:
 def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Ratio | None) -> bool:
     """Say whether held-out time refutes what was found: the plain model predicts it better, joints taken together.
 
-    Either that is certain (blocks of time are drawn again), or it is that held-out time has less of what was found.
+    By what counts, and either that is certain (blocks of time are drawn again), or it is that held-out time has less of
+    what was found.
 
     Args:
         prepared, model: with what was found.
@@ -86,7 +87,7 @@ def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Rati
     plain = asked.fit(asked.columns.urdf_friction)
     found, without = nmse_of_blocks(prepared.judging, model.x), nmse_of_blocks(asked.judging, plain.x)
     worse, less = over_blocks(found.numpy(), without.numpy()), there is not None and there.high < 1.0
-    return worse.low > 1.0 or (worse.value > 1.0 and less)
+    return worse.value > 1.0 + NO_CHANGE and (worse.low > 1.0 or less)
 
 
 def _plain(prepared: Prepared, settings: Settings, progress: Progress, suspected: Suspicions) -> Identification:
