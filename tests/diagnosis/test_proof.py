@@ -171,6 +171,22 @@ def test_held_out_time_that_contradicts_a_finding_sets_it_apart(
     assert is_trifling(one, SimpleNamespace(prepared=prepared)) is trifling  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("joints", "trifling"), [(("hinge",), True), (("slide",), False), ((), False)])
+def test_what_carries_little_of_its_own_joints_torque_is_trifling(joints: tuple[str, ...], trifling: bool) -> None:
+    """What it moves at others is no matter; what sits at no joint acts on all."""
+    one = replace(
+        finding("joint_elasticity", "hinge"),
+        joints=joints,
+        nmse_before={"hinge": 0.1, "slide": 0.1},
+        nmse_after={"hinge": 0.1, "slide": 0.095},
+        torque_rms={"hinge": 0.005, "slide": 0.02},
+    )
+    torque = torch.tensor([[[100.0, 0.0, 100.0], [100.0, 0.0, 100.0]]], dtype=torch.float64)
+    robot = SimpleNamespace(joint_names=("hinge", "slide"))
+    prepared = SimpleNamespace(training=SimpleNamespace(torque=torque), robot=robot)
+    assert is_trifling(one, SimpleNamespace(prepared=prepared)) is trifling  # type: ignore[arg-type]
+
+
 def test_of_findings_that_stand_in_for_each_other_one_is_told() -> None:
     """Each alone may go; both may not. What nothing needs goes with the less likely one."""
     gains = {"viscous_friction": 90.0, "power_law_friction": 60.0, "torque_ripple": 20.0, "joint_spring": 10.0}

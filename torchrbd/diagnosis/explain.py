@@ -222,7 +222,7 @@ def _acts_in(block: Block, site: Site) -> bool:
 
 
 def is_trifling(finding: Finding, extended: Extended) -> bool:
-    """Say whether held-out time does not show a finding, or hardly and it carries next to nothing of any torque.
+    """Say whether held-out time does not show a finding, or hardly, and it carries next to none of its joint's torque.
 
     Other inertial parameters, or other friction, do as well then. Of what acts for a time only, or in some recordings,
     held-out time may have seen nothing; but then it changes nothing there, and does not make it worse.
@@ -231,7 +231,8 @@ def is_trifling(finding: Finding, extended: Extended) -> bool:
         return True
     torque = extended.prepared.training.torque.sum(0)
     rms = dict(zip(extended.prepared.robot.joint_names, (torque[:, 2] / torque[:, 0]).sqrt().tolist(), strict=True))
-    small = all(carried < _LEAST_TORQUE * rms[joint] for joint, carried in finding.torque_rms.items())
+    own = {joint: x for joint, x in finding.torque_rms.items() if joint in finding.joints} or finding.torque_rms
+    small = all(carried < _LEAST_TORQUE * rms[joint] for joint, carried in own.items())
     return small and finding.share < _LEAST_SHARE
 
 
