@@ -15,8 +15,8 @@ from torchrbd.diagnosis import search
 from torchrbd.diagnosis.explain import likeliest_left
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.posterior import log_odds
-from torchrbd.diagnosis.residual import is_curve
-from torchrbd.diagnosis.search import MOST_TERMS, Explanation, Term, explained
+from torchrbd.diagnosis.residual import is_curve, stands_in
+from torchrbd.diagnosis.search import MOST_TERMS, Explanation, Term, _Search, explained
 from torchrbd.effects import Site, Window, effect
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
@@ -96,6 +96,19 @@ def test_torque_without_a_law_is_a_curve_where_it_acts() -> None:
     assert ("smooth_torque_over_q", Site(0)) in {h.name for h in curves}
     assert {h.candidate.site.joint for h in curves} == {0}
     assert max(h.log_evidence for h in curves) > 30
+
+
+def test_of_curves_that_could_pass_for_friction_a_joint_has_one() -> None:
+    """Two of them may be large and their sum small."""
+    fit = fitted(BUMP)
+    search = _Search(carried(fit), [], lambda _: None)
+    every = search.offered(fit, [])
+    kinds = {h.candidate.effect.id for h in every if stands_in(h.candidate) and h.candidate.joint == 0}
+    assert len(kinds) == 4
+    one = next(h for h in every if stands_in(h.candidate) and h.candidate.joint == 0)
+    left = search.offered(fit, [one])
+    assert not [h for h in left if stands_in(h.candidate) and h.candidate.joint == 0]
+    assert len(left) == len(every) - len(kinds)
 
 
 def test_torque_without_a_law_is_not_given_one_that_is_somewhat_like_it() -> None:

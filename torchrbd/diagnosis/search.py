@@ -257,13 +257,21 @@ class _Search:
         first = {_alike(h): h for h in reversed(best)}
         return [h for h in best if first[_alike(h)] is h]
 
+    def offered(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return curves and tones beside a fit that a model may have: one for each joint and signal.
+
+        Of those that could pass for friction or inertia one for each joint, as two of them may cancel.
+        """
+        known, taken = {h.name for h in chosen}, {h.candidate.joint for h in chosen if stands_in(h.candidate)}
+        found = [h for h in curves(fit, self.rows) if h.name not in known]
+        return [h for h in found if not (stands_in(h.candidate) and h.candidate.joint in taken)]
+
     def curves(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return the likeliest curves and tones beside a fit; one curve at most for each joint and signal.
+        """Return the likeliest curves and tones beside a fit.
 
         Noise that was learnt without a curve has its colour: beside independent rows it is not hidden.
         """
-        known, plain = {h.name for h in chosen}, fit.least_squares
-        found = [h for h in curves(fit, self.rows) if h.name not in known]
+        found, plain = self.offered(fit, chosen), fit.least_squares
         functions = {h.candidate: h for h in found if h.candidate.effect is not HUM}
         hidden = [h for h in curves_at(plain, self.rows, range(self.rows.n_dof)) if h.candidate in functions]
         first = [h.candidate for kind in (list(functions.values()), hidden) for h in self.ordered(kind)[:1]]
