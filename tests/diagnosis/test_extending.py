@@ -125,3 +125,12 @@ def test_a_model_without_a_law_is_the_fit_without_it_and_its_slopes() -> None:
     # At the noise of the whole model, which the other joint's torque is weighed against.
     assert _Fits(model).error_without([law])["joint1"] == pytest.approx(expected["joint1"], rel=0.02)
     assert expected["joint1"] > 10.0 * judge(judging, model.model.x).nmse["joint1"]
+
+
+def test_friction_is_missed_without_curves_of_which_it_may_be_a_part() -> None:
+    """A curve of friction over the position has a constant part, and held-out time would not miss Coulomb friction."""
+    model = with_curves(("smooth_friction_over_q", "smooth_torque_over_q"))
+    fits = _Fits(model)
+    coulomb = {f.candidate.joint: f.candidate for f in model.friction if f.candidate.effect.id == "coulomb_friction"}
+    left = {joint: [c.effect.id for c in fits.without([c]).proper_terms if is_curve(c)] for joint, c in coulomb.items()}
+    assert left == {0: ["smooth_torque_over_q"], 1: ["smooth_friction_over_q", "smooth_torque_over_q"]}

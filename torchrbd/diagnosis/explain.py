@@ -15,7 +15,7 @@ from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.hypotheses import whole
 from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds
 from torchrbd.diagnosis.proof import confirmed
-from torchrbd.diagnosis.residual import is_curve
+from torchrbd.diagnosis.residual import has_friction, is_curve
 from torchrbd.diagnosis.results import OWN_TIME, Alternative, Finding, Law, Quantity, Ratio, Region, Where
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.variant import another_variant
@@ -160,12 +160,17 @@ class _Fits:
         self._fitted = {frozenset[Candidate](): self.first}
 
     def without(self, gone: Sequence[Candidate]) -> FittedModel:
-        """Return the model without some terms, and without laws that refine ordinary friction that is gone."""
+        """Return the model without some terms, and what is nothing without them.
+
+        Laws that refine ordinary friction go with it, and curves that could pass for it.
+        """
         key = frozenset(gone)
         if key not in self._fitted:
             terms, columns = self.first.proper_terms, self.first.columns
-            shared = {k for c in terms[: self._friction] if c in key for k in columns.of(c)}
+            friction = [c for c in terms[: self._friction] if c in key]
+            shared, joints = {k for c in friction for k in columns.of(c)}, {c.joint for c in friction}
             rest = [c for c in terms if c not in key and not shared & set(columns.of(c))]
+            rest = [c for c in rest if not (has_friction(c) and c.joint in joints)]
             self._fitted[key] = self.prepared.fit(rest, self._noise)
         return self._fitted[key]
 

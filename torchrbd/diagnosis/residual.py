@@ -90,6 +90,11 @@ def stands_in(candidate: Candidate) -> bool:
     return isinstance(effect, SmoothTorque) and candidate.site.other is None and effect.signal in ("qd", "qdd", "load")
 
 
+def has_friction(candidate: Candidate) -> bool:
+    """Say whether a term is a curve of which ordinary friction may be a part."""
+    return stands_in(candidate) or (isinstance(candidate.effect, SmoothTorque) and candidate.effect.friction)
+
+
 def depends_on(candidate: Candidate, joint_names: Sequence[str]) -> tuple[str, ...]:
     """Return the signals that a curve depends on, e.g. "q_joint2"."""
     effect, site = candidate.effect, candidate.site
