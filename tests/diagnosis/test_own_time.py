@@ -12,11 +12,13 @@ from likelihood.arms import recorded
 from likelihood.fits import BEGIN_S, MASS, OPTIONS, URDF, candidate, payload, with_friction
 from simulated import with_wrong_inertials
 
-from torchrbd.diagnosis.explain import _any_falls, _Fits
+from torchrbd.diagnosis.explain import _Fits
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.ranking import ranking
+from torchrbd.diagnosis.results import OWN_TIME, Finding, Where
 from torchrbd.diagnosis.search import Explanation, Term
+from torchrbd.diagnosis.words import NO_CHANGE
 from torchrbd.effects import Site, Window
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
@@ -25,6 +27,7 @@ from torchrbd.inference.settings import Settings
 from torchrbd.robot import RobotModel
 
 MAY = ("viscous_friction", "coulomb_friction", "payload")
+LOAD = Finding("payload", (), ("link",), 0.99, 30.0, {}, Where(("first",)), (), {}, {}, "")
 
 
 def quiet(*_: object) -> None:
@@ -56,11 +59,12 @@ def test_load_is_shown_by_blocks_of_its_time_where_it_is_carried(loaded: bool) -
     model = model_of(told(found, Window("first", BEGIN_S)))
     (term,) = model.terms
     fits = _Fits(model)
-    errors = fits.errors_in_its_time(term)
-    assert errors is not None
+    one = fits.in_its_time(term, LOAD)
+    assert one.judged_on == OWN_TIME
     assert not fits.held_out_sees(term)
-    assert _any_falls(*errors) is loaded
-    assert all(0 < x < 1.5 for each in errors for x in each.values())
+    assert (one.share > NO_CHANGE) is loaded
+    assert one.nmse_before.keys() == one.nmse_after.keys() == set(model.prepared.robot.joint_names)
+    assert all(0 < x < 1.5 for each in (one.nmse_before, one.nmse_after) for x in each.values())
     if loaded:
         w, _ = model.model.coefficients(term)
         assert float(w[0]) == pytest.approx(MASS, rel=0.2)
@@ -69,7 +73,8 @@ def test_load_is_shown_by_blocks_of_its_time_where_it_is_carried(loaded: bool) -
 def test_what_held_out_blocks_see_or_is_too_short_is_not_judged_by_its_own_time() -> None:
     found, model_of = searched(None)
     brief = model_of(told(found, Window("first", 5.1, 5.4)))
-    assert _Fits(brief).errors_in_its_time(brief.terms[0]) is None
+    one = _Fits(brief).in_its_time(brief.terms[0], LOAD)
+    assert (one.judged_on, one.nmse_before, one.nmse_after) == ("", {}, {})
     assert not _Fits(brief).held_out_sees(brief.terms[0])
     model = model_of(told(found, Window("first", BEGIN_S)))
     (term,) = model.terms

@@ -142,7 +142,7 @@ def test_a_torque_that_wanders_is_told_though_noise_could_pass_for_it() -> None:
     found, model = diagnosed(at_joint(0, walk))
     (one,) = unexplained(found, model, (), ())
     assert (one.joints, one.depends_on) == ((FIRST,), ("t",))
-    assert float(np.std(found.fit.drift(0))) == pytest.approx(WALK, rel=0.3)
+    assert float(np.std(found.fit.part(0, found.fit.machine.wandering(0)))) == pytest.approx(WALK, rel=0.3)
     assert 0.5 < one.share < 1.0
 
 

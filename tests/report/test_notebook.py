@@ -63,7 +63,7 @@ def test_what_is_likely_but_not_shown_stands_apart_and_many_numbers_are_counted(
     text = words(replace(result, findings=(whole,), trifling=(one, whole), unexplained=()))
     assert "whole robot (in hold.csv, 4.0 to 7.0 s) tilted base p0 1.000 ± 0.024 N m" in text
     assert "5 more 98 %" in text
-    assert "not shown by held-out time: Coulomb friction at joint2; tilted base on the whole robot." in text
+    assert "not shown by time that no fit has seen: Coulomb friction at joint2; tilted base on the whole robot." in text
     assert "depends" not in text
 
 

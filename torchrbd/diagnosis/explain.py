@@ -80,15 +80,14 @@ def explain(found: Explanation, extended: Extended) -> Explained:
         return strongest_first(sentences)
 
     fits, every = _Fits(extended), told(extended, lambda _: True)
-    own_time = {term: fits.errors_in_its_time(term) for term, _ in every if not fits.held_out_sees(term)}
-    unseen = {term for term, errors in own_time.items() if errors and not _any_falls(*errors)}
+    own_time = {term: fits.in_its_time(term, one) for term, one in every if not fits.held_out_sees(term)}
+    unseen = {term for term, one in own_time.items() if one.judged_on and one.share < NO_CHANGE}
     kept, apart = set_apart(every, fits.error_without, lambda term, one: term in unseen or is_trifling(one, extended))
 
     def proven(term: Candidate, one: Finding, others: Sequence[Candidate], by_own: Collection[Candidate]) -> Finding:
-        if term not in by_own:
-            return replace(one, confirmed=fits.confirmed(term, one, others))
-        before, after = own_time[term] or ({}, {})
-        return replace(one, nmse_before=before, nmse_after=after, judged_on=OWN_TIME if before else "")
+        if term in by_own:
+            return _judged_as(own_time[term], one)
+        return replace(one, confirmed=fits.confirmed(term, one, others))
 
     others = [term for term, _ in apart]
     kept = [(term, proven(term, one, others, own_time)) for term, one in kept]
@@ -104,7 +103,7 @@ def explain(found: Explanation, extended: Extended) -> Explained:
 
 
 def _judged_as(judged: Finding, one: Finding) -> Finding:
-    """Return a finding with what unseen time says of it in another fit."""
+    """Return a finding with what unseen time says of it elsewhere."""
     taken = ("nmse_before", "nmse_after", "judged_on", "confirmed")
     return replace(one, **{name: getattr(judged, name) for name in taken})
 
@@ -166,13 +165,15 @@ class _Fits:
         """
         key = frozenset(gone)
         if key not in self._fitted:
-            terms, columns = self.first.proper_terms, self.first.columns
-            friction = [c for c in terms[: self._friction] if c in key]
-            shared, joints = {k for c in friction for k in columns.of(c)}, {c.joint for c in friction}
-            rest = [c for c in terms if c not in key and not shared & set(columns.of(c))]
-            rest = [c for c in rest if not (has_friction(c) and c.joint in joints)]
-            self._fitted[key] = self.prepared.fit(rest, self._noise)
+            self._fitted[key] = self.prepared.fit(self._rest(key), self._noise)
         return self._fitted[key]
+
+    def _rest(self, gone: Collection[Candidate]) -> list[Candidate]:
+        terms, columns = self.first.proper_terms, self.first.columns
+        friction = [c for c in terms[: self._friction] if c in gone]
+        shared, joints = {k for c in friction for k in columns.of(c)}, {c.joint for c in friction}
+        rest = [c for c in terms if c not in gone and not shared & set(columns.of(c))]
+        return [c for c in rest if not (has_friction(c) and c.joint in joints)]
 
     def error_without(self, gone: Sequence[Candidate]) -> Mapping[str, float]:
         """Return held-out nmse by joint without some terms."""
@@ -183,39 +184,33 @@ class _Fits:
         blocks, held_out = self.prepared.statistics.blocks, self.prepared.held_out.tolist()
         return term.site.always or any(out and _acts_in(b, term.site) for b, out in zip(blocks, held_out, strict=True))
 
-    def errors_in_its_time(self, term: Candidate) -> tuple[dict[str, float], dict[str, float]] | None:
-        """Return nmse by joint on the blocks in which a term acts, without it and with it, each half told by the other.
+    def in_its_time(self, term: Candidate, one: Finding) -> Finding:
+        """Return what is told of a term with nmse on the blocks in which it acts, each half told by a fit to the other.
 
-        Neither fit of a half has seen it, every other block. None if there is only one.
+        Neither fit of a half has seen it, every other block. Judged on nothing if there is only one.
         """
         statistics, held_out = self.prepared.statistics, self.prepared.held_out
         inside = torch.tensor([_acts_in(block, term.site) for block in statistics.blocks])
         own = torch.nonzero(inside)[:, 0]
         if len(own) < 2:
-            return None
-        rest = [c for c in self.first.proper_terms if c != term]
+            return replace(one, nmse_before={}, nmse_after={}, judged_on="")
         error = torch.zeros(2, len(statistics.moments), dtype=torch.float64)
         for half in (own[::2], own[1::2]):
             left_out = torch.zeros_like(held_out).index_fill(0, half, True)
             prepared, judged = replace(self.prepared, held_out=held_out | left_out), statistics.select(left_out)
-            for k, terms in enumerate((rest, self.first.proper_terms)):
+            for k, terms in enumerate((self._rest([term]), self.first.proper_terms)):
                 error[k] += judged.squared_error(prepared.fit(terms, self._noise).x).sum(0)
         joints = None if term.place is None else [term.place]
         weights, names = nmse_weights(statistics.select(inside), joints), self.prepared.robot.joint_names
         counted = [(j, name) for j, name in enumerate(names) if weights[j] > 0]
-        without, beside = ({name: float(one[j] * weights[j]) for j, name in counted} for one in error)
-        return without, beside
+        before, after = ({name: float(each[j] * weights[j]) for j, name in counted} for each in error)
+        return replace(one, nmse_before=before, nmse_after=after, judged_on=OWN_TIME)
 
     def confirmed(self, term: Candidate, told: Finding, others: Sequence[Candidate]) -> Ratio | None:
         """Return the part of what a term adds that held-out time shows, others being left out."""
         names = self.prepared.robot.joint_names
         joints = None if term.place is None else [names.index(name) for name in told.joints]
         return confirmed(self.prepared.judging, self.without(others), self.without([*others, term]).x, joints)
-
-
-def _any_falls(before: Mapping[str, float], after: Mapping[str, float]) -> bool:
-    """Say whether the error of any joint falls by what counts."""
-    return any(after[joint] < (1.0 - NO_CHANGE) * error for joint, error in before.items())
 
 
 def _acts_in(block: Block, site: Site) -> bool:

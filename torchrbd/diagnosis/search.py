@@ -273,11 +273,10 @@ class _Search:
         """
         found, plain = self.offered(fit, chosen), fit.least_squares
         functions = {h.candidate: h for h in found if h.candidate.effect is not HUM}
-        hidden = [h for h in curves_at(plain, self.rows, range(self.rows.n_dof)) if h.candidate in functions]
+        hidden = [one for h in functions.values() if (one := again(plain, self.rows, h)) is not None]
         first = [h.candidate for kind in (list(functions.values()), hidden) for h in self.ordered(kind)[:1]]
-        likely = [functions[c] for c in dict.fromkeys(first)]
         tones = [h for h in found if h.candidate.effect is HUM]
-        return self.judged(fit, [*likely, *tones])
+        return self.judged(fit, [*(functions[c] for c in dict.fromkeys(first)), *tones])
 
     def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
         """Return the model with chosen hypotheses, all else learnt beside them."""

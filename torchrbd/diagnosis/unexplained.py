@@ -57,7 +57,8 @@ def _drifting(found: Explanation) -> Iterator[Unexplained]:
     """Yield joints whose torque wanders with time by more than their noise explains."""
     fit, robot = found.fit, found.rows.columns.robot
     for j in np.flatnonzero(found.rows.seen).tolist():
-        drift, noise, name = float(np.sqrt(np.mean(fit.drift(j) ** 2))), fit.hyper.noise[j].std, robot.joint_names[j]
+        wandering = fit.part(j, fit.machine.wandering(j))
+        drift, noise, name = float(np.sqrt(np.mean(wandering**2))), fit.hyper.noise[j].std, robot.joint_names[j]
         if math.hypot(drift, noise) > _LARGER * noise:
             words = (
                 f"{name}: a torque of {number(drift)} {torque_unit(robot, j)} RMS changes slowly with time; no known "

@@ -126,8 +126,9 @@ class Hum(SmoothTorque):
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         assert site.joint is not None
+        assert site.recordings is not None
         angle, found = 2.0 * math.pi * shape["frequency"] * self.values(signals, site.joint), dict[str, Tensor]()
-        for recording in site.recordings or (signals.recording,):
+        for recording in site.recordings:
             inside, name = float(signals.recording == recording), f"{self.id} {recording} {shape['frequency']:.6g}"
             found |= {f"{name} cosine": angle.cos() * inside, f"{name} sine": angle.sin() * inside}
         return found

@@ -1,4 +1,4 @@
-"""Torque offset: a constant error of the torque or current sensor, or a constant load at the joint."""
+"""Torque offset: a constant error of the torque or current sensor, or a constant load at the joint; or for a time."""
 
 from __future__ import annotations
 

@@ -83,7 +83,9 @@ def with_machine(
 def _sticky(prepared: Prepared, held: frozenset[str]) -> torch.Tensor:
     """Say at which joints (n_dof,) friction at rest is told to be another than the law says, bool."""
     fit = learn(Machine(read_rows(prepared.reading, prepared.columns, prepared.kept_back), held), white=True)
-    levels = [np.maximum(n.spread, np.abs(fit.held(j)) / n.std) for j, n in enumerate(fit.hyper.noise)]
+    levels = [
+        np.maximum(n.spread, np.abs(fit.part(j, fit.machine.holding(j))) / n.std) for j, n in enumerate(fit.hyper.noise)
+    ]
     return torch.tensor([bool((level > _STICKS).any()) for level in levels])
 
 

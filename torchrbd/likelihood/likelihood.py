@@ -125,15 +125,8 @@ class Likelihood:
             self._residuals[joint] = one.target - one.explained(self.gaussian.z[one.own])
         return self._residuals[joint]
 
-    def held(self, joint: int) -> np.ndarray:
-        """Return what friction holds a joint with while it rests, beside its law, (M,) [N m or N]."""
-        return self._of_some(joint, (*self.machine.sticks(joint), *self.machine.resting(joint)))
-
-    def drift(self, joint: int) -> np.ndarray:
-        """Return what drifts at a joint, (M,) [N m or N]."""
-        return self._of_some(joint, self.machine.wandering(joint))
-
-    def _of_some(self, joint: int, coefficients: Sequence[int] | np.ndarray) -> np.ndarray:
+    def part(self, joint: int, coefficients: np.ndarray) -> np.ndarray:
+        """Return what some coefficients, by where they stand, make of a joint's torque, (M,) [N m or N]."""
         one = self._designs[joint]
         return one.explained(np.where(np.isin(one.own, coefficients), self.gaussian.z[one.own], 0.0))
 
