@@ -99,13 +99,6 @@ def test_nothing_has_evidence_where_nothing_is() -> None:
     assert len(once) == len(set(once))
 
 
-def test_whose_friction_a_play_has_is_one_of_two() -> None:
-    """Between the motor's and the link's there is none, and no shape is sought there."""
-    columns = carried(fitted()).columns
-    for shape in effect("backlash").shapes(columns.scale(Site(0))):
-        assert set(axes(columns, columns.candidate(effect("backlash"), Site(0), shape))) == {"flight"}
-
-
 def test_bursts_and_spikes_are_no_effect_and_hide_none() -> None:
     fit, rows, found = leading(bursts)
     assert all(noise.tail is not None for noise in fit.hyper.noise)

@@ -389,3 +389,20 @@ def test_a_link_without_inertia_crosses_its_play_at_once() -> None:
         x = free(load, inertia, 0.01, 0.02)
         assert torch.isfinite(x).all()
         assert x.abs().max() <= 0.01
+
+
+@pytest.mark.parametrize(("shape", "told"), [(0.0, 0.0), (1.0, 1.0), (-0.5, 1.0), (1.6e-17, 1.0)])
+def test_a_play_has_the_motors_friction_or_the_links(shape: float, told: float) -> None:
+    """What is told is what the torque is made of: shapes that are sought between the two are the link's."""
+    play, (q, qd, qdd) = Backlash(), states(200)
+    x = replace(signals(q, qd, qdd), friction=torch.tensor([[0.1, 0.5, 0.0]]).double().expand(ROBOT.n_dof, 3))
+    given = {"flight": 0.01, "link_friction": shape}
+    found = play.parameters(torch.tensor([0.01]).double(), given)
+    assert float(found["link_friction"]) == told
+    made, meant = (
+        torch.stack(list(play.features(x, Site(1), {"flight": 0.01, "link_friction": s}).values()))
+        for s in (shape, told)
+    )
+    torch.testing.assert_close(made, meant, rtol=0, atol=0)
+    motors = torch.stack(list(play.features(x, Site(1), {"flight": 0.01, "link_friction": 0.0}).values()))
+    assert torch.equal(made, motors) is (told == 0.0)

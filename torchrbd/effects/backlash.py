@@ -55,7 +55,6 @@ class Backlash(Effect):
     uses_load = True
     has_memory = True
     sees_friction = True
-    kinds = ("link_friction",)
     prior = CoefficientPrior("A play is not negative, and below a degree.", positive=(0,), std=(0.01,))
     export_note = (
         "a second joint on the axis, with range +-backlash/2, between the rotor (a body of its own) and the link"
@@ -80,7 +79,10 @@ class Backlash(Effect):
         return {label: signals.deviating(site.joint, x / play)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        return {"backlash": coefficients[0], **{name: coefficients.new_tensor(v) for name, v in shape.items()}}
+        # Between the motor's friction and the link's there is none: what is not zero is the link's.
+        of_link = float(bool(shape["link_friction"]))
+        flight, link = (coefficients.new_tensor(v) for v in (shape["flight"], of_link))
+        return {"backlash": coefficients[0], "flight": flight, "link_friction": link}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
         return (parameters["backlash"],), {name: parameters[name] for name in ("flight", "link_friction")}
