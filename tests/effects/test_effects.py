@@ -59,10 +59,14 @@ ALL = known_effects()
 
 
 def sizes(effect: Effect, seed: int = 0) -> dict[str, float]:
-    """Draw physical parameters: positive, ascending so that friction starts higher than it runs, times in ms."""
+    """Draw physical parameters: positive, ascending so that friction starts higher than it runs, times in ms.
+
+    Whose friction a play has is one of two: it is the link's.
+    """
     values = np.sort(np.random.default_rng(seed).uniform(0.5, 2.0, len(effect.units)))
     found = dict(zip(effect.units, values.tolist(), strict=True))
-    return {name: 0.02 * v if effect.unit(name, prismatic=False) == "s" else v for name, v in found.items()}
+    found = {name: 0.02 * v if effect.unit(name, prismatic=False) == "s" else v for name, v in found.items()}
+    return {name: 1.0 if name == "link_friction" else v for name, v in found.items()}
 
 
 def feature_matrix(effect: Effect, site: Site, shape: Shape, at: Signals) -> Tensor:
