@@ -24,8 +24,8 @@ from .joint_torques import (
     VelocityCoupling,
 )
 from .sensors import EncoderOffset, TimeDelay, TorqueOffset, TorqueSaturation, TorqueScale
-from .transmission import ActuatorLag, Backlash, JointElasticity
-from .unnamed import DeadZone, FrictionByOther, RandomWalk, TorqueBump, TorqueHum, VelocityProduct
+from .transmission import ActuatorLag, Backlash, DeadZone, JointElasticity
+from .unnamed import FrictionByOther, OneWayDamper, RandomWalk, TorqueBump, TorqueHum, VelocityProduct
 from .viscosity import PowerLaw, QuadraticDrag, SpeedDependentLoss, ThermalViscosity, Viscous
 from .whole_robot import BaseTilt, ExternalWrench, GeometryError, Payload, RotorInertia
 
@@ -66,9 +66,10 @@ NAMED: Kinds = _by_id(
     TorqueOffset,
     TorqueScale,
     TorqueSaturation,
+    DeadZone,
     TimeDelay,
     ActuatorLag,
     EncoderOffset,
 )
-OUTSIDE: Kinds = _by_id(TorqueBump, VelocityProduct, TorqueHum, FrictionByOther, RandomWalk, DeadZone)
+OUTSIDE: Kinds = _by_id(TorqueBump, VelocityProduct, TorqueHum, FrictionByOther, RandomWalk, OneWayDamper)
 EFFECTS: Kinds = {**NAMED, **OUTSIDE}

@@ -205,3 +205,27 @@ def _link_and_motor(x: Motion, joint: int) -> tuple[float, float]:
     """Return the link's least inertia and a motor's, between a third of that and what the motor meets [kg m^2]."""
     held, free = x.robot.inertias(x.q)
     return float(free[joint]), 0.3 * float(np.sqrt(held[joint] * free[joint]))
+
+
+@dataclass
+class DeadZone(Effect):
+    """Of the command, recorded, only what is beyond +-w acts: w sign(load) is added."""
+
+    id = "torque_dead_zone"
+    by_difference = True
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, x: Motion, joint: int) -> DeadZone:
+        return cls(joint, 1.0)
+
+    def torque(self, x: Motion) -> np.ndarray:
+        return self.at_joint(x, self.strength * np.sign(x.load[:, self.joint]))
+
+    def drive(self, now: Now, acting: np.ndarray) -> None:
+        acting[self.joint] -= np.clip(acting[self.joint], -self.strength, self.strength)
+
+    def parameters(self, x: Motion) -> dict[str, float]:
+        return {"half_width": self.strength}
+
+    def depends_on(self, robot: Robot) -> list[str]:
+        return [f"tau_{robot.joints[self.joint]}"]

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from .contract import Effect, Now, Place, State, another, inner, rms
+from .contract import Place, State, another, inner, rms
 from .friction import Dry
 from .joint_torques import JointCoupling, Push
 from .motion import Motion
 from .robots import Robot
+from .viscosity import Wet
 
 
 @dataclass
@@ -136,24 +137,18 @@ class FrictionByOther(Dry):
 
 
 @dataclass
-class DeadZone(Effect):
-    """Of the command, recorded, only what is beyond +-w acts: w sign(load) is added."""
+class OneWayDamper(Wet):
+    """d max(0, qd), or its mirror image: a damper with a valve."""
 
-    id = "torque_dead_zone"
-    by_difference = True
+    id = "one_way_damper"
+    side: float
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, x: Motion, joint: int) -> DeadZone:
-        return cls(joint, 1.0)
+    def draw(cls, rng: np.random.Generator, x: Motion, joint: int) -> OneWayDamper:
+        return cls(joint, 1.0, float(rng.choice([-1.0, 1.0])))
 
-    def torque(self, x: Motion) -> np.ndarray:
-        return self.at_joint(x, self.strength * np.sign(x.load[:, self.joint]))
-
-    def drive(self, now: Now, acting: np.ndarray) -> None:
-        acting[self.joint] -= np.clip(acting[self.joint], -self.strength, self.strength)
+    def rate(self, x: State) -> Any:
+        return self.strength * (self.side * x.qd[..., self.joint] > 0)
 
     def parameters(self, x: Motion) -> dict[str, float]:
-        return {"half_width": self.strength}
-
-    def depends_on(self, robot: Robot) -> list[str]:
-        return [f"tau_{robot.joints[self.joint]}"]
+        return {"viscous": self.strength, "side": self.side}

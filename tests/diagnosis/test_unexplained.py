@@ -39,21 +39,27 @@ def bump(m: Motion) -> np.ndarray:
     return SIZE * np.exp(-(((m.q[:, 0] - centre(m)) / WIDTH) ** 2))
 
 
+def dead_zone(m: Motion) -> np.ndarray:
+    return STEP * np.sign(inverse_dynamics(URDF, m)[:, 0])
+
+
 def quiet(*_: object) -> None:
     """Tell nobody how far the work is."""
 
 
-def diagnosed(torque: Callable | None, seconds: Sequence[float] = (30.0,)) -> tuple[Explanation, Extended]:
+def diagnosed(
+    torque: Callable | None, seconds: Sequence[float] = (30.0,), may: Sequence[str] = MAY
+) -> tuple[Explanation, Extended]:
     """Return what the search finds of few laws in recordings that last so long, and the model with it."""
     recordings = [
         recorded(URDF, 2 + k, with_friction(torque), name=f"run{k + 1}", **{**OPTIONS, "duration_s": length})
         for k, length in enumerate(seconds)
     ]
-    settings = Settings.from_mapping({"effects": MAY}, "test")
+    settings = Settings.from_mapping({"effects": may}, "test")
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), recordings, settings, ())
     ranked = ranking(prepared.reading, settings, prepared.kept_back, quiet)
     prepared = with_machine(prepared, settings, friction_of(settings), quiet, ranked.clocks)
-    return ranked.explanation, extended(prepared, ranked.explanation, MAY, quiet)
+    return ranked.explanation, extended(prepared, ranked.explanation, may, quiet)
 
 
 @pytest.fixture(scope="module")
@@ -148,13 +154,17 @@ def test_a_torque_that_wanders_is_told_though_noise_could_pass_for_it() -> None:
 
 def test_a_function_that_the_noise_has_the_colour_of_is_told() -> None:
     """Steps where the load changes its sign look like slow noise until noise is learnt beside them."""
-
-    def dead_zone(m: Motion) -> np.ndarray:
-        return STEP * np.sign(inverse_dynamics(URDF, m)[:, 0])
-
     found, model = diagnosed(at_joint(0, dead_zone))
     (one,) = (u for u in unexplained(found, model, (), ()) if u.joints == (FIRST,))
     assert one.depends_on == (f"tau_{FIRST}",)
+
+
+def test_it_has_a_name_where_the_law_is_known() -> None:
+    found, model = diagnosed(at_joint(0, dead_zone), may=(*MAY, "torque_saturation", "torque_dead_zone"))
+    (term,) = found.terms
+    assert (term.own.candidate.effect.id, term.own.candidate.place) == ("torque_dead_zone", 0)
+    assert term.own.coefficients == pytest.approx([STEP], rel=0.1)
+    assert unexplained(found, model, (), ()) == ()
 
 
 def test_where_nothing_is_left_nothing_is_told() -> None:

@@ -53,6 +53,7 @@ EXPECTED_IDS = {
     "velocity_coupling",
     "coupled_motor",
     "torque_saturation",
+    "torque_dead_zone",
     "speed_dependent_loss",
 }
 ALL = known_effects()

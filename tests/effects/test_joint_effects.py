@@ -25,6 +25,7 @@ from torchrbd.effects.speed_dependent_loss import SpeedDependentLoss
 from torchrbd.effects.thermal_viscosity import ThermalViscosity
 from torchrbd.effects.time_varying_friction import TimeVaryingFriction
 from torchrbd.effects.torque_ripple import TorqueRipple
+from torchrbd.effects.torque_dead_zone import TorqueDeadZone
 from torchrbd.effects.torque_saturation import TorqueSaturation
 from torchrbd.effects.torque_scale import TorqueScale
 from torchrbd.effects.velocity_coupling import VelocityCoupling
@@ -124,6 +125,7 @@ class TestPairsOfJoints:
         (TorqueScale(), {"gain": 0.9}, {"gain": -1.0}),
         (TorqueSaturation(), {"limit": 3.0, "slope": -1.0}, {"slope": -1.5}),
         (TorqueSaturation(), {"limit": 3.0, "slope": 0.5}, {"limit": -3.0}),
+        (TorqueDeadZone(), {"half_width": 0.5}, {"half_width": -0.5}),
         (TimeVaryingFriction(), {"coulomb_end": 1, "coulomb_start": 0.5, "time_constant": 9}, {"coulomb_start": -0.1}),
         (TimeVaryingFriction(), {"coulomb_end": 1, "coulomb_start": 3.0, "time_constant": 9}, {"time_constant": -9}),
         (ThermalViscosity(), {"viscous_per_kelvin": 0.1}, {"viscous_per_kelvin": -0.1}),
@@ -176,6 +178,7 @@ CURVES = {
     "load_dependent_friction": ("load", {"load_friction": 0.1}, lambda x: 0.1 * np.abs(x)),
     "torque_scale": ("load", {"gain": 1.2}, lambda x: 0.2 * x),
     "torque_saturation": ("load", {"limit": 2.0, "slope": -1.0}, lambda x: np.clip(x, -2, 2) - x),
+    "torque_dead_zone": ("load", {"half_width": 0.4}, lambda x: 0.4 * np.sign(x)),
     "speed_dependent_loss": ("qd", {"loss": 0.1}, lambda x: 0.1 * SCALE.load_max * x),
     "thermal_viscosity": ("temperature", {"viscous_per_kelvin": 0.1}, lambda x: -0.1 * (x - 40) * SCALE.speed_max),
     "time_varying_friction": (

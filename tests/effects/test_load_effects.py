@@ -13,6 +13,7 @@ from torch.autograd import gradcheck
 from torchrbd.effects import Effect, Signals, Site
 from torchrbd.effects.load_dependent_friction import LoadDependentFriction
 from torchrbd.effects.speed_dependent_loss import SpeedDependentLoss
+from torchrbd.effects.torque_dead_zone import TorqueDeadZone
 from torchrbd.effects.torque_saturation import TorqueSaturation
 from torchrbd.effects.torque_scale import TorqueScale
 
@@ -42,6 +43,12 @@ class TestLoad:
         at, load = loaded()
         limit = 1.01 * float(np.abs(load[1]).max())
         assert not term(TorqueSaturation(), Site(1), {"limit": limit, "slope": 0.5})(at).detach().any()
+
+    def test_the_command_of_a_dead_zone_is_what_the_zone_makes_the_load_of(self) -> None:
+        at, load = loaded()
+        w = 0.3 * float(np.abs(load[1]).max())
+        command = load[1] + term(TorqueDeadZone(), Site(1), {"half_width": w})(at).detach().numpy()
+        np.testing.assert_allclose(command - np.clip(command, -w, w), load[1], rtol=1e-9, atol=1e-9)
 
     def test_gear_efficiency_is_load_friction_and_a_gain(self) -> None:
         """Supply load / eta to drive, eta load when driven: the mean loss is friction, half their difference a gain."""

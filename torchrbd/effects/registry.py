@@ -30,6 +30,7 @@ from torchrbd.effects.stribeck_friction import StribeckFriction
 from torchrbd.effects.thermal_viscosity import ThermalViscosity
 from torchrbd.effects.time_delay import TimeDelay
 from torchrbd.effects.time_varying_friction import TimeVaryingFriction
+from torchrbd.effects.torque_dead_zone import TorqueDeadZone
 from torchrbd.effects.torque_offset import TorqueOffset
 from torchrbd.effects.torque_ripple import TorqueRipple
 from torchrbd.effects.torque_saturation import TorqueSaturation
@@ -75,6 +76,7 @@ for _effect in (
     TorqueRipple(),
     TorqueScale(),
     TorqueSaturation(),
+    TorqueDeadZone(),
     JointCoupling(),
     VelocityCoupling(),
     CoupledMotor(),

@@ -25,6 +25,7 @@ from torchrbd.effects.presliding_hysteresis import PreslidingHysteresis
 from torchrbd.effects.registry import PLAIN_OR_UNEVEN
 from torchrbd.effects.rotor_inertia import RotorInertia
 from torchrbd.effects.smooth_torque import SmoothTorque
+from torchrbd.effects.torque_dead_zone import TorqueDeadZone
 from torchrbd.effects.torque_offset import TorqueOffset
 from torchrbd.effects.torque_saturation import TorqueSaturation
 from torchrbd.effects.viscous_friction import ViscousFriction
@@ -154,4 +155,4 @@ def _takes_a_motion(term: Term) -> bool:
     effect = term.effect
     if isinstance(effect, SmoothTorque) and effect.signal in ("qdd", "load") and not effect.friction:
         return True
-    return effect.has_memory or isinstance(effect, TorqueSaturation)
+    return effect.has_memory or isinstance(effect, (TorqueSaturation, TorqueDeadZone))
