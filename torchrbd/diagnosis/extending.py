@@ -84,7 +84,8 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     own = [columns.candidate(c.effect, c.site, c.shape) for c in own]
     early = (*(f.candidate for f in friction), *(c for c in own if not stands_in(c)))
     late = tuple(c for c in own if stands_in(c))
-    wider = columns.of_candidates(early, found.fit.pi, found.fit.hyper.friction)
+    supplied = found.fit.around_its_fit(alone=True)
+    wider = columns.of_candidates(early, supplied.pi, supplied.friction)
     prepared, early = refined_from(reread(prepared, wider, progress), early, progress)
     if late:
         columns = prepared.columns

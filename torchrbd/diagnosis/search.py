@@ -33,6 +33,8 @@ MOST_TERMS = 12
 _RIVALS, _JUDGED, _SWEEPS = 12, 3, 2
 # How often the likeliest of several rivals may turn out to be another one.
 _TURNS = 2
+# How often effects are given the load of a fit that has others beside them, and how many nats that is worth to go on.
+_LOADS, _SAME = 3, 1.0
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Explanation:
     Attributes:
         base: ordinary physics alone.
         fit: with the terms, in their order.
-        rows: of the base, whose signals carry its load and friction.
+        rows: those of the base, whose signals carry the load and friction of a fit.
         terms: what stands in the model.
         first, last: all other hypotheses beside the base, and beside the model, likeliest first.
         considered: number of hypotheses.
@@ -77,17 +79,27 @@ def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int
         effects: what may be there.
         report: told after each step how many terms there are.
     """
-    rows = carried(base)
-    search = _Search(rows, effects, report)
+    search = _Search(carried(base), effects, report)
     first = search.leading(base)
-    fit, chosen, seen, last = search.added(base, [], first)
-    fit, terms, last = search.settled(base, fit, chosen, seen, last)
-    return Explanation(base, fit, rows, terms, first, last, len(first))
+    fit, terms, last = search.settled(base, *search.added(base, [], first))
+    for _ in range(_LOADS):
+        chosen = [term.own for term in terms]
+        if not any(h.candidate.effect.uses_load for h in chosen):
+            break
+        onwards = _Search(carried(fit), effects, report)
+        now = onwards.with_terms(base, chosen)
+        if now.log_evidence <= fit.log_evidence + _SAME:
+            break
+        search, rivals = onwards, [list(term.rivals) for term in terms]
+        now, chosen, seen, last = search.added(now, chosen, search.leading(now, chosen))
+        fit, terms, last = search.settled(base, now, chosen, [*rivals, *seen], last)
+    return Explanation(base, fit, search.rows, terms, first, last, len(first))
 
 
 def carried(fit: Likelihood) -> Rows:
     """Return the rows whose signals carry the load and friction of a fit."""
-    return fit.machine.rows.around(fit.pi, fit.hyper.friction, fit.hyper.rest_width)
+    own = fit.around_its_fit(alone=True)
+    return fit.machine.rows.around(own.pi, own.friction, own.rest_width)
 
 
 def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
