@@ -91,8 +91,7 @@ def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int
         if now.log_evidence <= fit.log_evidence + _SAME:
             break
         search, rivals = onwards, [list(term.rivals) for term in terms]
-        now, chosen, seen, last = search.added(now, chosen, search.leading(now, chosen))
-        fit, terms, last = search.settled(base, now, chosen, [*rivals, *seen], last)
+        fit, terms, last = search.settled(base, now, chosen, rivals, last)
     return Explanation(base, fit, search.rows, terms, first, last, len(first))
 
 
