@@ -5,9 +5,8 @@ import pytest
 from likelihood.fits import Motion, at_joint, fitted
 from scipy.optimize import minimize
 
-from torchrbd.diagnosis.hypotheses import told
+from torchrbd.diagnosis.hypotheses import carried, told
 from torchrbd.diagnosis.screening import screened
-from torchrbd.diagnosis.search import carried
 from torchrbd.diagnosis.sharpening import at_summit, sharpened
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect

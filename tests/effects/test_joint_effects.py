@@ -24,8 +24,8 @@ from torchrbd.effects.quadratic_drag import QuadraticDrag
 from torchrbd.effects.speed_dependent_loss import SpeedDependentLoss
 from torchrbd.effects.thermal_viscosity import ThermalViscosity
 from torchrbd.effects.time_varying_friction import TimeVaryingFriction
-from torchrbd.effects.torque_ripple import TorqueRipple
 from torchrbd.effects.torque_dead_zone import TorqueDeadZone
+from torchrbd.effects.torque_ripple import TorqueRipple
 from torchrbd.effects.torque_saturation import TorqueSaturation
 from torchrbd.effects.torque_scale import TorqueScale
 from torchrbd.effects.velocity_coupling import VelocityCoupling

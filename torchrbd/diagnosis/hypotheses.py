@@ -62,6 +62,12 @@ class Hypothesis:
         return Extra(self.candidate.place, rows.features(self.candidate), std * self.scale)
 
 
+def carried(fit: Likelihood) -> Rows:
+    """Return the rows whose signals carry the load and friction of a fit."""
+    own = fit.around_its_fit(alone=True)
+    return fit.machine.rows.around(own.pi, own.friction, own.rest_width)
+
+
 def told(fit: Likelihood, rows: Rows, candidate: Candidate) -> Hypothesis | None:
     """Return the evidence of one candidate whose shape, or window, is known."""
     return averaged(fit, rows, [candidate])

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, again, support
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried, support
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
 from torchrbd.diagnosis.screening import refined, screened
@@ -93,12 +93,6 @@ def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int
         search, rivals = onwards, [list(term.rivals) for term in terms]
         fit, terms, last = search.settled(base, now, chosen, rivals, last)
     return Explanation(base, fit, search.rows, terms, first, last, len(first))
-
-
-def carried(fit: Likelihood) -> Rows:
-    """Return the rows whose signals carry the load and friction of a fit."""
-    own = fit.around_its_fit(alone=True)
-    return fit.machine.rows.around(own.pi, own.friction, own.rest_width)
 
 
 def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
