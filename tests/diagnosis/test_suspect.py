@@ -95,7 +95,7 @@ def test_torques_of_nothing_have_no_findings(arrays: dict[str, np.ndarray]) -> N
 def test_what_held_out_recordings_contradict_is_not_named(
     arrays: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch, worse_than: str
 ) -> None:
-    """The plain model predicts them, what was found does not."""
+    """The plain model predicts them, what was found does not; of what is left a function of one signal is told."""
     diagnose, told = import_module("torchrbd.diagnosis.diagnose"), iter((worse_than == "a constant", False))
     monkeypatch.setattr(diagnose, "tells_nothing", lambda *_: next(told))
     monkeypatch.setattr(diagnose, "refuted", lambda *_: True)
@@ -106,7 +106,11 @@ def test_what_held_out_recordings_contradict_is_not_named(
     assert (diagnosis.verdict, diagnosis.findings) == ("unexplained", ())
     (one,) = diagnosis.unexplained
     assert one.joints == (NAMES[0],)
-    assert "150 % with what explains the rest" in one.statement
+    if worse_than == "a constant":
+        assert "150 % with what explains the rest" in one.statement
+    else:
+        assert one.depends_on == (f"q_{NAMES[0]}",)
+        assert one.share > 0.9
     assert "predicts held-out time worse than a plain model does" in diagnosis.statement
 
 
@@ -146,6 +150,7 @@ def test_a_spring_that_is_gone_on_another_day_is_not_named(arrays: dict[str, np.
     diagnosis = torchrbd.diagnose(URDF, [day], holdout=[night])
     assert (diagnosis.verdict, diagnosis.findings) == ("unexplained", ())
     assert NAMES[0] in {joint for u in diagnosis.unexplained for joint in u.joints}
+    assert all(u.depends_on == () for u in diagnosis.unexplained)
 
 
 @pytest.mark.slow

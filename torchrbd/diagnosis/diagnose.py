@@ -20,7 +20,7 @@ from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.springs import with_springs
-from torchrbd.diagnosis.suspect import contradicted, refuted, suspect, tells_nothing
+from torchrbd.diagnosis.suspect import contradicted, functions_alone, refuted, suspect, tells_nothing
 from torchrbd.diagnosis.unexplained import unexplained
 from torchrbd.diagnosis.verdict_words import ended_statement, verdict_statement
 from torchrbd.diagnosis.words import strongest_first
@@ -82,7 +82,8 @@ def diagnose(
     plain, judging = model.prepared.fit(model.prepared.columns.urdf_friction), model.prepared.judging
     there = confirmed(judging, model.model, plain.x)
     if worthless or (found.terms and refuted(model.prepared, model.model, asked, there)):
-        return contradicted(asked, settings, progress, suspected, ranked, judge(judging, model.model.x).nmse)
+        shown = () if worthless else functions_alone(asked, ranked, settings, progress)
+        return contradicted(asked, settings, progress, suspected, ranked, judge(judging, model.model.x).nmse, shown)
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = deflections(model.prepared, model.model)

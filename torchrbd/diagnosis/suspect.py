@@ -5,17 +5,21 @@ Their model is the rigid body with plain friction.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import torch
 
-from torchrbd.diagnosis.proof import over_blocks
+from torchrbd.diagnosis.extending import extended
+from torchrbd.diagnosis.proof import confirmed, over_blocks
 from torchrbd.diagnosis.ranking import Ranking
 from torchrbd.diagnosis.results import Diagnosis, Ratio, Unexplained, Where
-from torchrbd.diagnosis.unexplained import whatever_the_motion
+from torchrbd.diagnosis.search import explained
+from torchrbd.diagnosis.unexplained import functions, whatever_the_motion
 from torchrbd.diagnosis.verdict_words import contradicted_sentence, contradicted_statement, suspect_statement
 from torchrbd.diagnosis.words import NO_CHANGE
 from torchrbd.inference.identify import summarise
+from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.physical.fitting import FittedModel, beside_constant, nmse_of_blocks
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.results import Identification
@@ -53,18 +57,41 @@ def contradicted(
     suspected: Suspicions,
     ranked: Ranking,
     errors: Mapping[str, float],
+    shown: Sequence[Unexplained],
 ) -> Diagnosis:
     """Return a diagnosis of recordings that were held out and contradict what the others show.
 
     Args:
         prepared, settings, progress, suspected, ranked: as of ``suspect``.
         errors: held-out nmse by joint of what was found, in the mean worse than the plain model's or a constant's.
+        shown: functions that it shows, see ``functions_alone``.
     """
     identification = _plain(prepared, settings, progress, suspected)
-    rest = (*whatever_the_motion(ranked.explanation), *_missed(errors, identification))
+    known = {joint for one in shown for joint in one.joints}
+    missed = (one for one in _missed(errors, identification) if one.joints[0] not in known)
+    rest = (*shown, *whatever_the_motion(ranked.explanation), *missed)
     joints = dict.fromkeys(joint for u in rest for joint in u.joints)
     statement = contradicted_statement(list(joints), identification.fits)
     return Diagnosis(identification, "unexplained", statement, (), rest, simulated=_simulated(prepared), ranking=ranked)
+
+
+def functions_alone(
+    prepared: Prepared, ranked: Ranking, settings: Settings, progress: Progress
+) -> tuple[Unexplained, ...]:
+    """Return what smooth functions explain in the place of laws that held-out time refutes, unless it refutes them too.
+
+    Args:
+        prepared, settings, progress, ranked: as of ``suspect``.
+    """
+    found = explained(ranked.explanation.base, (), lambda _: None)
+    if not found.terms:
+        return ()
+    alike = with_machine(prepared, settings, with_friction(settings), progress, replace(ranked.clocks, fit=found.fit))
+    model = extended(alike, found, [e.id for e in settings.chosen_effects()], progress)
+    plain = model.prepared.fit(model.prepared.columns.urdf_friction)
+    if refuted(model.prepared, model.model, prepared, confirmed(model.prepared.judging, model.model, plain.x)):
+        return ()
+    return tuple(one for one in functions(model) if one.where.recordings is None)
 
 
 def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:

@@ -39,12 +39,18 @@ def unexplained(
         findings: what has a name.
         proofs: what the extended model is worth on held-out time.
     """
-    curves = [_curve(extended, term) for term in extended.terms if is_curve(term) and term.effect is not HUM]
-    # What held-out time does not show is in the model, and told with all that was considered.
-    nameless = [one for one in curves if one.share >= NO_CHANGE or one.where.recordings is not None]
-    nameless += whatever_the_motion(found)
+    nameless = (*functions(extended), *whatever_the_motion(found))
     named = {j for f in findings for j in f.joints} | {j for u in nameless for j in u.joints}
     return (*nameless, *(one for one in _silent(extended, proofs) if one.joints[0] not in named))
+
+
+def functions(extended: Extended) -> list[Unexplained]:
+    """Return smooth functions that held-out time shows, or that are of one recording.
+
+    Others are in the model, and told with all that was considered.
+    """
+    every = [_curve(extended, term) for term in extended.terms if is_curve(term) and term.effect is not HUM]
+    return [one for one in every if one.share >= NO_CHANGE or one.where.recordings is not None]
 
 
 def whatever_the_motion(found: Explanation) -> tuple[Unexplained, ...]:
