@@ -10,6 +10,7 @@ What averaging over shapes costs is what it has cost at the first refinement, wh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,10 +18,13 @@ import torch
 
 from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, again, agreed, believed, told
 from torchrbd.diagnosis.screening import refined
+from torchrbd.effects import Site
+from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
-from torchrbd.likelihood.shapes import slopes, varied
+from torchrbd.likelihood.shapes import ShapeSlope, slopes, varied
 
 # Steps, and halvings of one that leads downhill.
 _STEPS, _HALVINGS = 6, 3
@@ -58,11 +62,28 @@ def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     return h if best is None else replace(best, scale=h.scale, tried=h.tried, paid=h.paid)
 
 
+def shape_std(fit: Likelihood, rows: Rows, terms: Sequence[Candidate]) -> dict[tuple[str, Site], dict[str, float]]:
+    """Return by effect and site how far the shapes of a fit's terms are open beside all else, a standard deviation."""
+    columns, at = rows.columns, list[tuple[Candidate, ShapeSlope]]()
+    for k, c in enumerate(terms):
+        at += [(c, slope) for slope in slopes(columns, c, torch.from_numpy(fit.coefficients(k)))]
+    extras = [Extra(c.place, _features(rows, s), np.array([varied(columns, c)[s.parameter].std])) for c, s in at]
+    beside, found = fit.extended((*fit.extra, *extras)), dict[tuple[str, Site], dict[str, float]]()
+    for k, (c, s) in enumerate(at, len(fit.extra)):
+        own = found.setdefault((c.effect.id, c.site), {})
+        own[s.parameter] = max(own.get(s.parameter, 0.0), float(beside.coefficients_covariance(k)[0, 0]) ** 0.5)
+    return found
+
+
+def _features(rows: Rows, slope: ShapeSlope) -> np.ndarray:
+    return rows.evaluated(lambda signals: torch.stack(list(slope.features(signals).values())))
+
+
 def _step(fit: Likelihood, rows: Rows, h: Hypothesis, now: Hypothesis) -> dict[str, float]:
     """Return the Gauss-Newton step of each shape parameter, within its limits."""
     c, axes = now.candidate, varied(rows.columns, now.candidate)
     around = slopes(rows.columns, c, torch.from_numpy(now.coefficients))
-    F = [rows.evaluated(lambda signals, s=s: torch.stack(list(s.features(signals).values()))) for s in around]
+    F = [_features(rows, s) for s in around]
     S, r = fit.beside(c.place, np.concatenate((rows.features(c), *F)))
     widths = np.array([axes[s.parameter].std for s in around])
     std = np.concatenate((believed(fit, rows, c)[0] * h.scale, widths))

@@ -136,29 +136,40 @@ def refined(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) 
     """
     if not _refinable(terms):
         return prepared, tuple(terms)
-    return refined_from(prepared, best_on_grid(prepared, terms), progress)
+    return _passed(prepared, best_on_grid(prepared, terms), progress, shapes=True)
 
 
-def refined_from(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) -> tuple[Prepared, Terms]:
-    """Return the same, from shapes that are good already; ``prepared`` has columns for these at least.
+def at_known_shapes(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) -> tuple[Prepared, Terms]:
+    """Return the same of terms whose shapes are known, but for what follows from their coefficients.
 
-    What is known of the states is that for these columns, whether or not there is a shape to refine.
+    The load, and the friction beside it, is that of the fit. What is known of the states is that for these columns.
+
+    Args:
+        prepared: the data, with columns for these terms at least.
+        terms: at their shapes.
+        progress: told how far the work is.
     """
     if not _refinable(terms):
         return with_input_noise(prepared, terms), tuple(terms)
-    now = _read(prepared, terms, _carried(prepared, terms, linear_fit_of(prepared, terms)[0]), progress)
+    return _passed(prepared, tuple(terms), progress, shapes=False)
+
+
+def _passed(prepared: Prepared, terms: Terms, progress: Progress, *, shapes: bool) -> tuple[Prepared, Terms]:
+    """Pass over the data until load, friction and shapes have settled."""
+    now = _read(prepared, terms, _carried(prepared, terms, linear_fit_of(prepared, terms)[0]), progress, free=shapes)
     best = [(c.shape, now.loss_of(k)) for k, c in enumerate(now.terms)]
     for _ in range(_MOST_PASSES):
-        shapes, settled = now.next_shapes()
+        following, settled = now.next_shapes()
         for k, term in enumerate(now.terms):
             if now.loss_of(k) > best[k][1] + _WORSE:
-                shapes[k], settled[k] = _between(best[k][0], term.shape), False
+                following[k], settled[k] = _between(best[k][0], term.shape), False
             else:
                 best[k] = (term.shape, now.loss_of(k))
         if all(settled) and now.load_settled():
             return _finished(now, progress)
-        now = _read(now.prepared, now.moved(shapes), now.carried, progress)
-    return _finished(_read(now.prepared, now.moved([shape for shape, _ in best]), now.carried, progress), progress)
+        now = _read(now.prepared, now.moved(following), now.carried, progress, free=shapes)
+    last = now.moved([shape for shape, _ in best])
+    return _finished(_read(now.prepared, last, now.carried, progress, free=shapes), progress)
 
 
 def _refinable(terms: Sequence[Candidate]) -> bool:
@@ -195,10 +206,13 @@ def _carried(prepared: Prepared, terms: Sequence[Candidate], x: Tensor) -> Carri
     return x[: prepared.robot.n_params], columns.friction_of(terms, x), columns.shown_bodies(terms, x)
 
 
-def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, progress: Progress) -> _Pass:
-    """Read the data with columns of terms and of the slopes of their features, built from what a fit has carried."""
+def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, progress: Progress, *, free: bool) -> _Pass:
+    """Read the data with columns of terms, and of the slopes of their features in shapes that are free.
+
+    They are built from what a fit has carried.
+    """
     columns, terms = prepared.columns, tuple(terms)
-    by_term = [feature_slopes(columns, c) for c in terms]
+    by_term = [feature_slopes(columns, c) if free else {} for c in terms]
     around = tuple((k, name) for k, own in enumerate(by_term) for name in own)
     known = carried if any(c.effect.uses_load for c in terms) else (None, None, ())
     every = [s for own in by_term for parts in own.values() for s in parts]
