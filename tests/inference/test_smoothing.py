@@ -16,7 +16,7 @@ import torchrbd
 from torchrbd.effects import Site, effect
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.inference.shapes.refine import at_known_shapes
+from torchrbd.inference.shapes.refine import refined_from
 from torchrbd.inference.shapes.reread import reread
 from torchrbd.inference.smoothing.block_tridiagonal import BlockCholesky, fold, fold_rows
 from torchrbd.inference.smoothing.information import eliminate
@@ -271,7 +271,7 @@ def test_what_is_known_of_states_follows_the_columns() -> None:
     columns = prepared.columns.of_candidates((offset,), None)
     assert prepared.states is not None
     assert columns.n == prepared.columns.n + 1 == len(prepared.states.gram) + 1
-    again, terms = at_known_shapes(reread(prepared, columns, lambda *_: None), (offset,), lambda *_: None)
+    again, terms = refined_from(reread(prepared, columns, lambda *_: None), (offset,), lambda *_: None)
     assert terms == (offset,)
     assert again.states is not None
     assert again.states.gram.shape == again.states.lost.shape == (columns.n, columns.n)

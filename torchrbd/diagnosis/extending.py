@@ -1,6 +1,6 @@
 """The model with what was found: physically valid, in the band of the fit, as identification fits it.
 
-Shapes are those of the wide band, which tells them best: how far a ripple turns in a second, how wide a play is.
+What the wide band tells of shapes, such as how often a ripple repeats, is their prior.
 
 Curves over a joint's own velocity, acceleration or load, which friction and inertia are linear in, are fitted to what
 all else leaves, so that none stands in for a part of these; what friction there is, is told without them:
@@ -19,11 +19,11 @@ import torch
 from torchrbd.diagnosis.friction import Friction, ordinary_friction
 from torchrbd.diagnosis.residual import stands_in
 from torchrbd.diagnosis.search import Explanation
-from torchrbd.diagnosis.sharpening import shape_std
+from torchrbd.diagnosis.sharpening import known_shapes
 from torchrbd.effects import Site
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.shapes.refine import at_known_shapes, fit_with_shapes
+from torchrbd.inference.shapes.refine import fit_with_shapes, refined_from
 from torchrbd.inference.shapes.reread import reread, with_input_noise
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.equations import scaled_equations
@@ -39,7 +39,7 @@ class Extended:
         first: the fit of all but the curves that could stand in for a part of it.
         model: the same with these, fitted to what it leaves.
         friction: ordinary friction, in the order of the model's first terms.
-        terms: what was found, in the order of the explanation, at the shapes that it has.
+        terms: what was found, in the order of the explanation, their shapes final.
         open: of each term, the covariance (K, K) of its coefficients in the likelihood, which leaves open what this fit
             takes as known: whether friction differs by direction, the level of a drift, the clocks.
     """
@@ -83,13 +83,13 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     for t in found.terms:
         at, std = (t.own.candidate.effect.id, t.own.candidate.site), t.own.extra(found.fit, found.rows).std
         believed[at] = np.maximum(std, believed.get(at, 0.0))
-    prepared = replace(prepared, believed=believed, known_shapes=shape_std(found.fit, found.rows, own))
+    prepared = replace(prepared, believed=believed, known_shapes=known_shapes(found.fit, found.rows, own))
     own = [columns.candidate(c.effect, c.site, c.shape) for c in own]
     early = (*(f.candidate for f in friction), *(c for c in own if not stands_in(c)))
     late = tuple(c for c in own if stands_in(c))
     supplied = found.fit.around_its_fit(alone=True)
     wider = columns.of_candidates(early, supplied.pi, supplied.friction)
-    prepared, early = at_known_shapes(reread(prepared, wider, progress), early, progress)
+    prepared, early = refined_from(reread(prepared, wider, progress), early, progress)
     if late:
         columns = prepared.columns
         every = columns.of_candidates((*columns.candidates, *late), columns.pi, columns.friction)

@@ -24,10 +24,12 @@ from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
-from torchrbd.likelihood.shapes import ShapeSlope, slopes, varied
+from torchrbd.likelihood.shapes import Axis, ShapeSlope, slopes, varied
 
 # Steps, and halvings of one that leads downhill.
 _STEPS, _HALVINGS = 6, 3
+# What is fast is modelled worse: shapes of development cases err by so many times what rows say (ten, root mean square).
+_WORSE = 2.0
 
 
 def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
@@ -62,16 +64,21 @@ def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     return h if best is None else replace(best, scale=h.scale, tried=h.tried, paid=h.paid)
 
 
-def shape_std(fit: Likelihood, rows: Rows, terms: Sequence[Candidate]) -> dict[tuple[str, Site], dict[str, float]]:
-    """Return by effect and site how far the shapes of a fit's terms are open beside all else, a standard deviation."""
-    columns, at = rows.columns, list[tuple[Candidate, ShapeSlope]]()
+def known_shapes(
+    fit: Likelihood, rows: Rows, terms: Sequence[Candidate]
+) -> dict[tuple[str, Site], dict[str, tuple[float, float]]]:
+    """Return by effect and site what a fit tells of its terms' shapes beside all else, mean and standard deviation."""
+    at, extras = list[tuple[ShapeSlope, Axis]](), list[Extra]()
     for k, c in enumerate(terms):
-        at += [(c, slope) for slope in slopes(columns, c, torch.from_numpy(fit.coefficients(k)))]
-    extras = [Extra(c.place, _features(rows, s), np.array([varied(columns, c)[s.parameter].std])) for c, s in at]
-    beside, found = fit.extended((*fit.extra, *extras)), dict[tuple[str, Site], dict[str, float]]()
-    for k, (c, s) in enumerate(at, len(fit.extra)):
-        own = found.setdefault((c.effect.id, c.site), {})
-        own[s.parameter] = max(own.get(s.parameter, 0.0), float(beside.coefficients_covariance(k)[0, 0]) ** 0.5)
+        free = varied(rows.columns, c)
+        for slope in slopes(rows.columns, c, torch.from_numpy(fit.coefficients(k))):
+            at.append((slope, free[slope.parameter]))
+            extras.append(Extra(c.place, _features(rows, slope), np.array([free[slope.parameter].std])))
+    beside, found = fit.extended((*fit.extra, *extras)), dict[tuple[str, Site], dict[str, tuple[float, float]]]()
+    for k, (slope, axis) in enumerate(at, len(fit.extra)):
+        value, std = slope.shape[slope.parameter], float(beside.coefficients_covariance(k)[0, 0]) ** 0.5
+        mean = float(np.clip(value + beside.coefficients(k)[0], *axis.limits(value)))
+        found.setdefault((slope.effect.id, slope.site), {})[slope.parameter] = mean, _WORSE * std
     return found
 
 

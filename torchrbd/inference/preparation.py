@@ -57,7 +57,7 @@ class Prepared:
         notes: what the user should know of the input.
         believed: by effect and site, standard deviations (K,) of its coefficients, where more is known of them than
             that their torque is no larger than the joint's.
-        known_shapes: by effect and site, standard deviations of shape parameters that have been found elsewhere.
+        known_shapes: by effect and site, what is known of its shapes from elsewhere, mean and standard deviation.
         late: by recording, how much later its torque is than its motion and the standard deviation [s], where that is
             told: it is read so much earlier. None if it was not asked.
     """
@@ -74,7 +74,7 @@ class Prepared:
     states: UncertainStates | None
     notes: tuple[str, ...]
     believed: Mapping[tuple[str, Site], Sequence[float]] = field(default_factory=dict)
-    known_shapes: Mapping[tuple[str, Site], Mapping[str, float]] = field(default_factory=dict)
+    known_shapes: Mapping[tuple[str, Site], Mapping[str, tuple[float, float]]] = field(default_factory=dict)
     late: Mapping[str, tuple[float, float]] | None = None
 
     @property

@@ -136,40 +136,29 @@ def refined(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) 
     """
     if not _refinable(terms):
         return prepared, tuple(terms)
-    return _passed(prepared, best_on_grid(prepared, terms), progress, shapes=True)
+    return refined_from(prepared, best_on_grid(prepared, terms), progress)
 
 
-def at_known_shapes(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) -> tuple[Prepared, Terms]:
-    """Return the same of terms whose shapes are known, but for what follows from their coefficients.
+def refined_from(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) -> tuple[Prepared, Terms]:
+    """Return the same, from shapes that are good already; ``prepared`` has columns for these at least.
 
-    The load, and the friction beside it, is that of the fit. What is known of the states is that for these columns.
-
-    Args:
-        prepared: the data, with columns for these terms at least.
-        terms: at their shapes.
-        progress: told how far the work is.
+    What is known of the states is that for these columns, whether or not there is a shape to refine.
     """
     if not _refinable(terms):
         return with_input_noise(prepared, terms), tuple(terms)
-    return _passed(prepared, tuple(terms), progress, shapes=False)
-
-
-def _passed(prepared: Prepared, terms: Terms, progress: Progress, *, shapes: bool) -> tuple[Prepared, Terms]:
-    """Pass over the data until load, friction and shapes have settled."""
-    now = _read(prepared, terms, _carried(prepared, terms, linear_fit_of(prepared, terms)[0]), progress, free=shapes)
+    now = _read(prepared, terms, _carried(prepared, terms, linear_fit_of(prepared, terms)[0]), progress)
     best = [(c.shape, now.loss_of(k)) for k, c in enumerate(now.terms)]
     for _ in range(_MOST_PASSES):
-        following, settled = now.next_shapes()
+        shapes, settled = now.next_shapes()
         for k, term in enumerate(now.terms):
             if now.loss_of(k) > best[k][1] + _WORSE:
-                following[k], settled[k] = _between(best[k][0], term.shape), False
+                shapes[k], settled[k] = _between(best[k][0], term.shape), False
             else:
                 best[k] = (term.shape, now.loss_of(k))
         if all(settled) and now.load_settled():
             return _finished(now, progress)
-        now = _read(now.prepared, now.moved(following), now.carried, progress, free=shapes)
-    last = now.moved([shape for shape, _ in best])
-    return _finished(_read(now.prepared, last, now.carried, progress, free=shapes), progress)
+        now = _read(now.prepared, now.moved(shapes), now.carried, progress)
+    return _finished(_read(now.prepared, now.moved([shape for shape, _ in best]), now.carried, progress), progress)
 
 
 def _refinable(terms: Sequence[Candidate]) -> bool:
@@ -206,13 +195,10 @@ def _carried(prepared: Prepared, terms: Sequence[Candidate], x: Tensor) -> Carri
     return x[: prepared.robot.n_params], columns.friction_of(terms, x), columns.shown_bodies(terms, x)
 
 
-def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, progress: Progress, *, free: bool) -> _Pass:
-    """Read the data with columns of terms, and of the slopes of their features in shapes that are free.
-
-    They are built from what a fit has carried.
-    """
+def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, progress: Progress) -> _Pass:
+    """Read the data with columns of terms and of the slopes of their features, built from what a fit has carried."""
     columns, terms = prepared.columns, tuple(terms)
-    by_term = [feature_slopes(columns, c) if free else {} for c in terms]
+    by_term = [feature_slopes(columns, c) for c in terms]
     around = tuple((k, name) for k, own in enumerate(by_term) for name in own)
     known = carried if any(c.effect.uses_load for c in terms) else (None, None, ())
     every = [s for own in by_term for parts in own.values() for s in parts]
@@ -222,16 +208,26 @@ def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, prog
     count = prepared.training.torque[..., 0].sum(0)
     loss = torch.where(count > 0, 0.5 * count * noise.log(), 0.0)
     slope = torch.zeros(columns.n, len(around), dtype=torch.float64)
+    centre, width = np.array([_known(prepared, terms[k], name) for k, name in around]).reshape(-1, 2).T
     for i, (k, name) in enumerate(around):
         index = [columns.of(s)[0] for s in by_term[k][name]]
-        slope[index, i] = axes(columns, terms[k])[name].std * x[columns.of(terms[k])]
+        slope[index, i] = width[i] * x[columns.of(terms[k])]
     H, h = assemble(columns, prepared.training.total(), 1.0 / noise)
     into = torch.cat((prepared.prior.scale[:, columns_of(prepared, terms)], slope), 1)
-    found = Equations(into.T @ H @ into, into.T @ (h - H @ prepared.prior.mean)).posterior()
-    width = np.array([axes(columns, terms[k])[name].std for k, name in around])
+    mean = prepared.prior.mean + slope @ torch.from_numpy(centre)
+    found = Equations(into.T @ H @ into, into.T @ (h - H @ mean)).posterior()
     at = np.arange(into.shape[1] - len(around), into.shape[1])
     covariance = found.covariance(at) * np.outer(width, width)
-    return _Pass(prepared, terms, x, loss, around, found.z[at] * width, covariance)
+    return _Pass(prepared, terms, x, loss, around, (centre + found.z[at]) * width, covariance)
+
+
+def _known(prepared: Prepared, term: Candidate, name: str) -> tuple[float, float]:
+    """Return how far from here a shape is believed to be, in standard deviations, and this standard deviation."""
+    known = prepared.known_shapes.get((term.effect.id, term.site), {}).get(name)
+    if known is None:
+        return 0.0, axes(prepared.columns, term)[name].std
+    value, std = known
+    return (value - term.shape[name]) / std, std
 
 
 def _agree(a: Shape, b: Shape) -> bool:

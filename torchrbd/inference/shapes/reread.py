@@ -32,9 +32,7 @@ def reread(prepared: Prepared, columns: Columns, progress: Progress) -> Prepared
     for c in columns.candidates:
         if isinstance(c, ShapeSlope):
             (k,) = columns.of(c)
-            known = prepared.known_shapes.get((c.effect.id, c.site), {})
-            std = known.get(c.parameter, axes(columns, c)[c.parameter].std)
-            prior.scale[k, k] = min(float(prior.scale[k, k]), std)
+            prior.scale[k, k] = min(float(prior.scale[k, k]), axes(columns, c)[c.parameter].std)
             continue
         others = {k for other in columns.candidates if other is not c for k in columns.of(other)}
         for k, std in zip(columns.of(c), prepared.believed.get((c.effect.id, c.site), ()), strict=False):
