@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 
 from torchrbd.diagnosis.hypotheses import carried, told
 from torchrbd.diagnosis.screening import screened
-from torchrbd.diagnosis.sharpening import at_summit, sharpened
+from torchrbd.diagnosis.sharpening import at_summit, known_shapes, sharpened
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect
 
@@ -57,3 +57,17 @@ def test_hypotheses_without_a_shape_stay(case) -> None:
     fit, rows, _ = case
     (one,) = (h for h in screened(fit, rows, [effect("joint_spring")]) if h.candidate.site == Site(0))
     assert sharpened(fit, rows, one) is one
+
+
+def test_what_a_fit_tells_of_shapes_holds_the_truth(case) -> None:
+    fit, rows, coarse = case
+    best = sharpened(fit, rows, coarse)
+    model = fit.extended([best.extra(fit, rows)]).settled
+    (found,) = known_shapes(model, rows, [best.candidate]).values()
+    assert set(found) == {"dead_centre", "crank_ratio"}
+    for name, truth in (("dead_centre", DEAD_CENTRE), ("crank_ratio", RATIO)):
+        mean, std = found[name]
+        assert abs(mean - truth) < 3.0 * std
+        assert 0.0 < std < 0.1
+        # One Gauss-Newton step from the summit is next to none.
+        assert mean == pytest.approx(best.candidate.shape[name], abs=std)

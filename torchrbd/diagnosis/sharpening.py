@@ -28,7 +28,7 @@ from torchrbd.likelihood.shapes import Axis, ShapeSlope, slopes, varied
 
 # Steps, and halvings of one that leads downhill.
 _STEPS, _HALVINGS = 6, 3
-# What is fast is modelled worse: shapes of development cases err by so many times what rows say (ten, root mean square).
+# What is fast is modelled worse: shapes of ten development cases err by so many times what rows say, root mean square.
 _WORSE = 2.0
 
 
