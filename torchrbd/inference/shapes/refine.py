@@ -11,6 +11,7 @@ space, whose Gauss-Newton step is the same to first order.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -40,6 +41,8 @@ _SETTLED_PART = 0.01
 _WORSE = 0.1
 # Change of load and friction between passes, as part of the torque.
 _SETTLED_LOAD = 1e-4
+# Degrees of freedom of what is known of a shape: where the data contradict it, it counts less.
+_FREEDOM = 4.0
 
 
 Carried = tuple[Tensor, Tensor, Through]
@@ -227,7 +230,10 @@ def _known(prepared: Prepared, term: Candidate, name: str) -> tuple[float, float
     if known is None:
         return 0.0, axes(prepared.columns, term)[name].std
     value, std = known
-    return (value - term.shape[name]) / std, std
+    # Student's t around it: of the normal distribution that has its slope here, mean and standard deviation.
+    away = (value - term.shape[name]) / std
+    loose = math.sqrt((_FREEDOM + away**2) / (_FREEDOM + 1.0))
+    return away / loose, loose * std
 
 
 def _agree(a: Shape, b: Shape) -> bool:
