@@ -83,6 +83,7 @@ def functions_alone(
     Args:
         prepared, settings, progress, ranked: as of ``suspect``.
     """
+    progress("trying functions without laws", 0.0)
     found = explained(ranked.explanation.base, (), lambda _: None)
     if not found.terms:
         return ()

@@ -22,8 +22,8 @@ from torchrbd.likelihood.urdf_prior import data_prior
 def reread(prepared: Prepared, columns: Columns, progress: Progress) -> Prepared:
     """Return the same data with other columns; what it says of uncertain states is left as it was.
 
-    Slopes have a prior as wide as their grid, or as what is ``known_shapes``, centred where they stand; terms that
-    share no column have what is ``believed`` of them.
+    Slopes have a prior as wide as their grid, centred where they stand; terms that share no column have what is
+    ``believed`` of them.
     """
     prior = prepared.prior
     held = [name for b, name in enumerate(prepared.robot.body_names) if b not in prior.bodies]
