@@ -39,10 +39,6 @@ def bump(m: Motion) -> np.ndarray:
     return SIZE * np.exp(-(((m.q[:, 0] - centre(m)) / WIDTH) ** 2))
 
 
-def dead_zone(m: Motion) -> np.ndarray:
-    return STEP * np.sign(inverse_dynamics(URDF, m)[:, 0])
-
-
 def quiet(*_: object) -> None:
     """Tell nobody how far the work is."""
 
@@ -154,6 +150,10 @@ def test_a_torque_that_wanders_is_told_though_noise_could_pass_for_it() -> None:
 
 def test_a_function_that_the_noise_has_the_colour_of_is_told() -> None:
     """Steps where the load changes its sign look like slow noise until noise is learnt beside them."""
+
+    def dead_zone(m: Motion) -> np.ndarray:
+        return STEP * np.sign(inverse_dynamics(URDF, m)[:, 0])
+
     found, model = diagnosed(at_joint(0, dead_zone))
     (one,) = (u for u in unexplained(found, model, (), ()) if u.joints == (FIRST,))
     assert one.depends_on == (f"tau_{FIRST}",)
@@ -161,7 +161,7 @@ def test_a_function_that_the_noise_has_the_colour_of_is_told() -> None:
 
 @pytest.mark.parametrize("size", [0.3, 3.0])
 def test_a_dead_zone_has_a_name_though_it_hides_what_the_load_is(size: float) -> None:
-    """Three N m are more than the load: what is fitted without them has its sign wrong for a tenth of the time."""
+    """Three N m are more than the load: what is fitted without them has its sign wrong for a twentieth of the time."""
 
     def dead_zone(m: Motion) -> np.ndarray:
         return size * np.sign((inverse_dynamics(URDF, m) + with_friction()(m))[:, 0])

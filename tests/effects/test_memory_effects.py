@@ -12,12 +12,11 @@ import torch
 from effects.sites import ROBOT, SCALE, signals, states
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, firwin, lfilter
-from torch import Tensor
 from torch.autograd import gradcheck
 
 from torchrbd.effects import Effect, Shape, Signals, Site
 from torchrbd.effects.actuator_lag import ActuatorLag, acting
-from torchrbd.effects.backlash import Backlash, deviation
+from torchrbd.effects.backlash import Backlash
 from torchrbd.effects.band_limits import below
 from torchrbd.effects.joint_elasticity import JointElasticity
 from torchrbd.effects.presliding_hysteresis import PreslidingHysteresis
@@ -307,64 +306,6 @@ class TestTwoMasses:
         assert fitted(band_limited(at_once[0], 1000.0), left)[1] < 0.3
 
 
-def free(load: Tensor, inertia: Tensor, dt: float, play: float) -> Tensor:
-    """Return the deviation of a link without friction."""
-    still = torch.zeros_like(load)
-    return deviation(load, inertia, (still, still), load.new_zeros(3), dt, play)
-
-
-class TestBacklashFlight:
-    def test_takes_the_time_that_the_load_gives(self) -> None:
-        """A load -r t from its zero on pushes by r t / M: a play b takes (6 M b / r)^(1/3)."""
-        t = torch.arange(-200, 400, dtype=torch.float64) * 1e-3
-        x = free(-5.0 * t, torch.full_like(t, 0.4), 1e-3, 0.01)
-        flight = (6 * 0.4 * 0.01 / 5.0) ** (1 / 3)
-        np.testing.assert_allclose(x[t < 0].numpy(), -0.005)
-        flying = (t > 2e-3) & (t < flight - 1e-3)
-        np.testing.assert_allclose(x[flying].numpy(), -0.005 + 5.0 / (6 * 0.4) * t[flying].numpy() ** 3, atol=3e-5)
-        np.testing.assert_allclose(x[t > flight + 2e-3].numpy(), 0.005)
-
-    def test_stays_within_the_play_and_turns_with_the_load(self) -> None:
-        at = signals(*states(300))
-        x = free(at.load[1], torch.ones(300, dtype=torch.float64), 0.01, 0.02)
-        assert x.abs().max() <= 0.01
-        mirrored = free(-at.load[1], torch.ones(300, dtype=torch.float64), 0.01, 0.02)
-        torch.testing.assert_close(mirrored, -x)
-
-    def test_friction_holds_the_link_while_the_motor_crosses_the_play(self) -> None:
-        """Nothing but friction: when the motor turns back, the link rests until the motor has gone through the play."""
-        t = 1e-3 * torch.arange(3000, dtype=torch.float64)
-        q, qd, qdd = 0.1 * torch.sin(4 * t), 0.4 * torch.cos(4 * t), -1.6 * torch.sin(4 * t)
-        inertia, play = torch.full_like(t, 1e-3), 0.02
-        x = deviation(1e-3 * qdd, inertia, (qd, qdd), torch.tensor([0.05, 0.5, 0.0]), 1e-3, play)
-        back = int(torch.nonzero(qd < 0)[0])
-        met = back + int(torch.nonzero(q[back:] < q[back] - play)[0])
-        np.testing.assert_allclose(x[:back].numpy(), -play / 2)
-        resting = slice(back + 2, met - 2)
-        np.testing.assert_allclose(x[resting].numpy(), (-play / 2 + q[back] - q[resting]).numpy(), atol=1e-4)
-        np.testing.assert_allclose(x[met + 2 : met + 200].numpy(), play / 2)
-
-    def test_friction_is_little_by_little_none(self) -> None:
-        at, width = signals(*states(300)), torch.ones(300, dtype=torch.float64)
-        motion = at.qd[1], at.qdd[1]
-        some = deviation(at.load[1], width, motion, torch.full((3,), 1e-9), 0.01, 0.02)
-        torch.testing.assert_close(some, free(at.load[1], width, 0.01, 0.02), atol=1e-6, rtol=0.0)
-
-    def test_gradients_in_flight(self) -> None:
-        """The link flies where its load changes sign: there it moves by load, inertia and friction."""
-        t = 0.01 * torch.arange(60, dtype=torch.float64)
-        load, inertia = torch.cos(8 * t) - 0.1, 0.5 + 0.1 * torch.sin(5 * t)
-        motion, friction = (0.3 + 0.1 * t, torch.full_like(t, 0.1)), torch.tensor([0.2, 0.3, -0.1], dtype=t.dtype)
-
-        def x(*given: Tensor) -> Tensor:
-            return deviation(given[0], given[1], motion, given[2], 0.01, 0.02)
-
-        given = tuple(v.requires_grad_() for v in (load, inertia, friction))
-        assert gradcheck(x, given)
-        by_friction = torch.autograd.grad(x(*given).sum(), given[2])[0]
-        assert by_friction.abs().min() > 0
-
-
 @pytest.mark.parametrize(
     "effect", [PreslidingHysteresis(), Backlash(), JointElasticity(), TimeDelay(), ActuatorLag()], ids=lambda e: e.id
 )
@@ -380,29 +321,3 @@ def test_what_is_not_plausible() -> None:
     assert Backlash().plausible({"backlash": 0.003, "flight": 0.002, "link_friction": 1.0}, SCALE)
     assert not Backlash().plausible({"backlash": -0.003, "flight": 0.002, "link_friction": 1.0}, SCALE)
     assert not Backlash().plausible({"backlash": 0.0003, "flight": 0.02, "link_friction": 1.0}, SCALE)
-
-
-def test_a_link_without_inertia_crosses_its_play_at_once() -> None:
-    """A fit that is not physical may say so of a link."""
-    load = torch.sin(torch.linspace(0.0, 200.0, 40000, dtype=torch.float64))
-    for inertia in (torch.zeros_like(load), -torch.ones_like(load), torch.linspace(-1.0, 1.0, 40000).double()):
-        x = free(load, inertia, 0.01, 0.02)
-        assert torch.isfinite(x).all()
-        assert x.abs().max() <= 0.01
-
-
-@pytest.mark.parametrize(("shape", "told"), [(0.0, 0.0), (1.0, 1.0), (-0.5, 1.0), (1.6e-17, 1.0)])
-def test_a_play_has_the_motors_friction_or_the_links(shape: float, told: float) -> None:
-    """What is told is what the torque is made of: shapes that are sought between the two are the link's."""
-    play, (q, qd, qdd) = Backlash(), states(200)
-    x = replace(signals(q, qd, qdd), friction=torch.tensor([[0.1, 0.5, 0.0]]).double().expand(ROBOT.n_dof, 3))
-    given = {"flight": 0.01, "link_friction": shape}
-    found = play.parameters(torch.tensor([0.01]).double(), given)
-    assert float(found["link_friction"]) == told
-    made, meant = (
-        torch.stack(list(play.features(x, Site(1), {"flight": 0.01, "link_friction": s}).values()))
-        for s in (shape, told)
-    )
-    torch.testing.assert_close(made, meant, rtol=0, atol=0)
-    motors = torch.stack(list(play.features(x, Site(1), {"flight": 0.01, "link_friction": 0.0}).values()))
-    assert torch.equal(made, motors) is (told == 0.0)
