@@ -30,8 +30,9 @@ from torchrbd.diagnosis.hypotheses import Hypothesis, again, told
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.ranking import _ranked
 from torchrbd.diagnosis.screening import ORDINARY, refined, screened
-from torchrbd.diagnosis.search import _alike, _Search, with_own_noise
+from torchrbd.diagnosis.search import _alike, _Search
 from torchrbd.diagnosis.sharpening import sharpened
+from torchrbd.diagnosis.weighing import with_own_noise
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect, known_effects
 from torchrbd.likelihood.gaussian import added

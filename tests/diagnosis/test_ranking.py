@@ -33,11 +33,11 @@ def found() -> Ranking:
 
 @pytest.mark.parametrize(("late_s", "may"), [(0.004, {"time_delay"}), (-0.004, {"time_delay", "actuator_lag"})])
 def test_torque_that_all_joints_have_early_may_be_a_delay_or_a_lag(late_s: float, may: set[str]) -> None:
-    clocks = Clocks(fitted(), {"simulated": late_s}, 50.0)
+    clocks = Clocks(fitted(), {"simulated": late_s})
     found = _of_all(clocks, list(known_effects().values()))
     assert {h.effect for h in found} == may
     for h in found:
-        assert (h.joints, h.log_evidence) == ((), 50.0)
+        assert (h.joints, h.log_evidence) == ((), clocks.against)
         assert abs(h.parameters["delay" if h.effect == "time_delay" else "time_constant"]) == pytest.approx(
             0.004, abs=1e-3
         )

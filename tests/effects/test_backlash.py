@@ -18,7 +18,12 @@ from torchrbd.effects.backlash import Backlash, deviation
 def free(load: Tensor, inertia: Tensor, dt: float, play: float) -> Tensor:
     """Return the deviation of a link without friction."""
     still = torch.zeros_like(load)
-    return deviation(load, inertia, (still, still), load.new_zeros(3), dt, play)
+    return deviation(load, alone(inertia), (still, still), load.new_zeros(3), dt, play)
+
+
+def alone(inertia: Tensor) -> Tensor:
+    """Return the slopes of a load that inertia alone makes."""
+    return torch.stack((0.0 * inertia, 0.0 * inertia, inertia))
 
 
 class TestBacklashFlight:
@@ -32,6 +37,18 @@ class TestBacklashFlight:
         np.testing.assert_allclose(x[flying].numpy(), -0.005 + 5.0 / (6 * 0.4) * t[flying].numpy() ** 3, atol=3e-5)
         np.testing.assert_allclose(x[t > flight + 2e-3].numpy(), 0.005)
 
+    def test_a_link_that_hangs_swings_in_its_play(self) -> None:
+        """M x" + A x = r t from x = -b/2 on: x + b/2 = r/A (t - sin(w t) / w), w^2 = A/M."""
+        M, A, r, play, dt = 0.06, 2.4, 3.0, 0.03, 1e-3
+        t = dt * torch.arange(-200, 400, dtype=torch.float64)
+        slopes = torch.stack((torch.full_like(t, A), 0.0 * t, torch.full_like(t, M)))
+        still = torch.zeros_like(t)
+        x = deviation(0.5 * A * play - r * t, slopes, (still, still), still.new_zeros(3), dt, play)
+        w = (A / M) ** 0.5
+        expected = (-0.5 * play + r / A * (t - torch.sin(w * t) / w)).clamp_max(0.5 * play)
+        np.testing.assert_allclose(x[t < 0].numpy(), -0.5 * play)
+        np.testing.assert_allclose(x[t > 2 * dt].numpy(), expected[t > 2 * dt].numpy(), atol=6e-5)
+
     def test_stays_within_the_play_and_turns_with_the_load(self) -> None:
         at = signals(*states(300))
         x = free(at.load[1], torch.ones(300, dtype=torch.float64), 0.01, 0.02)
@@ -44,7 +61,7 @@ class TestBacklashFlight:
         t = 1e-3 * torch.arange(3000, dtype=torch.float64)
         q, qd, qdd = 0.1 * torch.sin(4 * t), 0.4 * torch.cos(4 * t), -1.6 * torch.sin(4 * t)
         inertia, play = torch.full_like(t, 1e-3), 0.02
-        x = deviation(1e-3 * qdd, inertia, (qd, qdd), torch.tensor([0.05, 0.5, 0.0]), 1e-3, play)
+        x = deviation(1e-3 * qdd, alone(inertia), (qd, qdd), torch.tensor([0.05, 0.5, 0.0]), 1e-3, play)
         back = int(torch.nonzero(qd < 0)[0])
         met = back + int(torch.nonzero(q[back:] < q[back] - play)[0])
         np.testing.assert_allclose(x[:back].numpy(), -play / 2)
@@ -55,7 +72,7 @@ class TestBacklashFlight:
     def test_friction_is_little_by_little_none(self) -> None:
         at, width = signals(*states(300)), torch.ones(300, dtype=torch.float64)
         motion = at.qd[1], at.qdd[1]
-        some = deviation(at.load[1], width, motion, torch.full((3,), 1e-9), 0.01, 0.02)
+        some = deviation(at.load[1], alone(width), motion, torch.full((3,), 1e-9), 0.01, 0.02)
         torch.testing.assert_close(some, free(at.load[1], width, 0.01, 0.02), atol=1e-6, rtol=0.0)
 
     def test_gradients_in_flight(self) -> None:
@@ -65,7 +82,8 @@ class TestBacklashFlight:
         motion, friction = (0.3 + 0.1 * t, torch.full_like(t, 0.1)), torch.tensor([0.2, 0.3, -0.1], dtype=t.dtype)
 
         def x(*given: Tensor) -> Tensor:
-            return deviation(given[0], given[1], motion, given[2], 0.01, 0.02)
+            slopes = torch.stack((2.0 + given[1], 0.3 * given[1], given[1]))
+            return deviation(given[0], slopes, motion, given[2], 0.01, 0.02)
 
         given = tuple(v.requires_grad_() for v in (load, inertia, friction))
         assert gradcheck(x, given)

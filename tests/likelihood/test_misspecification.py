@@ -68,7 +68,7 @@ def test_least_squares_is_plain_whatever_the_noise() -> None:
     heavy = fit.with_(noise=tuple(replace(n, tail=tail_of(rare)) for n in fit.hyper.noise))
     plain, other = TwoEstimates(fit), TwoEstimates(heavy)
     at = fit.machine.ordinary(0)
-    std = np.array([plain.ordinary_std(k) for k in at])
+    std = np.sqrt(plain.told(at)[1].diagonal())
     assert (np.abs(other.ordinary - plain.ordinary)[at] < 0.1 * std).all()
     assert (np.abs(other.efficient - plain.efficient)[at] > 0.1 * std).any()
 
@@ -103,6 +103,20 @@ def test_a_law_that_is_wrong_is_seen_in_noise_that_is_learnt(exponent: float) ->
     law = at_joint(0, lambda m: np.sign(m.qd[:, 0]) * np.abs(m.qd[:, 0]) ** exponent)
     two = TwoEstimates(fit := fitted(law))
     assert two.test(fit.machine.ordinary(0)).p_value < MISFIT
+
+
+def test_where_the_two_disagree_the_truth_may_be_either() -> None:
+    fit, rng = right(), np.random.default_rng(5)
+    bent, well = TwoEstimates(drawn(fit, rng, bend=0.3)), TwoEstimates(one := drawn(fit, rng))
+    at, other = fit.machine.ordinary(0), fit.machine.timing
+    (mean, C), apart = bent.told(at), (bent.ordinary - bent.efficient)[at]
+    np.testing.assert_allclose(mean, bent.efficient[at] + 0.5 * apart)
+    assert (C.diagonal() >= 0.25 * apart**2).all()
+    # Evidence against one of them is small, however sure each is of itself.
+    assert bent.against(at, bent.efficient[at]) < 0.5 * fit.gaussian.against(at, bent.efficient[at] + apart)
+    assert well.test(other).p_value >= MISFIT
+    np.testing.assert_allclose(well.told(other)[1], one.gaussian.covariance(other))
+    assert well.against(other) == pytest.approx(one.gaussian.against(other))
 
 
 def test_memory_is_that_of_the_noise() -> None:

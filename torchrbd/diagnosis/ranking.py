@@ -13,7 +13,8 @@ import torch
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, told, whole
 from torchrbd.diagnosis.screening import is_clocks
-from torchrbd.diagnosis.search import Explanation, explained, with_own_noise
+from torchrbd.diagnosis.search import Explanation, explained
+from torchrbd.diagnosis.weighing import with_own_noise
 from torchrbd.effects import Effect, Site, Window
 from torchrbd.effects.registry import effect
 from torchrbd.errors import RecordingError

@@ -13,18 +13,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried, support
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
 from torchrbd.diagnosis.screening import refined, screened
 from torchrbd.diagnosis.sharpening import sharpened
+from torchrbd.diagnosis.weighing import at_a_glance, learnt_with, with_own_noise
 from torchrbd.effects import Effect, Site
 from torchrbd.effects.base import ShowsBodies
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.likelihood.columns import Candidate
-from torchrbd.likelihood.gaussian import truncated
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
+from torchrbd.likelihood.shapes import varied
 
 # Hypotheses whose shapes are refined and whose noise is learnt anew, at each step.
 _LEADING = 5
@@ -87,76 +88,13 @@ def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int
         if not any(h.candidate.effect.uses_load for h in chosen):
             break
         onwards = _Search(carried(fit), effects, report)
+        chosen = onwards.reshaped(base, chosen)
         now = onwards.with_terms(base, chosen)
         if now.log_evidence <= fit.log_evidence + _SAME:
             break
         search, rivals = onwards, [list(term.rivals) for term in terms]
         fit, terms, last = search.settled(base, now, chosen, rivals, last)
     return Explanation(base, fit, search.rows, terms, first, last, len(first))
-
-
-def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis with the noise learnt beside it: what is not explained colours the noise, and hides in it.
-
-    Rows count by the scatter of the blocks that the larger model leaves. The priors of both are expanded around their
-    own fits: bodies and friction that stood in for the effect lie far off. Widths and noise that suit the one may suit
-    the other: each has the better of both.
-    """
-    extra = h.extra(fit, rows)
-    beside, at = fit.extended((*fit.extra, extra)), extra.joints
-    base, extended = fit.settled_at(at), beside.settled_at(at)
-    dispersion, widths = extended.hyper.dispersion, (base.hyper.rest_width, extended.hyper.rest_width)
-    with_it, without = [extended], [base.dispersed(dispersion)]
-    if not np.allclose(*widths):
-        with_it.append(beside.settled_with(widths[0]).dispersed(dispersion))
-        without.append(fit.settled_with(widths[1]).dispersed(dispersion))
-    return _weighed(fit, rows, h, beside, with_it, without)
-
-
-def learnt_with(fit: Likelihood, rows: Rows, h: Hypothesis) -> Likelihood:
-    """Return the model with a hypothesis, and all that is learnt learnt beside it."""
-    extra = h.extra(fit, rows)
-    return fit.extended((*fit.extra, extra)).settled_at(extra.joints)
-
-
-def at_a_glance(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis with the noise learnt beside it, and nothing else: some nats off, but soon.
-
-    That of all joints is: what bodies do in the place of an effect is noise at others too.
-    """
-    extra = h.extra(fit, rows)
-    beside = fit.extended((*fit.extra, extra))
-    extended = beside.renoised(dispersed=True)
-    return _weighed(fit, rows, h, beside, [extended], [fit.with_new_noise.dispersed(extended.hyper.dispersion)])
-
-
-def _weighed(
-    fit: Likelihood,
-    rows: Rows,
-    h: Hypothesis,
-    beside: Likelihood,
-    with_it: Sequence[Likelihood],
-    without: Sequence[Likelihood],
-) -> Hypothesis:
-    """Return a hypothesis with the evidence and coefficients of the likeliest models with it and without.
-
-    What averaging over shapes, sizes and windows costs, the noise of ``beside``, which is that of the fit, has told.
-    """
-    noisy, k = (with_it[0], without[0]), len(fit.extra)
-    positive = h.candidate.effect.prior.positive
-    average = h.log_evidence - truncated(h.coefficients, h.std, positive) - (beside.log_evidence - fit.log_evidence)
-    best = _likeliest(with_it, noisy)
-    mean, covariance = best.coefficients(k), best.coefficients_covariance(k)
-    std = np.sqrt(covariance.diagonal())
-    bounds = truncated(mean, std, positive) + support(h, best, rows, mean, covariance)
-    gain = best.log_evidence - _likeliest(without, noisy).log_evidence
-    return replace(h, log_evidence=float(gain + average + bounds), coefficients=mean, std=std)
-
-
-def _likeliest(models: Sequence[Likelihood], noisy: Sequence[Likelihood]) -> Likelihood:
-    """Return the model of the greatest log evidence, its noise its own or that of one of several."""
-    others = [m.with_noise_of(n) for m in models for n in noisy if n.hyper.noise is not m.hyper.noise]
-    return max((*models, *others), key=lambda m: m.log_evidence)
 
 
 def _meet(a: Candidate, b: Candidate) -> bool:
@@ -289,6 +227,17 @@ class _Search:
         for k, h in enumerate(chosen):
             fit = self.felt_through(fit, k, h)
         return fit
+
+    def reshaped(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return hypotheses; those that act through the load with the shapes that it asks for beside all others."""
+        found = list(chosen)
+        for k, h in enumerate(found):
+            if h.candidate.effect.uses_load and varied(self.rows.columns, h.candidate):
+                others = [*found[:k], *found[k + 1 :]]
+                rest = self.with_terms(base, others) if others else base
+                either = again(rest, self.rows, h), sharpened(rest, self.rows, h)
+                found[k] = max((one for one in either if one is not None), key=lambda one: one.log_evidence)
+        return found
 
     def felt_through(self, fit: Likelihood, k: int, h: Hypothesis) -> Likelihood:
         """Return a model whose bodies act through its k-th term too, if that shows them."""

@@ -1,17 +1,16 @@
 """Backlash: play between motor and link, in worn gears, splines and couplings.
 
 The motor's position q is recorded. While the gear transmits torque, the link sits at one side of the play and the
-motor is ahead of it by b/2 in the direction of that torque: q_link = q - b/2 sign(tau_load + f). When the torque
-changes sign, the link leaves its side and moves by its load and its friction f alone, until it meets one again:
+motor is ahead of it by b/2 in the direction of that torque: q_link = q - b/2 sign(tau_link + f). When the torque
+changes sign, the link leaves its side and moves by its load and its friction f alone, until it meets one again. With
+x = q_link - q, to first order in x
 
-    x = q_link - q,  M_jj d2x/dt2 = -(tau_load + f) from rest at x = -+b/2,  held at x = +-b/2
+    tau_link = tau_load + A x + B dx/dt + M d2x/dt2
+    tau_link + f = 0 from rest at x = -+b/2,  held at x = +-b/2
     f = d dq/dt + c sign(dq_link/dt) + o;  at rest (q_link held) where f can balance the rest
 
-The link's motion tells the torque: to first order in x
-
-    tau += A x + B dx/dt + M d2x/dt2
-
-with A, B, M the derivatives of the rigid body's torque with respect to the joint's q, qd, qdd. The time of flight grows
+with A, B, M the derivatives of the rigid body's torque with respect to the joint's q, qd, qdd, and the motor's torque
+is more by tau_link - tau_load. A link that hangs swings in its play as a pendulum does. The time of flight grows
 with the cube root of the play, so that it matters for small play too: without it, what the torque does around its zeros
 is the wrong way round. Whether the joint's friction is the link's, which it then holds inside the play, or the motor's,
 the data says. Not contained: bouncing. Impacts are short: a torque sampled without an anti-aliasing filter misses them.
@@ -37,6 +36,8 @@ from torchrbd.effects.sites import Site
 
 # Of the largest inertia of a motion.
 _LEAST_INERTIA = 1e-6
+# Integrals over the whole sequence, of what the one before has found.
+_FEEDBACKS = 3
 
 
 class Backlash(Effect):
@@ -59,7 +60,7 @@ class Backlash(Effect):
     export_note = (
         "a second joint on the axis, with range +-backlash/2, between the rotor (a body of its own) and the link"
     )
-    _SMALLEST, _LARGEST, _GRID_POINTS, _MOST_APART = 2e-4, 4e-2, 7, 2.0
+    _SMALLEST, _LARGEST, _GRID_POINTS, _MOST_APART = 2e-4, 4e-2, 15, 2.0
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
         # The time of flight, which is what they differ by, goes with the cube root.
@@ -69,12 +70,12 @@ class Backlash(Effect):
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, play, joint = signals.sequence(), shape["flight"], site.joint
         assert joint is not None
-        M = signals.load_slopes[2, joint, joint]
-        friction = M.new_zeros(3)
+        slopes = signals.load_slopes[:, joint, joint]
+        friction = slopes.new_zeros(3)
         if signals.friction is not None and shape["link_friction"]:
             friction = signals.friction[joint]
         motion = signals.qd[joint], signals.qdd[joint]
-        x = deviation(signals.load[joint], M, motion, friction, float(t[1] - t[0]), play)
+        x = deviation(signals.load[joint], slopes, motion, friction, float(t[1] - t[0]), play)
         label = f"backlash({play:.6g}, {shape['link_friction']:.0f}) {site.name(signals.robot)}"
         return {label: signals.deviating(site.joint, x / play)}
 
@@ -93,7 +94,7 @@ class Backlash(Effect):
 
 def deviation(
     load: Tensor,
-    inertia: Tensor,
+    slopes: Tensor,
     motion: tuple[Tensor, Tensor],
     friction: Tensor,
     dt: float,
@@ -103,28 +104,32 @@ def deviation(
 
     Args:
         load: (*batch, N) torque that the link takes where it moves as the motor [N m, N].
-        inertia: (*batch, N) that the joint moves while all others are held [kg m^2, kg].
+        slopes: (3, *batch, N) its derivatives A, B, M by the link's position, velocity and acceleration.
         motion: velocity and acceleration of the motor, (*batch, N) each.
         friction: (3,) viscous and Coulomb coefficient and offset of the link.
         dt: [s]. play: full width [rad, m].
     """
     # In double: a flight is a small difference of integrals over the whole sequence.
-    tau, M, qd, qdd = (v.double() for v in (load, inertia, *motion))
+    tau, qd, qdd, A, B, M = (v.double() for v in (load, *motion, *slopes))
     # Parameters that no body has may leave an inertia of nothing or less: such a link is over at once.
     M = torch.maximum(M, _LEAST_INERTIA * M.abs().max() + torch.finfo(load.dtype).eps)
     viscous, coulomb, offset = friction.double()
     coulomb = coulomb.clamp_min(0.0)
     driven = tau + viscous * qd + offset
-    signals = torch.stack((driven, M, qd, driven - M * qdd)).detach().cpu().reshape(4, -1, tau.shape[-1]).unbind(1)
-    courses = [_course(*row.numpy(), coulomb=coulomb.item(), dt=dt, play=play) for row in signals]
+    signals = torch.stack((driven, M, A, B, qd, driven - M * qdd)).detach().cpu().reshape(6, -1, tau.shape[-1])
+    courses = [_course(*row.numpy(), coulomb=coulomb.item(), dt=dt, play=play) for row in signals.unbind(1)]
     course = torch.from_numpy(np.array(courses)).to(tau)
-    side, left, begun, rests, direction, stuck = (column.reshape(tau.shape) for column in course.unbind(1))
+    side, left, begun, rests, direction, stuck, x, rate = (column.reshape(tau.shape) for column in course.unbind(1))
     free, left, begun = left >= 0, left.clamp_min(0).long(), begun.long()
-    speed = _integral(-(driven + coulomb * direction) / M, dt)
-    speed = speed - speed.gather(-1, begun) - rests * qd.gather(-1, begun)
-    way = _integral(torch.where(stuck > 0, -qd, speed), dt)
-    x = -side * play / 2 + torch.where(free, way - way.gather(-1, left), 0.0)
-    return x.clamp(-play / 2, play / 2).to(load)
+    # The course has x already; what it feeds back on itself matters to derivatives.
+    for _ in range(_FEEDBACKS):
+        speed = _integral(-(driven + A * x + B * rate + coulomb * direction) / M, dt)
+        speed = speed - speed.gather(-1, begun) - rests * qd.gather(-1, begun)
+        rate = torch.where(stuck > 0, -qd, speed)
+        way = _integral(rate, dt)
+        x = (torch.where(free, way - way.gather(-1, left), 0.0) - side * play / 2).clamp(-play / 2, play / 2)
+        rate = torch.where(free, rate, 0.0)
+    return x.to(load)
 
 
 def _integral(x: Tensor, dt: float) -> Tensor:
@@ -134,6 +139,8 @@ def _integral(x: Tensor, dt: float) -> Tensor:
 def _course(
     driven: np.ndarray,
     inertia: np.ndarray,
+    stiffness: np.ndarray,
+    damping: np.ndarray,
     speed: np.ndarray,
     held: np.ndarray,
     *,
@@ -145,43 +152,56 @@ def _course(
 
     Args:
         driven: (N,) load and friction but for the Coulomb part, of a link that moves as the motor.
-        inertia: (N,). speed: (N,) of the motor.
+        inertia, stiffness, damping: (N,) what the load changes by as the link deviates.
+        speed: (N,) of the motor.
         held: (N,) the first of a link at rest.
         coulomb: level.
         dt: [s]. play: full width.
 
     Returns:
-        (6, N): side of the contact that is or was last, sample at which it was left (-1 in contact), sample at which
-        the link began to slide, whether from rest (1, 0), the direction in which it slides, whether it rests (1, 0).
+        (8, N): side of the contact that is or was last, sample at which it was left (-1 in contact), sample at which
+        the link began to slide, whether from rest (1, 0), the direction in which it slides, whether it rests (1, 0),
+        how far it is from the middle, and how fast.
     """
     N, half, turned = len(driven), play / 2, np.copysign(1.0, speed)
-    sides = np.copysign(1.0, driven + coulomb * turned)
-    course = np.stack((sides, np.full(N, -1.0), np.zeros(N), np.zeros(N), turned, np.zeros(N)))
-    # Samples at which a side of the play is not the one that the load keeps to.
-    ends = {side: [*np.flatnonzero(sides != side).tolist(), N] for side in (-1.0, 1.0)}
-    side, k = float(sides[0]), 0
-    pulls, masses, drags, rests = (x.tolist() for x in (driven, inertia, speed, held))
-    while (k := ends[side][bisect_left(ends[side], k)]) < N:
-        start, begin, rest, way, rate, sticks = k, k, 0.0, float(turned[k]), 0.0, False
-        x, pull, flight = -side * half, -(pulls[k] + coulomb * way) / masses[k], []
+    course = np.stack((turned, np.full(N, -1.0), *np.zeros((2, N)), turned, *np.zeros((3, N))))
+    # Samples at which the load does not keep to a side of the play.
+    pressed = driven + coulomb * turned
+    ends = {s: [*np.flatnonzero(s * pressed < half * stiffness).tolist(), N] for s in (-1.0, 1.0)}
+    side, k = math.copysign(1.0, pressed[0]), 0
+    pulls, masses, springs, drags, speeds, rests = (
+        x.tolist() for x in (driven, inertia, stiffness, damping, speed, held)
+    )
+
+    def acceleration(k: int, x: float, rate: float, way: float) -> float:
+        return -(pulls[k] + springs[k] * x + drags[k] * rate + coulomb * way) / masses[k]
+
+    while k < N:
+        start = ends[side][bisect_left(ends[side], k)]
+        course[0, k:start], course[6, k:start] = side, -side * half
+        if start == N:
+            break
+        k, begin, rest, way, rate, sticks = start, start, 0.0, float(turned[start]), 0.0, False
+        x, flight = -side * half, []
+        pull = acceleration(k, x, rate, way)
         while abs(x) < half or k == start:
-            flight.append((side, start, begin, rest, way, sticks))
+            flight.append((side, start, begin, rest, way, sticks, x, rate))
             k += 1
             if k == N:
                 break
-            holds, before = abs(rests[k]) <= coulomb, rate
+            holds, before = abs(rests[k] + springs[k] * x) <= coulomb, rate
             if not sticks:
-                following = -(pulls[k] + coulomb * way) / masses[k]
+                following = acceleration(k, x + dt * rate, rate + dt * pull, way)
                 rate, pull = rate + 0.5 * dt * (pull + following), following
-            turns = coulomb > 0 and (rate + drags[k]) * way < 0
+            turns = coulomb > 0 and (rate + speeds[k]) * way < 0
             if sticks or (turns and holds):
                 # At rest the link stays so or begins to slide the way it is dragged.
-                sticks, rate, rest, begin = holds, -drags[k], 1.0, k
-                way = math.copysign(1.0, -rests[k])
-                pull = -(pulls[k] + coulomb * way) / masses[k]
+                sticks, rate, rest, begin = holds, -speeds[k], 1.0, k
+                way = math.copysign(1.0, -rests[k] - springs[k] * x)
+                pull = acceleration(k, x, rate, way)
             elif turns:
                 way, rate = -way, rate + dt * coulomb * way / masses[k]
-                pull = -(pulls[k] + coulomb * way) / masses[k]
+                pull = acceleration(k, x, rate, way)
             x += 0.5 * dt * (before + rate)
         course[:, start:k] = np.array(flight, dtype=float).T
         side = -math.copysign(1.0, x)

@@ -23,7 +23,6 @@ from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
 from torchrbd.likelihood.clocks import Clocks, in_band, of_one_machine
 from torchrbd.likelihood.learning import learn
-from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS, Machine
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
 from torchrbd.likelihood.reading import Progress
@@ -115,8 +114,8 @@ def _told_by_what_is_fast(
 ) -> tuple[dict[str, tuple[float, float]], list[JointScale]]:
     """Return clocks and how wide friction's sign changes are, as whitened rows of a wide band tell them.
 
-    Those of which plain least squares says otherwise are told by a law that is wrong: such clocks are those of least
-    squares, such sign changes stay as wide as the velocity's error makes them.
+    Those of which plain least squares says otherwise are told by a law that is wrong: such clocks lie between the two,
+    such sign changes stay as wide as the velocity's error makes them.
 
     Returns:
         by recording, the offset of its clocks and its standard deviation [s]; what each joint covers.
@@ -125,17 +124,7 @@ def _told_by_what_is_fast(
     if clocks is None:
         return {}, scales
     two, machine = TwoEstimates(clocks.fit), clocks.fit.machine
-    late = {
-        name: one if two.test([k]).p_value > MISFIT else _by_least_squares(one[0], clocks.fit, two, k)
-        for (name, one), k in zip(clocks.delay_s.items(), machine.timing.tolist(), strict=True)
-    }
     for j, width in enumerate(clocks.fit.hyper.rest_width.tolist()):
         if machine.rows.seen[j] and two.test([machine.bend(j)]).p_value > MISFIT:
             scales[j] = replace(scales[j], rest_width=max(width, scales[j].rest_width))
-    return late, scales
-
-
-def _by_least_squares(late: float, fit: Likelihood, two: TwoEstimates, k: int) -> tuple[float, float]:
-    """Return an offset that whitened rows have told, and its standard deviation, as least squares has them [s]."""
-    size = fit.machine.timing_std
-    return late - size * float(two.ordinary[k] - fit.gaussian.z[k]), size * float(two.ordinary_std(k))
+    return clocks.delay_s, scales

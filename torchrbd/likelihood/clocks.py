@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from torch import Tensor
@@ -44,24 +45,35 @@ class Clocks:
     Attributes:
         fit: the likelihood.
         shift_s: by recording, by how much earlier its torque has been read [s].
-        against: log evidence, at the first reading, against clocks that agree.
         lags: whether torques have been sent through actuators that lag by so much less, instead of being moved.
         lag_odds: log odds of that against being moved; 0 where they are not told apart.
     """
 
     fit: Likelihood
     shift_s: Mapping[str, float]
-    against: float
     lags: bool = False
     lag_odds: float = 0.0
 
-    @property
+    @cached_property
     def delay_s(self) -> dict[str, tuple[float, float]]:
         """By recording, how much later the torque is than the motion, and its standard deviation [s]."""
-        fit = self.fit
-        spread = fit.machine.timing_std * np.sqrt(fit.gaussian.covariance(fit.machine.timing).diagonal())
-        every = zip(fit.machine.rows.seen_recordings, fit.delay_s, spread, strict=True)
-        return {name: (float(late) + self.shift_s[name], float(std)) for name, late, std in every}
+        machine, size = self.fit.machine, self.fit.machine.timing_std
+        told = [self._estimates.told([k]) for k in machine.timing]
+        return {
+            name: (self.shift_s[name] - size * float(z[0]), size * float(np.sqrt(C[0, 0])))
+            for name, (z, C) in zip(machine.rows.seen_recordings, told, strict=True)
+        }
+
+    @cached_property
+    def against(self) -> float:
+        """Log evidence against clocks that agree."""
+        machine = self.fit.machine
+        moved = np.array([self.shift_s[name] for name in machine.rows.seen_recordings])
+        return self._estimates.against(machine.timing, moved / machine.timing_std)
+
+    @cached_property
+    def _estimates(self) -> TwoEstimates:
+        return TwoEstimates(self.fit)
 
     def read_with(self, reading: Reading, late_s: Mapping[str, float]) -> Reading:
         """Return a reading of torques that are later than the motion by ``late_s``, in the way that was likelier."""
@@ -74,12 +86,10 @@ def in_time(reading: Reading, columns: Columns, kept_back: KeptBack, held: froze
     """Learn the likelihood of ordinary physics, torque and motion brought together where their clocks are far apart.
 
     The offset of the clocks is a linear term of every model; where it is not small, torques are read anew by so much
-    earlier. The evidence against clocks that agree is that of the first reading, of least squares where whitened rows
-    say otherwise.
+    earlier.
     """
     rows = read_rows(reading, columns, kept_back)
     fit = learn(Machine(rows, held))
-    against = TwoEstimates(fit).against(fit.machine.timing)
     shift = dict.fromkeys((r.name for r in reading.recordings), 0.0)
 
     def brought_together(now: Clocks) -> Clocks:
@@ -92,13 +102,13 @@ def in_time(reading: Reading, columns: Columns, kept_back: KeptBack, held: froze
             now = replace(now, fit=learn(Machine(again, held)), shift_s=shift)
         return now
 
-    moved = brought_together(Clocks(fit, shift, against))
+    moved = brought_together(Clocks(fit, shift))
     if not all(-moved.shift_s[name] > rows.dt for name in rows.seen_recordings):
         return moved
     odds = _command_odds(moved)
     if odds <= 0:
         return replace(moved, lag_odds=odds)
-    return brought_together(Clocks(fit, shift, against, lags=True, lag_odds=odds))
+    return brought_together(Clocks(fit, shift, lags=True, lag_odds=odds))
 
 
 def _command_odds(moved: Clocks) -> float:

@@ -66,7 +66,6 @@ class TwoEstimates:
 
     def __init__(self, fit: Likelihood) -> None:
         g, rows, at = fit.gaussian, fit.machine.rows, fit.machine.resisting
-        self._efficient_against = g.against
         sites = np.zeros((2, len(g.z)))
         sites[:, at] = fit.hyper.resists[:2].reshape(2, -1)
         H, h = g.H - np.diag(sites[0]), g.h - sites[1]
@@ -108,19 +107,23 @@ class TwoEstimates:
         statistic, dof = float((d**2 / loss[kept]).sum()), int(kept.sum())
         return Misfit(statistic, dof, float(chi2.sf(statistic, dof)) if dof else 1.0)
 
-    def against(self, index: Sequence[int] | np.ndarray) -> float:
-        """Return the log evidence against zero of coefficients (K,), as least squares has them where the two disagree.
+    def told(self, index: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return coefficients (K,) and their covariance: the efficient estimate, or what lies between the two.
 
-        Savage and Dickey's density ratio at zero, of an estimate that scatters by the noise that there is.
+        Where they disagree a law is wrong, and either may be: their mean, uncertain by half of what they differ.
         """
         if self.test(index).p_value >= MISFIT:
-            return self._efficient_against(index)
-        C, m = self._covariances(index)[1], self.ordinary[index]
-        return 0.5 * float(np.linalg.slogdet(C)[1] + m @ np.linalg.solve(C, m))
+            return self._fit.gaussian.z[index], self._fit.gaussian.covariance(index)
+        apart = 0.5 * (self.ordinary - self.efficient)[index]
+        return self.efficient[index] + apart, self._covariances(index)[1] + np.outer(apart, apart)
 
-    def ordinary_std(self, k: int) -> float:
-        """Return the standard deviation of a coefficient of least squares."""
-        return float(np.sqrt(self._covariances([k])[1][0, 0]))
+    def against(self, index: Sequence[int] | np.ndarray, value: np.ndarray | float = 0.0) -> float:
+        """Return the log evidence against a value of coefficients (K,) around which their prior N(value, 1) lies.
+
+        Savage and Dickey's density ratio there, of an estimate that scatters by the noise that there is.
+        """
+        m, C = self.told(index)
+        return 0.5 * float(np.linalg.slogdet(C)[1] + (m - value) @ np.linalg.solve(C, m - value))
 
     def _covariances(self, index: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return V (K, K), and the covariance of z_o around the truth (K, K)."""
