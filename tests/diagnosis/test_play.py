@@ -1,47 +1,104 @@
-"""Play in a gear: named where it is, and where it has no name nothing else is sure."""
+"""Play in a gear as MuJoCo simulates it: named where it may be, and where it may not nothing else is in its place."""
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
-from robot.random_robots import random_urdf
-from simulated import inverse_dynamics, joint_names, multisine
 
 import torchrbd
 from torchrbd.recordings import Recording
 
-URDF, JOINT = random_urdf(5, 3, kinds=("revolute",), branching=0.0, massless=0.0), 1
-PLAY, CROSSING_S, DT = 0.04, 0.03, 0.005
+URDF = b"""<robot name="arm">
+  <link name="base"/>
+  <link name="upper"><inertial><origin xyz=".02 0 -.15"/><mass value="2"/>
+    <inertia ixx=".02" iyy=".02" izz=".004" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="lower"><inertial><origin xyz="0 0 -.2"/><mass value="1.2"/>
+    <inertia ixx=".012" iyy=".012" izz=".002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="60" velocity="10"/></joint>
+  <joint name="elbow" type="revolute"><parent link="upper"/><child link="lower"/><origin xyz="0 0 -.3"/>
+    <axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="40" velocity="10"/></joint>
+</robot>"""
+# The elbow's motor turns by itself; a tendon of limited length holds the link to it.
+MJCF = """<mujoco>
+  <option timestep=".0002" integrator="implicitfast"/><compiler angle="radian"/>
+  <worldbody>
+    <body name="upper">
+      <inertial pos=".02 0 -.15" mass="2" diaginertia=".02 .02 .004"/><joint name="shoulder" axis="0 1 0"/>
+      <body name="motor" pos="0 0 -.3">
+        <inertial pos="0 0 0" mass="1e-4" diaginertia="1e-7 1e-7 1e-7"/>
+        <joint name="elbow" axis="0 1 0" armature="{inertia}" frictionloss="{motor_friction}"/>
+      </body>
+      <body name="lower" pos="0 0 -.3">
+        <inertial pos="0 0 -.2" mass="1.2" diaginertia=".012 .012 .002"/>
+        <joint name="link" axis="0 1 0" frictionloss="{link_friction}"/>
+      </body>
+    </body>
+  </worldbody>
+  <tendon>
+    <fixed name="play" limited="true" range="-{half} {half}" solreflimit=".002 1" solimplimit=".9 .999 .0005">
+      <joint joint="link" coef="1"/><joint joint="elbow" coef="-1"/>
+    </fixed>
+  </tendon>
+  <actuator><motor joint="shoulder"/><motor joint="elbow"/></actuator>
+</mujoco>"""
+INERTIA, SECONDS, RATE_HZ = 0.003, 30.0, 500.0
+GAINS, DAMPING = np.array([400.0, 250.0]), np.array([20.0, 8.0])
 
 
-def recorded(play: float, seed: int = 3) -> Recording:
-    """Record a robot whose motor at one joint crosses the play of its gear at once as the load changes its sign."""
-    motion = multisine(3, seed, duration_s=30.0, rate_hz=1 / DT, fastest_hz=0.5)
-    tau = inverse_dynamics(URDF, motion)
-    sides, width = np.sign(tau[:, JOINT]), round(CROSSING_S / DT)
-    smooth = np.hanning(2 * width + 3)[1:-1]
-    ahead = np.convolve(np.pad(sides, width, mode="edge"), smooth / smooth.sum(), mode="valid")
-    rng = np.random.default_rng(seed)
-    q = motion.q + 1e-5 * rng.standard_normal(motion.q.shape)
-    q[:, JOINT] += 0.5 * play * ahead
-    tau = tau + 0.02 * np.sqrt(np.mean(tau**2, 0)) * rng.standard_normal(tau.shape)
-    return Recording.from_arrays("play", joint_names(URDF), motion.t, q, tau)
+def recorded(play: float, motor_friction: float = 0.0, link_friction: float = 0.0, seed: int = 0) -> Recording:
+    """Record the motors of an arm that follows a multisine: means over samples, noise of a hundredth of the torque."""
+    friction = {"motor_friction": motor_friction, "link_friction": link_friction}
+    model = mujoco.MjModel.from_xml_string(MJCF.format(half=play / 2, inertia=INERTIA, **friction))
+    data, rng, dt = mujoco.MjData(model), np.random.default_rng(seed), model.opt.timestep
+    hz, size, phase = rng.uniform(0.1, 0.8, (2, 5)), rng.uniform(0.2, 0.5, (2, 5)), rng.uniform(0.0, 2 * np.pi, (2, 5))
+    size, t = size / (1.0 + hz), dt * np.arange(round(SECONDS / dt))
+    turn = 2 * np.pi * hz[..., None] * t + phase[..., None]
+    wanted = (size[..., None] * np.sin(turn)).sum(1)
+    wanted_speed = (2 * np.pi * (size * hz)[..., None] * np.cos(turn)).sum(1)
+    data.qpos[:], data.qvel[:] = wanted[[0, 1, 1], 0], wanted_speed[[0, 1, 1], 0]
+    q, tau = np.empty((2, len(t))), np.empty((2, len(t)))
+    for k in range(len(t)):
+        q[:, k] = data.qpos[:2]
+        tau[:, k] = GAINS * (wanted[:, k] - q[:, k]) + DAMPING * (wanted_speed[:, k] - data.qvel[:2])
+        data.ctrl[:] = tau[:, k]
+        mujoco.mj_step(model, data)
+    every = round(1.0 / (RATE_HZ * dt))
+    t, q, tau = (x.reshape(*x.shape[:-1], -1, every).mean(-1) for x in (t, q, tau))
+    q += 2e-5 * rng.standard_normal(q.shape)
+    tau += 0.01 * tau.std(1, keepdims=True) * rng.standard_normal(tau.shape)
+    return Recording.from_arrays("play", ["shoulder", "elbow"], t, q.T, tau.T)
 
 
-@pytest.mark.slow
-def test_shocks_without_a_name_are_left_where_they_are() -> None:
-    result = torchrbd.diagnose(URDF, recorded(PLAY), exclude=["backlash"], cutoff_hz=10.0)
-    joint = joint_names(URDF)[JOINT]
-    assert result.verdict in ("unexplained", "missing_physics")
-    assert joint in {j for x in (*result.unexplained, *result.locations) for j in x.joints}
-    assert max((f.probability for f in result.findings), default=0.0) < 0.9
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("play", [0.01, PLAY])
-def test_play_is_named(play: float) -> None:
-    result = torchrbd.diagnose(URDF, recorded(play), cutoff_hz=10.0)
-    (found,) = result.findings
-    assert (found.effect, found.joints) == ("backlash", (joint_names(URDF)[JOINT],))
-    assert found.parameters["backlash"].value == pytest.approx(play, rel=0.2)
+@pytest.mark.parametrize(
+    ("play", "friction"),
+    [
+        pytest.param(0.002, {}, marks=pytest.mark.slow),
+        (0.01, {"motor_friction": 0.1}),
+        pytest.param(0.01, {"link_friction": 0.1}, marks=pytest.mark.slow),
+        pytest.param(0.02, {}, marks=pytest.mark.slow),
+    ],
+)
+def test_play_is_named(play: float, friction: dict[str, float]) -> None:
+    result = torchrbd.diagnose(URDF, recorded(play, **friction))
+    found = {f.effect: f for f in result.findings}
+    assert set(found) - {"coulomb_friction"} == {"backlash", "rotor_inertia"}
+    assert ("coulomb_friction" in found) == bool(friction)
+    assert {f.joints for f in result.findings} == {("elbow",)}
+    assert found["backlash"].parameters["backlash"].value == pytest.approx(play, rel=0.05)
     assert result.unexplained == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("play", [0.003, 0.01])
+def test_nothing_is_named_in_its_place(play: float) -> None:
+    result = torchrbd.diagnose(URDF, recorded(play, motor_friction=0.05), exclude=["backlash"])
+    assert {(f.effect, f.joints) for f in result.findings} == {
+        (e, ("elbow",)) for e in ("coulomb_friction", "rotor_inertia")
+    }
+
+
+def test_no_play_is_none() -> None:
+    result = torchrbd.diagnose(URDF, recorded(1e-9))
+    assert {f.effect for f in result.findings} == {"rotor_inertia"}

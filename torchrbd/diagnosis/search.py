@@ -34,7 +34,7 @@ MOST_TERMS = 12
 _RIVALS, _JUDGED, _SWEEPS = 12, 3, 2
 # How often the likeliest of several rivals may turn out to be another one.
 _TURNS = 2
-# How often effects are given the load of a fit that has others beside them, and how many nats that is worth to go on.
+# How often effects are given the load of their own fit, and how many nats that has to be worth.
 _LOADS, _SAME = 3, 1.0
 
 
@@ -83,17 +83,9 @@ def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int
     search = _Search(carried(base), effects, report)
     first = search.leading(base)
     fit, terms, last = search.settled(base, *search.added(base, [], first))
-    for _ in range(_LOADS):
-        chosen = [term.own for term in terms]
-        if not any(h.candidate.effect.uses_load for h in chosen):
-            break
-        onwards = _Search(carried(fit), effects, report)
-        chosen = onwards.reshaped(base, chosen)
-        now = onwards.with_terms(base, chosen)
-        if now.log_evidence <= fit.log_evidence + _SAME:
-            break
-        search, rivals = onwards, [list(term.rivals) for term in terms]
-        fit, terms, last = search.settled(base, now, chosen, rivals, last)
+    now, chosen = search.with_own_load(base, fit, [term.own for term in terms])
+    if now is not fit:
+        fit, terms, last = search.settled(base, now, chosen, [list(term.rivals) for term in terms], last)
     return Explanation(base, fit, search.rows, terms, first, last, len(first))
 
 
@@ -228,6 +220,22 @@ class _Search:
             fit = self.felt_through(fit, k, h)
         return fit
 
+    def with_own_load(
+        self, base: Likelihood, fit: Likelihood, chosen: list[Hypothesis]
+    ) -> tuple[Likelihood, list[Hypothesis]]:
+        """Return a model and its terms where effects have its own load and friction, as long as its evidence rises."""
+        for _ in range(_LOADS):
+            if not any(h.candidate.effect.uses_load for h in chosen):
+                break
+            before, self.rows = self.rows, carried(fit)
+            onwards = self.reshaped(base, chosen)
+            now = self.with_terms(base, onwards)
+            if now.log_evidence <= fit.log_evidence + _SAME:
+                self.rows = before
+                break
+            fit, chosen = now, onwards
+        return fit, chosen
+
     def reshaped(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return hypotheses; those that act through the load with the shapes that it asks for beside all others."""
         found = list(chosen)
@@ -256,7 +264,7 @@ class _Search:
         Returns:
             The model, what is in it, what was considered where each of these was added, and what is left.
         """
-        seen: list[list[Hypothesis]] = []
+        base, seen = fit, list[list[Hypothesis]]()
         while len(chosen) < MOST_TERMS:
             if not found or log_odds(found[0], self.rows) <= 0.0:
                 found = self.ordered((*self.curves(fit, chosen), *found))
@@ -267,6 +275,8 @@ class _Search:
             self.report(len(chosen))
             fit = fit.extended([*fit.extra, found[0].extra(fit, self.rows)]).settled
             fit = self.felt_through(fit, len(chosen) - 1, found[0])
+            if found[0].candidate.effect.uses_load:
+                fit, chosen = self.with_own_load(base, fit, chosen)
             found = self.leading(fit, chosen)
         return fit, chosen, seen, found
 
