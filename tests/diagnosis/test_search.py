@@ -380,7 +380,7 @@ def test_no_more_terms_are_added_than_a_person_would_read(rows: Rows, monkeypatc
     sure = Hypothesis(c, 99.0, np.zeros(2), np.ones(2), 1.0, 1)
     at = Table(rows, (), lambda _: None)
     monkeypatch.setattr(Table, "leading", lambda self, fit, chosen=(): [sure])
-    _, chosen, seen, _ = at.added(fitted(), [], [sure])
+    _, chosen, seen, _ = at.added(fitted(), fitted(), [], [], [sure])
     assert len(chosen) == len(seen) == MOST_TERMS
     # What is left, and likelier than not, is told.
     chance = replace(sure, log_evidence=0.0)

@@ -82,10 +82,13 @@ def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int
     """
     search = _Search(carried(base), effects, report)
     first = search.leading(base)
-    fit, terms, last = search.settled(base, *search.added(base, [], first))
-    now, chosen = search.with_own_load(base, fit, [term.own for term in terms])
-    if now is not fit:
-        fit, terms, last = search.settled(base, now, chosen, [list(term.rivals) for term in terms], last)
+    fit, terms, last = search.settled(base, *search.added(base, base, [], [], first))
+    for _ in range(_LOADS):
+        now, chosen = search.with_own_load(base, fit, [term.own for term in terms])
+        if now is fit:
+            break
+        rivals, found = [list(term.rivals) for term in terms], search.leading(now, chosen)
+        fit, terms, last = search.settled(base, *search.added(base, now, chosen, rivals, found))
     return Explanation(base, fit, search.rows, terms, first, last, len(first))
 
 
@@ -101,11 +104,11 @@ def _alike(h: Hypothesis) -> tuple[Hashable, ...]:
 
 
 def _only_once(chosen: Sequence[Hypothesis], effects: Sequence[Effect]) -> set[tuple[str, Site]]:
-    """Return effects and places that a model has and cannot have again: what acts for a time may, and another kind.
+    """Return effects and places that a model has and cannot have again: what acts for a time may, and two stops.
 
     A torque is late once, by a delay or by a lag.
     """
-    always = [h for h in chosen if h.candidate.site.always and not h.candidate.effect.kinds]
+    always = [h for h in chosen if h.candidate.site.always and not h.candidate.effect.several]
     late = [e.id for e in effects if e.shifts_clocks]
     return {(e, h.name[1]) for h in always for e in (late if h.candidate.effect.shifts_clocks else h.name[:1])}
 
@@ -257,14 +260,24 @@ class _Search:
         return Likelihood(machine, fit.hyper, fit.extra).settled
 
     def added(
-        self, fit: Likelihood, chosen: list[Hypothesis], found: list[Hypothesis]
+        self,
+        base: Likelihood,
+        fit: Likelihood,
+        chosen: list[Hypothesis],
+        seen: list[list[Hypothesis]],
+        found: list[Hypothesis],
     ) -> tuple[Likelihood, list[Hypothesis], list[list[Hypothesis]], list[Hypothesis]]:
         """Add what is likelier than not, one after the other.
 
+        Args:
+            base, fit: ordinary physics, and the model so far.
+            chosen, seen: what is in it, and what was considered where each of these was added.
+            found: what may be added, the likeliest first.
+
         Returns:
-            The model, what is in it, what was considered where each of these was added, and what is left.
+            The model, what is in it, what was considered there, and what is left.
         """
-        base, seen = fit, list[list[Hypothesis]]()
+        seen = list(seen)
         while len(chosen) < MOST_TERMS:
             if not found or log_odds(found[0], self.rows) <= 0.0:
                 found = self.ordered((*self.curves(fit, chosen), *found))

@@ -52,6 +52,7 @@ class Backlash(Effect):
     words = "backlash"
     equation = "tau_load(q + x) - tau_load(q), abs(x) <= b/2"
     units: ClassVar[Mapping[str, str]] = {"backlash": "{q}", "flight": "{q}", "link_friction": "1"}
+    kinds = ("link_friction",)
     whole_robot = True
     uses_load = True
     has_memory = True
@@ -60,7 +61,9 @@ class Backlash(Effect):
     export_note = (
         "a second joint on the axis, with range +-backlash/2, between the rotor (a body of its own) and the link"
     )
-    _SMALLEST, _LARGEST, _GRID_POINTS, _MOST_APART = 2e-4, 4e-2, 15, 2.0
+    _SMALLEST, _LARGEST, _GRID_POINTS = 2e-4, 4e-2, 15
+    # Flights that take longer, or less, by half: gears yield, and what a link weighs is not known well.
+    _MOST_APART = 1.5**3
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
         # The time of flight, which is what they differ by, goes with the cube root.

@@ -95,6 +95,7 @@ class Effect(ABC):
         prior: what is believed of the coefficients.
         shifts_clocks: True if, at all joints alike, it is to first order what an offset of clocks is.
         kinds: shape parameters that choose between kinds, such as the side of a stop: none lies between two of them.
+        several: True if a joint may have more than one of them, such as two stops.
         follows: shape parameters that follow from the coefficients, see ``agreeing``.
         needs: what a recording must hold beside positions and torques, in words.
         export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
@@ -118,6 +119,7 @@ class Effect(ABC):
     shifts_clocks: ClassVar[bool] = False
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
     kinds: ClassVar[tuple[str, ...]] = ()
+    several: ClassVar[bool] = False
     follows: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[str] = ""
     export_note: ClassVar[str] = ""

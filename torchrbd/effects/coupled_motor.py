@@ -48,6 +48,7 @@ class CoupledMotor(Effect):
     }
     whole_robot = True
     kinds = ("ratio",)
+    several = True
     prior = CoefficientPrior("A motor's friction resists its motion, and its inertia is not negative.", (0, 1, 2))
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:

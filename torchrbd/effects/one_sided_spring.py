@@ -24,6 +24,7 @@ class OneSidedSpring(JointEffect):
     comes_and_goes = True
     drawn_over = "q"
     kinds = ("side",)
+    several = True
     prior = CoefficientPrior("A spring pushes back.", positive=(0,))
     export_note = "a fixed tendon over this joint alone, with coefficient one"
     # Parts of the range in which the spring acts: more, it is a joint spring. Ramps look alike at equal ratios of
