@@ -105,12 +105,12 @@ class Truth:
 
 
 def between(truth: Truth, effect: Effect, site: Site, rng: np.random.Generator) -> Shape:
-    """Return a shape between two in the middle of the grid; a choice, between which nothing lies, stays one."""
+    """Return a shape between two in the middle of the grid; a choice between kinds stays one."""
     grid = effect.shapes(truth.scales[site.joint or 0])
     drawn = dict(grid[rng.integers(len(grid) // 4, max(3 * len(grid) // 4, 1))])
     for name in drawn:
         values = sorted({shape[name] for shape in grid})
-        if len(values) > 1:
+        if len(values) > 1 and name not in effect.kinds:
             k = min(max(values.index(drawn[name]), len(values) // 4), max(3 * len(values) // 4 - 1, 0))
             low, moved = values[k], {**drawn, name: values[k] + 0.4 * (values[k + 1] - values[k])}
             same = np.array_equal(truth.rows(effect, site, {**drawn, name: low}), truth.rows(effect, site, moved))
@@ -132,7 +132,8 @@ def drawn(truth: Truth, effect: Effect, seed: int) -> Term:
         size = np.sqrt((truth.rows(effect, site, shapes[site]) ** 2).mean(0))
         for part in np.geomspace(LARGEST_PART, LEAST_PART, 60):
             relative = rng.choice((-1, 1), len(size)) * np.exp(rng.uniform(-3, 0, len(size)))
-            term = Term(effect, site, torch.from_numpy(part * relative / size), shapes[site])
+            w = torch.from_numpy(part * relative / size)
+            term = Term(effect, site, w, effect.agreeing(w, shapes[site]))
             if effect.plausible(term.parameters_by_name(), truth.scales[site.joint or 0]):
                 return term
     raise AssertionError(f"no plausible {effect.id}")
