@@ -246,8 +246,8 @@ class _Search:
             if h.candidate.effect.uses_load and varied(self.rows.columns, h.candidate):
                 others = [*found[:k], *found[k + 1 :]]
                 rest = self.with_terms(base, others) if others else base
-                either = again(rest, self.rows, h), sharpened(rest, self.rows, h)
-                found[k] = max((one for one in either if one is not None), key=lambda one: one.log_evidence)
+                own, sharp = again(rest, self.rows, h), sharpened(rest, self.rows, h)
+                found[k] = sharp if own is None else max(own, sharp, key=lambda one: one.log_evidence)
         return found
 
     def felt_through(self, fit: Likelihood, k: int, h: Hypothesis) -> Likelihood:
