@@ -39,15 +39,19 @@ def arm() -> Truth:
 QUICK = {"viscous_friction", "coulomb_friction", "stribeck_friction", "rotor_inertia", "joint_spring"}
 
 
+# Near the cut-off its bandwidth is three standard deviations off: 13.6 Hz for 8.4 Hz.
+MISSED = {"joint_elasticity": pytest.mark.xfail(strict=True, reason="its bandwidth")}
+
+
 @pytest.mark.parametrize(
-    "effect", [pytest.param(e, id=name, marks=() if name in QUICK else pytest.mark.slow) for name, e in ALL.items()]
+    "effect",
+    [
+        pytest.param(e, id=name, marks=() if name in QUICK else (pytest.mark.slow, *filter(None, [MISSED.get(name)])))
+        for name, e in ALL.items()
+    ],
 )
 def test_every_effect_is_recovered_when_told(effect: Effect, arm: Truth) -> None:
     """From clean data, beside inertial parameters that the URDF has wrong."""
-    if effect.id == "joint_elasticity":
-        pytest.xfail("its bandwidth, near the cut-off, is three standard deviations off: 13.6 Hz for 8.4 Hz")
-    if effect.id == "payload":
-        pytest.skip("a body that is physical, unlike one whose coefficients are drawn: see tests of payloads")
     term = drawn(arm, effect, 1)
     (found,) = recovered(arm, [term], added_by(term, arm))
     told = {k: v for k, (v, _) in found.items()}

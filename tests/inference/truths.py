@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
+from parameters.bodies import random_bodies
 from robot.random_robots import random_urdf
 from simulated import Motion, inverse_dynamics, joint_names, multisine, with_wrong_inertials
 
@@ -132,7 +133,12 @@ def drawn(truth: Truth, effect: Effect, seed: int) -> Term:
         size = np.sqrt((truth.rows(effect, site, shapes[site]) ** 2).mean(0))
         for part in np.geomspace(LARGEST_PART, LEAST_PART, 60):
             relative = rng.choice((-1, 1), len(size)) * np.exp(rng.uniform(-3, 0, len(size)))
-            w = torch.from_numpy(part * relative / size)
+            # A payload is a body that there may be.
+            w = (
+                random_bodies(seed, 1, size=0.3)[0]
+                if effect.id == "payload"
+                else torch.from_numpy(part * relative / size)
+            )
             term = Term(effect, site, w, effect.agreeing(w, shapes[site]))
             if effect.plausible(term.parameters_by_name(), truth.scales[site.joint or 0]):
                 return term

@@ -226,7 +226,10 @@ class _Search:
     def with_own_load(
         self, base: Likelihood, fit: Likelihood, chosen: list[Hypothesis]
     ) -> tuple[Likelihood, list[Hypothesis]]:
-        """Return a model and its terms where effects have its own load and friction, as long as its evidence rises."""
+        """Return a model and its terms where effects have its own load and friction, as long as its evidence rises.
+
+        From then on so have all hypotheses of this search.
+        """
         for _ in range(_LOADS):
             if not any(h.candidate.effect.uses_load for h in chosen):
                 break
