@@ -211,3 +211,12 @@ def test_what_cannot_be_is_told(tmp_path: Path) -> None:
     RigidBodyDynamics.from_urdf(URDF).save(tmp_path / "model.safetensors")
     with pytest.raises(InputError, match="holds a model without a posterior"):
         BayesianDynamics.load(tmp_path)
+
+
+def test_torques_that_the_model_makes_exactly() -> None:
+    """Noise of nothing has no logarithm."""
+    model = arm()
+    x = states(model.robot, 200)
+    bayes = BayesianDynamics(model)
+    bayes.whiten(*x, model(*x).detach())
+    assert bool(bayes.elbo(*x, model(*x).detach()).isfinite())

@@ -76,7 +76,7 @@ class BaseRegression:
         """Take in samples.
 
         Args:
-            q, qd, qdd: (N, n_dof) states [rad, m, per s, per s^2].
+            q, qd, qdd: (N, n_dof) states [rad, m, per s, per s^2], on any device: what is kept of them lies on the CPU.
             tau: (N, n_dof) torques [N m, N].
 
         Raises:
@@ -104,12 +104,12 @@ class BaseRegression:
         Y = self.robot.regressor_batch_last(q, qd, qdd)
         for j, own in enumerate(self._columns):
             rows = tau.new_empty(len(own) + 1, tau.shape[1])
-            torch.index_select(Y[j], 0, own, out=rows[:-1])
+            torch.index_select(Y[j], 0, own.to(Y.device), out=rows[:-1])
             rows[-1] = tau[j]
             if self.square_root:
-                self._kept[j] = SquareRoot(self._kept[j]).with_rows(rows.T).factor
+                self._kept[j] = SquareRoot(self._kept[j]).with_rows(rows.T.cpu()).factor
             else:
-                self._kept[j].addmm_(rows, rows.T)
+                self._kept[j] += (rows @ rows.T).cpu()
 
     def __add__(self, other: BaseRegression) -> BaseRegression:
         """Return what has taken in the samples of both.

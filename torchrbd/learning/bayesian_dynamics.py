@@ -53,6 +53,8 @@ from torchrbd.parameters import PARAMETERS_PER_BODY, to_log_cholesky
 
 # Of a fit; it has settled where a round gains less than so many nats.
 _MOST_ROUNDS, _STEPS, _SETTLED = 30, 15, 0.01
+# Noise to start from, of a joint's torque: where the model makes the torques exactly.
+_LEAST_NOISE = 1e-6
 
 
 class BayesianDynamics(nn.Module):
@@ -288,7 +290,9 @@ class BayesianDynamics(nn.Module):
             torque, n_terms = tau.reshape(-1, tau.shape[-1]).to(self.centre), len(self.prior_std)
             sizes = felt(A[..., A.shape[-1] - n_terms :], torque)
             self.prior_std.copy_(torch.where(sizes > 0, TERM_WIDTH / sizes, 1.0))
-            std = (torque - self(q, qd, qdd, t).reshape(torque.shape)).square().mean(0).sqrt()
+            left = torque - self(q, qd, qdd, t).reshape(torque.shape)
+            std = torch.maximum(left.square().mean(0).sqrt(), _LEAST_NOISE * torque.square().mean(0).sqrt())
+            std = torch.where(std > 0, std, 1.0)
             self.raw_noise.copy_(std.log())
             A = A / std.unsqueeze(-1)
             H, J = torch.einsum("bdk,bdl->kl", A, A), slopes(self.physics, self._parameters_at(self.theta), self.free)

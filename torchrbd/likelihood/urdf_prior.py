@@ -77,7 +77,7 @@ def in_proportion(widths: np.ndarray, std: Sequence[float] | np.ndarray) -> np.n
 
 def divergence_hessian(inverse: Tensor) -> Tensor:
     """Return the Hessian of -logdet J in pi, M_kl = tr(W E_k W E_l) with W = J^-1 (*batch, 4, 4): (*batch, 10, 10)."""
-    WE = torch.einsum("...ab,kbc->...kac", inverse, BASIS)
+    WE = torch.einsum("...ab,kbc->...kac", inverse, BASIS.to(inverse))
     return torch.einsum("...kac,...lca->...kl", WE, WE)
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-TILE = 2048
-"""Samples worked on at a time: intermediate results stay in the cache, and memory beyond the result is bounded."""
+TILE, TILE_ELSEWHERE = 2048, 1 << 18
+"""Samples worked on at a time, on the CPU and on other devices: intermediate results stay in the cache, or keep a GPU
+busy, and memory beyond the result is bounded."""
 
 
 def batch_last(*inputs: Tensor) -> tuple[tuple[Tensor, ...], torch.Size]:
@@ -24,8 +25,9 @@ def batch_first(x: Tensor, batch: torch.Size) -> Tensor:
 
 
 def tiles(*inputs: Tensor) -> list[tuple[Tensor, ...]]:
-    """Return (..., N) tensors as views of at most `TILE` samples."""
-    return list(zip(*(x.split(TILE, -1) for x in inputs), strict=True))
+    """Return (..., N) tensors as views of at most as many samples as are worked on at a time."""
+    size = TILE if inputs[0].is_cpu else TILE_ELSEWHERE
+    return list(zip(*(x.split(size, -1) for x in inputs), strict=True))
 
 
 def tiled(function: Callable[..., Tensor], *inputs: Tensor) -> Tensor:

@@ -38,7 +38,8 @@ def regressor(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, gravity: T
 
 def regressor_batch_last(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, gravity: Tensor) -> Tensor:
     """Return the regressor, (n_dof, n_params, N), of states (n_dof, N)."""
-    if torch.is_grad_enabled() and any(x.requires_grad for x in (q, qd, qdd, gravity)):
+    tracked = torch.is_grad_enabled() and any(x.requires_grad for x in (q, qd, qdd, gravity))
+    if tracked or torch.compiler.is_compiling():
         return tiled(lambda q, qd, qdd: dynamics.regressor(geometry, q, qd, qdd, gravity), q, qd, qdd)
     Y = zeros(q, len(q), 10 * len(geometry.ends), q.shape[-1])
     for q_k, qd_k, qdd_k, Y_k in tiles(q, qd, qdd, Y):
