@@ -119,10 +119,11 @@ class Likelihood:
         return self.gaussian.covariance(at) * np.outer(std, std)
 
     def residual(self, joint: int) -> np.ndarray:
-        """Return what is left of a joint's torque, (M,) [N m or N]."""
+        """Return what is left of a joint's torque, (M,) [N m or N]; nothing where it is not measured."""
         if joint not in self._residuals:
             one = self._designs[joint]
-            self._residuals[joint] = one.target - one.explained(self.gaussian.z[one.own])
+            left = one.target - one.explained(self.gaussian.z[one.own])
+            self._residuals[joint] = np.where(self.machine.rows.measured[joint], left, 0.0)
         return self._residuals[joint]
 
     def part(self, joint: int, coefficients: np.ndarray) -> np.ndarray:
