@@ -28,7 +28,8 @@ def stats(options: argparse.Namespace) -> None:
         )  # fmt: skip
         if own.first:
             also = f", and their sum to {options.merge}" if options.merge else ""
-            _say(f"wrote {len(files)} statistics files to {options.output}{also}")
+            written = "1 statistics file" if len(files) == 1 else f"{len(files)} statistics files"
+            _say(f"wrote {written} to {options.output}{also}")
 
 
 def merge(options: argparse.Namespace) -> None:

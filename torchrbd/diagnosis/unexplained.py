@@ -63,7 +63,7 @@ def _drifting(found: Explanation) -> Iterator[Unexplained]:
     """Yield joints whose torque wanders with time by more than their noise explains."""
     fit, robot = found.fit, found.rows.columns.robot
     for j in np.flatnonzero(found.rows.seen).tolist():
-        wandering = fit.part(j, fit.machine.wandering(j))
+        wandering = fit.part(j, fit.machine.wandering(j))[found.rows.measured[j]]
         drift, noise, name = float(np.sqrt(np.mean(wandering**2))), fit.hyper.noise[j].std, robot.joint_names[j]
         if math.hypot(drift, noise) > _LARGER * noise:
             words = (
