@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from likelihood.arms import none_kept_back, recorded, rows_of, wrong_robot
+from likelihood.arms import recorded, rows_of, wrong_robot
 from likelihood.fits import (
     COULOMB,
     DELAY_S,
@@ -314,27 +314,6 @@ def test_dispersed_rows_count_less(fit: Likelihood) -> None:
     assert T[0, 0] == pytest.approx(S[0, 0] / 4, rel=0.2)
     again = fit.dispersed(4.0 * base).dispersed(base)
     assert again.log_evidence == pytest.approx(fit.log_evidence)
-
-
-def test_recording_without_a_joints_torque_does_not_shrink_what_is_believed_of_it() -> None:
-    """Of how large coefficients of a joint may be, a recording that does not measure its torque says nothing."""
-    robot = RobotModel.from_urdf(URDF)
-    one = recorded(URDF, 2, with_friction(), name="one", **OPTIONS)
-    other = recorded(URDF, 2, with_friction(), name="other", missing=[robot.joint_names[1]], **OPTIONS)
-    alone, both = Machine(rows_of(robot, [one])), Machine(rows_of(robot, [one, other], none_kept_back))
-    np.testing.assert_allclose(both.torque_rms, alone.torque_rms, rtol=1e-3)
-
-
-def test_recording_without_a_joints_torque_does_not_colour_its_noise() -> None:
-    """What the model has for a torque that nobody measured is no error of it."""
-    robot = RobotModel.from_urdf(URDF)
-    one = recorded(URDF, 2, with_friction(), name="one", **OPTIONS)
-    other = recorded(URDF, 5, with_friction(), name="other", missing=[robot.joint_names[1]], **OPTIONS)
-    alone, both = learn(Machine(rows_of(robot, [one]))), learn(Machine(rows_of(robot, [one, other], none_kept_back)))
-    rows = both.machine.rows
-    assert not both.residual(1)[~rows.measured[1]].any()
-    gains = [1.0 - fit.hyper.noise[1].predictor.sum() for fit in (alone, both)]
-    assert gains[1] == pytest.approx(gains[0], rel=0.3)
 
 
 def test_other_sizes_are_those_of_a_model_made_anew(fit: Likelihood) -> None:
