@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Unexplained
 from torchrbd.diagnosis.search import Explanation
-from torchrbd.diagnosis.unexplained import _left, _loud, unexplained
+from torchrbd.diagnosis.unexplained import _drifting, _left, _loud, unexplained
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
@@ -186,3 +187,18 @@ def test_where_nothing_is_left_nothing_is_told() -> None:
 )
 def test_a_curve_is_loud_around_its_largest_departure(torque: list[float], expected: tuple[float, float]) -> None:
     assert _loud(np.arange(float(len(torque))), np.array(torque, dtype=float)) == expected
+
+
+def test_drift_is_as_large_as_where_it_is_measured() -> None:
+    """A recording that lacks the torque does not make the drift of the others smaller."""
+    measured = np.arange(100)[None] < 25
+    drift = np.where(measured[0], 1.0, 0.0)
+    fit = SimpleNamespace(
+        machine=SimpleNamespace(wandering=lambda j: None),
+        part=lambda j, at: drift,
+        hyper=SimpleNamespace(noise=(SimpleNamespace(std=0.5),)),
+    )
+    columns = SimpleNamespace(robot=RobotModel.from_urdf(URDF))
+    rows = SimpleNamespace(seen=[True, False], measured=measured, columns=columns)
+    (one,) = _drifting(SimpleNamespace(fit=fit, rows=rows))
+    assert one.share == pytest.approx(0.8)
