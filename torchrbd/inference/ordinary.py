@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 import torch
 
 from torchrbd.effects import Effect, JointScale, effect
@@ -22,17 +21,14 @@ from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
 from torchrbd.likelihood.clocks import Clocks, in_band, of_one_machine
-from torchrbd.likelihood.learning import learn
-from torchrbd.likelihood.machine import ORDINARY_EFFECTS, Machine
+from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
 from torchrbd.likelihood.reading import Progress
-from torchrbd.likelihood.rows import not_held_out, read_rows
+from torchrbd.likelihood.rows import not_held_out
 from torchrbd.likelihood.urdf_prior import data_prior
 
 # Clocks that are apart by less than so many standard deviations are not.
 _TOLD = 3.0
-# Where a joint sticks, rows are so many times noisier, or what holds it is as many times the noise.
-_STICKS = 2.0
 
 
 def with_friction(settings: Settings) -> tuple[Effect, ...]:
@@ -61,7 +57,6 @@ def with_machine(
         return prepared
     progress("learning clocks and sticks", 0.0)
     held = frozenset(settings.held_bodies(prepared.robot))
-    sticky = _sticky(prepared, held)
     clocks = _learnt(prepared, held) if known is None else known
     found, wide = _told_by_what_is_fast(prepared, clocks)
     late = {} if not found else of_one_machine(found, [r.name for r in prepared.recordings])
@@ -73,19 +68,10 @@ def with_machine(
     narrow = prepared.columns.scales
     better = _left(prepared, wide, effects, held) < _left(prepared, narrow, effects, held)
     scales = [new if less else old for old, new, less in zip(narrow, wide, better.tolist(), strict=True)]
-    columns = prepared.columns.at_scales(scales).sticking(prepared.columns.stick_levels * sticky)
+    columns = prepared.columns.softened(scales)
     statistics = reading.statistics(columns, progress)
     prior = data_prior(statistics.together(~prepared.held_out), held, settings.kappa)
     return replace(prepared, columns=columns, statistics=statistics, prior=prior)
-
-
-def _sticky(prepared: Prepared, held: frozenset[str]) -> torch.Tensor:
-    """Say at which joints (n_dof,) friction at rest is told to be another than the law says, bool."""
-    fit = learn(Machine(read_rows(prepared.reading, prepared.columns, prepared.kept_back), held), white=True)
-    levels = [
-        np.maximum(n.spread, np.abs(fit.part(j, fit.machine.holding(j))) / n.std) for j, n in enumerate(fit.hyper.noise)
-    ]
-    return torch.tensor([bool((level > _STICKS).any()) for level in levels])
 
 
 def _left(

@@ -69,9 +69,11 @@ class Columns:
         candidates: all that has columns; if None, every effect at its sites with every shape of its grid.
         stick_levels: (n_dof,) Coulomb friction in standard deviations of each torque's noise; none if not told.
         through: what bodies act through, see ``bodies``.
+        unsure: (n_dof,) speeds below which a joint may stick, see ``undetermined``; the ``rest_width`` of the scales if
+            None.
 
     Attributes:
-        effects, scales, windows, pi, friction, sites, stick_levels, through: as given.
+        effects, scales, windows, pi, friction, sites, stick_levels, through, unsure: as given.
         n: length of x.
         labels: per joint, labels of its own features.
         shared: labels of the features that all joints have.
@@ -94,9 +96,10 @@ class Columns:
         candidates: Iterable[Candidate] | None = None,
         stick_levels: Tensor | None = None,
         through: Through = (),
+        unsure: Tensor | None = None,
     ) -> None:
         self.robot, self.effects, self.scales, self.windows = robot, tuple(effects), tuple(scales), tuple(windows)
-        self.pi, self.friction, self.through = pi, friction, through
+        self.pi, self.friction, self.through, self.unsure = pi, friction, through, unsure
         self._rest_width = torch.tensor([s.rest_width for s in self.scales], dtype=torch.float64)
         self.sites = dict(sites or {})
         self.stick_levels = torch.zeros(robot.n_dof, dtype=torch.float64) if stick_levels is None else stick_levels
@@ -149,6 +152,18 @@ class Columns:
         """Return columns of the same effects for other scales."""
         return self._like(scales=scales)
 
+    def softened(self, scales: Sequence[JointScale]) -> Columns:
+        """Return columns of the same effects whose signs of velocity change over the ``rest_width`` of other scales.
+
+        At which speeds a joint may stick stays as it is: that friction changes its sign over a range of speeds does not
+        leave it open what it is there.
+        """
+        return self._like(scales=scales, unsure=self._slow)
+
+    @property
+    def _slow(self) -> Tensor:
+        return self._rest_width if self.unsure is None else self.unsure
+
     def around(self, pi: Tensor, friction: Tensor | None = None) -> Columns:
         """Return the same columns with the torque of pi (n_params,) as load, and friction (n_dof, 3) beside it."""
         return self.of_candidates(self.candidates, pi, friction)
@@ -191,7 +206,7 @@ class Columns:
         return self._like(candidates=self.candidates, stick_levels=levels)
 
     def _like(self, **other: Any) -> Columns:
-        kept = ("robot", "effects", "scales", "windows", "pi", "friction", "sites", "stick_levels", "through")
+        kept = ("robot", "effects", "scales", "windows", "pi", "friction", "sites", "stick_levels", "through", "unsure")
         return Columns(**({name: getattr(self, name) for name in kept} | other))
 
     def taken_from(self, other: Columns, x: Tensor) -> Tensor:
@@ -243,7 +258,7 @@ class Columns:
 
         Less where a joint with dry friction may stick.
         """
-        unknown = states.decimate(undetermined(states.qd, self._rest_width)).abs()
+        unknown = states.decimate(undetermined(states.qd, self._slow)).abs()
         # The filter's trace of a stick crosses zero beside it, that of the friction in it elsewhere.
         unknown = torch.nn.functional.max_pool1d(unknown, 3, stride=1, padding=1)
         return stick_weight(unknown, self.stick_levels)

@@ -15,7 +15,7 @@ _FIRST_NOISE, _FIRST_DRIFT = 0.05, 0.01
 _ROUNDS = 3
 
 
-def learn(machine: Machine, *, white: bool = False) -> Likelihood:
+def learn(machine: Machine) -> Likelihood:
     """Learn noise, widths, drift, dispersion and the URDF's error from the data, the model being the machine's.
 
     Least squares is learnt first: beside coefficients that are far off, slow errors pass for noise that is slow, which
@@ -24,7 +24,6 @@ def learn(machine: Machine, *, white: bool = False) -> Likelihood:
 
     Args:
         machine: rigid body and ordinary physics.
-        white: take rows to be independent, as least squares does, and friction to change its sign at once.
     """
     rows, rms = machine.rows, np.maximum(machine.torque_rms, 1e-300)
     one = np.ones(rows.tau.shape[1])
@@ -43,12 +42,12 @@ def learn(machine: Machine, *, white: bool = False) -> Likelihood:
     )
     # Columns are large: no name holds a likelihood while that of the next load makes its own.
     first = Likelihood(machine, hyper).renoised()
-    hyper = (first if white else first.rewidened().renoised()).around_its_fit(alone=True)
+    hyper = first.rewidened().renoised().around_its_fit(alone=True)
     del first
     for _ in range(_ROUNDS):
-        hyper = _around(machine, hyper).with_(white=white).renoised().around_its_fit(alone=True)
+        hyper = _around(machine, hyper).with_(white=False).renoised().around_its_fit(alone=True)
     last = _around(machine, hyper)
-    hyper = (last if white else last.with_heavy_tails).recalibrated().around_its_fit(alone=True)
+    hyper = last.with_heavy_tails.recalibrated().around_its_fit(alone=True)
     del last
     return _around(machine, hyper).renoised(dispersed=True)
 

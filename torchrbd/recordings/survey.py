@@ -17,6 +17,8 @@ from torchrbd.recordings.spectrum import HIGHEST_SHARE, Spectrum, two_digits
 # that follows by so much more or less is not that joint's, which a range of so much [rad, m] can tell. A torque that is
 # one number for so long [s] while its joint moves as far is a drive's that is off, or not recorded.
 _PEAK, _VELOCITY_ERROR, _FOLLOWS, _MOVES, _STUCK_S = 30.0, 0.2, 0.2, 0.01, 1.0
+# A joint is at rest that has less than this part of the speed that it has in another recording.
+_AT_REST = 0.01
 # Interpolation may change a constant in its last digits.
 _SAME = 1e-12
 
@@ -94,8 +96,13 @@ class Survey:
 
 
 def choose_cutoff(surveys: Sequence[Survey]) -> float:
-    """Choose one cut-off [Hz] for a data set: the median of what suits its recordings, within what all clocks allow."""
-    proposal = float(np.median([survey.cutoff_hz for survey in surveys]))
+    """Choose one cut-off [Hz] for a data set: the median of what suits its recordings, within what all clocks allow.
+
+    Recordings at rest have no motion that one could suit.
+    """
+    speed = np.stack([survey.velocity_rms for survey in surveys])
+    moves = (speed > _AT_REST * speed.max(0)).any(1)
+    proposal = float(np.median([survey.cutoff_hz for survey, own in zip(surveys, moves, strict=True) if own]))
     return two_digits(min(proposal, *(HIGHEST_SHARE * survey.rate_hz for survey in surveys)))
 
 
