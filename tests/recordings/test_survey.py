@@ -74,6 +74,15 @@ def test_one_cutoff_for_a_data_set():
     assert choose_cutoff([seen[0], seen[0], slow]) <= 0.2 * slow.rate_hz
 
 
+def test_recordings_at_rest_choose_no_cutoff():
+    moving = survey(clean_recording(CLOCK, noise=1e-5))
+    noise = 1e-5 * np.random.default_rng(0).standard_normal((len(CLOCK), 2))
+    still = survey(clean_recording(CLOCK, q=0.3 + noise))
+    assert still.cutoff_hz != moving.cutoff_hz
+    assert choose_cutoff([moving, still, still]) == moving.cutoff_hz
+    assert choose_cutoff([still, still]) == still.cutoff_hz
+
+
 def test_duplicates_are_dropped_and_counted():
     t = np.sort(np.concatenate([CLOCK, CLOCK[100:110]]))
     recording = clean_recording(t)
@@ -90,9 +99,11 @@ def test_regular_clock_with_lost_rows_keeps_its_rate():
 
 def test_constant_channels():
     q, tau = motion(CLOCK)[0], torque(CLOCK)
-    q[:, 1], tau[:, 0] = 0.3, 0.0
-    seen = survey(clean_recording(CLOCK, q=q, tau=tau))
-    assert (seen.constant_q, seen.constant_tau) == (("b",), ("a",))
+    q[:, 1] = 0.3
+    for noise in (0.0, 1e-10):
+        tau[:, 0] = 50.0 + noise * np.random.default_rng(0).standard_normal(len(CLOCK))
+        seen = survey(clean_recording(CLOCK, q=q, tau=tau))
+        assert (seen.constant_q, seen.constant_tau) == (("b",), ("a",))
     with pytest.raises(RecordingError, match="nothing moves"):
         survey(clean_recording(CLOCK, q=0 * q + 0.7))
 

@@ -19,8 +19,8 @@ from torchrbd.recordings.spectrum import HIGHEST_SHARE, Spectrum, two_digits
 _PEAK, _VELOCITY_ERROR, _FOLLOWS, _MOVES, _STUCK_S = 30.0, 0.2, 0.2, 0.01, 1.0
 # A joint is at rest that has less than this part of the speed that it has in another recording.
 _AT_REST = 0.01
-# Interpolation may change a constant in its last digits.
-_SAME = 1e-12
+# No sensor tells less than this part of what it measures; interpolation changes a constant in its last digits.
+_SAME = 1e-9
 
 
 @dataclass(frozen=True)
