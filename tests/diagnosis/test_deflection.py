@@ -131,6 +131,11 @@ def test_only_where_there_are_encoders(elastic):
     assert found(URDF, [recorded(elastic, None)]) == {}
 
 
+def test_a_copy_of_the_position_tells_nothing(elastic):
+    copy = np.stack((elastic[1][:, 0], elastic[2][:, 1]), 1)
+    assert list(found(URDF, [recorded(elastic, copy)])) == ["elbow"]
+
+
 def test_a_wrong_unit_is_not_used(elastic):
     degrees = recorded(elastic, np.rad2deg(elastic[2]), "degrees")
     assert found(URDF, [degrees]) == {}

@@ -1,5 +1,7 @@
 """Encoders behind the gear, where a recording has them: streamed and filtered next to q, for some joints or all."""
 
+from functools import partialmethod
+
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -133,3 +135,12 @@ def test_a_position_that_does_not_follow_is_told_of():
     seen = survey(recording(still - 1e-5 * torque(CLOCK), still))
     assert seen.link_follows.all()
     assert not any("q_link" in note for note in seen.notes)
+
+
+@pytest.mark.parametrize("rows", [16384, 97])
+def test_a_copy_of_the_position_is_told_of(rows, monkeypatch):
+    monkeypatch.setattr(Recording, "chunks", partialmethod(Recording.chunks, rows))
+    some = np.stack((np.full(len(CLOCK), np.nan), Q[:, 1]), 1)
+    assert survey(recording(some)).notes == ("q_link_b is q_b to the last digit: it tells nothing of the gear",)
+    some[-1, 1] += 1e-9
+    assert survey(recording(some)).notes == ()

@@ -95,7 +95,7 @@ def deflections(prepared: Prepared, model: FittedModel) -> tuple[Deflection, ...
     return tuple(
         _deflection(one, model, joint)
         for joint, one in rows
-        if one is not None and len(np.unique(one.block[~one.held])) >= _LEAST_BLOCKS
+        if one is not None and one.e.any() and len(np.unique(one.block[~one.held])) >= _LEAST_BLOCKS
     )
 
 

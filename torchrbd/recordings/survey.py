@@ -150,7 +150,7 @@ def survey(recording: Recording) -> Survey:
             for note in stuck[k].notes(recording.joints[k])
         ),
         *_suspicions(recording, extent, spectrum, ~np.isnan(qd_noise_std)),
-        *_strangers(recording, link_ratio),
+        *_strangers(recording, link_ratio, follower.differs),
     ]
     return Survey(
         name=recording.name,
@@ -203,9 +203,10 @@ def _suspicions(recording: Recording, extent: _Extent, spectrum: Spectrum, veloc
     return notes
 
 
-def _strangers(recording: Recording, link_ratio: np.ndarray) -> list[str]:
-    """Return which positions behind the gear do not move as q does."""
-    return [
+def _strangers(recording: Recording, link_ratio: np.ndarray, differs: np.ndarray) -> list[str]:
+    """Return which positions behind the gear do not move as q does, or are a copy of it."""
+    copies = compress(compress(recording.joints, recording.linked), ~differs)
+    return [f"q_link_{joint} is q_{joint} to the last digit: it tells nothing of the gear" for joint in copies] + [
         f"q_link_{joint} moves {ratio:.3g} times as far as q_{joint} and is not used; check its unit, sign and gear"
         for joint, ratio in zip(recording.joints, link_ratio, strict=True)
         if abs(ratio - 1.0) > _FOLLOWS
@@ -213,13 +214,15 @@ def _strangers(recording: Recording, link_ratio: np.ndarray) -> list[str]:
 
 
 class _Follower:
-    """Follow the regression of one signal on another, of several channels."""
+    """Follow the regression of one signal on another, of several channels, and whether they differ at all."""
 
     def __init__(self, channels: int):
         self._start: np.ndarray | None = None
         self._sums, self._products, self._count = np.zeros((2, channels)), np.zeros((2, channels)), 0
+        self.differs = np.zeros(channels, dtype=bool)
 
     def add(self, x: np.ndarray, y: np.ndarray) -> None:
+        self.differs |= (x != y).any(1)
         if self._start is None:  # far from zero, sums of squares would lose the motion
             self._start = np.stack([x[:, :1], y[:, :1]])
         x, y = x - self._start[0], y - self._start[1]
