@@ -87,3 +87,12 @@ def test_how_long_a_second_is(plain: Diagnosis) -> None:
     table = {key: c * x if key == "t" else x for key, x in recorded().items()}
     found = torchrbd.diagnose(with_inertia(c**2), table, gravity=[0.0, 0.0, -G / c**2])
     assert_alike(found, plain, {"viscous": c}, 1.5)
+
+
+def test_the_torque_of_a_joint_that_does_not_count(plain: Diagnosis) -> None:
+    found = told(torchrbd.diagnose(URDF.encode(), recorded(), joints=["joint1", JOINT]))
+    expected = {place: value for place, value in told(plain).items() if "joint3" not in place[1]}
+    assert found.keys() == expected.keys()
+    for place, parameters in expected.items():
+        for name, (value, std) in parameters.items():
+            assert abs(found[place][name][0] - value) < 2.0 * max(std, found[place][name][1]), (place, name)

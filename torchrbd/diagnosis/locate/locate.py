@@ -62,7 +62,8 @@ def _location(search: Search, part: Part, without: Fit, left: np.ndarray, quiet:
     seen = [j for j in part.joints if j in scene.seen]
     # What the rest of the model would absorb of a part is not seen, and not counted.
     visible = left - quiet
-    rms = np.sqrt(np.mean(visible**2, axis=1, where=rows.samples.measured))
+    measured = rows.samples.measured
+    rms = np.sqrt(np.sum(visible**2, axis=1, where=measured) / np.maximum(measured.sum(1), 1))
     loudness = rms / np.maximum(_std(_counted(quiet, rows)), 1e-300)
     prominent = sorted(seen, key=lambda j: -loudness[j])
     felt = [j for j in prominent if loudness[j] > _FELT] or prominent[:1]
