@@ -69,6 +69,21 @@ def test_opened_recordings_are_held_out_like_files() -> None:
         prepare(robot, [fitted], same, [])
 
 
+def test_recordings_at_rest_judge_nothing() -> None:
+    robot = RobotModel.from_urdf(urdf_of(0, 2))
+    moving, other = (record(urdf_of(0, 2), seed, name=f"{seed}.csv", duration_s=12.0) for seed in (0, 1))
+    chunk = next(iter(other.chunks(10**6)))
+    t, q, tau = (np.asarray(x) for x in (chunk.t, chunk.q, chunk.tau))
+    noise = 1e-5 * np.random.default_rng(0).standard_normal(q.shape)
+    still = Recording.from_arrays("still.csv", other.joints, t, 0.3 + noise, tau)
+    off = Recording.from_arrays("off.csv", other.joints, t, q, 0.0 * tau)
+    for kept in ([still], [off], [still, off]):
+        names = ", ".join(one.name for one in kept)
+        with pytest.raises(RecordingError, match=rf"^nothing moves in what is held out \({names}\), or no torque"):
+            prepare(robot, [moving], Settings(cutoff_hz=5.0, holdout=tuple(kept)), [])
+    assert prepare(robot, [moving], Settings(cutoff_hz=5.0, holdout=(still, other)), []).fitted == ("0.csv",)
+
+
 def test_whole_recordings() -> None:
     held, words = held_out_recordings(blocks_of(2, 3, 1), ["c", "b"])
     assert held.tolist() == [False] * 2 + [True] * 4

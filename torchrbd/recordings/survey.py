@@ -17,8 +17,8 @@ from torchrbd.recordings.spectrum import HIGHEST_SHARE, Spectrum, two_digits
 # that follows by so much more or less is not that joint's, which a range of so much [rad, m] can tell. A torque that is
 # one number for so long [s] while its joint moves as far is a drive's that is off, or not recorded.
 _PEAK, _VELOCITY_ERROR, _FOLLOWS, _MOVES, _STUCK_S = 30.0, 0.2, 0.2, 0.01, 1.0
-# A joint is at rest that has less than this part of the speed that it has in another recording.
-_AT_REST = 0.01
+# Noise reaches no farther than so many of its standard deviations, from end to end.
+_NOISE_REACHES = 20.0
 # No sensor tells less than this part of what it measures; interpolation changes a constant in its last digits.
 _SAME = 1e-9
 
@@ -90,6 +90,11 @@ class Survey:
         return np.sqrt(density * np.trapezoid(power, self.share_hz, axis=1))
 
     @property
+    def at_rest(self) -> bool:
+        """Whether the positions of all joints show nothing but their noise."""
+        return bool((self.q_max - self.q_min <= _NOISE_REACHES * self.q_noise_std).all())
+
+    @property
     def link_follows(self) -> np.ndarray:
         """Say of which joints the position behind the gear moves as q does, as far as q moves at all, (n,) bool."""
         return ~(np.abs(self.link_ratio - 1.0) > _FOLLOWS)
@@ -100,9 +105,8 @@ def choose_cutoff(surveys: Sequence[Survey]) -> float:
 
     Recordings at rest have no motion that one could suit.
     """
-    speed = np.stack([survey.velocity_rms for survey in surveys])
-    moves = (speed > _AT_REST * speed.max(0)).any(1)
-    proposal = float(np.median([survey.cutoff_hz for survey, own in zip(surveys, moves, strict=True) if own]))
+    moving = [survey for survey in surveys if not survey.at_rest] or surveys
+    proposal = float(np.median([survey.cutoff_hz for survey in moving]))
     return two_digits(min(proposal, *(HIGHEST_SHARE * survey.rate_hz for survey in surveys)))
 
 

@@ -36,15 +36,26 @@ def held_out_blocks(
         (B,) bool, and the same for a person.
 
     Raises:
-        RecordingError: too little is left to fit.
+        RecordingError: too little is left to fit, or nothing that is held out moves.
     """
     runs = None if settings.holdout else (settings.holdout_fraction, settings.seed)
     if runs is None:
+        _check_judges(reading, range(len(reading.recordings) - len(recordings), len(reading.recordings)))
         held_out, words = held_out_recordings(blocks, [r.name for r in recordings])
     else:
         held_out, words = held_out_runs(blocks, *runs)
     check_enough(held_out, words, reading.block_s, reading.filtering.cutoff_hz, runs)
     return held_out, words
+
+
+def _check_judges(reading: Reading, held_out: Sequence[int]) -> None:
+    """Refuse to judge by recordings that show no motion, or no torque that changes."""
+    if not any(bool(reading.measured(k).any()) and not reading.surveys[k].at_rest for k in held_out):
+        names = ", ".join(reading.recordings[k].name for k in held_out)
+        raise RecordingError(
+            f"nothing moves in what is held out ({names}), or no torque changes there, so that it judges no model; "
+            "hold out others, or none: a part of each recording is kept back then"
+        )
 
 
 def held_out_recordings(blocks: Sequence[Block], names: Collection[str]) -> tuple[Tensor, str]:
