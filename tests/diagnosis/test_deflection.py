@@ -134,6 +134,10 @@ def test_only_where_there_are_encoders(elastic):
 def test_a_copy_of_the_position_tells_nothing(elastic):
     copy = np.stack((elastic[1][:, 0], elastic[2][:, 1]), 1)
     assert list(found(URDF, [recorded(elastic, copy)])) == ["elbow"]
+    real = recorded(elastic, elastic[2])
+    beside = (found(URDF, [recorded(elastic, other, "beside"), real]) for other in (copy, None))
+    with_copy, without = (each["shoulder"].stiffness for each in beside)
+    assert with_copy == without is not None
 
 
 def test_a_wrong_unit_is_not_used(elastic):

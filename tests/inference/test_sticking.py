@@ -149,6 +149,11 @@ def test_layouts_made_from_one_another_keep_the_levels(prepared: Prepared) -> No
     ]
     for other in others:
         assert torch.equal(other.stick_levels, levels)
+    wider = columns.softened([replace(s, rest_width=9.0 * s.rest_width) for s in columns.scales])
+    assert wider.scales[0].rest_width == 9.0 * columns.scales[0].rest_width
+    for states in prepared.tiles(0):
+        for other in (wider, wider.around(prepared.robot.pi), wider.at_scales(wider.scales)):
+            assert torch.equal(other.weight(states), columns.weight(states))
     width = prepared.fit(term_candidates(columns, ["coulomb_friction"])).module().rest_width
     assert width.tolist() == [s.rest_width for s in columns.scales]
 

@@ -141,6 +141,8 @@ def test_a_position_that_does_not_follow_is_told_of():
 def test_a_copy_of_the_position_is_told_of(rows, monkeypatch):
     monkeypatch.setattr(Recording, "chunks", partialmethod(Recording.chunks, rows))
     some = np.stack((np.full(len(CLOCK), np.nan), Q[:, 1]), 1)
-    assert survey(recording(some)).notes == ("q_link_b is q_b to the last digit: it tells nothing of the gear",)
+    assert survey(recording(some)).notes == ("q_link_b is q_b to the last digit and is not used",)
+    assert not survey(recording(some)).link_differs.any()
     some[-1, 1] += 1e-9
     assert survey(recording(some)).notes == ()
+    assert survey(recording(some)).link_differs.tolist() == [False, True]

@@ -95,7 +95,7 @@ def deflections(prepared: Prepared, model: FittedModel) -> tuple[Deflection, ...
     return tuple(
         _deflection(one, model, joint)
         for joint, one in rows
-        if one is not None and one.e.any() and len(np.unique(one.block[~one.held])) >= _LEAST_BLOCKS
+        if one is not None and len(np.unique(one.block[~one.held])) >= _LEAST_BLOCKS
     )
 
 
@@ -103,7 +103,7 @@ def _rows(prepared: Prepared, model: FittedModel, joint: int) -> _Rows | None:
     """Read a joint's deflection from all recordings that have it, None if there are none."""
     reading = prepared.reading
     surveyed = list(zip(reading.recordings, reading.surveys, strict=True))
-    usable = [(r, s) for r, s in surveyed if r.linked[joint] and s.link_follows[joint]]
+    usable = [(r, s) for r, s in surveyed if s.link_differs[joint] and s.link_follows[joint]]
     parts: list[tuple[np.ndarray, ...]] = []
     AY, counts = np.zeros(()), 0.0
     for k, (recording, survey) in enumerate(usable):

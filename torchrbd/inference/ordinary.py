@@ -41,7 +41,7 @@ def with_friction(settings: Settings) -> tuple[Effect, ...]:
 def with_machine(
     prepared: Prepared, settings: Settings, effects: Sequence[Effect], progress: Progress, known: Clocks | None = None
 ) -> Prepared:
-    """Return the same data with clocks, sign changes of friction and sticks as the likelihood has them.
+    """Return the same data with clocks and sign changes of friction as the likelihood has them.
 
     States that have been smoothed stay as they are, as do data to which no friction is fitted where nothing is known.
 
@@ -55,7 +55,7 @@ def with_machine(
     frictionless = not any(e.id in ORDINARY_EFFECTS for e in effects)
     if prepared.states is not None or (known is None and frictionless):
         return prepared
-    progress("learning clocks and sticks", 0.0)
+    progress("learning clocks and friction", 0.0)
     held = frozenset(settings.held_bodies(prepared.robot))
     clocks = _learnt(prepared, held) if known is None else known
     found, wide = _told_by_what_is_fast(prepared, clocks)

@@ -200,10 +200,6 @@ class Machine:
         """Return where the coefficients of a joint's rests stand, what each holds and then when each turns."""
         return np.arange(self._rest_at[joint], self._rest_at[joint + 1])
 
-    def holding(self, joint: int) -> np.ndarray:
-        """Return where the coefficients stand of what friction holds a joint with while it rests, beside its law."""
-        return np.concatenate((self.sticks(joint), self.resting(joint)))
-
     @property
     def local(self) -> list[np.ndarray]:
         """Where the coefficients stand that one joint alone has, joint by joint."""

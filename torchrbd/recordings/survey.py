@@ -45,6 +45,7 @@ class Survey:
         acceleration_density: (n, F) power density of the positions, differentiated twice, there [rad²/s³ or m²/s³].
         link_ratio: (n,) how far the position behind the gear moves when q does, by least squares; NaN where it is not
             recorded or q hardly moves.
+        link_differs: (n,) bool, whether it is another number than q anywhere; False where it is not recorded.
         temperature_min, temperature_max: (n,) [deg C], NaN where not recorded.
         cutoff_hz: the cut-off that suits this recording.
         constant_q, constant_tau: joints whose position or torque never changes.
@@ -72,6 +73,7 @@ class Survey:
     share_hz: np.ndarray
     acceleration_density: np.ndarray
     link_ratio: np.ndarray
+    link_differs: np.ndarray
     temperature_min: np.ndarray
     temperature_max: np.ndarray
     cutoff_hz: float
@@ -146,6 +148,8 @@ def survey(recording: Recording) -> Survey:
     coldest, warmest, link_ratio = np.full((3, n), np.nan)
     coldest[recording.thermal], warmest[recording.thermal] = warmth.low, warmth.high
     link_ratio[recording.linked] = follower.ratio
+    link_differs = recording.linked.copy()
+    link_differs[recording.linked] = follower.differs
     link_ratio[(extent.high - extent.low)[:n] < _MOVES] = np.nan
     suspicions = [
         *(
@@ -154,7 +158,7 @@ def survey(recording: Recording) -> Survey:
             for note in stuck[k].notes(recording.joints[k])
         ),
         *_suspicions(recording, extent, spectrum, ~np.isnan(qd_noise_std)),
-        *_strangers(recording, link_ratio, follower.differs),
+        *_strangers(recording, link_ratio, link_differs),
     ]
     return Survey(
         name=recording.name,
@@ -178,6 +182,7 @@ def survey(recording: Recording) -> Survey:
         share_hz=spectrum.frequency,
         acceleration_density=spectrum.smooth_acceleration,
         link_ratio=link_ratio,
+        link_differs=link_differs,
         temperature_min=coldest,
         temperature_max=warmest,
         cutoff_hz=cutoff_hz,
@@ -209,8 +214,8 @@ def _suspicions(recording: Recording, extent: _Extent, spectrum: Spectrum, veloc
 
 def _strangers(recording: Recording, link_ratio: np.ndarray, differs: np.ndarray) -> list[str]:
     """Return which positions behind the gear do not move as q does, or are a copy of it."""
-    copies = compress(compress(recording.joints, recording.linked), ~differs)
-    return [f"q_link_{joint} is q_{joint} to the last digit: it tells nothing of the gear" for joint in copies] + [
+    copies = compress(recording.joints, recording.linked & ~differs)
+    return [f"q_link_{joint} is q_{joint} to the last digit and is not used" for joint in copies] + [
         f"q_link_{joint} moves {ratio:.3g} times as far as q_{joint} and is not used; check its unit, sign and gear"
         for joint, ratio in zip(recording.joints, link_ratio, strict=True)
         if abs(ratio - 1.0) > _FOLLOWS
