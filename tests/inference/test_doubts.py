@@ -9,8 +9,11 @@ from robot.random_robots import random_urdf
 from simulated import joint_names, record
 
 from torchrbd.inference import Fit, identify
+from torchrbd.inference.preparation import prepare
+from torchrbd.inference.settings import Settings
 from torchrbd.inference.verdict import verdict_of
 from torchrbd.recordings import Recording
+from torchrbd.robot import RobotModel
 
 URDF = random_urdf(31, 3, kinds=("revolute",), branching=0.0, massless=0.0)
 
@@ -56,6 +59,20 @@ def test_torque_that_never_changes(arrays: dict[str, np.ndarray]) -> None:
     tau = arrays["tau"].copy()
     tau[:, 1] = 0.0
     assert "the torque of joint2 never changes and is not used" in notes(arrays, tau=tau)
+
+
+def test_a_temperature_that_some_recordings_lack(arrays: dict[str, np.ndarray]) -> None:
+    names, warm = joint_names(URDF), 20.0 + np.ones_like(arrays["q"])
+    warm[:, 0] = np.nan
+    days = [
+        Recording.from_arrays("day", names, **arrays),
+        Recording.from_arrays("night", names, temperature=warm, **arrays),
+    ]
+    prepared = prepare(RobotModel.from_urdf(URDF), days, Settings(), ())
+    assert not any(scale.temperature for scale in prepared.columns.scales)
+    assert [note for note in prepared.notes if "temperature" in note] == [
+        f"day: no temperature of {name}, so that of the others is not used" for name in names[1:]
+    ]
 
 
 def test_held_out_data_that_are_predicted_worse(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from torch import Tensor
 
 from torchrbd.likelihood.columns import Columns
@@ -28,6 +29,11 @@ def input_notes(
             f"{a:.3g} to {b:.3g} s left out: too short for the filters" for a, b in skipped_segments(s, filtering)
         ]
         notes += [note if note.startswith(s.name) else f"{s.name}: {note}" for note in found]
+    warm = ~np.isnan([s.temperature_min for s in surveys])
+    for name, there in zip(robot.joint_names, warm.T, strict=True):
+        if there.any() and not there.all():
+            cold = ", ".join(s.name for s, known in zip(surveys, there, strict=True) if not known)
+            notes.append(f"{cold}: no temperature of {name}, so that of the others is not used")
     silent = (name for name, none in zip(robot.joint_names, without_torque.tolist(), strict=True) if none)
     notes += [f"no recording has a torque that changes for {name}" for name in silent]
     notes += [
