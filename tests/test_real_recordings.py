@@ -44,6 +44,22 @@ def check_gears(diagnosis: Diagnosis) -> None:
     assert sorted(named) == [d.joint for d in springs]
 
 
+def test_emps(folder: Path) -> None:
+    """A slide of 95 kg with Coulomb friction of 17 and 24 N and viscous friction of 203 N s/m, as was published."""
+    emps = folder / "emps"
+    found = torchrbd.diagnose(emps / "robot.urdf", emps / "train.csv", holdout=[emps / "pulses.csv"], cutoff_hz=20.0)
+    assert found.identification.fits["extended"].mean_nmse < 0.0016
+    (mass,) = (p.value for p in found.identification.parameters if p.name == "m_carriage")
+    assert mass == pytest.approx(95.0, rel=0.02)
+    laws = {f.effect: f for f in found.findings}
+    friction = {**laws["viscous_friction"].parameters, **laws["asymmetric_coulomb_friction"].parameters}
+    for name, published in (("viscous", 203.0), ("coulomb_plus", 17.0), ("coulomb_minus", 24.0)):
+        assert friction[name].value == pytest.approx(published, rel=0.1)
+    assert min(laws[name].probability for name in ("viscous_friction", "asymmetric_coulomb_friction")) > 0.95
+    assert not {"actuator_lag", "time_delay"} & set(laws)
+
+
+@pytest.mark.slow
 def test_kuka_one_split(folder: Path, tmp_path: Path) -> None:
     arm = folder / "kuka_kr300"
     *recordings, judged = real.with_link_encoders(arm, tmp_path)

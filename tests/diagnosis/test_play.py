@@ -76,7 +76,7 @@ def recorded(play: float, motor_friction: float = 0.0, link_friction: float = 0.
     [
         pytest.param(0.002, {}, marks=pytest.mark.slow),
         pytest.param(0.01, {"motor_friction": 0.1}, marks=pytest.mark.slow),
-        (0.01, {"link_friction": 0.1}),
+        pytest.param(0.01, {"link_friction": 0.1}, marks=pytest.mark.slow),
         pytest.param(0.015, {}, marks=pytest.mark.slow),
         pytest.param(
             0.02, {}, marks=[pytest.mark.slow, pytest.mark.xfail(strict=True, reason="delays are told beside it")]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from likelihood.arms import recorded
 from likelihood.fits import COULOMB, OPTIONS, URDF, VISCOUS, at_joint, with_friction
+from shortened import slow_but
 from simulated import Motion, inverse_dynamics, joint_names, with_wrong_inertials
 
 from torchrbd.diagnosis.extending import Extended, extended
@@ -160,7 +161,7 @@ def test_a_function_that_the_noise_has_the_colour_of_is_told() -> None:
     assert one.depends_on == (f"tau_{FIRST}",)
 
 
-@pytest.mark.parametrize("size", [0.3, 3.0])
+@pytest.mark.parametrize("size", slow_but((0.3,), (0.3, 3.0)))
 def test_a_dead_zone_has_a_name_though_it_hides_what_the_load_is(size: float) -> None:
     """Three N m are more than the load: what is fitted without them has its sign wrong for a twentieth of the time."""
 

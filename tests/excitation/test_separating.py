@@ -92,6 +92,7 @@ def test_expected_log_bayes_factors_are_those_of_simulated_recordings(true: int)
     assert L.diagonal().abs().max() == 0.0
 
 
+@pytest.mark.slow
 def test_the_designed_motion_separates_more_than_the_first_one_in_simulation() -> None:
     t = torch.arange(60, dtype=torch.float64) / (2.0 * CUTOFF_HZ)
     one = separating(SPRINGS, t)

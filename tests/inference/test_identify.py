@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from inference.problems import urdf_of
+from shortened import slow_but
 from simulated import Motion, joint_names, record, with_wrong_inertials
 
 from torchrbd.effects import effect
@@ -230,7 +231,7 @@ def loaded(urdf: str, link: str) -> str:
     return urdf.replace("</robot>", load + "</robot>")
 
 
-@pytest.mark.parametrize("kind", ["body", "tool"])
+@pytest.mark.parametrize("kind", slow_but(("tool",), ("body", "tool")))
 def test_a_known_payload_is_a_link_with_that_mass(kind: str) -> None:
     urdf = urdf_of(4, 4, fixed=1.0)
     robot = RobotModel.from_urdf(urdf)

@@ -8,6 +8,7 @@ import scipy.optimize
 import torch
 from inference.problems import columns_of, prior_of, random_moments, urdf_of
 from robot.random_robots import random_urdf
+from shortened import slow_but
 from torch import Tensor
 
 from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
@@ -50,7 +51,9 @@ def step_left(columns: Columns, prior: Prior, statistics: BlockStatistics, w: fl
     return float((V.T @ slope / told.sqrt()).norm())
 
 
-@pytest.mark.parametrize(("seed", "n_joints", "weight"), [(0, 2, 1.0), (1, 3, 0.01), (2, 2, 300.0)])
+@pytest.mark.parametrize(
+    ("seed", "n_joints", "weight"), slow_but([(1, 3, 0.01)], [(0, 2, 1.0), (1, 3, 0.01), (2, 2, 300.0)])
+)
 def test_minimiser_is_scipys(seed: int, n_joints: int, weight: float) -> None:
     """Newton's method of scipy in log-Cholesky coordinates, derivatives by autograd."""
     robot = RobotModel.from_urdf(urdf_of(seed, n_joints, fixed=0.0))

@@ -8,6 +8,7 @@ import scipy.linalg
 import scipy.stats
 import torch
 from inference.problems import EFFECTS, columns_of, prior_of, random_moments, urdf_of
+from shortened import slow_but
 from torch import Tensor
 
 from torchrbd.errors import InputError
@@ -35,7 +36,7 @@ def bodies(x: Tensor, prior: Prior) -> Tensor:
     return pseudo_inertia(x[:, prior.inertial].unflatten(1, (-1, 10)))
 
 
-@pytest.mark.parametrize("kappa", [pytest.param(2.0, marks=pytest.mark.slow), 3.0, 10.0])
+@pytest.mark.parametrize("kappa", slow_but((10.0,), (2.0, 3.0, 10.0)))
 def test_without_data_bodies_follow_the_wishart_distribution(kappa: float) -> None:
     """Of three seeds together, by Bonferroni's bound on all comparisons: what one seed hides is seen."""
     _, prior, _, model = fitted(3, 3, 0.0, kappa=kappa)
@@ -107,7 +108,7 @@ def test_what_the_data_tells_is_gaussian() -> None:
     assert float(ratio.max()) < 1.15
 
 
-@pytest.mark.parametrize(("weight", "n_joints"), [(0.0, 2), (1e-2, 6), (1e6, 6)])
+@pytest.mark.parametrize(("weight", "n_joints"), slow_but([(0.0, 2), (1e-2, 6)], [(0.0, 2), (1e-2, 6), (1e6, 6)]))
 def test_every_sample_is_physical(weight: float, n_joints: int) -> None:
     _, prior, _, model = fitted(4, n_joints, weight)
     found = sample_robots(prior, model, 100, seed=5)

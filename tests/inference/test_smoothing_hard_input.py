@@ -12,6 +12,7 @@ import pytest
 import torch
 from inference.problems import urdf_of
 from robot.random_robots import random_urdf
+from shortened import slow_but
 from simulated import Motion, inverse_dynamics, joint_names, multisine, record, with_wrong_inertials
 
 import torchrbd
@@ -131,7 +132,7 @@ _CASES = {
 }
 
 
-@pytest.mark.parametrize("case", _CASES)
+@pytest.mark.parametrize("case", slow_but(("gaps", "two rates", "missing cells"), _CASES))
 def test_odd_recordings_are_smoothed_no_worse_than_filtered(case: str) -> None:
     filtered, smoothed = both(GIVEN, _CASES[case]())
     check(smoothed)
@@ -151,7 +152,7 @@ _OPTIONS: dict[str, dict] = {
 }
 
 
-@pytest.mark.parametrize("case", _OPTIONS)
+@pytest.mark.parametrize("case", slow_but(("half held out", "effects along", "trusted link"), _OPTIONS))
 def test_options_are_kept_when_smoothing(case: str) -> None:
     filtered, smoothed = both(GIVEN if case != "trusted link" else URDF, [loud()], **_OPTIONS[case])
     check(smoothed)
@@ -160,14 +161,14 @@ def test_options_are_kept_when_smoothing(case: str) -> None:
         assert noise.position == pytest.approx(LOUD, rel=0.1)
 
 
-@pytest.mark.parametrize("kinds", [("prismatic",), ("continuous",), ("revolute", "prismatic")])
-@pytest.mark.parametrize("n_joints", [1, 5])
-def test_robots_of_all_kinds(kinds: tuple[str, ...], n_joints: int) -> None:
-    urdf = random_urdf(17, n_joints, kinds=kinds, massless=0.0)
+@pytest.mark.parametrize("kinds", slow_but(("revolute prismatic",), ("prismatic", "continuous", "revolute prismatic")))
+@pytest.mark.parametrize("n_joints", slow_but((5,), (1, 5)))
+def test_robots_of_all_kinds(kinds: str, n_joints: int) -> None:
+    urdf = random_urdf(17, n_joints, kinds=tuple(kinds.split()), massless=0.0)
     robot = RobotModel.from_urdf(urdf)
     motion = multisine(n_joints, 18, duration_s=20.0)
-    motion = Motion(motion.t, motion.q + 1.5 * motion.t[:, None] * (kinds == ("continuous",)), motion.qd, motion.qdd)
-    qd = motion.qd + 1.5 * (kinds == ("continuous",))
+    motion = Motion(motion.t, motion.q + 1.5 * motion.t[:, None] * (kinds == "continuous"), motion.qd, motion.qdd)
+    qd = motion.qd + 1.5 * (kinds == "continuous")
     tau = robot.inverse_dynamics(*map(torch.from_numpy, (motion.q, qd, motion.qdd))).numpy()
     rng = np.random.default_rng(19)
     tau = tau + 0.02 * tau.std(axis=0) * rng.standard_normal(tau.shape)
@@ -179,9 +180,10 @@ def test_robots_of_all_kinds(kinds: tuple[str, ...], n_joints: int) -> None:
     assert held_out_error(smoothed) < _NO_WORSE * held_out_error(filtered)
 
 
-@pytest.mark.parametrize(
-    "wrong", ["five times too heavy", "torque of another robot", "torque reversed", "torque noise"]
-)
+_WRONG = ("five times too heavy", "torque of another robot", "torque reversed", "torque noise")
+
+
+@pytest.mark.parametrize("wrong", slow_but(("torque reversed",), _WRONG))
 def test_far_off_robots_stay_physical(wrong: str) -> None:
     recording, given = loud(), GIVEN
     if wrong == "five times too heavy":
@@ -210,7 +212,7 @@ def test_short_recordings_are_told_or_fitted(seconds: float) -> None:
         check(found)
 
 
-@pytest.mark.parametrize("outputs", [299, 300, 301, 302])
+@pytest.mark.parametrize("outputs", slow_but((301,), range(299, 303)))
 def test_last_stretch_of_a_segment_may_be_tiny(outputs: int) -> None:
     """A stretch holds 300 torque samples; what is left over can be one or two."""
     whole = loud(104, duration_s=40.0)
@@ -255,7 +257,7 @@ def test_a_joint_that_stands_still() -> None:
     check(torchrbd.identify(GIVEN, still(LOUD), estimator="smoother"))
 
 
-@pytest.mark.parametrize("estimator", ["auto", "smoother"])
+@pytest.mark.parametrize("estimator", slow_but(("auto",), ("auto", "smoother")))
 @pytest.mark.parametrize(("noise", "step"), [(0.0, 0.0), (LOUD, 0.1)], ids=["set-point recorded", "coarse encoder"])
 def test_a_joint_whose_position_never_changes(estimator: str, noise: float, step: float) -> None:
     check(torchrbd.identify(GIVEN, still(noise, step), estimator=estimator))
@@ -292,7 +294,7 @@ def test_noise_of_a_held_out_recording_does_not_choose_the_estimator(tmp_path: P
     assert (alone.states, beside.states) == ("filtered", "filtered")
 
 
-@pytest.mark.parametrize("seed", [111, 112])
+@pytest.mark.parametrize("seed", slow_but((111,), (111, 112)))
 def test_measured_velocities_are_not_thrown_away(seed: int) -> None:
     """Good velocities beside loud positions are worth more than smoothing without them."""
     motion, recording = multisine(3, seed, duration_s=30.0), rows(loud(seed, duration_s=30.0, encoder_noise=2e-2))
@@ -309,7 +311,7 @@ def ratio_of_true_errors(seeds: range, **options) -> float:
     return float(np.exp(np.mean([np.log(smoothed / filtered) for filtered, smoothed in errors])))
 
 
-@pytest.mark.parametrize("rate_hz", [10.0, 13.0, 20.0, 40.0])
+@pytest.mark.parametrize("rate_hz", slow_but((13.0,), (10.0, 13.0, 20.0, 40.0)))
 def test_slow_clocks(rate_hz: float) -> None:
     """Where there are few samples to a knot, fast motion must not be forced on wide ones: states stay filtered."""
     recording = loud(120, rate_hz=rate_hz, duration_s=60.0)

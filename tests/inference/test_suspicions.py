@@ -11,6 +11,7 @@ import pytest
 import real_recordings as real
 import torch
 from robot.random_robots import random_urdf
+from shortened import slow_but
 from simulated import joint_names, record, with_wrong_inertials
 
 import torchrbd
@@ -177,7 +178,7 @@ def test_a_speed_that_no_reading_mends() -> None:
     assert "joint1" in found[0].statement
 
 
-@pytest.mark.parametrize("seed", [7, 31, 100])
+@pytest.mark.parametrize("seed", slow_but((100,), (7, 31, 100)))
 def test_right_tables_are_not_suspected(seed: int) -> None:
     urdf = random_urdf(seed, 3 + seed % 4, kinds=("revolute", "prismatic"), branching=0.2, massless=0.0)
     extra = lambda motion: 2.0 * np.sign(motion.qd) + 3.0 * (motion.q - 0.4)  # noqa: E731
@@ -277,7 +278,7 @@ def test_real_recordings_are_not_suspected(folder: str, files: list[str], option
 
 
 @needs_data
-@pytest.mark.parametrize(("one", "other"), [("A1", "A2"), ("A3", "A5"), ("A4", "A6")])
+@pytest.mark.parametrize(("one", "other"), slow_but([("A3", "A5")], [("A1", "A2"), ("A3", "A5"), ("A4", "A6")]))
 def test_exchanged_torques_of_one_short_real_recording(one: str, other: str, tmp_path: Path) -> None:
     """Ten seconds, and as a mapping does it."""
     assert DATA is not None

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from report.fabricated import STATEMENT, diagnosis, identification
 from report.rendered import Text, render
+from shortened import slow_but
 
 from torchrbd.diagnosis.numbers import number
 from torchrbd.diagnosis.results import Diagnosis, Proof, Ratio
@@ -15,7 +16,7 @@ from torchrbd.inference.verdict import verdict_of
 from torchrbd.report.words import change, sentence, worth
 
 
-@pytest.mark.parametrize("n", [1, 7, 30])
+@pytest.mark.parametrize("n", slow_but((1, 7), (1, 7, 30)))
 def test_page_is_one_file_that_needs_nothing_else(tmp_path, n):
     page = render(diagnosis(tuple(f"joint{i + 1}" for i in range(n))), tmp_path)
     names = re.findall(r'\bid="([^"]+)"', page)
