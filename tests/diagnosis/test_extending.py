@@ -127,6 +127,28 @@ def test_a_model_without_a_law_is_the_fit_without_it_and_its_slopes() -> None:
     assert expected["joint1"] > 10.0 * judge(judging, model.model.x).nmse["joint1"]
 
 
+def test_friction_that_a_law_stands_in_for_is_sure_without_it() -> None:
+    """A power law is nearly viscous friction: beside it there may be none."""
+    recording = recorded(URDF, 2, with_friction(), **{**OPTIONS, "duration_s": 30.0})
+    settings = Settings.from_mapping({"effects": (*MAY, "power_law_friction")}, "test")
+    prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [recording], settings, ())
+    ranked = ranking(prepared.reading, settings, prepared.kept_back, lambda *_: None)
+    prepared = with_machine(prepared, settings, friction_of(settings), lambda *_: None, ranked.clocks)
+    plain = ranked.explanation
+    assert plain.terms == ()
+    (law,) = (h for h in plain.first if h.name == ("power_law_friction", Site(0)))
+    with_law = replace(
+        plain, terms=(Term(law, ()),), fit=plain.base.extended([law.extra(plain.base, plain.rows)]).settled
+    )
+    never, model = (extended(prepared, found, MAY, lambda *_: None) for found in (plain, with_law))
+    again = model.without(model.terms)
+    assert [f.candidate for f in again.friction] == [f.candidate for f in model.friction]
+    viscous = [one.friction[0] for one in (never, again, model)]
+    assert {(f.candidate.effect.id, f.candidate.joint) for f in viscous} == {("viscous_friction", 0)}
+    assert viscous[1].log_evidence == pytest.approx(viscous[0].log_evidence, rel=0.05)
+    assert viscous[2].log_evidence < 0.5 * viscous[0].log_evidence
+
+
 def test_friction_is_missed_without_curves_of_which_it_may_be_a_part() -> None:
     """A curve of friction over the position has a constant part, and held-out time would not miss Coulomb friction."""
     model = with_curves(("smooth_friction_over_q", "smooth_torque_over_q"))

@@ -17,7 +17,6 @@ from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Unexplained
-from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.unexplained import _drifting, _left, _loud, unexplained
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.ordinary import with_friction as friction_of
@@ -45,10 +44,8 @@ def quiet(*_: object) -> None:
     """Tell nobody how far the work is."""
 
 
-def diagnosed(
-    torque: Callable | None, seconds: Sequence[float] = (30.0,), may: Sequence[str] = MAY
-) -> tuple[Explanation, Extended]:
-    """Return what the search finds of few laws in recordings that last so long, and the model with it."""
+def diagnosed(torque: Callable | None, seconds: Sequence[float] = (30.0,), may: Sequence[str] = MAY) -> Extended:
+    """Return the model with what the search finds of few laws in recordings that last so long."""
     recordings = [
         recorded(URDF, 2 + k, with_friction(torque), name=f"run{k + 1}", **{**OPTIONS, "duration_s": length})
         for k, length in enumerate(seconds)
@@ -57,21 +54,21 @@ def diagnosed(
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), recordings, settings, ())
     ranked = ranking(prepared.reading, settings, prepared.kept_back, quiet)
     prepared = with_machine(prepared, settings, friction_of(settings), quiet, ranked.clocks)
-    return ranked.explanation, extended(prepared, ranked.explanation, may, quiet)
+    return extended(prepared, ranked.explanation, may, quiet)
 
 
 @pytest.fixture(scope="module")
-def bumped() -> tuple[Explanation, Extended]:
+def bumped() -> Extended:
     return diagnosed(at_joint(0, bump))
 
 
 @pytest.fixture(scope="module")
-def told(bumped: tuple[Explanation, Extended]) -> Unexplained:
-    return unexplained(*bumped, (), ())[0]
+def told(bumped: Extended) -> Unexplained:
+    return unexplained(bumped, (), ())[0]
 
 
-def test_a_curve_is_no_larger_than_it_is_believed_to_be(bumped: tuple[Explanation, Extended]) -> None:
-    found, model = bumped
+def test_a_curve_is_no_larger_than_it_is_believed_to_be(bumped: Extended) -> None:
+    found, model = bumped.found, bumped
     curves = [(t.own, c) for t, c in zip(found.terms, model.terms, strict=True) if is_curve(c)]
     assert curves
     for own, c in curves:
@@ -81,8 +78,8 @@ def test_a_curve_is_no_larger_than_it_is_believed_to_be(bumped: tuple[Explanatio
         assert (scale > 0).all()
 
 
-def test_curves_leave_ordinary_friction_its_place(bumped: tuple[Explanation, Extended]) -> None:
-    _, model = bumped
+def test_curves_leave_ordinary_friction_its_place(bumped: Extended) -> None:
+    model = bumped
     for f, c in zip(model.friction, model.model.terms, strict=False):
         w, _ = model.model.coefficients(c)
         joint = f.candidate.joint
@@ -124,8 +121,9 @@ def test_a_tone_is_told_by_its_joint_and_frequency(seconds: tuple[float, ...]) -
     def tone(m: Motion) -> np.ndarray:
         return TONE * np.sin(2 * np.pi * TONE_HZ * m.t + len(m.t))
 
-    found, model = diagnosed(at_joint(1, tone), seconds)
-    (one,) = (u for u in unexplained(found, model, (), ()) if u.depends_on == ("t",))
+    model = diagnosed(at_joint(1, tone), seconds)
+    found = model.found
+    (one,) = (u for u in unexplained(model, (), ()) if u.depends_on == ("t",))
     assert one.joints == (SECOND,)
     assert one.where.recordings == tuple(found.rows.seen_recordings)
     assert len(one.where.recordings) == len(seconds)
@@ -143,8 +141,9 @@ def test_a_torque_that_wanders_is_told_though_noise_could_pass_for_it() -> None:
         steps = np.cumsum(np.random.default_rng(0).standard_normal(60))
         return WALK * np.interp(m.t, 0.5 * np.arange(60), (steps - steps.mean()) / steps.std())
 
-    found, model = diagnosed(at_joint(0, walk))
-    (one,) = unexplained(found, model, (), ())
+    model = diagnosed(at_joint(0, walk))
+    found = model.found
+    (one,) = unexplained(model, (), ())
     assert (one.joints, one.depends_on) == ((FIRST,), ("t",))
     assert float(np.std(found.fit.part(0, found.fit.machine.wandering(0)))) == pytest.approx(WALK, rel=0.3)
     assert 0.5 < one.share < 1.0
@@ -156,8 +155,8 @@ def test_a_function_that_the_noise_has_the_colour_of_is_told() -> None:
     def dead_zone(m: Motion) -> np.ndarray:
         return STEP * np.sign(inverse_dynamics(URDF, m)[:, 0])
 
-    found, model = diagnosed(at_joint(0, dead_zone))
-    (one,) = (u for u in unexplained(found, model, (), ()) if u.joints == (FIRST,))
+    model = diagnosed(at_joint(0, dead_zone))
+    (one,) = (u for u in unexplained(model, (), ()) if u.joints == (FIRST,))
     assert one.depends_on == (f"tau_{FIRST}",)
 
 
@@ -169,17 +168,18 @@ def test_a_dead_zone_has_a_name_though_it_hides_what_the_load_is(size: float) ->
         return size * np.sign((inverse_dynamics(URDF, m) + with_friction()(m))[:, 0])
 
     may = *MAY, "torque_scale", "torque_saturation", "torque_dead_zone"
-    found, model = diagnosed(at_joint(0, dead_zone), may=may)
+    model = diagnosed(at_joint(0, dead_zone), may=may)
+    found = model.found
     (term,) = found.terms
     assert (term.own.candidate.effect.id, term.own.candidate.place) == ("torque_dead_zone", 0)
     assert term.own.coefficients == pytest.approx([size], rel=0.02)
-    assert unexplained(found, model, (), ()) == ()
+    assert unexplained(model, (), ()) == ()
 
 
 def test_where_nothing_is_left_nothing_is_told() -> None:
-    found, model = diagnosed(None)
+    model = diagnosed(None)
     assert model.terms == ()
-    assert unexplained(found, model, (), ()) == ()
+    assert unexplained(model, (), ()) == ()
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def diagnose(
     worthless = tells_nothing(model.prepared, model.model)
     if worthless and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
         return suspect(asked, settings, progress, suspected, ranked)
-    told = explain(found, model)
+    told = explain(model)
     findings, trifling, model = told.findings, told.trifling, told.model
     plain, judging = model.prepared.fit(model.prepared.columns.urdf_friction), model.prepared.judging
     there = confirmed(judging, model.model, plain.x)
@@ -94,7 +94,7 @@ def diagnose(
         findings = strongest_first((*findings, late))
     findings = with_springs(findings, springs)
     proof = proofs(identification.series, identification.cutoff_hz)
-    rest = unexplained(told.found, model, findings, proof)
+    rest = unexplained(model, findings, proof)
     progress("looking at what is left", 0.0)
     locations, maps = _located(prepared, model)
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))

@@ -25,7 +25,6 @@ from torchrbd.inference.physical.fitting import FittedModel, judge, nmse_weights
 from torchrbd.inference.physical.terms import told_parameters
 from torchrbd.likelihood.block_statistics import Block
 from torchrbd.likelihood.columns import Candidate, Columns
-from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.robot import RobotModel
 
 # A law is told of, and an alternative, if it is so probable among what explains the same.
@@ -43,33 +42,18 @@ class Explained:
     Attributes:
         findings: that count, the largest gain first.
         trifling: others that are as certain, but trifling, all of these together.
-        found, model: without laws of friction that are trifling: what they take is ordinary friction's, which is told.
+        model: without laws of friction that are trifling: what they take is ordinary friction's, which is told.
     """
 
     findings: tuple[Finding, ...]
     trifling: tuple[Finding, ...]
-    found: Explanation
     model: Extended
 
 
-def explain(found: Explanation, extended: Extended) -> Explained:
-    """Describe what was found, if it, or its family, is likelier than not.
-
-    Args:
-        found: by the search.
-        extended: the fit with it.
-    """
-    reading, robot = extended.prepared.reading, extended.prepared.robot
-    ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
-    terms = list(_sure(found, extended))
-    everywhere = {(c.effect, c.site) for c, _, _ in terms}
-
-    def told(model: Extended, within: Callable[[Candidate], bool]) -> list[tuple[Candidate, Finding]]:
-        return [
-            (term, _finding(term, evidence, sure, model, ends_s, _alternatives(term, sure, model, found.fit)))
-            for term, evidence, sure in terms
-            if max(sure.probability, sure.family_probability) > LIKELY and within(term)
-        ]
+def explain(extended: Extended) -> Explained:
+    """Describe what was found, if it, or its family, is likelier than not."""
+    robot = extended.prepared.robot
+    everywhere = {(c.effect, c.site) for c, _, _ in _sure(extended)}
 
     def worded(chosen: Sequence[tuple[Candidate, Finding]]) -> tuple[Finding, ...]:
         sentences = []
@@ -79,7 +63,7 @@ def explain(found: Explanation, extended: Extended) -> Explained:
             sentences.append(replace(one, statement=statement))
         return strongest_first(sentences)
 
-    fits, every = _Fits(extended), told(extended, lambda _: True)
+    fits, every = _Fits(extended), _told(extended)
     own_time = {term: fits.in_its_time(term, one) for term, one in every if not fits.held_out_sees(term)}
     unseen = {term for term, one in own_time.items() if one.judged_on and one.share < NO_CHANGE}
     kept, apart = set_apart(every, fits.error_without, lambda term, one: term in unseen or is_trifling(one, extended))
@@ -95,11 +79,27 @@ def explain(found: Explanation, extended: Extended) -> Explained:
     trifling = worded([(term, proven(term, one, [], unseen)) for term, one in apart])
     gone = {term for term in others if term in extended.terms and term.effect.family == _FRICTION}
     if gone:
-        left = [t for t, c in zip(found.terms, extended.terms, strict=True) if c not in gone]
-        found, extended = replace(found, terms=tuple(left)), extended.without(gone)
-        judged = dict(kept)
-        kept = [(term, _judged_as(judged[term], one)) for term, one in told(extended, judged.__contains__)]
-    return Explained(worded(kept), trifling, found, extended)
+        extended = extended.without(gone)
+        fits, judged = _Fits(extended), dict(kept)
+        left = [(term, one) for term, one in _told(extended) if term not in others]
+        # Friction that these laws stood in for was not told before.
+        new = [pair for pair in left if pair[0] not in judged]
+        new, more = set_apart(new, fits.error_without, lambda _, one: is_trifling(one, extended))
+        trifling += worded([(term, proven(term, one, [], unseen)) for term, one in more])
+        kept = [(term, _judged_as(judged[term], one)) for term, one in left if term in judged]
+        kept += [(term, proven(term, one, [t for t, _ in more], unseen)) for term, one in new]
+    return Explained(worded(kept), trifling, extended)
+
+
+def _told(extended: Extended) -> list[tuple[Candidate, Finding]]:
+    """Return what is likelier than not, or whose family is, with what is told of it."""
+    reading = extended.prepared.reading
+    ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
+    return [
+        (term, _finding(term, evidence, sure, extended, ends_s, _alternatives(term, sure, extended)))
+        for term, evidence, sure in _sure(extended)
+        if max(sure.probability, sure.family_probability) > LIKELY
+    ]
 
 
 def _judged_as(judged: Finding, one: Finding) -> Finding:
@@ -236,15 +236,15 @@ def is_trifling(finding: Finding, extended: Extended) -> bool:
     return small and finding.share < _LEAST_SHARE
 
 
-def _sure(found: Explanation, extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:
+def _sure(extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:
     """Yield the terms of a model that may be findings, their log evidence, and how sure they are."""
     terms = extended.model.proper_terms
     for friction, candidate in zip(extended.friction, terms, strict=False):
         if friction.probability > LIKELY:
             yield candidate, friction.log_evidence, Inclusion(friction.probability, friction.probability)
-    for term, candidate in zip(found.terms, extended.terms, strict=True):
+    for term, candidate in zip(extended.found.terms, extended.terms, strict=True):
         if not is_curve(candidate):
-            yield candidate, term.own.log_evidence, inclusion(term.own, term.rivals, found.rows)
+            yield candidate, term.own.log_evidence, inclusion(term.own, term.rivals, extended.found.rows)
 
 
 def places(robot: RobotModel, term: Candidate) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -332,9 +332,9 @@ def _std_left_open(term: Candidate, extended: Extended) -> dict[str, float]:
     return dict(zip(term.effect.units, torch.nan_to_num(variance).clamp_min(0.0).sqrt().tolist(), strict=True))
 
 
-def _alternatives(term: Candidate, sure: Inclusion, extended: Extended, fit: Likelihood) -> tuple[Alternative, ...]:
+def _alternatives(term: Candidate, sure: Inclusion, extended: Extended) -> tuple[Alternative, ...]:
     """Return what a term cannot be told from, the likeliest first, with the parameters that it would have."""
-    model, own = extended.model, (term.effect.id, replace(term.site, window=None))
+    model, fit, own = extended.model, extended.found.fit, (term.effect.id, replace(term.site, window=None))
     alike = [(h.candidate, whole(h.candidate, h.coefficients, fit), p) for h, p in sure.laws if h.name != own]
     if term.effect.id == UNEVEN:
         # A constant torque, but for what happens within a reversal.

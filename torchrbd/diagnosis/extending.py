@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.friction import Friction, ordinary_friction
+from torchrbd.diagnosis.friction import Friction, ordinary_friction, weighed_beside
 from torchrbd.diagnosis.residual import stands_in
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.sharpening import known_shapes
@@ -27,6 +27,7 @@ from torchrbd.inference.shapes.refine import fit_with_shapes, refined_from
 from torchrbd.inference.shapes.reread import reread, with_input_noise
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.equations import scaled_equations
+from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.reading import Progress
 
 
@@ -36,6 +37,7 @@ class Extended:
 
     Attributes:
         prepared: the data, with columns of all terms.
+        found: by the search.
         first: the fit of all but the curves that could stand in for a part of it.
         model: the same with these, fitted to what it leaves.
         friction: ordinary friction, in the order of the model's first terms.
@@ -45,6 +47,7 @@ class Extended:
     """
 
     prepared: Prepared
+    found: Explanation
     first: FittedModel
     model: FittedModel
     friction: tuple[Friction, ...]
@@ -52,14 +55,22 @@ class Extended:
     open: tuple[np.ndarray, ...]
 
     def without(self, gone: Collection[Candidate]) -> Extended:
-        """Return the fit without some of its ``terms``, all else at the shapes that it has."""
-        kept = [(c, cov) for c, cov in zip(self.terms, self.open, strict=True) if c not in gone]
-        terms = tuple(c for c, _ in kept)
+        """Return the fit without some of its ``terms``, all else at the shapes that it has.
+
+        Ordinary friction may be what these stood in for, and is weighed again.
+        """
+        kept = [k for k, c in enumerate(self.terms) if c not in gone]
+        terms, before = tuple(self.terms[k] for k in kept), self.found
+        fit = before.fit.extended([before.fit.extra[k] for k in kept]).settled
+        found = replace(before, fit=fit, terms=tuple(before.terms[k] for k in kept))
+        beside, laws = _friction_beside(found)
+        friction = tuple(weighed_beside(f, beside, self.model.columns.robot, laws) for f in self.friction)
         early = (*self.first.proper_terms[: len(self.friction)], *(c for c in terms if not stands_in(c)))
         late = tuple(c for c in terms if stands_in(c))
         first = fit_with_shapes(self.prepared, early)
         model = with_late(self.prepared, first, late) if late else first
-        return replace(self, first=first, model=model, terms=terms, open=tuple(cov for _, cov in kept))
+        left_open = tuple(self.open[k] for k in kept)
+        return replace(self, found=found, first=first, model=model, friction=friction, terms=terms, open=left_open)
 
 
 def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progress: Progress) -> Extended:
@@ -74,10 +85,8 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     columns = prepared.columns
     own = [t.own.candidate for t in found.terms]
     shifted = {c.joint for c in own if c.effect.id == "torque_offset" and c.site.always}
-    early = [e for e, c in zip(found.fit.extra, own, strict=True) if not stands_in(c)]
-    beside = found.fit if len(early) == len(own) else found.fit.extended(early).settled
-    laws = [c for c in own if not stands_in(c)]
-    friction = ordinary_friction(beside.with_heavy_tails, columns, may, shifted, laws)
+    beside, laws = _friction_beside(found)
+    friction = ordinary_friction(beside, columns, may, shifted, laws)
     # Nothing is larger than the likelihood believes; of two kinds at one place, than of the larger.
     believed: dict[tuple[str, Site], np.ndarray] = {}
     for t in found.terms:
@@ -97,7 +106,16 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     first, refined = fit_with_shapes(prepared, early), iter(early[len(friction) :])
     terms = tuple(c if stands_in(c) else next(refined) for c in own)
     left_open = tuple(found.fit.coefficients_covariance(k) for k in range(len(terms)))
-    return Extended(prepared, first, with_late(prepared, first, late) if late else first, friction, terms, left_open)
+    model = with_late(prepared, first, late) if late else first
+    return Extended(prepared, found, first, model, friction, terms, left_open)
+
+
+def _friction_beside(found: Explanation) -> tuple[Likelihood, list[Candidate]]:
+    """Return the likelihood that friction is weighed in, and its laws: without curves that could pass for it."""
+    own = [t.own.candidate for t in found.terms]
+    early = [e for e, c in zip(found.fit.extra, own, strict=True) if not stands_in(c)]
+    fit = found.fit if len(early) == len(own) else found.fit.extended(early).settled
+    return fit.with_heavy_tails, [c for c in own if not stands_in(c)]
 
 
 def with_late(prepared: Prepared, first: FittedModel, late: Sequence[Candidate]) -> FittedModel:

@@ -8,7 +8,7 @@ have to say otherwise than the URDF: each may stand in for a part of the other.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from torchrbd.diagnosis.posterior import probability_of
 from torchrbd.effects import Site, effect
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.robot import RobotModel
 
 VISCOUS, COULOMB, UNEVEN = "viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction"
 
@@ -59,21 +60,28 @@ def ordinary_friction(
     for j in range(columns.robot.n_dof):
         if not fit.machine.rows.seen[j]:
             continue
-        at = fit.machine.ordinary(j)
-        if VISCOUS in may:
-            found.append(_friction(fit, columns, VISCOUS, j, at[:1], laws))
+        names = [VISCOUS] if VISCOUS in may else []
         uneven = UNEVEN in may and j not in shifted and (COULOMB not in may or _uneven(fit, j) > 0.0)
         if uneven or COULOMB in may:
-            found.append(_friction(fit, columns, UNEVEN if uneven else COULOMB, j, at[1:], laws))
+            names.append(UNEVEN if uneven else COULOMB)
+        for name in names:
+            evidence = _evidence(fit, columns.robot, name, j, laws)
+            candidate = columns.candidate(effect(name), Site(j), {})
+            found.append(Friction(candidate, evidence, probability_of(evidence)))
     return tuple(found)
 
 
-def _friction(
-    fit: Likelihood, columns: Columns, name: str, joint: int, at: np.ndarray, laws: Sequence[Candidate]
-) -> Friction:
-    candidate = columns.candidate(effect(name), Site(joint), {})
-    urdf = columns.robot.damping[joint] if name == VISCOUS else columns.robot.friction[joint]
-    size = fit.machine.friction_size(joint, fit.hyper)[slice(0, 1) if name == VISCOUS else slice(1, None)]
+def weighed_beside(one: Friction, fit: Likelihood, robot: RobotModel, laws: Sequence[Candidate]) -> Friction:
+    """Return the same friction with its evidence in another likelihood and beside other laws."""
+    assert one.candidate.joint is not None
+    evidence = _evidence(fit, robot, one.candidate.effect.id, one.candidate.joint, laws)
+    return replace(one, log_evidence=evidence, probability=probability_of(evidence))
+
+
+def _evidence(fit: Likelihood, robot: RobotModel, name: str, joint: int, laws: Sequence[Candidate]) -> float:
+    own = slice(0, 1) if name == VISCOUS else slice(1, None)
+    at, size = fit.machine.ordinary(joint)[own], fit.machine.friction_size(joint, fit.hyper)[own]
+    urdf = robot.damping[joint] if name == VISCOUS else robot.friction[joint]
     value = np.divide(float(urdf), size, out=np.zeros_like(size), where=size > 0)
     evidence = fit.gaussian.against(at, value)
     label = SHARED[0] if name == VISCOUS else SHARED[1]
@@ -82,7 +90,7 @@ def _friction(
         index = np.concatenate((at, [fit.further(k)[i] for k, i in also]))
         sums = np.column_stack((np.diag(size), *(np.full(len(size), fit.extra[k].std[i]) for k, i in also)))
         evidence = min(evidence, fit.gaussian.against(index, float(urdf), sums))
-    return Friction(candidate, evidence, probability_of(evidence))
+    return evidence
 
 
 def _uneven(fit: Likelihood, joint: int) -> float:

@@ -28,18 +28,15 @@ _LARGER = 1.5
 _LASTS = 2.0
 
 
-def unexplained(
-    found: Explanation, extended: Extended, findings: Sequence[Finding], proofs: Sequence[Proof]
-) -> tuple[Unexplained, ...]:
+def unexplained(extended: Extended, findings: Sequence[Finding], proofs: Sequence[Proof]) -> tuple[Unexplained, ...]:
     """Return what no known effect explains.
 
     Args:
-        found: by the search.
-        extended: the fit with it.
+        extended: the fit with what was found.
         findings: what has a name.
         proofs: what the extended model is worth on held-out time.
     """
-    nameless = (*functions(extended), *whatever_the_motion(found))
+    nameless = (*functions(extended), *whatever_the_motion(extended.found))
     named = {j for f in findings for j in f.joints} | {j for u in nameless for j in u.joints}
     return (*nameless, *(one for one in _silent(extended, proofs) if one.joints[0] not in named))
 
