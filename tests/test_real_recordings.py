@@ -75,6 +75,7 @@ def test_kuka_encoders_against_torque(folder: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="friction at A3 is not told of the two recordings that move it least")
 def test_kuka_all_splits(folder: Path) -> None:
     for diagnosis in real.kuka(folder).diagnoses.values():
         check_kuka(diagnosis)
