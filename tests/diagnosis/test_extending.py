@@ -13,12 +13,12 @@ from likelihood.arms import recorded
 from likelihood.fits import OPTIONS, URDF, at_joint, with_friction
 from simulated import Motion, with_wrong_inertials
 
-from torchrbd.diagnosis.explain import _Fits
+from torchrbd.diagnosis.explain import _Fits, _once
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import curves, is_curve, stands_in
 from torchrbd.diagnosis.search import Term
-from torchrbd.effects import Site
+from torchrbd.effects import Site, effect
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
 from torchrbd.inference.physical.fitting import judge
@@ -147,6 +147,19 @@ def test_friction_that_a_law_stands_in_for_is_sure_without_it() -> None:
     assert {(f.candidate.effect.id, f.candidate.joint) for f in viscous} == {("viscous_friction", 0)}
     assert viscous[1].log_evidence == pytest.approx(viscous[0].log_evidence, rel=0.05)
     assert viscous[2].log_evidence < 0.5 * viscous[0].log_evidence
+
+
+def test_a_torque_is_told_once(model: Extended) -> None:
+    """The level that friction falls to is Coulomb friction; whoever adds both up has it twice."""
+    columns, fading = model.model.columns, effect("time_varying_friction")
+    laws = [columns.candidate(fading, Site(0), shape) for shape in fading.shapes(columns.scales[0])[:1]]
+    wider = columns.of_candidates((*columns.candidates, *laws), columns.pi, columns.friction)
+    friction = [c for c in model.first.proper_terms if c.effect.id in MAY]
+    told: Any = [(c, c.effect.id) for c in (*friction, *laws)]
+    left = {(c.effect.id, c.joint) for c, _ in _once(told, wider)}
+    everything = {(c.effect.id, c.joint) for c, _ in told}
+    assert everything - left == {("coulomb_friction", 0)}
+    assert _once(told[: len(friction)], wider) == told[: len(friction)]
 
 
 def test_friction_is_missed_without_curves_of_which_it_may_be_a_part() -> None:

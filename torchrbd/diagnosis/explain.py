@@ -88,7 +88,13 @@ def explain(extended: Extended) -> Explained:
         trifling += worded([(term, proven(term, one, [], unseen)) for term, one in more])
         kept = [(term, _judged_as(judged[term], one)) for term, one in left if term in judged]
         kept += [(term, proven(term, one, [t for t, _ in more], unseen)) for term, one in new]
-    return Explained(worded(kept), trifling, extended)
+    return Explained(worded(_once(kept, extended.model.columns)), trifling, extended)
+
+
+def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[tuple[Candidate, Finding]]:
+    """Return findings without those that another one contains: their torque is in its parameters, and counts once."""
+    own = {term: set(columns.of(term)) for term, _ in kept}
+    return [(term, one) for term, one in kept if not any(own[term] < other for other in own.values())]
 
 
 def _told(extended: Extended) -> list[tuple[Candidate, Finding]]:
