@@ -55,13 +55,13 @@ class Extended:
     open: tuple[np.ndarray, ...]
 
     def without(self, gone: Collection[Candidate]) -> Extended:
-        """Return the fit without some of its ``terms``, all else at the shapes that it has.
+        """Return the fit without some of its ``terms``, all else at the shapes, and in the noise, that it has.
 
         Ordinary friction may be what these stood in for, and is weighed again.
         """
         kept = [k for k, c in enumerate(self.terms) if c not in gone]
         terms, before = tuple(self.terms[k] for k in kept), self.found
-        fit = before.fit.extended([before.fit.extra[k] for k in kept]).settled
+        fit = before.fit.extended([before.fit.extra[k] for k in kept])
         found = replace(before, fit=fit, terms=tuple(before.terms[k] for k in kept))
         beside, laws = _friction_beside(found)
         friction = tuple(weighed_beside(f, beside, self.model.columns.robot, laws) for f in self.friction)
