@@ -24,7 +24,7 @@ from torchrbd.likelihood.remembered import Remembered
 from torchrbd.likelihood.spreading import Density
 from torchrbd.recordings import States, Survey
 
-_DENSITY = Density(most_states=100_000, least_rate_hz=100.0, rate_cycles=8.0)
+_DENSITY = Density(most_states=100_000, least_rate_hz=100.0, rate_cycles=16.0)
 # Numbers of features that are remembered at most.
 _MOST_REMEMBERED = 40_000_000
 # Whether a recording is held out as a whole is asked of times so far apart [s]: blocks are longer.
