@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from shortened import slow_but
 
 RUN = [sys.executable, "-m", "torchrbd"]
 
@@ -14,7 +15,7 @@ def ended(command: list[str], **more) -> subprocess.CompletedProcess:
     return subprocess.run(command, capture_output=True, check=False, **more)
 
 
-@pytest.mark.parametrize("encoding", ["ascii", pytest.param("cp1252", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("encoding", slow_but(("ascii",), ("ascii", "cp1252")))
 def test_terminals_without_unicode(encoding: str) -> None:
     """The list of effects has superscripts, minus signs and boxes."""
     told = ended([*RUN, "effects"], env={**os.environ, "PYTHONIOENCODING": encoding, "COLUMNS": "120"})

@@ -21,6 +21,7 @@ from concealed.robots import PUBLIC, SETS, Robot, public_robot, random_robot
 from concealed.simulate import STEP, Controller, Refused, Run, simulate
 from concealed.sizes import Yardstick
 from scipy.integrate import solve_ivp
+from shortened import slow_but
 
 SECONDS, FILE = 5.0, "fit_1.parquet"
 # One of each way to act: friction solver, damping, push, hidden state, MuJoCo's model, window, wrench, sensor, drive.
@@ -95,7 +96,7 @@ def drawn(bench: Bench, kind: str, size: float) -> tuple[Effect, Yardstick]:
 def of_each_effect() -> list[Any]:
     """Return ids; what acts as another one does is slow."""
     rest = sorted(set(EFFECTS) - {"backlash", "joint_elasticity", *QUICK})
-    return [*QUICK, *(pytest.param(kind, marks=pytest.mark.slow) for kind in rest)]
+    return slow_but(QUICK, (*QUICK, *rest))
 
 
 @pytest.mark.parametrize("kind", of_each_effect())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -155,11 +156,15 @@ def test_a_torque_is_told_once(model: Extended) -> None:
     laws = [columns.candidate(fading, Site(0), shape) for shape in fading.shapes(columns.scales[0])[:1]]
     wider = columns.of_candidates((*columns.candidates, *laws), columns.pi, columns.friction)
     friction = [c for c in model.first.proper_terms if c.effect.id in MAY]
-    told: Any = [(c, c.effect.id) for c in (*friction, *laws)]
+    sure, doubtful = SimpleNamespace(probability=0.99), SimpleNamespace(probability=0.7)
+    told: Any = [(c, sure) for c in (*friction, *laws)]
     left = {(c.effect.id, c.joint) for c, _ in _once(told, wider)}
     everything = {(c.effect.id, c.joint) for c, _ in told}
     assert everything - left == {("coulomb_friction", 0)}
     assert _once(told[: len(friction)], wider) == told[: len(friction)]
+    # What is certain does not go with a law that is not.
+    guess = [*told[: len(friction)], (laws[0], doubtful)]
+    assert _once(guess, wider) == guess  # type: ignore[arg-type]
 
 
 def test_friction_is_missed_without_curves_of_which_it_may_be_a_part() -> None:

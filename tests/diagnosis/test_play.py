@@ -71,16 +71,15 @@ def recorded(play: float, motor_friction: float = 0.0, link_friction: float = 0.
     return Recording.from_arrays("play", ["shoulder", "elbow"], t, q.T, tau.T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("play", "friction"),
     [
-        pytest.param(0.002, {}, marks=pytest.mark.slow),
-        pytest.param(0.01, {"motor_friction": 0.1}, marks=pytest.mark.slow),
-        pytest.param(0.01, {"link_friction": 0.1}, marks=pytest.mark.slow),
-        pytest.param(0.015, {}, marks=pytest.mark.slow),
-        pytest.param(
-            0.02, {}, marks=[pytest.mark.slow, pytest.mark.xfail(strict=True, reason="delays are told beside it")]
-        ),
+        (0.002, {}),
+        (0.01, {"motor_friction": 0.1}),
+        (0.01, {"link_friction": 0.1}),
+        (0.015, {}),
+        pytest.param(0.02, {}, marks=pytest.mark.xfail(strict=True, reason="delays are told beside it")),
     ],
 )
 def test_play_is_named(play: float, friction: dict[str, float]) -> None:

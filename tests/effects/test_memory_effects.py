@@ -12,6 +12,7 @@ import torch
 from effects.sites import ROBOT, SCALE, signals, states
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, firwin, lfilter
+from shortened import slow_but
 from torch.autograd import gradcheck
 
 from torchrbd.effects import Effect, Shape, Signals, Site
@@ -292,7 +293,7 @@ class TestTwoMasses:
         assert errors[0] == pytest.approx(r**2, rel=0.05)
         assert errors[1] == pytest.approx(r**4, rel=0.2)
 
-    @pytest.mark.parametrize("seed", [12, pytest.param(13, marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("seed", slow_but((12,), (12, 13)))
     def test_play_between_motor_and_link(self, seed: int) -> None:
         t, q, play = np.arange(0, 6, 0.001), motion(seed, 0.6), 0.004
         torque = two_masses(q, t, play, 5e4, damping=80.0)

@@ -71,7 +71,7 @@ def test_a_temperature_that_some_recordings_lack(arrays: dict[str, np.ndarray]) 
     prepared = prepare(RobotModel.from_urdf(URDF), days, Settings(), ())
     assert not any(scale.temperature for scale in prepared.columns.scales)
     assert [note for note in prepared.notes if "temperature" in note] == [
-        f"day: no temperature of {name}, so that of the others is not used" for name in names[1:]
+        f"day: no temperature of {', '.join(names[1:])}, so that of others is not used there"
     ]
 
 

@@ -194,7 +194,7 @@ def test_springs_are_not_another_gravity() -> None:
     assert suspected(urdf, recording).found == ()
 
 
-@pytest.mark.parametrize("samples", [1, pytest.param(-2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("samples", slow_but((1,), (1, -2)))
 def test_torques_of_another_sample(samples: int, tmp_path: Path) -> None:
     """They are said, leave no doubt, and the mapping that is told reads them with their motion."""
     late = {**table(arrays()), **{f"tau_{n}": np.roll(arrays()["tau"][:, k], samples) for k, n in enumerate(NAMES)}}

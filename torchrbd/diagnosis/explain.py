@@ -92,9 +92,13 @@ def explain(extended: Extended) -> Explained:
 
 
 def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[tuple[Candidate, Finding]]:
-    """Return findings without those that another one contains: their torque is in its parameters, and counts once."""
-    own = {term: set(columns.of(term)) for term, _ in kept}
-    return [(term, one) for term, one in kept if not any(own[term] < other for other in own.values())]
+    """Return findings without those that another one, as sure, contains: its parameters have their torque."""
+    every = [(one, set(columns.of(term))) for term, one in kept]
+
+    def is_part(one: Finding, own: set[int]) -> bool:
+        return any(own < its and one.probability <= other.probability for other, its in every)
+
+    return [pair for pair, (one, own) in zip(kept, every, strict=True) if not is_part(one, own)]
 
 
 def _told(extended: Extended) -> list[tuple[Candidate, Finding]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 
 import numpy as np
 from torch import Tensor
@@ -30,10 +31,9 @@ def input_notes(
         ]
         notes += [note if note.startswith(s.name) else f"{s.name}: {note}" for note in found]
     warm = ~np.isnan([s.temperature_min for s in surveys])
-    for name, there in zip(robot.joint_names, warm.T, strict=True):
-        if there.any() and not there.all():
-            cold = ", ".join(s.name for s, known in zip(surveys, there, strict=True) if not known)
-            notes.append(f"{cold}: no temperature of {name}, so that of the others is not used")
+    for s, known in zip(surveys, warm, strict=True):
+        if lacked := [*compress(robot.joint_names, warm.any(0) & ~known)]:
+            notes.append(f"{s.name}: no temperature of {', '.join(lacked)}, so that of others is not used there")
     silent = (name for name, none in zip(robot.joint_names, without_torque.tolist(), strict=True) if none)
     notes += [f"no recording has a torque that changes for {name}" for name in silent]
     notes += [
