@@ -77,6 +77,8 @@ def test_batched_is_looped(model: RigidBodyDynamics) -> None:
         for j in range(3):
             torch.testing.assert_close(tau[k, j], model(*(v[k, j] for v in x)), rtol=1e-12, atol=1e-12)
     assert model(*states(model.robot, 0)).shape == (0, model.robot.n_dof)
+    with torch.no_grad():
+        torch.testing.assert_close(model(*x), tau, rtol=1e-12, atol=1e-12)
 
 
 def test_states_broadcast_as_in_the_robot(model: RigidBodyDynamics) -> None:

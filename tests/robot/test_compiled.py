@@ -340,3 +340,22 @@ def test_log_cholesky() -> None:
         close(a, b)
     close(torch.vmap(from_log_cholesky, 1, out_dims=1)(theta), found[0])
     assert gradgradcheck(from_log_cholesky, (theta[0, :2],))
+
+
+def test_torque_of_log_cholesky_coordinates_in_one_call(robot: RobotModel) -> None:
+    """The same as in two calls, in every layout; left to them where a derivative or another dtype is wanted."""
+    theta = 0.5 * torch.randn(robot.n_bodies, 10, dtype=torch.float64, generator=torch.Generator().manual_seed(5))
+    pi = from_log_cholesky(theta).flatten()
+    for x in (states(robot), states(robot, 13), states(robot, 3, 2), [y.mT.contiguous().mT for y in states(robot, 9)]):
+        found = robot.physical_torque(*x, theta)
+        assert found is not None
+        close(found, robot.inverse_dynamics(*x, pi))
+    q, qd, qdd = states(robot, 13)
+    assert robot.physical_torque(q.requires_grad_(), qd, qdd, theta) is None
+    with torch.no_grad():
+        assert robot.physical_torque(q, qd, qdd, theta) is not None
+    q = q.detach()
+    assert robot.physical_torque(q, qd[0], qdd, theta) is None
+    assert robot.physical_torque(q.float(), qd.float(), qdd.float(), theta) is None
+    assert robot.physical_torque(q, qd, qdd, theta[1:]) is None
+    assert robot.to(torch.float32).physical_torque(q, qd, qdd, theta) is None

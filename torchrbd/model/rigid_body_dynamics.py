@@ -78,6 +78,7 @@ class RigidBodyDynamics(nn.Module):
         # Most terms are ordinary friction: they are evaluated together. Each is registered once, above.
         self._plain = tuple(term for term in self.terms if is_plain(term))
         self._others = tuple(term for term in self.terms if not is_plain(term))
+        self._has_terms = bool(self.terms)
         self._placing = placing(robot.n_dof, self._plain)
         # As numbers: indexing by a tensor would neither batch nor trace.
         self._trained = physical.nonzero().flatten().tolist()
@@ -182,8 +183,10 @@ class RigidBodyDynamics(nn.Module):
             (*batch, n_dof), [N m] or [N].
         """
         with _full_precision(q):
-            rigid = self.robot.inverse_dynamics(q, qd, qdd, self.pi)
-            return rigid + self._term_torque(q, qd, qdd, t, temperature, recording) if self._terms else rigid
+            rigid = self.robot.physical_torque(q, qd, qdd, self.raw_inertia) if self._all_trained else None
+            if rigid is None:
+                rigid = self.robot.inverse_dynamics(q, qd, qdd, self.pi)
+            return rigid + self._term_torque(q, qd, qdd, t, temperature, recording) if self._has_terms else rigid
 
     inverse_dynamics = forward
 

@@ -228,6 +228,20 @@ class RobotModel:
             return found
         return eager.inverse_dynamics(self._geometry(q), q, qd, qdd, pi.to(q), gravity.to(q))
 
+    def physical_torque(self, q: Tensor, qd: Tensor, qdd: Tensor, theta: Tensor) -> Tensor | None:
+        """Return the torques of bodies by log-Cholesky coordinates in one compiled call, or None where it has none.
+
+        It has none where a derivative is wanted, and for all but float64 on the CPU.
+
+        Args:
+            q, qd, qdd: (*batch, n_dof) position, velocity, acceleration [rad or m, per s, per s^2].
+            theta: (n_bodies, 10) as of ``torchrbd.from_log_cholesky``.
+        """
+        self.check(q, qd, qdd)
+        if theta.shape != (self.n_bodies, len(PARAMETERS)):
+            return None
+        return compiled.call_physical_torque(self._tables, q, qd, qdd, theta, self._gravity(None))
+
     def mass_matrix(self, q: Tensor, pi: Tensor | None = None) -> Tensor:
         """Return the joint-space mass matrix M: kinetic energy is `qd' M qd / 2`.
 

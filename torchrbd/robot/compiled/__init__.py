@@ -1,7 +1,7 @@
 """Compiled kernels of the rigid body: built by the machine's C compiler, where it has one; equal to `eager`."""
 
 from torchrbd.robot.compiled.kernel import INVERSE_DYNAMICS, MASS_MATRIX, REGRESSOR, log_cholesky_kernel
-from torchrbd.robot.compiled.switch import call, call_torque_slopes, is_available, only_eager
+from torchrbd.robot.compiled.switch import call, call_physical_torque, call_torque_slopes, is_available, only_eager
 from torchrbd.robot.compiled.tables import NO_ROBOT, Tables, build_tables
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "Tables",
     "build_tables",
     "call",
+    "call_physical_torque",
     "call_torque_slopes",
     "is_available",
     "log_cholesky_kernel",

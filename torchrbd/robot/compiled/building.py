@@ -34,6 +34,7 @@ _TABLES = (_ADDRESS, _ADDRESS, _INTEGER)
 _SIGNATURES = {
     "inverse_dynamics": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 6),
     "inverse_dynamics_adjoint": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 11),
+    "physical_torque": (*_TABLES, _INTEGER, *[_ADDRESS] * 6),
     "torque_slopes": (*_TABLES, _INTEGER, *[_ADDRESS] * 6),
     "regressor": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 5),
     "regressor_adjoint": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 9),

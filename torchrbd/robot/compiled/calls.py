@@ -58,6 +58,14 @@ def inverse_dynamics_adjoint(
     return found
 
 
+def physical_torque(tables: Tables, q: Tensor, qd: Tensor, qdd: Tensor, theta: Tensor, gravity: Tensor) -> Tensor:
+    """Return the torques, (*batch, n_dof), of one robot by its log-Cholesky coordinates, (n_bodies, 10)."""
+    (q, qd, qdd), last = _laid_out(q, qd, qdd)
+    tau = torch.empty_like(q)
+    _run(_kernels().physical_torque, tables, q, (last,), q, qd, qdd, theta.contiguous(), gravity.contiguous(), tau)
+    return tau
+
+
 def torque_slopes(tables: Tables, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor, gravity: Tensor) -> Tensor:
     """Return the derivatives of the torques by q, qd and qdd, (*batch, 3, n_dof, n_dof), of one robot."""
     (q, qd, qdd), last = _laid_out(q, qd, qdd)

@@ -237,3 +237,14 @@ int log_cholesky_adjoint(int64_t bodies, const double *theta, const double *weig
     }
     return 0;
 }
+
+/* tau, as the states, of bodies by theta (bodies, 10). */
+int physical_torque(ROBOT, int64_t batch_last, STATES, const double *theta, const double *gravity, double *tau) {
+    int64_t bodies = structure[0];
+    double *pi = malloc(sizeof(double) * 10 * (size_t)bodies);
+    if (!pi) return 1;
+    log_cholesky(bodies, theta, pi);
+    int failed = inverse_dynamics(structure, constants, samples, batch_last, 0, q, qd, qdd, pi, gravity, tau);
+    free(pi);
+    return failed;
+}

@@ -12,7 +12,7 @@ from torch._C._functorch import TransformType, get_interpreter_stack
 from torch.autograd import forward_ad
 
 from torchrbd.robot.compiled.building import library
-from torchrbd.robot.compiled.calls import torque_slopes
+from torchrbd.robot.compiled.calls import physical_torque, torque_slopes
 from torchrbd.robot.compiled.functions import TransformedValue, differentiable_value
 from torchrbd.robot.compiled.kernel import INVERSE_DYNAMICS, Kernel
 from torchrbd.robot.compiled.operators import OPERATORS
@@ -82,6 +82,22 @@ def call(kernel: Kernel, tables: Tables, *arguments: Tensor) -> Tensor | None:
     else:
         found = kernel.value(tables, *arguments)
     return found if exact else found.to(dtype)
+
+
+def call_physical_torque(tables: Tables, *arguments: Tensor) -> Tensor | None:
+    """Return the torques of bodies by log-Cholesky coordinates, of q, qd, qdd, theta and gravity, in one call.
+
+    It is for one sample at a time, float64 and of no derivative; None elsewhere.
+    """
+    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active() or not _is_plainly_run():
+        return None
+    shape, derivative = arguments[0].shape, torch.is_grad_enabled()
+    for k, x in enumerate(arguments):
+        if type(x) not in _ORDINARY or not x.is_cpu or x.is_neg() or x.dtype is not _EXACT:
+            return None
+        if (derivative and x.requires_grad) or (k < INVERSE_DYNAMICS.states and x.shape != shape):
+            return None
+    return physical_torque(tables, *arguments)
 
 
 def call_torque_slopes(tables: Tables, *arguments: Tensor) -> Tensor | None:
