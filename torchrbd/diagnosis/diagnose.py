@@ -14,15 +14,16 @@ from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
 from torchrbd.diagnosis.posterior import refit_matters
 from torchrbd.diagnosis.proof import confirmed, doubt, proofs
-from torchrbd.diagnosis.ranking import ranking
+from torchrbd.diagnosis.ranking import ranking, without_terms
+from torchrbd.diagnosis.refuting import friction_alone, functions_alone, refuted
 from torchrbd.diagnosis.results import Diagnosis, Finding, LeftoverMap, Location, Unexplained
 from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.springs import with_springs
-from torchrbd.diagnosis.suspect import contradicted, functions_alone, refuted, suspect, tells_nothing
-from torchrbd.diagnosis.unexplained import unexplained
-from torchrbd.diagnosis.verdict_words import ended_statement, verdict_statement
+from torchrbd.diagnosis.suspect import suspect, tells_nothing
+from torchrbd.diagnosis.unexplained import only_where_fitted, tones, unexplained
+from torchrbd.diagnosis.verdict_words import REFUTED, ended_statement, verdict_statement
 from torchrbd.diagnosis.words import strongest_first
 from torchrbd.effects import Site, effect
 from torchrbd.effects.registry import PLAIN
@@ -30,7 +31,6 @@ from torchrbd.errors import OptionError
 from torchrbd.estimators import OF_RECORDINGS
 from torchrbd.inference.identify import read_arguments, summarise
 from torchrbd.inference.ordinary import with_friction, with_machine
-from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.suspicions import suspicions
 from torchrbd.likelihood.reading import Progress
@@ -77,24 +77,29 @@ def diagnose(
     worthless = tells_nothing(model.prepared, model.model)
     if worthless and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
         return suspect(asked, settings, progress, suspected, ranked)
-    told = explain(model)
+    told, shown, base = explain(model), (), ranked
+    full, judging = told.model, told.model.prepared.judging
+    there = confirmed(judging, full.model, full.prepared.fit(full.prepared.columns.urdf_friction).x)
+    is_refuted = worthless or bool(found.terms and refuted(full.prepared, full.model, asked, there))
+    if is_refuted:
+        there, base = None, without_terms(ranked, settings.chosen_effects())
+        told = friction_alone(asked, told, base, settings, progress)
+        shown = (*tones(found), *(() if worthless else functions_alone(asked, ranked, settings, progress)))
     findings, trifling, model = told.findings, told.trifling, told.model
-    plain, judging = model.prepared.fit(model.prepared.columns.urdf_friction), model.prepared.judging
-    there = confirmed(judging, model.model, plain.x)
-    if worthless or (found.terms and refuted(model.prepared, model.model, asked, there)):
-        shown = () if worthless else functions_alone(asked, ranked, settings, progress)
-        return contradicted(asked, settings, progress, suspected, ranked, judge(judging, model.model.x).nmse, shown)
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = deflections(model.prepared, model.model)
-    late = clock_offset(ranked, model, identification)
+    late = clock_offset(base, model, identification)
     if late is not None and is_trifling(late, model):
         trifling = strongest_first((*trifling, late))
     elif late is not None:
         findings = strongest_first((*findings, late))
     findings = with_springs(findings, springs)
     proof = proofs(identification.series, identification.cutoff_hz)
-    rest = unexplained(model, findings, proof)
+    rest = (*shown, *unexplained(model, () if is_refuted else findings, proof))
+    if is_refuted:
+        known = {joint for one in rest for joint in one.joints}
+        rest = (*rest, *(one for one in only_where_fitted(full, model) if one.joints[0] not in known))
     progress("looking at what is left", 0.0)
     locations, maps = _located(prepared, model)
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))
@@ -103,7 +108,8 @@ def diagnose(
     there = there if findings else None
     statement = verdict_statement(verdict, findings, rest, identification.fits, compared, there)
     ended = ended_statement(len(found.terms), likeliest_left(found))
-    statement = " ".join(filter(None, (statement, ended, doubt(proof, findings, there))))
+    refutes = REFUTED if is_refuted else ""
+    statement = " ".join(filter(None, (statement, refutes, ended, doubt(proof, findings, there))))
     absent = limits(found)
     return Diagnosis(
         identification,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, told, whole
+from torchrbd.diagnosis.hypotheses import Hypothesis, carried, told, whole
 from torchrbd.diagnosis.screening import is_clocks
 from torchrbd.diagnosis.search import Explanation, explained
 from torchrbd.diagnosis.weighing import with_own_noise
@@ -182,7 +182,23 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
             f"{names}: below {band:.3g} Hz the torques and motions have no regression ({error}); look for constant or "
             "repeated channels, or choose another cut-off"
         ) from error
-    clocks = replace(clocks, fit=found.fit)
+    return _ranking(found, band, replace(clocks, fit=found.fit), effects)
+
+
+def without_terms(ranked: Ranking, effects: Sequence[Effect]) -> Ranking:
+    """Return a ranking as it is of a search that has found nothing: clocks are those of the base.
+
+    Args:
+        ranked: of a search that has.
+        effects: what may be there.
+    """
+    before = ranked.explanation
+    found = replace(before, fit=before.base, rows=carried(before.base), terms=(), last=before.first)
+    return _ranking(found, ranked.band_hz, replace(ranked.clocks, fit=before.base), effects)
+
+
+def _ranking(found: Explanation, band: float, clocks: Clocks, effects: Sequence[Effect]) -> Ranking:
+    fit, robot = found.base, found.rows.columns.robot
     late = _of_all(clocks, effects)
 
     def shown(hypotheses: Sequence[Hypothesis], beside: Likelihood) -> tuple[Ranked, ...]:

@@ -16,6 +16,7 @@ from torchrbd.diagnosis.residual import depends_on, is_curve
 from torchrbd.diagnosis.results import Finding, Proof, Region, Unexplained, Where
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.words import NO_CHANGE, joined, number, percent, torque_unit
+from torchrbd.effects.registry import PLAIN_OR_UNEVEN
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.likelihood.columns import Candidate
@@ -36,8 +37,10 @@ def unexplained(extended: Extended, findings: Sequence[Finding], proofs: Sequenc
         findings: what has a name.
         proofs: what the extended model is worth on held-out time.
     """
-    nameless = (*functions(extended), *whatever_the_motion(extended.found))
-    named = {j for f in findings for j in f.joints} | {j for u in nameless for j in u.joints}
+    nameless = (*functions(extended), *tones(extended.found), *_drifting(extended.found))
+    # Ordinary friction at a joint is no reason for what else there may be.
+    named = {j for f in findings if f.effect not in PLAIN_OR_UNEVEN for j in f.joints}
+    named |= {j for u in nameless for j in u.joints}
     return (*nameless, *(one for one in _silent(extended, proofs) if one.joints[0] not in named))
 
 
@@ -50,10 +53,9 @@ def functions(extended: Extended) -> list[Unexplained]:
     return [one for one in every if one.share >= NO_CHANGE or one.where.recordings is not None]
 
 
-def whatever_the_motion(found: Explanation) -> tuple[Unexplained, ...]:
-    """Return tones and drifts of the recordings that were fitted, of which those held out tell nothing."""
-    tones = [_tone(found, term.own) for term in found.terms if term.own.candidate.effect is HUM]
-    return (*tones, *_drifting(found))
+def tones(found: Explanation) -> list[Unexplained]:
+    """Return tones of the recordings that were fitted, of which those held out tell nothing."""
+    return [_tone(found, term.own) for term in found.terms if term.own.candidate.effect is HUM]
 
 
 def _drifting(found: Explanation) -> Iterator[Unexplained]:
@@ -126,6 +128,24 @@ def _silent(extended: Extended, proofs: Sequence[Proof]) -> Iterator[Unexplained
             words = (
                 f"{name}: the torque on held-out time is missed by {number(rmse / seen[name])} times what the fit "
                 "misses elsewhere; no known effect and no function of one signal explains it."
+            )
+            yield Unexplained((name,), (), Where(), share, words)
+
+
+def only_where_fitted(full: Extended, plain: Extended) -> Iterator[Unexplained]:
+    """Yield joints of which a model explains much in the time that was fitted, though held-out time refutes it.
+
+    Args:
+        full: with what was found.
+        plain: the same data, told without it.
+    """
+    with_it, without = (judge(each.prepared.training, each.model.x).rmse for each in (full, plain))
+    for name, rmse in without.items():
+        if rmse > _LARGER * with_it.get(name, math.inf):
+            share = 1.0 - (with_it[name] / rmse) ** 2
+            words = (
+                f"{name}: {percent(share)} of what ordinary friction leaves of the torque is explained where it was "
+                "fitted, but not by anything that held-out time has."
             )
             yield Unexplained((name,), (), Where(), share, words)
 

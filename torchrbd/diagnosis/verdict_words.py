@@ -92,24 +92,11 @@ def suspect_statement(suspected: Suspicions) -> str:
     )
 
 
-def contradicted_statement(joints: Sequence[str], fits: Mapping[str, Fit]) -> str:
-    """Say that recordings held out contradict what the others show, and what the plain model does there."""
-    urdf, plain = (percent(fits[name].mean_nmse) for name in ("urdf", "extended"))
-    return (
-        "What explains the time that was fitted predicts held-out time worse than a plain model does, so that "
-        "nothing is named: the robot, its load or its motion was another there, or what was fitted moves too little. "
-        f"The unpredicted part of the torque variance on held-out time is {urdf} with the URDF and {plain} with a "
-        f"re-fitted rigid body and plain friction. Something is left unexplained"
-        f"{at(joints, (), list(fits['urdf'].nmse))}."
-    )
-
-
-def contradicted_sentence(joint: str, found: float, plain: float) -> str:
-    """Say it of one joint, with the held-out nmse of what was found and of the plain model."""
-    return (
-        f"{joint}: on held-out time {percent(plain)} of the torque variance stays unpredicted, and {percent(found)} "
-        "with what explains the rest."
-    )
+REFUTED = (
+    "What else explains the time that was fitted predicts held-out time worse than ordinary friction alone does, and "
+    "is not in the model: it is too little to be told, or the robot, its load or its motion was another there."
+)
+"""Said where held-out time refutes what was found."""
 
 
 def _told(findings: Sequence[Finding], everywhere: Sequence[str]) -> str:

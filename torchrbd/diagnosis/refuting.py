@@ -1,0 +1,82 @@
+"""What held-out time refutes: the model with what was found predicts it worse than ordinary friction alone does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from torchrbd.diagnosis.explain import Explained, explain
+from torchrbd.diagnosis.extending import extended
+from torchrbd.diagnosis.proof import confirmed, over_blocks
+from torchrbd.diagnosis.ranking import Ranking
+from torchrbd.diagnosis.results import Finding, Ratio, Unexplained
+from torchrbd.diagnosis.search import explained
+from torchrbd.diagnosis.unexplained import functions
+from torchrbd.diagnosis.words import NO_CHANGE, strongest_first
+from torchrbd.inference.ordinary import with_friction, with_machine
+from torchrbd.inference.physical.fitting import FittedModel, nmse_of_blocks
+from torchrbd.inference.preparation import Prepared
+from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.reading import Progress
+
+
+def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Ratio | None) -> bool:
+    """Say whether held-out time refutes what was found: the plain model predicts it better, joints taken together.
+
+    By what counts, and either that is certain (blocks of time are drawn again), or it is that held-out time has less of
+    what was found.
+
+    Args:
+        prepared, model: with what was found.
+        asked: the same data without it; its model is the plain one.
+        there: how large held-out time has what was found, see ``confirmed``.
+    """
+    plain = asked.fit(asked.columns.urdf_friction)
+    found, without = nmse_of_blocks(prepared.judging, model.x), nmse_of_blocks(asked.judging, plain.x)
+    worse, less = over_blocks(found.numpy(), without.numpy()), there is not None and there.high < 1.0
+    return worse.value > 1.0 + NO_CHANGE and (worse.low > 1.0 or less)
+
+
+def friction_alone(
+    prepared: Prepared, told: Explained, ranked: Ranking, settings: Settings, progress: Progress
+) -> Explained:
+    """Return what is told where a search has found nothing, what it had found being set apart.
+
+    Args:
+        prepared: the data, as they were read.
+        told: what held-out time refutes.
+        ranked: without its terms, see ``without_terms``.
+        settings: the user's choices.
+        progress: told how far the work is.
+    """
+    alike = with_machine(prepared, settings, with_friction(settings), progress, ranked.clocks)
+    plain = explain(extended(alike, ranked.explanation, [e.id for e in settings.chosen_effects()], progress))
+    known = {_kind(f) for f in (*plain.findings, *plain.trifling)}
+    apart = [f for f in (*told.findings, *told.trifling) if _kind(f) not in known]
+    return Explained(plain.findings, strongest_first((*apart, *plain.trifling)), plain.model)
+
+
+def functions_alone(
+    prepared: Prepared, ranked: Ranking, settings: Settings, progress: Progress
+) -> tuple[Unexplained, ...]:
+    """Return what smooth functions explain in the place of laws that held-out time refutes, unless it refutes them too.
+
+    Args:
+        prepared: the data.
+        ranked: what was considered.
+        settings: the user's choices.
+        progress: told how far the work is.
+    """
+    progress("trying functions without laws", 0.0)
+    found = explained(ranked.explanation.base, (), lambda _: None)
+    if not found.terms:
+        return ()
+    alike = with_machine(prepared, settings, with_friction(settings), progress, replace(ranked.clocks, fit=found.fit))
+    model = extended(alike, found, [e.id for e in settings.chosen_effects()], progress)
+    plain = model.prepared.fit(model.prepared.columns.urdf_friction)
+    if refuted(model.prepared, model.model, prepared, confirmed(model.prepared.judging, model.model, plain.x)):
+        return ()
+    return tuple(one for one in functions(model) if one.where.recordings is None)
+
+
+def _kind(one: Finding) -> tuple[object, ...]:
+    return one.effect, one.joints, one.links, one.where
