@@ -149,7 +149,7 @@ def test_friction_is_told_where_held_out_time_refutes_all_else(
     spring = 3.0 * arrays["q"][:, :1] * (np.arange(3) == 0)
     recording = Recording.from_arrays("day", NAMES, arrays["t"], arrays["q"], arrays["tau"] + friction + spring)
     diagnosis = torchrbd.diagnose(URDF, recording)
-    assert {f.effect for f in diagnosis.findings} == {"coulomb_friction"}
+    assert {f.effect for f in diagnosis.findings} <= {"coulomb_friction", "asymmetric_coulomb_friction"}
     assert {f.joints[0] for f in diagnosis.findings} >= set(NAMES[1:])
     assert "joint_spring" in {f.effect for f in diagnosis.trifling}
     assert "predicts held-out time worse than ordinary friction alone does" in diagnosis.statement
