@@ -2,8 +2,9 @@
 
 What the wide band tells of shapes, such as how often a ripple repeats, is their prior.
 
-Curves over a joint's own velocity, acceleration or load, which friction and inertia are linear in, are fitted to what
-all else leaves, so that none stands in for a part of these; what friction there is, is told without them:
+Curves over a joint's own velocity, acceleration or load, which friction and inertia are linear in, and those of
+friction over any signal, of which Coulomb friction is one, are fitted to what all else leaves, so that none stands in
+for a part of these; what friction there is, is told without them:
 
     w ~ N(0, D^2),   (C'C / s^2 + D^-2) w = C'(tau - X x) / s^2
 """
@@ -17,7 +18,7 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.friction import Friction, ordinary_friction, weighed_beside
-from torchrbd.diagnosis.residual import stands_in
+from torchrbd.diagnosis.residual import has_friction
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.sharpening import known_shapes
 from torchrbd.effects import Site
@@ -65,8 +66,8 @@ class Extended:
         found = replace(before, fit=fit, terms=tuple(before.terms[k] for k in kept))
         beside, laws = _friction_beside(found)
         friction = tuple(weighed_beside(f, beside, self.model.columns.robot, laws) for f in self.friction)
-        early = (*self.first.proper_terms[: len(self.friction)], *(c for c in terms if not stands_in(c)))
-        late = tuple(c for c in terms if stands_in(c))
+        early = (*self.first.proper_terms[: len(self.friction)], *(c for c in terms if not has_friction(c)))
+        late = tuple(c for c in terms if has_friction(c))
         first = fit_with_shapes(self.prepared, early)
         model = with_late(self.prepared, first, late) if late else first
         left_open = tuple(self.open[k] for k in kept)
@@ -94,8 +95,8 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
         believed[at] = np.maximum(std, believed.get(at, 0.0))
     prepared = replace(prepared, believed=believed, known_shapes=known_shapes(found.fit, found.rows, own))
     own = [columns.candidate(c.effect, c.site, c.shape) for c in own]
-    early = (*(f.candidate for f in friction), *(c for c in own if not stands_in(c)))
-    late = tuple(c for c in own if stands_in(c))
+    early = (*(f.candidate for f in friction), *(c for c in own if not has_friction(c)))
+    late = tuple(c for c in own if has_friction(c))
     supplied = found.fit.around_its_fit(alone=True)
     wider = columns.of_candidates(early, supplied.pi, supplied.friction)
     prepared, early = refined_from(reread(prepared, wider, progress), early, progress)
@@ -104,7 +105,7 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
         every = columns.of_candidates((*columns.candidates, *late), columns.pi, columns.friction)
         prepared = with_input_noise(reread(prepared, every, progress), early)
     first, refined = fit_with_shapes(prepared, early), iter(early[len(friction) :])
-    terms = tuple(c if stands_in(c) else next(refined) for c in own)
+    terms = tuple(c if has_friction(c) else next(refined) for c in own)
     left_open = tuple(found.fit.coefficients_covariance(k) for k in range(len(terms)))
     model = with_late(prepared, first, late) if late else first
     return Extended(prepared, found, first, model, friction, terms, left_open)
@@ -113,9 +114,9 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
 def _friction_beside(found: Explanation) -> tuple[Likelihood, list[Candidate]]:
     """Return the likelihood that friction is weighed in, and its laws: without curves that could pass for it."""
     own = [t.own.candidate for t in found.terms]
-    early = [e for e, c in zip(found.fit.extra, own, strict=True) if not stands_in(c)]
+    early = [e for e, c in zip(found.fit.extra, own, strict=True) if not has_friction(c)]
     fit = found.fit if len(early) == len(own) else found.fit.extended(early).settled
-    return fit.with_heavy_tails, [c for c in own if not stands_in(c)]
+    return fit.with_heavy_tails, [c for c in own if not has_friction(c)]
 
 
 def with_late(prepared: Prepared, first: FittedModel, late: Sequence[Candidate]) -> FittedModel:
