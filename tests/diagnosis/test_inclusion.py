@@ -72,6 +72,19 @@ def test_odds_are_prior_odds_shared_out_over_places_times_the_evidence(rows: Row
     assert prior_log_odds(effect("coulomb_friction"), ARM) == 0.0
 
 
+def test_a_load_is_not_expected_to_be_there_for_a_moment_only(rows: Rows) -> None:
+    """A push is: of two that explain a short time alike, the force is the likelier one the shorter it was."""
+
+    def odds(name: str, *seconds: float) -> float:
+        return log_odds(hypothesis(rows, name, Site(body=1, window=Window("fit", *seconds)), 20.0), rows)
+
+    usual, briefly, moment = (odds("payload", 5.0, end) for end in (20.0, 7.0, 5.5))
+    assert usual == odds("payload", 5.0) == odds("payload")
+    assert usual - briefly == pytest.approx(0.5 * (math.log(5.0) / math.log(3.0)) ** 2)
+    assert moment < briefly < usual
+    assert odds("external_wrench", 5.0, 5.5) == odds("external_wrench", 5.0, 20.0)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_probabilities_are_shares_of_all_that_may_be_there(rows: Rows, seed: int) -> None:
     found = drawn(rows, seed)

@@ -52,6 +52,13 @@ def test_a_search_that_ends_early_says_so() -> None:
         "The search ends with 12 terms, though more is likelier than not beside them: first of all Stribeck friction "
         "at joint1."
     )
+    assert ended_statement(1, "backlash at joint1").startswith("The search ends with 1 term, though")
+
+
+def test_a_one_sided_spring_has_the_article_that_is_spoken() -> None:
+    fits = dict.fromkeys(("urdf", "rigid_body", "extended"), Fit({"joint1": 0.1}, {}))
+    told = verdict_statement("missing_physics", [finding("one_sided_spring", "joint1")], (), fits)
+    assert "leaves out a one-sided spring" in told
 
 
 def everywhere(effect: str, *but: str) -> list[Finding]:

@@ -80,6 +80,7 @@ def test_time_window_counts_from_the_first_row(tmp_path):
             "t,q_a,qb,tau_a\n0,1,2,3\n",
             r"r.csv: missing columns: q_b \(did you mean 'qb'\?\); present: t, q_a, qb, tau_a;",
         ),
+        ("t,q_a,tau_a,tau_b\n0,1,2,3\n", "r.csv: missing columns: q_b; present: t, q_a, tau_a, tau_b;"),
         ("t,q_a,q_b\n0,1,2\n", "no joint has a torque; expected at least one of tau_a, tau_b; present: t, q_a, q_b"),
         ("t,q_a,q_b,tau_a\n0,1,2,3\n1,1,x,3\n", "column 'q_b', data row 2: expected a number, got 'x'"),
         ("t,q_a,q_b,tau_a\n0,1,2,3\n1,1,3\n", "data row 2 has 3 cells, but the header has 4 columns"),

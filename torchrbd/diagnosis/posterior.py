@@ -20,6 +20,7 @@ from scipy.special import expit, softmax
 from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.effects import Effect, Window
+from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
 from torchrbd.robot import RobotModel
@@ -28,6 +29,8 @@ from torchrbd.robot import RobotModel
 _CERTAIN = 1e8
 # What is less probable is one of several guesses.
 LIKELY = 0.5
+# Standard deviation of the logarithm of how long something is there.
+_TIMES_STD = math.log(3.0)
 # How many of an effect are expected on a machine beside its ordinary friction.
 EXPECTED = {"common": 0.1, "rare": 0.03, "unknown": 0.001}
 
@@ -50,13 +53,22 @@ class Inclusion:
 
 def log_odds(h: Hypothesis, rows: Rows) -> float:
     """Return the log odds that an effect is at its place, against none."""
-    return calibrated(h.log_evidence) + prior_log_odds(h.candidate.effect, rows.columns.robot)
+    c = h.candidate
+    return calibrated(h.log_evidence) + prior_log_odds(c.effect, rows.columns.robot) + _so_briefly(c)
 
 
 def prior_log_odds(effect: Effect, robot: RobotModel) -> float:
     """Return the log odds of an effect at one place before any data; what is ubiquitous is as likely there as not."""
     prevalence = "unknown" if effect.family == "unknown" else effect.prevalence
     return 0.0 if prevalence == "ubiquitous" else math.log(EXPECTED[prevalence] / _places(effect, robot))
+
+
+def _so_briefly(c: Candidate) -> float:
+    """Return the log prior of the time for which something is there, against one as long as is usual: log-normal."""
+    usual, window = c.effect.lasts_s, c.site.window
+    if usual is None or window is None:
+        return 0.0
+    return -0.5 * (min(math.log((window.end_s - window.start_s) / usual), 0.0) / _TIMES_STD) ** 2
 
 
 def probability_of(log_evidence: float) -> float:

@@ -71,7 +71,8 @@ def ended_statement(terms: int, left: str) -> str:
     """Say that a search has ended with so many terms before what is likelier than not; nothing if nothing is left."""
     if not left:
         return ""
-    return f"The search ends with {terms} terms, though more is likelier than not beside them: first of all {left}."
+    count = f"{terms} term{'' if terms == 1 else 's'}"
+    return f"The search ends with {count}, though more is likelier than not beside them: first of all {left}."
 
 
 def suspect_statement(suspected: Suspicions) -> str:
@@ -139,7 +140,8 @@ def _places(findings: Sequence[Finding], everywhere: Sequence[str]) -> str:
 def _with_article(words: str) -> str:
     """Return "a joint spring", but "Coulomb friction"."""
     counted = not _COUNTED.isdisjoint(words.split())
-    return f"{'an' if words[0] in 'aeiou' else 'a'} {words}" if counted else words
+    vowel = words[0] in "aeiou" and not words.startswith("one")
+    return f"{'an' if vowel else 'a'} {words}" if counted else words
 
 
 def _shortened(words: Sequence[str]) -> str:

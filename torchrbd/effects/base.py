@@ -92,6 +92,7 @@ class Effect(ABC):
         of_each_recording: True if coefficients differ from one recording of a site to the next: the site names them.
         sees_friction: True if the features depend on the plain friction beside that torque (``Signals.supplied``).
         has_memory: True if the features depend on a sequence of states, and not on the present one alone.
+        lasts_s: how long it usually is there where it is for a time [s]; the shorter, the less likely.
         prior: what is believed of the coefficients.
         shifts_clocks: True if, at all joints alike, it is to first order what an offset of clocks is.
         kinds: shape parameters that choose between kinds, such as the side of a stop: none lies between two of them.
@@ -117,6 +118,7 @@ class Effect(ABC):
     sees_friction: ClassVar[bool] = False
     has_memory: ClassVar[bool] = False
     shifts_clocks: ClassVar[bool] = False
+    lasts_s: ClassVar[float | None] = None
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
     kinds: ClassVar[tuple[str, ...]] = ()
     several: ClassVar[bool] = False

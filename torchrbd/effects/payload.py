@@ -29,6 +29,8 @@ class Payload(Effect):
     id = "payload"
     family = "inertia and load"
     prevalence = "common"
+    # A tool or part is picked up, carried and put down.
+    lasts_s = 10.0
     words = "payload"
     equation = "Y_link [m, m c, I]"
     units: ClassVar[Mapping[str, str]] = {

@@ -55,8 +55,10 @@ def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place
     required = [mapping.time, *wanted["q"], *mapping.named(joints)]
     missing = list(dict.fromkeys(source.column for source in required if source.column not in present))
     if missing:
+        known = {source.column for sources in wanted.values() for source in sources}
+        others = [column for column in columns if column not in known]
         raise RecordingError(
-            f"{place}: missing columns: {', '.join(missing)}{meant(missing[0], columns)}; "
+            f"{place}: missing columns: {', '.join(missing)}{meant(missing[0], others)}; "
             f"present: {', '.join(columns)}; give a mapping if they have other names"
         )
     there = {key: np.array([s.column in present for s in wanted[key]]) for key in ("tau", *PARTIAL_SIGNALS)}
