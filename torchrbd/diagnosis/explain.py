@@ -32,7 +32,7 @@ _LEAST_LAW = 0.05
 LARGEST_PROBABILITY = 0.999
 _FRICTION = "friction"
 # Parts of a joint's torque, and of its held-out error, that are nobody's business.
-_LEAST_TORQUE, _LEAST_SHARE = 0.01, 0.1
+LEAST_TORQUE, _LEAST_SHARE = 0.01, 0.1
 
 
 @dataclass(frozen=True)
@@ -242,7 +242,7 @@ def is_trifling(finding: Finding, extended: Extended) -> bool:
     torque = extended.prepared.training.torque.sum(0)
     rms = dict(zip(extended.prepared.robot.joint_names, (torque[:, 2] / torque[:, 0]).sqrt().tolist(), strict=True))
     own = {joint: x for joint, x in finding.torque_rms.items() if joint in finding.joints} or finding.torque_rms
-    small = all(carried < _LEAST_TORQUE * rms[joint] for joint, carried in own.items())
+    small = all(carried < LEAST_TORQUE * rms[joint] for joint, carried in own.items())
     return small and finding.share < _LEAST_SHARE
 
 

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 import torch
 
 from torchrbd.diagnosis.curves import fitted_curve
-from torchrbd.diagnosis.explain import torque_rms
+from torchrbd.diagnosis.explain import LEAST_TORQUE, torque_rms
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.residual import depends_on, is_curve
 from torchrbd.diagnosis.results import Finding, Proof, Region, Unexplained, Where
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.words import NO_CHANGE, joined, number, percent, torque_unit
-from torchrbd.effects.registry import PLAIN_OR_UNEVEN
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.likelihood.columns import Candidate
@@ -25,6 +24,8 @@ from torchrbd.likelihood.columns import Candidate
 _ACTS = 0.5
 # Errors that are so many times those of the fit, or of its noise, are not explained.
 _LARGER = 1.5
+# Part of a joint's torque variance that is much.
+_MUCH = 0.01
 # Errors that stay alike for so many times as long as white noise does are no noise.
 _LASTS = 2.0
 
@@ -38,10 +39,9 @@ def unexplained(extended: Extended, findings: Sequence[Finding], proofs: Sequenc
         proofs: what the extended model is worth on held-out time.
     """
     nameless = (*functions(extended), *tones(extended.found), *_drifting(extended.found))
-    # Ordinary friction at a joint is no reason for what else there may be.
-    named = {j for f in findings if f.effect not in PLAIN_OR_UNEVEN for j in f.joints}
-    named |= {j for u in nameless for j in u.joints}
-    return (*nameless, *(one for one in _silent(extended, proofs) if one.joints[0] not in named))
+    told = {j for u in nameless for j in u.joints}
+    named = {j for f in findings for j in f.joints}
+    return (*nameless, *(one for one in _silent(extended, proofs, named) if one.joints[0] not in told))
 
 
 def functions(extended: Extended) -> list[Unexplained]:
@@ -64,7 +64,7 @@ def _drifting(found: Explanation) -> Iterator[Unexplained]:
     for j in np.flatnonzero(found.rows.seen).tolist():
         wandering = fit.part(j, fit.machine.wandering(j))[found.rows.measured[j]]
         drift, noise, name = float(np.sqrt(np.mean(wandering**2))), fit.hyper.noise[j].std, robot.joint_names[j]
-        if math.hypot(drift, noise) > _LARGER * noise:
+        if math.hypot(drift, noise) > _LARGER * noise and drift > LEAST_TORQUE * fit.machine.torque_rms[j]:
             words = (
                 f"{name}: a torque of {number(drift)} {torque_unit(robot, j)} RMS changes slowly with time; no known "
                 "effect explains it."
@@ -114,22 +114,28 @@ def _left(torque: str, share: float, recording: str | None) -> str:
     return f"a torque of {torque} RMS{only} that no known effect explains{shown}"
 
 
-def _silent(extended: Extended, proofs: Sequence[Proof]) -> Iterator[Unexplained]:
-    """Yield joints whose held-out torque is predicted clearly worse than the fit's own, by errors that have a memory.
+def _silent(extended: Extended, proofs: Sequence[Proof], named: Collection[str]) -> Iterator[Unexplained]:
+    """Yield joints whose held-out torque is predicted badly, by errors that have a memory.
 
-    White errors are noise, of which some motions make more than others.
+    Much of it, or, where nothing has a name, clearly more than the fit itself misses. White errors are noise, of which
+    some motions make more than others.
     """
     prepared, x = extended.prepared, extended.model.x
     lasting = {p.joint for p in proofs if p.memory_s["extended"] > _LASTS * p.white_s}
-    seen, unseen = judge(prepared.training, x).rmse, judge(prepared.judging, x).rmse
-    for name, rmse in unseen.items():
-        if name in seen and name in lasting and rmse > _LARGER * seen[name]:
+    seen, unseen = judge(prepared.training, x).rmse, judge(prepared.judging, x)
+    nothing_else = "; no known effect and no function of one signal explains it."
+    for name, rmse in unseen.rmse.items():
+        if name not in lasting:
+            continue
+        if unseen.nmse[name] > _MUCH:
+            left = f"{percent(unseen.nmse[name])} of the torque variance on held-out time stays unpredicted"
+            words = f"{name}: {left}, by errors that last"
+            yield Unexplained((name,), (), Where(), 1.0, words + nothing_else)
+        elif name in seen and name not in named and rmse > _LARGER * seen[name]:
             share = 1.0 - (seen[name] / rmse) ** 2
-            words = (
-                f"{name}: the torque on held-out time is missed by {number(rmse / seen[name])} times what the fit "
-                "misses elsewhere; no known effect and no function of one signal explains it."
-            )
-            yield Unexplained((name,), (), Where(), share, words)
+            times = number(rmse / seen[name])
+            words = f"{name}: the torque on held-out time is missed by {times} times what the fit misses elsewhere"
+            yield Unexplained((name,), (), Where(), share, words + nothing_else)
 
 
 def only_where_fitted(full: Extended, plain: Extended) -> Iterator[Unexplained]:
