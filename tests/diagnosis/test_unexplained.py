@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,13 +17,14 @@ from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import is_curve
-from torchrbd.diagnosis.results import Unexplained
-from torchrbd.diagnosis.unexplained import _drifting, _left, _loud, unexplained
+from torchrbd.diagnosis.results import Proof, Unexplained
+from torchrbd.diagnosis.unexplained import _drifting, _left, _loud, _silent, unexplained
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
+from torchrbd.inference.torque_error import Fit
 from torchrbd.robot import RobotModel
 
 FIRST, SECOND = joint_names(URDF)
@@ -190,16 +192,42 @@ def test_a_curve_is_loud_around_its_largest_departure(torque: list[float], expec
     assert _loud(np.arange(float(len(torque))), np.array(torque, dtype=float)) == expected
 
 
-def test_drift_is_as_large_as_where_it_is_measured() -> None:
+@pytest.mark.parametrize(("level", "told"), [(1.0, True), (0.02, False)], ids=["drifts", "next to nothing"])
+def test_drift_is_as_large_as_where_it_is_measured(level: float, told: bool) -> None:
     """A recording that lacks the torque does not make the drift of the others smaller."""
     measured = np.arange(100)[None] < 25
-    drift = np.where(measured[0], 1.0, 0.0)
+    drift = np.where(measured[0], level, 0.0)
     fit = SimpleNamespace(
-        machine=SimpleNamespace(wandering=lambda j: None),
+        machine=SimpleNamespace(wandering=lambda j: None, torque_rms=np.array([4.0])),
         part=lambda j, at: drift,
-        hyper=SimpleNamespace(noise=(SimpleNamespace(std=0.5),)),
+        hyper=SimpleNamespace(noise=(SimpleNamespace(std=0.5 * level),)),
     )
     columns = SimpleNamespace(robot=RobotModel.from_urdf(URDF))
     rows = SimpleNamespace(seen=[True, False], measured=measured, columns=columns)
-    (one,) = _drifting(SimpleNamespace(fit=fit, rows=rows))
-    assert one.share == pytest.approx(0.8)
+    assert [one.share for one in _drifting(SimpleNamespace(fit=fit, rows=rows))] == [pytest.approx(0.8)] * told
+
+
+@pytest.mark.parametrize(
+    ("nmse", "times", "lasts", "named", "says"),
+    [
+        (0.02, 1.0, True, True, "2 % of the torque variance on held-out time stays unpredicted, by errors that last"),
+        (0.005, 2.0, True, False, "missed by 2.00 times what the fit misses elsewhere"),
+        (0.005, 2.0, True, True, ""),
+        (0.005, 1.2, True, False, ""),
+        (0.02, 2.0, False, False, ""),
+    ],
+    ids=["much", "more than elsewhere", "and named", "as elsewhere", "white"],
+)
+def test_no_joint_that_is_told_badly_is_silent(
+    monkeypatch: pytest.MonkeyPatch, nmse: float, times: float, lasts: bool, named: bool, says: str
+) -> None:
+    fits = {"training": Fit({FIRST: 0.1}, {FIRST: 0.5}), "judging": Fit({FIRST: nmse}, {FIRST: 0.5 * times})}
+    monkeypatch.setattr(
+        import_module("torchrbd.diagnosis.unexplained"), "judge", lambda statistics, _: fits[statistics]
+    )
+    prepared = SimpleNamespace(training="training", judging="judging")
+    model = SimpleNamespace(prepared=prepared, model=SimpleNamespace(x=None))
+    proof = Proof(FIRST, {}, {"extended": 0.3 if lasts else 0.1}, 0.1)
+    told = [one.statement for one in _silent(model, [proof], {FIRST} if named else set())]
+    assert len(told) == bool(says)
+    assert all(says in one for one in told)
