@@ -17,7 +17,7 @@ from simulated import Motion, with_wrong_inertials
 from torchrbd.diagnosis.explain import _Fits, _once
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.ranking import ranking
-from torchrbd.diagnosis.residual import curves, is_curve, stands_in
+from torchrbd.diagnosis.residual import curves, has_friction, is_curve, stands_in
 from torchrbd.diagnosis.search import Term
 from torchrbd.effects import Site, effect
 from torchrbd.inference.ordinary import with_friction as friction_of
@@ -171,6 +171,8 @@ def test_friction_is_missed_without_curves_of_which_it_may_be_a_part() -> None:
     """A curve of friction over the position has a constant part, and held-out time would not miss Coulomb friction."""
     model = with_curves(("smooth_friction_over_q", "smooth_torque_over_q"))
     fits = _Fits(model)
-    coulomb = {f.candidate.joint: f.candidate for f in model.friction if f.candidate.effect.id == "coulomb_friction"}
-    left = {joint: [c.effect.id for c in fits.without([c]).proper_terms if is_curve(c)] for joint, c in coulomb.items()}
-    assert left == {0: ["smooth_torque_over_q"], 1: ["smooth_friction_over_q", "smooth_torque_over_q"]}
+    coulomb = [f.candidate for f in model.friction if f.candidate.effect.id == "coulomb_friction"]
+    assert len(coulomb) == 2
+    for gone in ([], *([c] for c in coulomb)):
+        assert [c.effect.id for c in fits.without(gone).proper_terms if is_curve(c)] == ["smooth_torque_over_q"]
+    assert [c.effect.id for c in model.model.proper_terms if has_friction(c)] == ["smooth_friction_over_q"]

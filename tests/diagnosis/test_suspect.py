@@ -98,7 +98,7 @@ def test_what_held_out_recordings_contradict_is_not_named(
     """The plain model predicts them, what was found does not; of what is left a function of one signal is told."""
     diagnose, told = import_module("torchrbd.diagnosis.diagnose"), iter((worse_than == "a constant", False))
     monkeypatch.setattr(diagnose, "tells_nothing", lambda *_: next(told))
-    monkeypatch.setattr(diagnose, "refuted", lambda *_: True)
+    monkeypatch.setattr(diagnose, "is_refuted", lambda *_: True)
     spring = 3.0 * arrays["q"][:, :1] * (np.arange(3) == 0)
     recording = Recording.from_arrays("day", NAMES, arrays["t"], arrays["q"], arrays["tau"] + spring)
     diagnosis = torchrbd.diagnose(URDF, recording)
@@ -144,7 +144,7 @@ def test_held_out_time_refutes_what_it_has_less_of_or_is_certain_to_be_worse_wit
 def test_friction_is_told_where_held_out_time_refutes_all_else(
     arrays: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(import_module("torchrbd.diagnosis.diagnose"), "refuted", lambda *_: True)
+    monkeypatch.setattr(import_module("torchrbd.diagnosis.diagnose"), "is_refuted", lambda *_: True)
     friction = 0.5 * np.tanh(np.gradient(arrays["q"], arrays["t"], axis=0) / 0.02)
     spring = 3.0 * arrays["q"][:, :1] * (np.arange(3) == 0)
     recording = Recording.from_arrays("day", NAMES, arrays["t"], arrays["q"], arrays["tau"] + friction + spring)

@@ -10,7 +10,7 @@ from likelihood.fits import DELAY_S, OPTIONS, URDF, carried, fitted, with_fricti
 from scipy.stats import norm
 
 from torchrbd.likelihood.learning import learn
-from torchrbd.likelihood.machine import STICKS, Machine, _throughout
+from torchrbd.likelihood.machine import STICKS, Machine
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
@@ -51,21 +51,6 @@ def test_rows_are_noisier_where_the_velocity_does_not_tell_the_direction(machine
         assert spread[slow] >= np.median(spread[fast])
         np.testing.assert_allclose(spread[fast], 1.0, atol=0.01)
     assert machine.spread(0, 0.0, 20.0, 10.0).mean() > machine.spread(0, 0.0, 20.0, 1.0).mean()
-
-
-@pytest.mark.parametrize(
-    ("unsure", "held"),
-    [
-        ([0.1, 0.9, 0.3, 0.8, 0.2], [0.1, 1.0, 1.0, 1.0, 0.2]),
-        ([0.2, 0.6, 0.2], [0.2, 1.0, 0.2]),
-        ([0.1, 0.4, 0.1], [0.1, 0.4, 0.1]),
-    ],
-    ids=["creeping", "turning", "hardly at rest"],
-)
-def test_a_joint_at_rest_is_held_throughout(unsure: list[float], held: list[float]) -> None:
-    before = np.array(unsure)
-    np.testing.assert_array_equal(_throughout(before), held)
-    np.testing.assert_array_equal(before, unsure)
 
 
 def test_drift_is_a_random_walk_that_every_recording_has_alone() -> None:

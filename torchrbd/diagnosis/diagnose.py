@@ -13,9 +13,9 @@ from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
 from torchrbd.diagnosis.posterior import refit_matters
-from torchrbd.diagnosis.proof import confirmed, doubt, proofs
+from torchrbd.diagnosis.proof import doubt, proofs
 from torchrbd.diagnosis.ranking import ranking, without_terms
-from torchrbd.diagnosis.refuting import friction_alone, functions_alone, refuted
+from torchrbd.diagnosis.refuting import friction_alone, functions_alone, is_refuted, shown_of, what_counts
 from torchrbd.diagnosis.results import Diagnosis, Finding, LeftoverMap, Location, Unexplained
 from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
@@ -77,14 +77,17 @@ def diagnose(
     worthless = tells_nothing(model.prepared, model.model)
     if worthless and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
         return suspect(asked, settings, progress, suspected, ranked)
-    told, shown, base = explain(model), (), ranked
-    full, judging = told.model, told.model.prepared.judging
-    there = confirmed(judging, full.model, full.prepared.fit(full.prepared.columns.urdf_friction).x)
-    is_refuted = worthless or bool(found.terms and refuted(full.prepared, full.model, asked, there))
-    if is_refuted:
-        there, base = None, without_terms(ranked, settings.chosen_effects())
+    told, alone, base = explain(model), (), ranked
+    full, plainly = told.model, worthless
+    if not worthless and is_refuted(told, asked):
+        # Bodies and friction may have taken the other side of what is set apart.
+        told = what_counts(told)
+        plainly = not told.model.terms or is_refuted(told, asked)
+    if plainly:
+        base = without_terms(ranked, settings.chosen_effects())
         told = friction_alone(asked, told, base, settings, progress)
-        shown = (*tones(found), *(() if worthless else functions_alone(asked, ranked, settings, progress)))
+        alone = (*tones(found), *(() if worthless else functions_alone(asked, ranked, settings, progress)))
+    there = None if plainly else shown_of(told.model)
     findings, trifling, model = told.findings, told.trifling, told.model
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)
@@ -96,8 +99,8 @@ def diagnose(
         findings = strongest_first((*findings, late))
     findings = with_springs(findings, springs)
     proof = proofs(identification.series, identification.cutoff_hz)
-    rest = (*shown, *unexplained(model, () if is_refuted else findings, proof))
-    if is_refuted:
+    rest = (*alone, *unexplained(model, () if plainly else findings, proof))
+    if plainly:
         known = {joint for one in rest for joint in one.joints}
         rest = (*rest, *(one for one in only_where_fitted(full, model) if one.joints[0] not in known))
     progress("looking at what is left", 0.0)
@@ -108,7 +111,7 @@ def diagnose(
     there = there if findings else None
     statement = verdict_statement(verdict, findings, rest, identification.fits, compared, there)
     ended = ended_statement(len(found.terms), likeliest_left(found))
-    refutes = REFUTED if is_refuted else ""
+    refutes = REFUTED if plainly else ""
     statement = " ".join(filter(None, (statement, refutes, ended, doubt(proof, findings, there))))
     absent = limits(found)
     return Diagnosis(

@@ -15,7 +15,7 @@ from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.hypotheses import whole
 from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds
 from torchrbd.diagnosis.proof import confirmed
-from torchrbd.diagnosis.residual import has_friction, is_curve
+from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import OWN_TIME, Alternative, Finding, Law, Quantity, Ratio, Region, Where
 from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.variant import another_variant
@@ -43,11 +43,13 @@ class Explained:
         findings: that count, the largest gain first.
         trifling: others that are as certain, but trifling, all of these together.
         model: without laws of friction that are trifling: what they take is ordinary friction's, which is told.
+        apart: terms of the model that are trifling.
     """
 
     findings: tuple[Finding, ...]
     trifling: tuple[Finding, ...]
     model: Extended
+    apart: tuple[Candidate, ...] = ()
 
 
 def explain(extended: Extended) -> Explained:
@@ -65,7 +67,8 @@ def explain(extended: Extended) -> Explained:
 
     fits, every = _Fits(extended), _told(extended)
     own_time = {term: fits.in_its_time(term, one) for term, one in every if not fits.held_out_sees(term)}
-    unseen = {term for term, one in own_time.items() if one.judged_on and one.share < NO_CHANGE}
+    # What was there too briefly to be divided, no unseen time has shown.
+    unseen = {term for term, one in own_time.items() if not one.judged_on or one.share < NO_CHANGE}
     kept, apart = set_apart(every, fits.error_without, lambda term, one: term in unseen or is_trifling(one, extended))
 
     def proven(term: Candidate, one: Finding, others: Sequence[Candidate], by_own: Collection[Candidate]) -> Finding:
@@ -88,7 +91,8 @@ def explain(extended: Extended) -> Explained:
         trifling += worded([(term, proven(term, one, [], unseen)) for term, one in more])
         kept = [(term, _judged_as(judged[term], one)) for term, one in left if term in judged]
         kept += [(term, proven(term, one, [t for t, _ in more], unseen)) for term, one in new]
-    return Explained(worded(_once(kept, extended.model.columns)), trifling, extended)
+    apart_still = tuple(term for term in extended.terms if term in others)
+    return Explained(worded(_once(kept, extended.model.columns)), trifling, extended, apart_still)
 
 
 def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[tuple[Candidate, Finding]]:
@@ -171,7 +175,7 @@ class _Fits:
     def without(self, gone: Sequence[Candidate]) -> FittedModel:
         """Return the model without some terms, and what is nothing without them.
 
-        Laws that refine ordinary friction go with it, and curves that could pass for it.
+        Laws that refine ordinary friction go with it; curves that could pass for it are not in this model.
         """
         key = frozenset(gone)
         if key not in self._fitted:
@@ -180,10 +184,8 @@ class _Fits:
 
     def _rest(self, gone: Collection[Candidate]) -> list[Candidate]:
         terms, columns = self.first.proper_terms, self.first.columns
-        friction = [c for c in terms[: self._friction] if c in gone]
-        shared, joints = {k for c in friction for k in columns.of(c)}, {c.joint for c in friction}
-        rest = [c for c in terms if c not in gone and not shared & set(columns.of(c))]
-        return [c for c in rest if not (has_friction(c) and c.joint in joints)]
+        shared = {k for c in terms[: self._friction] if c in gone for k in columns.of(c)}
+        return [c for c in terms if c not in gone and not shared & set(columns.of(c))]
 
     def error_without(self, gone: Sequence[Candidate]) -> Mapping[str, float]:
         """Return held-out nmse by joint without some terms."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from torchrbd.diagnosis.explain import Explained, explain
-from torchrbd.diagnosis.extending import extended
+from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.proof import confirmed, over_blocks
 from torchrbd.diagnosis.ranking import Ranking
 from torchrbd.diagnosis.results import Finding, Ratio, Unexplained
@@ -17,6 +17,22 @@ from torchrbd.inference.physical.fitting import FittedModel, nmse_of_blocks
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.reading import Progress
+
+
+def is_refuted(told: Explained, asked: Prepared) -> bool:
+    """Say whether held-out time refutes what is told beside ordinary friction.
+
+    Args:
+        told: of the extended model.
+        asked: the data without it.
+    """
+    return bool(told.model.terms) and refuted(told.model.prepared, told.model.model, asked, shown_of(told.model))
+
+
+def shown_of(extended: Extended) -> Ratio | None:
+    """Return how large held-out time has what a model adds to the plain one, see ``confirmed``."""
+    prepared = extended.prepared
+    return confirmed(prepared.judging, extended.model, prepared.fit(prepared.columns.urdf_friction).x)
 
 
 def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Ratio | None) -> bool:
@@ -49,10 +65,12 @@ def friction_alone(
         progress: told how far the work is.
     """
     alike = with_machine(prepared, settings, with_friction(settings), progress, ranked.clocks)
-    plain = explain(extended(alike, ranked.explanation, [e.id for e in settings.chosen_effects()], progress))
-    known = {_kind(f) for f in (*plain.findings, *plain.trifling)}
-    apart = [f for f in (*told.findings, *told.trifling) if _kind(f) not in known]
-    return Explained(plain.findings, strongest_first((*apart, *plain.trifling)), plain.model)
+    return _instead(told, extended(alike, ranked.explanation, [e.id for e in settings.chosen_effects()], progress))
+
+
+def what_counts(told: Explained) -> Explained:
+    """Return what is told without the terms that are set apart: they are not in the model then."""
+    return _instead(told, told.model.without(told.apart))
 
 
 def functions_alone(
@@ -72,10 +90,17 @@ def functions_alone(
         return ()
     alike = with_machine(prepared, settings, with_friction(settings), progress, replace(ranked.clocks, fit=found.fit))
     model = extended(alike, found, [e.id for e in settings.chosen_effects()], progress)
-    plain = model.prepared.fit(model.prepared.columns.urdf_friction)
-    if refuted(model.prepared, model.model, prepared, confirmed(model.prepared.judging, model.model, plain.x)):
+    if refuted(model.prepared, model.model, prepared, shown_of(model)):
         return ()
     return tuple(one for one in functions(model) if one.where.recordings is None)
+
+
+def _instead(told: Explained, model: Extended) -> Explained:
+    """Return what is told of another model; what was told of the first, and is not of this one, is set apart."""
+    other = explain(model)
+    known = {_kind(f) for f in (*other.findings, *other.trifling)}
+    apart = [f for f in (*told.findings, *told.trifling) if _kind(f) not in known]
+    return replace(other, trifling=strongest_first((*apart, *other.trifling)))
 
 
 def _kind(one: Finding) -> tuple[object, ...]:

@@ -58,7 +58,6 @@ _LASTING_ROWS = 0.5
 # A joint rests, or turns, where the direction of its motion is as unsure as this, if its velocity errs so many times as
 # much as it should; so many rests a joint are told apart, the longest ones.
 _RESTS, _REST_STICK, _MOST_RESTS = 0.05, 3.0, 30
-_MOSTLY = 0.5
 # So slow it is then, in standard deviations of its error: 2 sqrt(p (1 - p)) = r where p = (1 - sqrt(1 - r^2)) / 2.
 _SLOW = -float(ndtri(0.5 * (1.0 - math.sqrt(1.0 - _RESTS**2))))
 # What holds a joint that rests for long changes no faster than this [Hz]; so many unknowns a joint tell it.
@@ -167,7 +166,7 @@ class Machine:
             passed = np.linspace(0.0, math.pi, len(at))
             for order in range(1 + int(2.0 * _HOLDS_HZ * len(at) * self.rows.dt_out)):
                 way = np.zeros(len(rest))
-                way[at] = _throughout(rest[at]) * np.cos(order * passed) / (1 + order)
+                way[at] = rest[at] * np.cos(order * passed) / (1 + order)
                 found.append((order, -len(at), way))
         kept = sorted(found, key=lambda one: one[:2])[:_MOST_HOLDS]
         return np.array([way for *_, way in kept]).reshape(len(kept), rests.shape[1])
@@ -368,18 +367,6 @@ class Machine:
     def friction_size(self, joint: int, hyper: Hyper) -> np.ndarray:
         """Return ordinary friction (3,) of a joint whose coefficients are one."""
         return self.friction_std(joint, self.friction_columns(joint, float(hyper.rest_width[joint])))
-
-
-def _throughout(unsure: np.ndarray) -> np.ndarray:
-    """Return how unsure the direction is during one rest (m,): fully, from the first to the last time it mostly is.
-
-    A joint that creeps meanwhile, within what its velocity errs by, is held as much.
-    """
-    mostly = np.flatnonzero(unsure > _MOSTLY)
-    whole = unsure.copy()
-    if len(mostly):
-        whole[mostly[0] : mostly[-1] + 1] = 1.0
-    return whole
 
 
 def _near(rests: np.ndarray) -> np.ndarray:
