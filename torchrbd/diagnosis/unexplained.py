@@ -39,9 +39,8 @@ def unexplained(extended: Extended, findings: Sequence[Finding], proofs: Sequenc
         proofs: what the extended model is worth on held-out time.
     """
     nameless = (*functions(extended), *tones(extended.found), *_drifting(extended.found))
-    told = {j for u in nameless for j in u.joints}
-    named = {j for f in findings for j in f.joints}
-    return (*nameless, *(one for one in _silent(extended, proofs, named) if one.joints[0] not in told))
+    told = {joint for one in (*findings, *nameless) for joint in one.joints}
+    return (*nameless, *_silent(extended, proofs, told))
 
 
 def functions(extended: Extended) -> list[Unexplained]:
@@ -114,10 +113,10 @@ def _left(torque: str, share: float, recording: str | None) -> str:
     return f"a torque of {torque} RMS{only} that no known effect explains{shown}"
 
 
-def _silent(extended: Extended, proofs: Sequence[Proof], named: Collection[str]) -> Iterator[Unexplained]:
+def _silent(extended: Extended, proofs: Sequence[Proof], told: Collection[str]) -> Iterator[Unexplained]:
     """Yield joints whose held-out torque is predicted badly, by errors that have a memory.
 
-    Much of it, or, where nothing has a name, clearly more than the fit itself misses. White errors are noise, of which
+    Much of it, or, where nothing is ``told``, clearly more than the fit itself misses. White errors are noise, of which
     some motions make more than others.
     """
     prepared, x = extended.prepared, extended.model.x
@@ -131,7 +130,7 @@ def _silent(extended: Extended, proofs: Sequence[Proof], named: Collection[str])
             left = f"{percent(unseen.nmse[name])} of the torque variance on held-out time stays unpredicted"
             words = f"{name}: {left}, by errors that last"
             yield Unexplained((name,), (), Where(), 1.0, words + nothing_else)
-        elif name in seen and name not in named and rmse > _LARGER * seen[name]:
+        elif name in seen and name not in told and rmse > _LARGER * seen[name]:
             share = 1.0 - (seen[name] / rmse) ** 2
             times = number(rmse / seen[name])
             words = f"{name}: the torque on held-out time is missed by {times} times what the fit misses elsewhere"
