@@ -104,7 +104,7 @@ TWICE = pd.concat([pd.DataFrame(COLUMNS), pd.DataFrame({"q_a": Q[:, 0]})], axis=
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (pd.DataFrame(COLUMNS).drop(columns="q_b"), "missing columns: q_b .*present: tau_b, t, q_a, tau_a"),
+        (pd.DataFrame(COLUMNS).drop(columns="q_b"), "missing columns: q_b; present: tau_b, t, q_a, tau_a"),
         (pd.DataFrame(Q), "a column is called 0; expected text such as t, q_joint1"),
         (TWICE, "column 'q_a' appears more than once"),
         (pd.DataFrame(COLUMNS)[:0], "there are no rows; 't' is empty"),
