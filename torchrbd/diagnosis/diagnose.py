@@ -78,8 +78,8 @@ def diagnose(
     if worthless and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
         return suspect(asked, settings, progress, suspected, ranked)
     told, alone, base = explain(model), (), ranked
-    full, plainly = told.model, worthless
-    if not worthless and is_refuted(told, asked):
+    full, plainly = told.model, worthless or is_refuted(told, asked)
+    if plainly and told.apart and not worthless:
         # Bodies and friction may have taken the other side of what is set apart.
         told = what_counts(told)
         plainly = not told.model.terms or is_refuted(told, asked)

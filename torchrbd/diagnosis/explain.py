@@ -49,7 +49,7 @@ class Explained:
     findings: tuple[Finding, ...]
     trifling: tuple[Finding, ...]
     model: Extended
-    apart: tuple[Candidate, ...] = ()
+    apart: tuple[Candidate, ...]
 
 
 def explain(extended: Extended) -> Explained:
@@ -91,8 +91,9 @@ def explain(extended: Extended) -> Explained:
         trifling += worded([(term, proven(term, one, [], unseen)) for term, one in more])
         kept = [(term, _judged_as(judged[term], one)) for term, one in left if term in judged]
         kept += [(term, proven(term, one, [t for t, _ in more], unseen)) for term, one in new]
-    apart_still = tuple(term for term in extended.terms if term in others)
-    return Explained(worded(_once(kept, extended.model.columns)), trifling, extended, apart_still)
+        others += [term for term, _ in more]
+    still = tuple(term for term in extended.terms if term in others)
+    return Explained(worded(_once(kept, extended.model.columns)), trifling, extended, still)
 
 
 def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[tuple[Candidate, Finding]]:

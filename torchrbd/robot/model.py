@@ -229,17 +229,11 @@ class RobotModel:
         return eager.inverse_dynamics(self._geometry(q), q, qd, qdd, pi.to(q), gravity.to(q))
 
     def physical_torque(self, q: Tensor, qd: Tensor, qdd: Tensor, theta: Tensor) -> Tensor | None:
-        """Return the torques of bodies by log-Cholesky coordinates in one compiled call, or None where it has none.
+        """Return ``inverse_dynamics`` by log-Cholesky coordinates theta (n_bodies, 10), in one compiled call.
 
-        It has none where a derivative is wanted, and for all but float64 on the CPU.
-
-        Args:
-            q, qd, qdd: (*batch, n_dof) position, velocity, acceleration [rad or m, per s, per s^2].
-            theta: (n_bodies, 10) as of ``torchrbd.from_log_cholesky``.
+        None for all but float64 on the CPU, and where a derivative is wanted.
         """
         self.check(q, qd, qdd)
-        if theta.shape != (self.n_bodies, len(PARAMETERS)):
-            return None
         return compiled.call_physical_torque(self._tables, q, qd, qdd, theta, self._gravity(None))
 
     def mass_matrix(self, q: Tensor, pi: Tensor | None = None) -> Tensor:
@@ -330,11 +324,9 @@ class RobotModel:
             (*batch, 3, n_dof, n_dof): of each torque by each joint's q, qd and qdd.
         """
         self.check(q, qd, qdd)
-        pi = self._parameters(pi)
-        found = compiled.call_torque_slopes(self._tables, q, qd, qdd, pi, self.gravity)
-        if found is not None:
-            return found
-        return eager.torque_slopes(self._geometry(q), q, qd, qdd, pi.to(q), self.gravity.to(q))
+        pi, gravity = self._parameters(pi), self._gravity(None)
+        found = compiled.call_torque_slopes(self._tables, q, qd, qdd, pi, gravity)
+        return eager.torque_slopes(self._geometry(q), q, qd, qdd, pi.to(q), gravity.to(q)) if found is None else found
 
     def origin_slopes(self, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor | None = None) -> Tensor:
         """Return the derivatives of the inverse dynamics with respect to the <origin> of each driving joint.

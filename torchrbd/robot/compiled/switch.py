@@ -66,38 +66,28 @@ def call(kernel: Kernel, tables: Tables, *arguments: Tensor) -> Tensor | None:
         return None
     if torch._C._are_functorch_transforms_active():
         return _transformed(kernel, tables, arguments)
-    # One loop, since this is what a call of one sample spends its time on.
-    dtype, shape, exact, tracked = arguments[0].dtype, arguments[0].shape, True, False
-    for k, x in enumerate(arguments):
-        if type(x) not in _ORDINARY or not x.is_cpu or x.is_neg():
-            return None
-        exact = exact and x.dtype is _EXACT and (k >= kernel.states or x.shape == shape)
-        tracked = tracked or x.requires_grad
+    ordinary, exact, tracked = _seen(kernel, arguments)
+    if not ordinary:
+        return None
+    dtype = arguments[0].dtype
     if not exact:
         if not _fits(kernel, arguments):
             return None
         arguments = _exact(kernel, arguments)
-    if tracked and torch.is_grad_enabled():
-        found = differentiable_value(kernel, tables, *arguments)
-    else:
-        found = kernel.value(tables, *arguments)
+    found = differentiable_value(kernel, tables, *arguments) if tracked else kernel.value(tables, *arguments)
     return found if exact else found.to(dtype)
 
 
 def call_physical_torque(tables: Tables, *arguments: Tensor) -> Tensor | None:
-    """Return the torques of bodies by log-Cholesky coordinates, of q, qd, qdd, theta and gravity, in one call.
+    """Return the torques of bodies by log-Cholesky coordinates, of q, qd, qdd, theta (n_bodies, 10) and gravity.
 
-    It is for one sample at a time, float64 and of no derivative; None elsewhere.
+    One call in place of two, which is what one sample spends its time on. None where a derivative is wanted, but for
+    float64, and in transforms and graphs.
     """
-    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active() or not _is_plainly_run():
+    if not _is_run_as_it_is() or arguments[3].shape != (tables.constants.numel() // 35, 10):
         return None
-    shape, derivative = arguments[0].shape, torch.is_grad_enabled()
-    for k, x in enumerate(arguments):
-        if type(x) not in _ORDINARY or not x.is_cpu or x.is_neg() or x.dtype is not _EXACT:
-            return None
-        if (derivative and x.requires_grad) or (k < INVERSE_DYNAMICS.states and x.shape != shape):
-            return None
-    return physical_torque(tables, *arguments)
+    ordinary, exact, tracked = _seen(INVERSE_DYNAMICS, arguments)
+    return physical_torque(tables, *arguments) if ordinary and exact and not tracked else None
 
 
 def call_torque_slopes(tables: Tables, *arguments: Tensor) -> Tensor | None:
@@ -105,13 +95,32 @@ def call_torque_slopes(tables: Tables, *arguments: Tensor) -> Tensor | None:
 
     None where these shall be differentiated themselves, too, and in transforms and graphs.
     """
-    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active() or not _is_plainly_run():
+    if not _is_run_as_it_is():
         return None
     if not _fits(INVERSE_DYNAMICS, arguments) or any(x.is_neg() for x in arguments):
         return None
     if torch.is_grad_enabled() and any(x.requires_grad for x in arguments):
         return None
     return torque_slopes(tables, *_exact(INVERSE_DYNAMICS, arguments)).to(arguments[0].dtype)
+
+
+def _seen(kernel: Kernel, arguments: tuple[Tensor, ...]) -> tuple[bool, bool, bool]:
+    """Say whether tensors are ordinary ones on the CPU, are float64 with states of one shape, and want derivatives.
+
+    One loop, since this is what a call of one sample spends its time on; nothing else is told of what is not ordinary.
+    """
+    shape, exact, tracked = arguments[0].shape, True, False
+    for k, x in enumerate(arguments):
+        if type(x) not in _ORDINARY or not x.is_cpu or x.is_neg():
+            return False, False, False
+        exact = exact and x.dtype is _EXACT and (k >= kernel.states or x.shape == shape)
+        tracked = tracked or x.requires_grad
+    return True, exact, tracked and torch.is_grad_enabled()
+
+
+def _is_run_as_it_is() -> bool:
+    """Say whether kernels may be called here, neither for a graph nor by a transform."""
+    return not (torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active()) and _is_plainly_run()
 
 
 def _is_plainly_run() -> bool:
