@@ -148,7 +148,7 @@ def test_rows_that_least_squares_sees_are_those_of_a_noise_without_memory(fit: L
 @pytest.fixture(scope="module")
 def sticking() -> Likelihood:
     """Learn of an arm whose first joint stops at each reversal, its drive pushing it from one side to the other."""
-    moved, hold, every = multisine(2, 5, duration_s=20.0, rate_hz=1000.0), 70, 10
+    moved, hold, every = multisine(2, 5, duration_s=22.0, rate_hz=1000.0), 70, 10
     turns = np.flatnonzero(np.diff(np.sign(moved.qd[:, 0])))
     at = np.repeat(np.arange(len(moved.t)), 1 + hold * np.isin(np.arange(len(moved.t)), turns))[: len(moved.t)]
     rests = np.diff(at, append=at[-1] + 1) == 0
@@ -341,7 +341,7 @@ def test_machine_of_trusted_bodies_has_friction_alone() -> None:
     assert len(A) == len(own)
     assert own.min() == 0
     rests = sum(len(machine.resting(j)) for j in range(2))
-    assert machine.n == 2 * (9 + 2 + len(machine.drifting(0)) + 1) + 2 + rests
+    assert machine.n == 2 * (10 + 2 + len(machine.drifting(0)) + 1) + 1 + rests
     assert isinstance(rows.columns, Columns)
 
 
