@@ -21,7 +21,15 @@ from torchrbd.diagnosis.results import (
     Where,
 )
 from torchrbd.diagnosis.verdict_words import ended_statement, verdict_statement
-from torchrbd.diagnosis.words import all_or_some, alternatives, finding_sentence, guessed, strongest_first, when
+from torchrbd.diagnosis.words import (
+    all_or_some,
+    alternatives,
+    finding_sentence,
+    guessed,
+    more_values,
+    strongest_first,
+    when,
+)
 from torchrbd.inference.torque_error import Fit
 
 JOINTS = tuple(f"joint{k}" for k in range(1, 8))
@@ -254,6 +262,14 @@ def test_a_sentence_holds_the_first_few_of_many_quantities() -> None:
     assert finding_sentence(finding("payload", links=("hand",), parameters=ten)) == (
         "hand: payload, p 0 0 kg, p 1 1.00 kg, p 2 2.00 kg, p 3 3.00 kg."
     )
+
+
+def test_a_sentence_names_properties_of_the_robot_alone() -> None:
+    """Below which frequencies a recording shows a delay is a number of the recording."""
+    quantities = {"delay": Quantity(0.006, 0.0005, "s"), "step": Quantity(0.006, 0.0, "s")}
+    told = finding("time_delay", "joint1", parameters={**quantities, "bandwidth": Quantity(12.0, 3.0, "Hz")})
+    assert finding_sentence(told).startswith("joint1: time delay of the torque, 0.0060 ± 0.0010 s (± 95 %).")
+    assert more_values(told) == 0
 
 
 def test_a_sentence_says_where_no_number_is_told_from_zero() -> None:

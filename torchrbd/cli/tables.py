@@ -16,7 +16,7 @@ from torchrbd.diagnosis.changes.words import certainty, signed
 from torchrbd.diagnosis.numbers import number, unit
 from torchrbd.diagnosis.numbers import percent as exact_percent
 from torchrbd.diagnosis.results import Where
-from torchrbd.diagnosis.words import guessed, place, values, when
+from torchrbd.diagnosis.words import guessed, more_values, place, values, when
 from torchrbd.effects import Effect
 from torchrbd.export.check import FileCheck
 from torchrbd.inference import Identification
@@ -47,7 +47,7 @@ def print_diagnosis(result: Diagnosis) -> None:
     if special:
         table = Table(_whole("where"), Column("missing", overflow="fold"), "value ± 95 %", _right("probability"))
         for f in special:
-            more = len(f.parameters) - len(values(f))
+            more = more_values(f)
             quantities = "\n".join([*values(f), *([f"{more} more in diagnosis.json"] if more else [])])
             inside = "\n".join((place(f), *_times(f.where, len(result.identification.recordings))))
             table.add_row(Text(inside), Text(guessed(f)), Text(quantities), percent(f.probability))

@@ -114,11 +114,21 @@ def values(finding: Finding) -> list[str]:
     return found if len(found) <= _MOST_VALUES else found[:_FEW_VALUES]
 
 
-def _known(finding: Finding) -> dict[str, Quantity]:
-    """Return the quantities of a finding that have a value, but those that follow from others."""
+def _properties(finding: Finding) -> dict[str, Quantity]:
+    """Return the quantities of a finding but those that follow from others or are of the data."""
     own = known_effects().get(finding.effect)
-    follow = () if own is None else own.follows
-    return {name: q for name, q in finding.parameters.items() if not math.isnan(q.value) and name not in follow}
+    aside = () if own is None else (*own.follows, *own.of_the_data)
+    return {name: q for name, q in finding.parameters.items() if name not in aside}
+
+
+def _known(finding: Finding) -> dict[str, Quantity]:
+    """Return those that have a value."""
+    return {name: q for name, q in _properties(finding).items() if not math.isnan(q.value)}
+
+
+def more_values(finding: Finding) -> int:
+    """Return how many quantities of a finding ``values`` leaves out."""
+    return len(_properties(finding)) - len(values(finding))
 
 
 def finding_sentence(finding: Finding, *, more: bool = False) -> str:
@@ -128,7 +138,7 @@ def finding_sentence(finding: Finding, *, more: bool = False) -> str:
         finding: what was found.
         more: whether it comes on top of the same effect in all recordings.
     """
-    quantities, where = finding.parameters.items(), finding.where
+    quantities, where = _properties(finding).items(), finding.where
     if any(q.value in (r.low, r.high) for _, q in quantities for r in where.region or ()):
         where = Where(where.recordings, where.time_s)
     inside = when(where)
@@ -157,7 +167,7 @@ def most_changed(finding: Finding) -> str | None:
 def _untold(finding: Finding) -> str:
     """Say that no number is told from zero; of several correlated ones, all may still be."""
     numbers = _known(finding).values()
-    if len(finding.parameters) < 2 or any(abs(q.value) >= 1.96 * q.std for q in numbers):
+    if len(_properties(finding)) < 2 or any(abs(q.value) >= 1.96 * q.std for q in numbers):
         return ""
     return "No number of it is told from zero; together they are."
 

@@ -98,6 +98,7 @@ class Effect(ABC):
         kinds: shape parameters that choose between kinds, such as the side of a stop: none lies between two of them.
         several: True if a joint may have more than one of them, such as two stops.
         follows: shape parameters that follow from the coefficients, see ``agreeing``.
+        of_the_data: shape parameters that say which part of it recordings tell, no property of a robot.
         needs: what a recording must hold beside positions and torques, in words.
         export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
         exported_in_part: True if what ``mjcf`` writes makes a part of the torque only; ``export_note`` says which.
@@ -123,6 +124,7 @@ class Effect(ABC):
     kinds: ClassVar[tuple[str, ...]] = ()
     several: ClassVar[bool] = False
     follows: ClassVar[tuple[str, ...]] = ()
+    of_the_data: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[str] = ""
     export_note: ClassVar[str] = ""
     exported_in_part: ClassVar[bool] = False

@@ -45,6 +45,7 @@ class JointElasticity(Effect):
     uses_load = True
     has_memory = True
     follows = ("compliance",)
+    of_the_data = ("bandwidth",)
     prior = CoefficientPrior("A spring yields in the direction that it is loaded in.", positive=(0,))
     export_note = "a second joint on the axis, with this stiffness, between the rotor (a body of its own) and the link"
     _FURTHEST, _ORDERS = 0.2, 3

@@ -37,6 +37,7 @@ class TimeDelay(Effect):
     has_memory = True
     sees_friction = True
     follows = ("step",)
+    of_the_data = ("bandwidth",)
     shifts_clocks = True
     prior = CoefficientPrior("Some samples of a field bus, early or late.", std=(0.02,))
     export_note = "delays need a history: nsample = delay / timestep; of one joint or, for the whole robot, of all"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from torchrbd.diagnosis.numbers import measure, unit
 from torchrbd.diagnosis.results import Diagnosis, Finding
-from torchrbd.diagnosis.words import at, guessed, place, values, when
+from torchrbd.diagnosis.words import at, guessed, more_values, place, values, when
 from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
 from torchrbd.report.templates import environment
@@ -115,7 +115,7 @@ class Card:
 def _row(finding: Finding) -> Row:
     inside = when(finding.where)
     told = values(finding)
-    more = len(finding.parameters) - len(told)
+    more = more_values(finding)
     return Row(
         place(finding) + (f" ({inside})" if inside else ""),
         guessed(finding),
