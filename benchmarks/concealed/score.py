@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, NamedTuple
 
-from torchrbd.effects.registry import PLAIN_OR_UNEVEN
+from torchrbd.effects.registry import PLAIN_OR_UNEVEN, effect
 
 from .matching import RIGID_BODY, Judgement, covers, judge, new_findings, relation
 from .overlap import end_errors, interval_iou, region_iou
@@ -42,6 +42,7 @@ class EffectScore:
         window_iou, region_iou: overlap over union of times and of signal ranges.
         errors: of parameters, relative; ``shape_errors`` of those that the torque is not proportional to.
         covered: whether each parameter lies in its 95 % interval.
+        family: of an injected effect: in class, or another effect of its family is new at its joint or link.
     """
 
     effect: str
@@ -59,6 +60,7 @@ class EffectScore:
     errors: tuple[float, ...] = ()
     shape_errors: tuple[float, ...] = ()
     covered: tuple[bool, ...] = ()
+    family: bool = False
 
 
 class Judged(NamedTuple):
@@ -166,6 +168,9 @@ def score_injected(
     before = [(u["joints"], u["depends_on"][:1]) for u in baseline.get("unexplained", ())]
     left = [u for u in diagnosis.get("unexplained", ()) if (u["joints"], u["depends_on"][:1]) not in before]
     score = score_case(truth, {**diagnosis, "findings": new, "unexplained": left}, seconds)
+    kin = [any(_is_kin(f, e) for f in new) for e in truth["effects"]]
+    effects = (replace(e, family=e.in_class or near) for e, near in zip(score.effects, kin, strict=True))
+    score = replace(score, effects=tuple(effects))
     if told is None:
         return score
     return replace(
@@ -200,6 +205,12 @@ def _effect_score(true: Json, diagnosis: Json, truth: Json, named: tuple[Json, J
     return (
         replace(result, **parameter_errors(true["parameters"], finding["parameters"])) if exact and finding else result
     )
+
+
+def _is_kin(finding: Json, true: Json) -> bool:
+    """Say whether a finding is of a concealed effect's family, at its joint or link."""
+    near = any(set(finding[key]) & set(true[key]) for key in ("joints", "links"))
+    return near and finding["family"] == effect(true["effect"]).family
 
 
 def _located(diagnosis: Json) -> list[Json]:

@@ -9,6 +9,8 @@ from concealed.overlap import end_errors, interval_iou, region_iou
 from concealed.score import score_case, score_injected
 from concealed.tables import case_figures, must_hold
 
+from torchrbd.effects import known_effects
+
 JOINTS = ["a", "b", "c"]
 NOWHERE = {"recordings": None, "time_s": None, "region": None}
 
@@ -33,6 +35,7 @@ def finding(name: str, *joints: str, probability: float = 0.95, links: tuple[str
     entry = {
         "effect": name, "joints": list(joints), "links": list(links), "probability": probability, "parameters": {},
         "where": NOWHERE, "indistinguishable_from": [], "log_evidence_gain": 50.0,
+        "family": known_effects()[name].family if name in known_effects() else "unknown",
     }  # fmt: skip
     return {**entry, **changed}
 
@@ -300,6 +303,14 @@ def test_what_contains_the_friction_that_was_there_is_new_if_it_names_the_inject
     assert score is not None
     assert score.effects[0].exact
     assert not score.false
+
+
+@pytest.mark.parametrize(("told", "near"), [("load_dependent_friction", True), ("joint_spring", False)])
+def test_injected_may_be_found_by_its_family(told: str, near: bool) -> None:
+    case = truth(effect("stribeck_friction", "b"), tier="injected", baseline="0")
+    score = score_injected(case, diagnosis(finding(told, "b"), finding(told, "a")), diagnosis(), 1.0)
+    assert score is not None
+    assert (score.effects[0].in_class, score.effects[0].family) == (False, near)
 
 
 def test_injected_is_not_judged_if_it_was_there_before() -> None:
