@@ -171,6 +171,26 @@ def test_held_out_time_that_contradicts_a_finding_sets_it_apart(
     assert is_trifling(one, SimpleNamespace(prepared=prepared)) is trifling  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("recordings", "trifling"), [(None, False), (("a",), True)])
+def test_what_acts_on_several_joints_for_a_time_is_judged_by_all_of_them(
+    recordings: tuple[str, ...] | None, trifling: bool
+) -> None:
+    """A force that one joint's held-out time seems to show, and the other's contradicts by more."""
+    one = replace(
+        finding("external_wrench", "hinge"),
+        joints=(),
+        where=Where(recordings),
+        nmse_before={"hinge": 0.1, "slide": 0.3},
+        nmse_after={"hinge": 0.05, "slide": 0.4},
+        torque_rms={"hinge": 1.0, "slide": 1.0},
+    )
+    torque = torch.tensor([[[100.0, 0.0, 100.0], [100.0, 0.0, 100.0]]], dtype=torch.float64)
+    robot = SimpleNamespace(joint_names=("hinge", "slide"))
+    prepared = SimpleNamespace(training=SimpleNamespace(torque=torque), robot=robot)
+    assert is_trifling(one, SimpleNamespace(prepared=prepared)) is trifling  # type: ignore[arg-type]
+    assert one.share_of_all == pytest.approx(-0.125)
+
+
 @pytest.mark.parametrize(("joints", "trifling"), [(("hinge",), True), (("slide",), False), ((), False)])
 def test_what_carries_little_of_its_own_joints_torque_is_trifling(joints: tuple[str, ...], trifling: bool) -> None:
     """What it moves at others is no matter; what sits at no joint acts on all."""

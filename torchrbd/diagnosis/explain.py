@@ -42,7 +42,8 @@ class Explained:
     Attributes:
         findings: that count, the largest gain first.
         trifling: others that are as certain, but trifling, all of these together.
-        model: without laws of friction that are trifling: what they take is ordinary friction's, which is told.
+        model: without laws of friction that are trifling: what they take is ordinary friction's, which is told; and
+            without what held-out time contradicts.
         apart: terms of the model that are trifling.
     """
 
@@ -80,7 +81,9 @@ def explain(extended: Extended) -> Explained:
     kept = [(term, proven(term, one, others, own_time)) for term, one in kept]
     # What its own time shows is set apart where held-out time is told worse with it.
     trifling = worded([(term, proven(term, one, [], unseen)) for term, one in apart])
-    gone = {term for term in others if term in extended.terms and term.effect.family == _FRICTION}
+    # What laws of friction take is ordinary friction's; what held-out time contradicts is nobody's.
+    leave = {term for term, one in apart if term.effect.family == _FRICTION or _contradicted(one)}
+    gone = leave.intersection(extended.terms)
     if gone:
         extended = extended.without(gone)
         fits, judged = _Fits(extended), dict(kept)
@@ -238,15 +241,21 @@ def is_trifling(finding: Finding, extended: Extended) -> bool:
     """Say whether held-out time does not show a finding, or hardly, and it carries next to none of its joint's torque.
 
     Other inertial parameters, or other friction, do as well then. Of what acts for a time only, or in some recordings,
-    held-out time may have seen nothing; but then it changes nothing there, and does not make it worse.
+    held-out time may have seen nothing; but then it changes nothing there, and does not make it worse. All joints that
+    a force acts on are judged together then.
     """
-    if finding.share < (NO_CHANGE if finding.where.recordings is None else -NO_CHANGE):
+    if _contradicted(finding) or (finding.where.recordings is None and finding.share < NO_CHANGE):
         return True
     torque = extended.prepared.training.torque.sum(0)
     rms = dict(zip(extended.prepared.robot.joint_names, (torque[:, 2] / torque[:, 0]).sqrt().tolist(), strict=True))
     own = {joint: x for joint, x in finding.torque_rms.items() if joint in finding.joints} or finding.torque_rms
     small = all(carried < LEAST_TORQUE * rms[joint] for joint, carried in own.items())
     return small and finding.share < _LEAST_SHARE
+
+
+def _contradicted(finding: Finding) -> bool:
+    """Say whether held-out time is told worse, all joints together, with what acts for a time or in some recordings."""
+    return finding.where.recordings is not None and finding.share_of_all < -NO_CHANGE
 
 
 def _sure(extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from torchrbd.diagnosis.ranking import Ranking
@@ -122,6 +123,13 @@ class Finding:
         """The part of its joint's squared error that it removes where it is judged, the largest of several joints."""
         shares = [1.0 - self.nmse_after[j] / b for j, b in self.nmse_before.items() if b > 0 and j in self.nmse_after]
         return max(shares, default=0.0)
+
+    @property
+    def share_of_all(self) -> float:
+        """The same of all these joints taken together."""
+        both = [(b, self.nmse_after[j]) for j, b in self.nmse_before.items() if j in self.nmse_after]
+        before, after = (math.fsum(each) for each in zip(*both, strict=True)) if both else (0.0, 0.0)
+        return 1.0 - after / before if before > 0 else 0.0
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from torchrbd.likelihood.shapes import varied
 
 # Hypotheses whose shapes are refined and whose noise is learnt anew, at each step.
 _LEADING = 5
-MOST_TERMS = 12
+MOST_TERMS = 24
 # Rivals of a term that are looked at beside all others, and those of them that are judged; sweeps over all terms.
 _RIVALS, _JUDGED, _SWEEPS = 12, 3, 2
 # How often the likeliest of several rivals may turn out to be another one.
