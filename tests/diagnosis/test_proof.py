@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -151,6 +152,13 @@ def test_its_interval_holds_one_where_what_was_found_is_right() -> None:
     assert 0.8 * held <= hit
 
 
+def of_joints(*names: str) -> Any:
+    """Return what a finding is judged beside: joints whose torque is 1 N m RMS."""
+    torque = torch.tensor([[100.0, 0.0, 100.0]], dtype=torch.float64).expand(1, len(names), 3)
+    prepared = SimpleNamespace(training=SimpleNamespace(torque=torque), robot=SimpleNamespace(joint_names=names))
+    return SimpleNamespace(prepared=prepared)
+
+
 @pytest.mark.parametrize(
     ("recordings", "after", "trifling"),
     [(None, 0.05, False), (None, 0.1, True), (("a",), 0.05, False), (("a",), 0.1, False), (("a",), 0.11, True)],
@@ -166,9 +174,7 @@ def test_held_out_time_that_contradicts_a_finding_sets_it_apart(
         nmse_after={"hinge": after},
         torque_rms={"hinge": 1.0},
     )
-    torque = torch.tensor([[[100.0, 0.0, 100.0]]], dtype=torch.float64)
-    prepared = SimpleNamespace(training=SimpleNamespace(torque=torque), robot=SimpleNamespace(joint_names=("hinge",)))
-    assert is_trifling(one, SimpleNamespace(prepared=prepared)) is trifling  # type: ignore[arg-type]
+    assert is_trifling(one, of_joints("hinge")) is trifling
 
 
 @pytest.mark.parametrize(("recordings", "trifling"), [(None, False), (("a",), True)])
@@ -184,10 +190,7 @@ def test_what_acts_on_several_joints_for_a_time_is_judged_by_all_of_them(
         nmse_after={"hinge": 0.05, "slide": 0.4},
         torque_rms={"hinge": 1.0, "slide": 1.0},
     )
-    torque = torch.tensor([[[100.0, 0.0, 100.0], [100.0, 0.0, 100.0]]], dtype=torch.float64)
-    robot = SimpleNamespace(joint_names=("hinge", "slide"))
-    prepared = SimpleNamespace(training=SimpleNamespace(torque=torque), robot=robot)
-    assert is_trifling(one, SimpleNamespace(prepared=prepared)) is trifling  # type: ignore[arg-type]
+    assert is_trifling(one, of_joints("hinge", "slide")) is trifling
     assert one.share_of_all == pytest.approx(-0.125)
 
 
@@ -201,10 +204,7 @@ def test_what_carries_little_of_its_own_joints_torque_is_trifling(joints: tuple[
         nmse_after={"hinge": 0.1, "slide": 0.095},
         torque_rms={"hinge": 0.005, "slide": 0.02},
     )
-    torque = torch.tensor([[[100.0, 0.0, 100.0], [100.0, 0.0, 100.0]]], dtype=torch.float64)
-    robot = SimpleNamespace(joint_names=("hinge", "slide"))
-    prepared = SimpleNamespace(training=SimpleNamespace(torque=torque), robot=robot)
-    assert is_trifling(one, SimpleNamespace(prepared=prepared)) is trifling  # type: ignore[arg-type]
+    assert is_trifling(one, of_joints("hinge", "slide")) is trifling
 
 
 def test_of_findings_that_stand_in_for_each_other_one_is_told() -> None:
