@@ -71,18 +71,14 @@ def recorded(play: float, motor_friction: float = 0.0, link_friction: float = 0.
     return Recording.from_arrays("play", ["shoulder", "elbow"], t, q.T, tau.T)
 
 
-# Flights are fast, and at the elbow alone: since what is fast of each joint's load has a time of its own.
-OWN_TIME = pytest.mark.xfail(strict=True, reason="a delay is told beside it, or a seventh of its size")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("play", "friction"),
     [
         (0.002, {}),
-        pytest.param(0.01, {"motor_friction": 0.1}, marks=OWN_TIME),
+        (0.01, {"motor_friction": 0.1}),
         (0.01, {"link_friction": 0.1}),
-        pytest.param(0.015, {}, marks=OWN_TIME),
+        (0.015, {}),
         (0.02, {}),
     ],
 )
@@ -97,7 +93,7 @@ def test_play_is_named(play: float, friction: dict[str, float]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("play", [0.003, pytest.param(0.01, marks=OWN_TIME)])
+@pytest.mark.parametrize("play", [0.003, 0.01])
 def test_nothing_is_named_in_its_place(play: float) -> None:
     result = torchrbd.diagnose(URDF, recorded(play, motor_friction=0.05), exclude=["backlash"])
     assert {(f.effect, f.joints) for f in result.findings} == {
