@@ -17,7 +17,7 @@ from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates, remembere
 from torchrbd.likelihood.noise import Noise
 
 # So coloured that least squares loses something in every direction.
-PREDICTOR, SIGMA, DRAWS = np.array([1.5, -0.7]), 0.01, 200
+PREDICTOR, SIGMA, DRAWS = np.array([1.5, -0.7]), 0.01, 300
 
 
 @lru_cache(maxsize=1)

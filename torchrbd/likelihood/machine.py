@@ -7,8 +7,9 @@
           + sum_e (c sum_k h_ek u_e(t) cos(k pi s_e) / (1 + k) + t_e d(c g)/dt)
                                                             each rest or reversal, s_e from 0 to 1 while it lasts: what
                                                             friction holds, and when it turns
-          + t0 d(tau_s)/dt + t_j F d(tau_load)/dt           one offset t0 between the clocks of torque and motion; F is
-                                                            what is fast, and its time is each joint's own
+          + t0 d(tau_s)/dt + (t1 + t_j b) F d(tau_load)/dt  one offset t0 between the clocks of torque and motion; F is
+                                                            what is fast, which tells less of it if it is noise, and b
+                                                            is 1 where any joint breaks away
           + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
                                                             what the fastest part of each joint's motion is worth
           + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
@@ -18,8 +19,8 @@
 The fastest part of the differentiated positions is encoder noise as well as motion. As far as there is noise within the
 band, the torques of all joints tell how much of it is motion, joint by joint: q + a d^2q/dt^2 is q with its highest
 frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4).
-What is fast of a load is such noise, too, and what a joint does as it breaks away, which smoothed positions pass over:
-it seems to come at a time of each joint's own (t_j), which is none of the clocks'.
+What is fast of a load is such noise, too. As a joint breaks away, which smoothed positions pass over, what is fast of
+all loads seems to come at a time of each joint's own (t_j), which is none of the clocks'.
 Friction keeps its sharp edges, but for this: at a reversal a joint rests while its friction turns from one side to the
 other, which the differentiated positions, smoothed, pass over. The drive pushes harder and harder until the joint
 breaks away, so that friction follows a straight line: g' is g with straight lines across rests, shorter or longer ones.
@@ -64,7 +65,8 @@ _RESTS, _REST_STICK, _MOST_RESTS = 0.05, 3.0, 30
 _SLOW = -float(ndtri(0.5 * (1.0 - math.sqrt(1.0 - _RESTS**2))))
 # What holds a joint that rests for long changes no faster than this [Hz]; so many unknowns a joint tell it.
 _HOLDS_HZ, _MOST_HOLDS = 5.0, 60
-# Standard deviation of the moment at which friction turns, in samples, and how far around it that is felt [rows].
+# Standard deviation of the moment at which friction turns, in samples, and how far around it, or a rest, that is felt
+# [rows].
 _TURNS_SAMPLES, _FELT_ROWS = 0.5, 6
 # Friction of a joint may take all of its torque; its sign change may be wider or narrower by this part.
 _WIDTH_STD, _WIDTH_STEP = 0.5, 1.1
@@ -108,7 +110,9 @@ class Machine:
         self._carried = np.einsum("mjk,k->jm", mass**2, rows.encoder_std**2)
         self._undirected = {k: rows.evaluated(partial(self._direction_std, k)) for k in STICKS}
         self._resting = [self._rests(j) for j in range(rows.n_dof)]
-        ends = len(self.inertial) + rows.n_dof * (self._local + 1) + len(self._inside)
+        rest = np.any(self._undirected[_REST_STICK] > _RESTS, axis=0)
+        self._breaking = maximum_filter1d(rest.astype(float), 2 * _FELT_ROWS + 1)
+        ends = len(self.inertial) + rows.n_dof * (self._local + 1) + 2 * len(self._inside)
         self._around = [_near(rest) for rest in self._resting]
         self._holding = [self._holds(rest) for rest in self._resting]
         both = zip(self._holding, self._around, strict=True)
@@ -227,7 +231,7 @@ class Machine:
     @property
     def timing(self) -> np.ndarray:
         """Where the coefficients of the clocks' offsets stand, one a recording."""
-        return self._rest_at[0] - len(self._inside) + np.arange(len(self._inside))
+        return self._rest_at[0] - 2 * len(self._inside) + np.arange(len(self._inside))
 
     @property
     def timing_std(self) -> float:
@@ -328,15 +332,17 @@ class Machine:
             lasting = 0.5 * (_LASTING_ROWS * self.rows.dt_out) ** 2
             late, long = slopes[-_ROUNDING - 2 : -_ROUNDING, joint]
             fast = self.timing_std * self.rows.noise_share[joint] * slopes[1, joint]
-            parts.append(np.stack((self.rows.dt * late, lasting * long, fast, *slopes[-_ROUNDING:, joint])))
+            own = lasting * long, self._breaking * fast, *slopes[-_ROUNDING:, joint]
+            parts.append(np.stack((self.rows.dt * late, *own)))
             places.append(local[-1] + 1 + np.arange(3 + _ROUNDING))
             average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
             fastest = slopes[2 : -_ROUNDING - 2, joint]
             felt = np.flatnonzero(fastest.any(axis=1))
             parts.append(fastest[felt] * average[felt, None])
             places.append(self.averaging[felt])
-            parts.append(self.timing_std * slopes[0, joint] * np.array(self._inside))
-            places.append(self.timing)
+            inside = np.array(self._inside)
+            parts += [self.timing_std * slopes[0, joint] * inside, fast * inside]
+            places += [self.timing, self.timing + len(inside)]
             parts.append(coulomb * self._holding[joint])
             parts.append(_TURNS_SAMPLES * self.rows.dt * late * self._around[joint])
             places.append(self.resting(joint))
