@@ -80,6 +80,7 @@ def recorded(play: float, motor_friction: float = 0.0, link_friction: float = 0.
         (0.01, {"link_friction": 0.1}),
         (0.015, {}),
         (0.02, {}),
+        (0.05, {}),
     ],
 )
 def test_play_is_named(play: float, friction: dict[str, float]) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, agreed, averaged, mean_of, told
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, agreed, averaged, mean_of, told
 from torchrbd.diagnosis.stretches import in_recordings, in_windows, located
 from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.columns import Candidate
@@ -67,6 +67,19 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
         at = max(found, key=lambda one: one.log_evidence)
     mean = float(np.logaddexp(rest, cell - math.log(h.tried)))
     return replace(at, log_evidence=mean, tried=h.tried, paid=mean - at.log_evidence)
+
+
+def restarted(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis | None:
+    """Return a hypothesis at the shape, on its grid or near it, that leads beside independent rows; None without any.
+
+    What is not explained has coloured the noise, which hides the shape that explains it.
+    """
+    c, plain = h.candidate, fit.least_squares
+    if c.site.window is not None or not varied(rows.columns, c):
+        return None
+    grid = [rows.columns.candidate(c.effect, c.site, shape) for shape in c.effect.shapes(rows.columns.scale(c.site))]
+    best = averaged(plain, rows, grid)
+    return None if best is None else again(fit, rows, replace(refined(plain, rows, best), paid=h.paid))
 
 
 def _or_agreeing(fit: Likelihood, rows: Rows, one: Hypothesis) -> Hypothesis:

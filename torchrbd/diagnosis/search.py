@@ -16,7 +16,7 @@ import numpy as np
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
-from torchrbd.diagnosis.screening import refined, screened
+from torchrbd.diagnosis.screening import refined, restarted, screened
 from torchrbd.diagnosis.sharpening import sharpened
 from torchrbd.diagnosis.weighing import at_a_glance, learnt_with, with_own_noise
 from torchrbd.effects import Effect, Site
@@ -25,7 +25,7 @@ from torchrbd.effects.smooth_torque import HUM
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
-from torchrbd.likelihood.shapes import varied
+from torchrbd.likelihood.shapes import in_one_cell, varied
 
 # Hypotheses whose shapes are refined and whose noise is learnt anew, at each step.
 _LEADING = 5
@@ -145,8 +145,9 @@ class _Search:
             if lead <= done:
                 break
             for k in lead - done:
-                h = sharpened(fit, self.rows, found[k]) if sharp else found[k]
-                now[k] = with_own_noise(fit, self.rows, h)
+                ways = self.shaped(fit, found[k]) if sharp else [found[k]]
+                weighed = [with_own_noise(fit, self.rows, h) for h in ways]
+                now[k] = max(weighed, key=lambda h: h.log_evidence)
             done |= lead
         return self.side_by_side(fit, now, done)
 
@@ -236,7 +237,7 @@ class _Search:
             before, self.rows = self.rows, carried(fit)
             onwards = self.reshaped(base, chosen)
             now = self.with_terms(base, onwards)
-            if now.log_evidence <= fit.log_evidence + _SAME:
+            if now.log_evidence <= fit.dispersed(now.hyper.dispersion).log_evidence + _SAME:
                 self.rows = before
                 break
             fit, chosen = now, onwards
@@ -249,9 +250,18 @@ class _Search:
             if h.candidate.effect.uses_load and varied(self.rows.columns, h.candidate):
                 others = [*found[:k], *found[k + 1 :]]
                 rest = self.with_terms(base, others) if others else base
-                own, sharp = again(rest, self.rows, h), sharpened(rest, self.rows, h)
-                found[k] = sharp if own is None else max(own, sharp, key=lambda one: one.log_evidence)
+                own = again(rest, self.rows, h)
+                ways = [*self.shaped(rest, h), *([] if own is None else [own])]
+                weighed = [with_own_noise(rest, self.rows, one) for one in ways]
+                found[k] = max(weighed, key=lambda one: one.log_evidence)
         return found
+
+    def shaped(self, fit: Likelihood, h: Hypothesis) -> list[Hypothesis]:
+        """Return a hypothesis at the best shape that is found from its own, and from that of independent rows."""
+        own, start = sharpened(fit, self.rows, h), restarted(fit, self.rows, h)
+        if start is None or in_one_cell(self.rows.columns, start.candidate, own.candidate):
+            return [own]
+        return [own, sharpened(fit, self.rows, start)]
 
     def felt_through(self, fit: Likelihood, k: int, h: Hypothesis) -> Likelihood:
         """Return a model whose bodies act through its k-th term too, if that shows them."""

@@ -61,7 +61,7 @@ class Backlash(Effect):
     export_note = (
         "a second joint on the axis, with range +-backlash/2, between the rotor (a body of its own) and the link"
     )
-    _SMALLEST, _LARGEST, _GRID_POINTS = 2e-4, 4e-2, 15
+    _SMALLEST, _LARGEST, _GRID_POINTS = 2e-4, 1.2e-1, 22
     # Flights that take longer, or less, by half: gears yield, and what a link weighs is not known well.
     _MOST_APART = 1.5**3
 

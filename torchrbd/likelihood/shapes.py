@@ -111,6 +111,13 @@ def varied(columns: Columns, term: Candidate) -> dict[str, Axis]:
     return {name: axis for name, axis in axes(columns, term).items() if axis.reach > 0}
 
 
+def in_one_cell(columns: Columns, one: Candidate, other: Candidate) -> bool:
+    """Say whether two candidates of an effect at a site are of one kind, their shapes side by side on its grid."""
+    kinds = all(one.shape[name] == other.shape[name] for name in one.effect.kinds)
+    reach = {name: axis.limits(one.shape[name]) for name, axis in varied(columns, one).items()}
+    return kinds and all(low <= other.shape[name] <= high for name, (low, high) in reach.items())
+
+
 def _thinned(values: Sequence[float], most: int) -> tuple[float, ...]:
     """Return at most so many of ascending values, the ends among them."""
     n = min(most, len(values))
