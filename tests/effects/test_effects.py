@@ -96,7 +96,9 @@ class TestEveryEffect:
         assert effect.prevalence in ("ubiquitous", "common", "rare")
         assert effect.prevalence != "ubiquitous" or effect.id in PLAIN_OR_UNEVEN
         w, shape = effect.coefficients(sizes(effect))
-        assert len(effect.units) == len(w) + len(shape)
+        told = shape.keys() & effect.units.keys()
+        assert len(effect.units) == len(w) + len(told)
+        assert shape.keys() - told <= set(effect.follows)
 
     def test_units_are_complete(self, effect: Effect) -> None:
         w, shape = effect.coefficients(sizes(effect))

@@ -145,7 +145,7 @@ class _Search:
             if lead <= done:
                 break
             for k in lead - done:
-                ways = self.shaped(fit, found[k]) if sharp else [found[k]]
+                ways = self.shaped(fit, found[k]) if sharp or found[k].candidate.effect.follows else [found[k]]
                 weighed = [with_own_noise(fit, self.rows, h) for h in ways]
                 now[k] = max(weighed, key=lambda h: h.log_evidence)
             done |= lead
@@ -247,7 +247,7 @@ class _Search:
         """Return hypotheses; those that act through the load with the shapes that it asks for beside all others."""
         found = list(chosen)
         for k, h in enumerate(found):
-            if h.candidate.effect.uses_load and varied(self.rows.columns, h.candidate):
+            if h.candidate.effect.uses_load and (varied(self.rows.columns, h.candidate) or h.candidate.effect.follows):
                 others = [*found[:k], *found[k + 1 :]]
                 rest = self.with_terms(base, others) if others else base
                 own = again(rest, self.rows, h)
@@ -340,7 +340,7 @@ class _Search:
                     chosen, seen = [*chosen, best], [*seen, [own]]
                     term = Term(own, tuple(h for h in term.rivals if h is not best))
                 elif best is not own:
-                    others = [h for h in (chosen[k], *seen[k]) if h.candidate != best.candidate]
+                    others = [h for h in (chosen[k], *seen[k]) if _alike(h) != _alike(best)]
                     chosen, seen = [*chosen[:k], best, *chosen[k + 1 :]], [*seen[:k], others, *seen[k + 1 :]]
                     term = Term(best, tuple(self.ordered([h for h in (own, *term.rivals) if h is not best])))
                 terms.append(term)

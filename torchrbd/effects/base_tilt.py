@@ -6,22 +6,24 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from torchrbd.effects.base import CoefficientPrior, Mjcf, Shape, ShowsBodies
 from torchrbd.effects.mjcf import quaternion
-from torchrbd.effects.placed import telling
+from torchrbd.effects.placed import about, telling
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 
 class BaseTilt(ShowsBodies):
-    """tau += G(q, -theta x g): the base is turned by the rotation vector theta = (tilt_x, tilt_y, 0), in its own axes.
+    """tau += G(q, -theta x g'): the base is turned by the rotation vector theta = (tilt_x, tilt_y, 0), in its own axes.
 
-    G(q, g) is the torque that gravity g takes, linear in g. In the base's axes gravity becomes exp(-[theta]x) g, to
-    first order g - theta x g: the error is theta / 2 of the effect, 2 % at .04 rad. A turn about gravity is not seen.
-    If the assumed gravity lies along x or y, the two tilts are about the next two axes in cyclic order.
+    G(q, g) is the torque that gravity g takes, linear in g. In the base's axes gravity becomes exp(-[theta]x) g, which
+    g - theta x g' is to second order, g' = exp(-[theta]x / 2) g; the theta of g', ``about``, follows, and a small one
+    is taken for none. A turn about gravity is not seen. If the assumed gravity lies along x or y, the two tilts are
+    about the next two axes in cyclic order.
     """
 
     id = "base_tilt"
@@ -33,6 +35,7 @@ class BaseTilt(ShowsBodies):
     comes_and_goes = True
     whole_robot = True
     uses_load = True
+    follows = ("about_x", "about_y")
     prior = CoefficientPrior("Bases are level to some hundredths of a rad.", std=(0.05, 0.05))
     export_note = "of a base that stands upright: about x and y where gravity is along z"
     _LARGEST_RAD = 0.2
@@ -40,31 +43,43 @@ class BaseTilt(ShowsBodies):
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         return telling(self, robot, (Site(),))
 
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        return (about(self, (0.0, 0.0)),)
+
+    def agreeing(self, coefficients: Tensor, shape: Shape) -> Shape:
+        return about(self, coefficients.tolist())
+
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         q, robot = signals.q.movedim(0, -1), signals.robot
         still, pi = torch.zeros_like(q), None if signals.pi is None else signals.pi.to(q)
+        tilts = [shape.get(name, 0.0) for name in self.follows]
+        where = f" about {tilts[0]:.6g}, {tilts[1]:.6g}" if any(tilts) else ""
         return {
-            f"dtau/d{name}": robot.inverse_dynamics(q, still, still, pi, sideways).movedim(-1, 0)
-            for name, sideways in zip(self.units, self._sideways(robot).to(q), strict=True)
+            f"dtau/d{name}{where}": robot.inverse_dynamics(q, still, still, pi, sideways).movedim(-1, 0)
+            for name, sideways in zip(self.units, self._sideways(robot, tilts).to(q), strict=True)
         }
 
     def through_bodies(self, signals: Signals, coefficients: Tensor) -> Tensor:
         """A first body that turns about the vertical has its centre of mass told by a base that leans."""
         still = torch.zeros_like(signals.q)
-        sideways = coefficients.to(still) @ self._sideways(signals.robot).to(still)
+        tilts = tuple(about(self, coefficients.tolist()).values())
+        sideways = coefficients.to(still) @ self._sideways(signals.robot, tilts).to(still)
         return signals.robot.regressor_batch_last(signals.q, still, still, sideways)
 
-    def _sideways(self, robot: RobotModel) -> Tensor:
-        """Return -e x g for both axes e that a base can be tilted about, (2, 3)."""
+    def _sideways(self, robot: RobotModel, tilts: Sequence[float]) -> Tensor:
+        """Return -e x g' (2, 3) for both axes e that a base can be tilted about, g' turned by half of tilts (2,)."""
         down = int(robot.gravity.abs().argmax())
         turns = torch.eye(3, dtype=robot.gravity.dtype)[[(down + 1) % 3, (down + 2) % 3]]
-        return -torch.linalg.cross(turns, robot.gravity.expand(2, 3))
+        half = -0.5 * torch.tensor(tilts, dtype=turns.dtype) @ turns.cpu()
+        turned = torch.from_numpy(Rotation.from_rotvec(half.numpy()).as_matrix()).to(robot.gravity) @ robot.gravity
+        return -torch.linalg.cross(turns.to(turned), turned.expand(2, 3))
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"tilt_x": coefficients[0], "tilt_y": coefficients[1]}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        return (parameters["tilt_x"], parameters["tilt_y"]), {}
+        tilts = parameters["tilt_x"], parameters["tilt_y"]
+        return tilts, about(self, tilts)
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return max(map(abs, parameters.values())) <= self._LARGEST_RAD

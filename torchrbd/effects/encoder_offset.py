@@ -3,46 +3,62 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
-from torchrbd.effects.placed import telling
+from torchrbd.effects.placed import about, telling
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 
 class EncoderOffset(Effect):
-    """tau += -o d tau_rigid / d q_j: q_j is recorded as the true position plus o.
+    """tau += o (tau_rigid(q_j - about) - tau_rigid(q_j)) / about: q_j is recorded as the true position plus o.
 
-    First order in o: the error grows with o^2. A first joint whose axis is vertical cannot have one that shows.
+    Where ``about``, which follows, is o, the term is exact; a small offset is told by the slope, -o d tau_rigid / dq_j.
+    A first joint whose axis is vertical cannot have one that shows.
     """
 
     id = "encoder_offset"
     family = "gravity and geometry"
     prevalence = "common"
     words = "encoder offset"
-    equation = "-o dtau/dq"
+    equation = "tau(q - o) - tau(q)"
     units: ClassVar[Mapping[str, str]] = {"offset": "{q}"}
     comes_and_goes = True
     whole_robot = True
     uses_load = True
+    follows = ("about",)
     prior = CoefficientPrior("Joints are zeroed to some hundredths of a rad or m.", std=(0.05,))
     _LARGEST = 0.2
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         return telling(self, robot, tuple(Site(joint) for joint in range(robot.n_dof)))
 
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        return (about(self, (0.0,)),)
+
+    def agreeing(self, coefficients: Tensor, shape: Shape) -> Shape:
+        return about(self, coefficients.tolist())
+
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        return {f"-dtau/dq_{site.name(signals.robot)}": -signals.load_slopes[0, :, site.joint]}
+        label, offset = f"-dtau/dq_{site.name(signals.robot)}", shape.get("about", 0.0)
+        if not offset:
+            return {label: -signals.load_slopes[0, :, site.joint]}
+        shift = torch.zeros(len(signals.q), dtype=torch.float64)
+        shift[site.joint] = offset
+        there = replace(signals, q=signals.q - shift.to(signals.q).reshape(-1, *[1] * (signals.q.ndim - 1)))
+        return {f"{label} about {offset:.6g}": (there.load - signals.load) / offset}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"offset": coefficients[0]}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        return (parameters["offset"],), {}
+        return (parameters["offset"],), about(self, (parameters["offset"],))
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return abs(parameters["offset"]) <= self._LARGEST

@@ -6,25 +6,28 @@ A link that is longer, an axis that is tilted or a flange that is turned are all
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
 from torchrbd.effects.mjcf import quaternion
-from torchrbd.effects.placed import moved
+from torchrbd.effects.placed import about, moved
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window, carrier
-from torchrbd.robot import RobotModel
+from torchrbd.robot import RobotModel, with_moved_origins
 
 
 class GeometryError(Effect):
     """tau += sum_k e_k d tau_rigid / d e_k: the joint's origin is shifted by (x, y, z) and turned by (rx, ry, rz).
 
-    Both in the parent link's axes, as in the description's <origin>. First order: the error grows with the square of e,
-    .02 rad or 2 % of a link's length leave about 2 % of the effect. Turning a joint about its own axis is an encoder
-    offset, and shifting it along that the same as shifting the next one; turning a joint that stands on the base is a
-    tilted base, and shifting it nothing: such a joint is no site.
+    Both in the parent link's axes, as in the description's <origin>. Slopes are those where the joint is half of
+    ``about`` away, which follows e, so that the term is exact to second order; a small one is taken for none. Turning a
+    joint about its own axis is an encoder offset, and shifting it along that the same as shifting the next one; turning
+    a joint that stands on the base is a tilted base, and shifting it nothing: such a joint is no site.
     """
 
     id = "geometry_error"
@@ -34,6 +37,7 @@ class GeometryError(Effect):
     units: ClassVar[Mapping[str, str]] = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
     whole_robot = True
     uses_load = True
+    follows = tuple(f"about_{name}" for name in ("x", "y", "z", "rx", "ry", "rz"))
     prior = CoefficientPrior(
         "Descriptions are right to some centimetres and hundredths of a rad.", std=(*[0.02] * 3, *[0.05] * 3)
     )
@@ -46,10 +50,19 @@ class GeometryError(Effect):
             self, robot, tuple(Site(joint) for joint in range(robot.n_dof) if carrier(robot, joint) is not None)
         )
 
+    def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
+        return (about(self, [0.0] * len(self.units)),)
+
+    def agreeing(self, coefficients: Tensor, shape: Shape) -> Shape:
+        return about(self, coefficients.tolist())
+
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         assert site.joint is not None
+        place, error = site.name(signals.robot), tuple(shape.get(name, 0.0) for name in self.follows)
+        if any(error):
+            signals = replace(signals, robot=_halfway(signals.robot, site.joint, error))
+            place += f" about {', '.join(f'{value:.6g}' for value in error)}"
         slopes = signals.origin_slopes[..., site.joint, :]
-        place = site.name(signals.robot)
         return {
             f"dtau/d{name} {place}": slope
             for name, slope in zip(self.units, slopes.movedim((-1, -2), (0, 1)), strict=True)
@@ -59,7 +72,8 @@ class GeometryError(Effect):
         return dict(zip(self.units, coefficients, strict=True))
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        return tuple(parameters[name] for name in self.units), {}
+        errors = tuple(parameters[name] for name in self.units)
+        return errors, about(self, errors)
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         limits = {"m": self._FURTHEST_M, "rad": self._LARGEST_RAD}
@@ -69,3 +83,11 @@ class GeometryError(Effect):
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         x, y, z, *turn = (parameters[name] for name in self.units)
         return {"body": {"pos": (x, y, z), "quat": quaternion(turn)}}
+
+
+@lru_cache(maxsize=16)
+def _halfway(robot: RobotModel, joint: int, error: tuple[float, ...]) -> RobotModel:
+    """Return the robot with the origin of a joint moved by half of an error (6,) [m, rad]."""
+    moves = torch.zeros(robot.n_dof, len(error), dtype=torch.float64)
+    moves[joint] = 0.5 * torch.tensor(error, dtype=torch.float64)
+    return with_moved_origins(robot, moves)
