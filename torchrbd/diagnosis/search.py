@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried
 from torchrbd.diagnosis.posterior import log_odds
@@ -25,7 +26,7 @@ from torchrbd.effects.smooth_torque import HUM
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
-from torchrbd.likelihood.shapes import in_one_cell, varied
+from torchrbd.likelihood.shapes import agrees, in_one_cell, varied
 
 # Hypotheses whose shapes are refined and whose noise is learnt anew, at each step.
 _LEADING = 5
@@ -247,14 +248,21 @@ class _Search:
         """Return hypotheses; those that act through the load with the shapes that it asks for beside all others."""
         found = list(chosen)
         for k, h in enumerate(found):
-            if h.candidate.effect.uses_load and (varied(self.rows.columns, h.candidate) or h.candidate.effect.follows):
+            asked = varied(self.rows.columns, h.candidate) or not agrees(h.candidate, torch.from_numpy(h.coefficients))
+            if h.candidate.effect.uses_load and asked:
                 others = [*found[:k], *found[k + 1 :]]
                 rest = self.with_terms(base, others) if others else base
-                own = again(rest, self.rows, h)
-                ways = [*self.shaped(rest, h), *([] if own is None else [own])]
-                weighed = [with_own_noise(rest, self.rows, one) for one in ways]
-                found[k] = max(weighed, key=lambda one: one.log_evidence)
+                found[k] = self.best_shaped(rest, h)
         return found
+
+    def best_shaped(self, fit: Likelihood, h: Hypothesis) -> Hypothesis:
+        """Return a hypothesis at the best of its shapes, its own among them, all else being learnt with each."""
+        ways, own = self.shaped(fit, h), again(fit, self.rows, h)
+        if own is not None and not in_one_cell(self.rows.columns, ways[0].candidate, own.candidate):
+            ways.append(own)
+        if len(ways) == 1:
+            return ways[0]
+        return max((with_own_noise(fit, self.rows, one) for one in ways), key=lambda one: one.log_evidence)
 
     def shaped(self, fit: Likelihood, h: Hypothesis) -> list[Hypothesis]:
         """Return a hypothesis at the best shape that is found from its own, and from that of independent rows."""

@@ -20,6 +20,8 @@ from torchrbd.likelihood.columns import Candidate, Columns
 
 # Of the distance between grid points: the step of the central difference.
 _STEP = 0.01
+# Parameters that follow from the coefficients agree with them to this part of the largest.
+_AGREED_PART = 0.01
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,13 @@ def axes(columns: Columns, term: Candidate) -> dict[str, Axis]:
 def varied(columns: Columns, term: Candidate) -> dict[str, Axis]:
     """Return the same without parameters of which the grid has one value: these stay as it has them."""
     return {name: axis for name, axis in axes(columns, term).items() if axis.reach > 0}
+
+
+def agrees(term: Candidate, weights: Tensor) -> bool:
+    """Say whether the shape parameters of a term that follow from its coefficients (K,) are those, or nearly."""
+    follows, asked = term.effect.follows, term.effect.agreeing(weights, term.shape)
+    change = max((abs(asked[name] - term.shape[name]) for name in follows), default=0.0)
+    return change <= _AGREED_PART * max((abs(asked[name]) for name in follows), default=0.0)
 
 
 def in_one_cell(columns: Columns, one: Candidate, other: Candidate) -> bool:

@@ -31,13 +31,11 @@ from torchrbd.likelihood.block_statistics import assemble
 from torchrbd.likelihood.columns import URDF_FRICTION, Candidate, Through
 from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.reading import Progress
-from torchrbd.likelihood.shapes import ShapeSlope, axes, feature_slopes, slopes
+from torchrbd.likelihood.shapes import ShapeSlope, agrees, axes, feature_slopes, slopes
 
 _MOST_PASSES = 12
 # A shape has settled if its step is below this part of its standard deviation or of the distance of grid points.
 _SETTLED_STD, _SETTLED_GRID = 0.05, 5e-4
-# A shape that follows from the coefficients has settled if it changes by no more than this part of it.
-_SETTLED_PART = 0.01
 # Log-likelihood units that a term may lose in a step: less is chance.
 _WORSE = 0.1
 # Change of load and friction between passes, as part of the torque.
@@ -87,8 +85,9 @@ class _Pass:
         Of the steps within the limits, those with the least loss of the linear model: cut off one by one, steps of
         shapes that depend on each other would lead uphill.
         """
-        shapes = [dict(c.effect.agreeing(self.x[self.prepared.columns.of(c)], c.shape)) for c in self.terms]
-        settled = [_agree(c.shape, shape) for c, shape in zip(self.terms, shapes, strict=True)]
+        weights = [self.x[self.prepared.columns.of(c)] for c in self.terms]
+        shapes = [dict(c.effect.agreeing(w, c.shape)) for c, w in zip(self.terms, weights, strict=True)]
+        settled = [agrees(c, w) for c, w in zip(self.terms, weights, strict=True)]
         if not self.around:
             return list(shapes), settled
         grids = [axes(self.prepared.columns, self.terms[k])[name] for k, name in self.around]
@@ -235,11 +234,6 @@ def _known(prepared: Prepared, term: Candidate, name: str) -> tuple[float, float
     away = (value - term.shape[name]) / std
     loose = math.sqrt((_FREEDOM + away**2) / (_FREEDOM + 1.0))
     return away / loose, loose * std
-
-
-def _agree(a: Shape, b: Shape) -> bool:
-    """Say whether parameters that follow from coefficients have settled."""
-    return all(abs(a[name] - b[name]) <= _SETTLED_PART * abs(b[name]) for name in a)
 
 
 def _between(a: Shape, b: Shape) -> Shape:
