@@ -140,6 +140,12 @@ def test_geometry_error(joint: int) -> None:
     assert_orders(GeometryError(), Site(joint), sizes, changed)
 
 
+def test_what_no_torque_feels_displaces_nothing() -> None:
+    errors = dict.fromkeys(GeometryError.units, 0.0) | {"z": float("nan"), "rx": 0.1}
+    _, shape = GeometryError().coefficients(errors)
+    assert {name: value for name, value in shape.items() if value} == {"about_rx": 0.1}
+
+
 def test_payload_is_an_added_body_for_a_while() -> None:
     site = Payload().sites(ROBOT, (HALF,))[-1]
     assert site.body is not None

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import torch
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from torchrbd.effects.base import CoefficientPrior, Mjcf, Shape, ShowsBodies
+from torchrbd.effects.displacements import about
 from torchrbd.effects.mjcf import quaternion
-from torchrbd.effects.placed import about, telling
+from torchrbd.effects.placed import telling
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window
 from torchrbd.robot import RobotModel
@@ -70,8 +70,9 @@ class BaseTilt(ShowsBodies):
         """Return -e x g' (2, 3) for both axes e that a base can be tilted about, g' turned by half of tilts (2,)."""
         down = int(robot.gravity.abs().argmax())
         turns = torch.eye(3, dtype=robot.gravity.dtype)[[(down + 1) % 3, (down + 2) % 3]]
-        half = -0.5 * torch.tensor(tilts, dtype=turns.dtype) @ turns.cpu()
-        turned = torch.from_numpy(Rotation.from_rotvec(half.numpy()).as_matrix()).to(robot.gravity) @ robot.gravity
+        half = -0.5 * torch.tensor(tilts, dtype=turns.dtype) @ turns
+        cross = torch.linalg.cross(half.expand(3, 3), torch.eye(3, dtype=turns.dtype)).mT
+        turned = torch.linalg.matrix_exp(cross).to(robot.gravity) @ robot.gravity
         return -torch.linalg.cross(turns.to(turned), turned.expand(2, 3))
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
-from torchrbd.effects.placed import about, telling
+from torchrbd.effects.displacements import about
+from torchrbd.effects.placed import telling
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window
 from torchrbd.robot import RobotModel

@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from torchrbd.effects.base import CoefficientPrior, Effect, Mjcf, Shape
+from torchrbd.effects.displacements import about
 from torchrbd.effects.mjcf import quaternion
-from torchrbd.effects.placed import about, moved
+from torchrbd.effects.placed import moved
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window, carrier
 from torchrbd.robot import RobotModel, with_moved_origins

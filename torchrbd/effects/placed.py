@@ -1,9 +1,4 @@
-"""Places on a robot where an effect of the whole robot shows in the torques, with each of its coefficients or some.
-
-Displacements e of its joints or of gravity change torques by more than their slopes tell: exact to second order is
-
-    tau(e) - tau(0) = e dtau/de at e/2 + O(e^3)
-"""
+"""Places on a robot where an effect of the whole robot shows in the torques, with each of its coefficients or some."""
 
 from __future__ import annotations
 
@@ -13,14 +8,12 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from torchrbd.effects.base import Effect, Shape
+from torchrbd.effects.base import Effect
 from torchrbd.effects.signals import Signals
 from torchrbd.effects.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 _STATES, _RANK_TOLERANCE = 32, 1e-6
-# A displacement [rad, m] of which the first order leaves about a hundredth.
-_SMALL = 0.02
 
 
 @lru_cache(maxsize=64)
@@ -43,12 +36,6 @@ def _features(effect: Effect, robot: RobotModel, site: Site) -> list[Tensor]:
     states = torch.randn(3, robot.n_dof, _STATES, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     signals = Signals(robot, *states, rest_width=torch.full((robot.n_dof,), 1e-3, dtype=torch.float64))
     return list(effect.features(signals, site, {}).values())
-
-
-def about(effect: Effect, displacement: Sequence[float]) -> Shape:
-    """Return for which displacement (K,) [rad, m] an effect is to be exact: for none if it is small, by its slope."""
-    small = max(map(abs, displacement)) <= _SMALL
-    return dict.fromkeys(effect.follows, 0.0) if small else dict(zip(effect.follows, displacement, strict=True))
 
 
 def in_windows(sites: Iterable[Site], windows: Iterable[Window]) -> tuple[Site, ...]:
