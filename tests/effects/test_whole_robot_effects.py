@@ -141,8 +141,8 @@ def test_geometry_error(joint: int) -> None:
 
 
 def test_what_no_torque_feels_displaces_nothing() -> None:
-    errors = dict.fromkeys(GeometryError.units, 0.0) | {"z": float("nan"), "rx": 0.1}
-    _, shape = GeometryError().coefficients(errors)
+    told = dict.fromkeys(GeometryError.units, 0.0) | {"z": float("nan"), "rx": 0.1}
+    _, shape = GeometryError().coefficients(told)
     assert {name: value for name, value in shape.items() if value} == {"about_rx": 0.1}
 
 

@@ -147,8 +147,7 @@ class _Search:
                 break
             for k in lead - done:
                 ways = self.shaped(fit, found[k]) if sharp or found[k].candidate.effect.follows else [found[k]]
-                weighed = [with_own_noise(fit, self.rows, h) for h in ways]
-                now[k] = max(weighed, key=lambda h: h.log_evidence)
+                now[k] = self.likeliest(fit, ways)
             done |= lead
         return self.side_by_side(fit, now, done)
 
@@ -248,24 +247,27 @@ class _Search:
         """Return hypotheses; those that act through the load with the shapes that it asks for beside all others."""
         found = list(chosen)
         for k, h in enumerate(found):
-            asked = varied(self.rows.columns, h.candidate) or not agrees(h.candidate, torch.from_numpy(h.coefficients))
-            if h.candidate.effect.uses_load and asked:
+            c = h.candidate
+            told = not varied(self.rows.columns, c) and agrees(c, torch.from_numpy(h.coefficients))
+            if c.effect.uses_load and not told:
                 others = [*found[:k], *found[k + 1 :]]
                 rest = self.with_terms(base, others) if others else base
                 found[k] = self.best_shaped(rest, h)
         return found
 
     def best_shaped(self, fit: Likelihood, h: Hypothesis) -> Hypothesis:
-        """Return a hypothesis at the best of its shapes, its own among them, all else being learnt with each."""
+        """Return a hypothesis at the best of the shapes that are found for it, its own among them."""
         ways, own = self.shaped(fit, h), again(fit, self.rows, h)
         if own is not None and not in_one_cell(self.rows.columns, ways[0].candidate, own.candidate):
             ways.append(own)
-        if len(ways) == 1:
-            return ways[0]
+        return ways[0] if len(ways) == 1 else self.likeliest(fit, ways)
+
+    def likeliest(self, fit: Likelihood, ways: Sequence[Hypothesis]) -> Hypothesis:
+        """Return the likeliest of several shapes of a hypothesis, all that is learnt being learnt with each."""
         return max((with_own_noise(fit, self.rows, one) for one in ways), key=lambda one: one.log_evidence)
 
     def shaped(self, fit: Likelihood, h: Hypothesis) -> list[Hypothesis]:
-        """Return a hypothesis at the best shape that is found from its own, and from that of independent rows."""
+        """Return a hypothesis at the shapes that steps find from its own and, if they differ, from independent rows'."""
         own, start = sharpened(fit, self.rows, h), restarted(fit, self.rows, h)
         if start is None or in_one_cell(self.rows.columns, start.candidate, own.candidate):
             return [own]

@@ -57,7 +57,7 @@ class Backlash(Effect):
     uses_load = True
     has_memory = True
     sees_friction = True
-    prior = CoefficientPrior("A play is not negative, and below a degree.", positive=(0,), std=(0.01,))
+    prior = CoefficientPrior("A play is not negative, and mostly below a degree.", positive=(0,), std=(0.01,))
     export_note = (
         "a second joint on the axis, with range +-backlash/2, between the rotor (a body of its own) and the link"
     )

@@ -38,7 +38,7 @@ class GeometryError(Effect):
     units: ClassVar[Mapping[str, str]] = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
     whole_robot = True
     uses_load = True
-    follows = tuple(f"about_{name}" for name in ("x", "y", "z", "rx", "ry", "rz"))
+    follows = tuple(f"about_{name}" for name in units)
     prior = CoefficientPrior(
         "Descriptions are right to some centimetres and hundredths of a rad.", std=(*[0.02] * 3, *[0.05] * 3)
     )
