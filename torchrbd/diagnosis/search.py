@@ -267,7 +267,7 @@ class _Search:
         return max((with_own_noise(fit, self.rows, one) for one in ways), key=lambda one: one.log_evidence)
 
     def shaped(self, fit: Likelihood, h: Hypothesis) -> list[Hypothesis]:
-        """Return a hypothesis at the shapes that steps find from its own and, if they differ, from independent rows'."""
+        """Return a hypothesis at the shapes that steps find from its own, and from independent rows' if apart."""
         own, start = sharpened(fit, self.rows, h), restarted(fit, self.rows, h)
         if start is None or in_one_cell(self.rows.columns, start.candidate, own.candidate):
             return [own]
