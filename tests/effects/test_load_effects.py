@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -13,7 +15,7 @@ from torch.autograd import gradcheck
 from torchrbd.effects import Effect, Signals, Site
 from torchrbd.effects.load_dependent_friction import LoadDependentFriction
 from torchrbd.effects.speed_dependent_loss import SpeedDependentLoss
-from torchrbd.effects.torque_dead_zone import TorqueDeadZone
+from torchrbd.effects.torque_dead_zone import TorqueDeadZone, crossing
 from torchrbd.effects.torque_saturation import TorqueSaturation
 from torchrbd.effects.torque_scale import TorqueScale
 
@@ -49,6 +51,20 @@ class TestLoad:
         w = 0.3 * float(np.abs(load[1]).max())
         command = load[1] + term(TorqueDeadZone(), Site(1), {"half_width": w})(at).detach().numpy()
         np.testing.assert_allclose(command - np.clip(command, -w, w), load[1], rtol=1e-9, atol=1e-9)
+
+    def test_a_command_passes_through_its_zone_in_a_straight_line(self) -> None:
+        """It leaves -0.5 at 1 + 5/9 and reaches 0.5 at 3 + 4/9, where the line through the samples is there."""
+        x = torch.tensor([-2.0, -1.0, -0.1, 0.1, 1.0, 2.0, 0.4, 2.0, 0.2], dtype=torch.float64)
+        expected = [-1.0, -1.0, -9.0 / 17.0, 9.0 / 17.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+        np.testing.assert_allclose(crossing(x, 0.5), expected, rtol=1e-12)
+        np.testing.assert_allclose(crossing(-x.expand(2, -1), 0.5), [[-v for v in expected]] * 2, rtol=1e-12)
+        np.testing.assert_array_equal(crossing(x, 0.0), torch.sign(x))
+
+    def test_where_samples_are_no_sequence_the_sign_is_that_of_the_load(self) -> None:
+        at, load = loaded()
+        at = replace(at, t=None)
+        (phi,) = TorqueDeadZone().features(at, Site(1), {"indistinct": 0.5 * float(np.abs(load[1]).max())}).values()
+        np.testing.assert_array_equal(phi, np.sign(load[1]))
 
     def test_gear_efficiency_is_load_friction_and_a_gain(self) -> None:
         """Supply load / eta to drive, eta load when driven: the mean loss is friction, half their difference a gain."""

@@ -24,25 +24,30 @@ _FINE = 9
 
 
 def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
-    """Return every effect at every place beside a fit, greatest evidence first.
+    """Return every effect at every place beside a fit, for a time and in some recordings too, greatest evidence first.
 
     Args:
         fit: the base.
         rows: its rows, whose signals carry its load and friction.
         effects: what may be there.
     """
-    robot = rows.columns.robot
-    found: list[Hypothesis | None] = []
+    found: list[Hypothesis | None] = [*lasting(fit, rows, effects)]
+    for e in effects:
+        found += [] if e.id in ORDINARY else in_windows(fit, rows, e)
+        # Friction of some recordings only is not the machine's.
+        found += in_recordings(fit, rows, e)
+    return sorted((h for h in found if h is not None), key=lambda h: -h.log_evidence)
+
+
+def lasting(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
+    """Return every effect at every place beside a fit, there all the time; see ``screened``."""
+    robot, found = rows.columns.robot, list[Hypothesis | None]()
     for e in (e for e in effects if e.id not in ORDINARY):
-        found += in_windows(fit, rows, e)
         for site in e.sites(robot):
             if _may_be(e, site, rows):
                 grid = e.shapes(rows.columns.scale(site))
                 found.append(averaged(fit, rows, [rows.columns.candidate(e, site, shape) for shape in grid]))
-    # Friction of some recordings only is not the machine's.
-    for e in effects:
-        found += in_recordings(fit, rows, e)
-    return sorted((h for h in found if h is not None), key=lambda h: -h.log_evidence)
+    return [h for h in found if h is not None]
 
 
 def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:

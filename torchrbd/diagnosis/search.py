@@ -17,7 +17,7 @@ import torch
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
-from torchrbd.diagnosis.screening import refined, restarted, screened
+from torchrbd.diagnosis.screening import lasting, refined, restarted, screened
 from torchrbd.diagnosis.sharpening import sharpened
 from torchrbd.diagnosis.weighing import at_a_glance, learnt_with, with_own_noise
 from torchrbd.effects import Effect, Site
@@ -190,11 +190,19 @@ class _Search:
             brief = [h for h in others[_LEADING:] if h.candidate.site.window is not None]
             self.beside_normal = [refined(plain, self.rows, h) for h in (*others[:_LEADING], *brief[:_LEADING])]
         seen = [h.candidate for h in (*near, *chosen)]
-        others = [again(fit, self.rows, h) for h in self.beside_normal if h.name not in known]
+        aside = *self.beside_normal, *self.hidden(fit, known)
+        others = [again(fit, self.rows, h) for h in aside if h.name not in known]
         near += [h for h in others if h is not None and h.candidate not in seen]
         best = self.ordered((*self.judged(fit, near, sharp=True), *likely[_LEADING:]))
         first = {_alike(h): h for h in reversed(best)}
         return [h for h in best if first[_alike(h)] is h]
+
+    def hidden(self, fit: Likelihood, known: Collection[tuple[str, Site]]) -> list[Hypothesis]:
+        """Return of each joint the law that leads beside independent rows: the noise that is learnt has its colour."""
+        plain = fit.least_squares
+        found = self.ordered([h for h in lasting(plain, self.rows, self.effects) if h.name not in known])
+        first = {h.candidate.place: h for h in reversed(found)}
+        return [refined(plain, self.rows, h) for h in first.values()]
 
     def offered(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return curves and tones beside a fit that a model may have: one for each joint and signal.

@@ -18,6 +18,7 @@ import torch
 
 from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, again, agreed, believed, told
 from torchrbd.diagnosis.screening import refined
+from torchrbd.diagnosis.weighing import sized
 from torchrbd.effects import Site
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.extra import Extra
@@ -38,9 +39,8 @@ def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     free = varied(rows.columns, h.candidate) or h.candidate.effect.follows
     if not free or h.candidate.site.window is not None:
         return h
-    extra = h.extra(fit, rows)
-    beside = fit.extended((*fit.extra, extra)).renoised(extra.joints).rewidened(extra.joints)
-    own = beside.plausible().extended(fit.extra)
+    at = h.extra(fit, rows).joints
+    own = sized(fit, rows, h, lambda model: model.renoised(at).rewidened(at).plausible()).extended.extended(fit.extra)
     best = at_summit(own, rows, refined(own, rows, h))
     then = again(fit, rows, replace(best, paid=h.paid))
     return h if then is None else then

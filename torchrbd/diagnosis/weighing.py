@@ -5,12 +5,13 @@ What is not explained colours the noise, and hides in it: the noise of a fit wit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, support
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, support
 from torchrbd.likelihood.gaussian import truncated
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
@@ -23,15 +24,15 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     own fits: bodies and friction that stood in for the effect lie far off. Widths and noise that suit the one may suit
     the other: each has the better of both.
     """
-    extra = h.extra(fit, rows)
-    beside, at = fit.extended((*fit.extra, extra)), extra.joints
-    base, extended = fit.settled_at(at), beside.settled_at(at)
+    at = h.extra(fit, rows).joints
+    one = sized(fit, rows, h, lambda model: model.settled_at(at))
+    base, extended = fit.settled_at(at), one.extended
     dispersion, widths = extended.hyper.dispersion, (base.hyper.rest_width, extended.hyper.rest_width)
     with_it, without = [extended], [base.dispersed(dispersion)]
     if not np.allclose(*widths):
-        with_it.append(beside.settled_with(widths[0]).dispersed(dispersion))
+        with_it.append(one.beside.settled_with(widths[0]).dispersed(dispersion))
         without.append(fit.settled_with(widths[1]).dispersed(dispersion))
-    return _weighed(fit, rows, h, beside, with_it, without)
+    return _weighed(one, rows, with_it, without)
 
 
 def learnt_with(fit: Likelihood, rows: Rows, h: Hypothesis) -> Likelihood:
@@ -45,33 +46,56 @@ def at_a_glance(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
 
     That of all joints is: what bodies do in the place of an effect is noise at others too.
     """
-    extra = h.extra(fit, rows)
-    beside = fit.extended((*fit.extra, extra))
-    extended = beside.renoised(dispersed=True)
-    return _weighed(fit, rows, h, beside, [extended], [fit.with_new_noise.dispersed(extended.hyper.dispersion)])
+    one = sized(fit, rows, h, lambda model: model.renoised(dispersed=True))
+    without = fit.with_new_noise.dispersed(one.extended.hyper.dispersion)
+    return _weighed(one, rows, [one.extended], [without])
 
 
-def _weighed(
-    fit: Likelihood,
-    rows: Rows,
-    h: Hypothesis,
-    beside: Likelihood,
-    with_it: Sequence[Likelihood],
-    without: Sequence[Likelihood],
-) -> Hypothesis:
-    """Return a hypothesis with the evidence and coefficients of the likeliest models with it and without.
+class Sized(NamedTuple):
+    """A hypothesis of its likeliest size.
 
-    What averaging over shapes, sizes and windows costs, the noise of ``beside``, which is that of the fit, has told.
+    Attributes:
+        hypothesis: with its size.
+        average: what averaging over sizes, shapes and windows adds to the log evidence of the model with it.
+        beside, extended: that model, before all else is learnt beside it, and then.
     """
-    noisy, k = (with_it[0], without[0]), len(fit.extra)
+
+    hypothesis: Hypothesis
+    average: float
+    beside: Likelihood
+    extended: Likelihood
+
+
+def sized(fit: Likelihood, rows: Rows, h: Hypothesis, learn: Callable[[Likelihood], Likelihood]) -> Sized:
+    """Return a hypothesis of the size that is likeliest beside what is learnt with it.
+
+    Beside the noise of a fit without it, which hides it, it seems to be small; prior beliefs that small hold it there.
+    """
+    sizes, positive = set[float](), h.candidate.effect.prior.positive
+    while True:
+        beside = fit.extended((*fit.extra, h.extra(fit, rows)))
+        extended = learn(beside)
+        own, sizes = extended.extended(fit.extra), {*sizes, h.scale}
+        now = again(own, rows, h)
+        assert now is not None
+        if now.scale in sizes:
+            break
+        h = now
+    std = np.sqrt(extended.coefficients_covariance(len(fit.extra)).diagonal())
+    signs = float(truncated(extended.coefficients(len(fit.extra)), std, positive))
+    return Sized(h, now.log_evidence - signs - (extended.log_evidence - own.log_evidence), beside, extended)
+
+
+def _weighed(one: Sized, rows: Rows, with_it: Sequence[Likelihood], without: Sequence[Likelihood]) -> Hypothesis:
+    """Return a hypothesis with the evidence and coefficients of the likeliest models with it and without."""
+    h, noisy, k = one.hypothesis, (with_it[0], without[0]), len(one.extended.extra) - 1
     positive = h.candidate.effect.prior.positive
-    average = h.log_evidence - truncated(h.coefficients, h.std, positive) - (beside.log_evidence - fit.log_evidence)
     best = _likeliest(with_it, noisy)
     mean, covariance = best.coefficients(k), best.coefficients_covariance(k)
     std = np.sqrt(covariance.diagonal())
     bounds = truncated(mean, std, positive) + support(h, best, rows, mean, covariance)
     gain = best.log_evidence - _likeliest(without, noisy).log_evidence
-    return replace(h, log_evidence=float(gain + average + bounds), coefficients=mean, std=std)
+    return replace(h, log_evidence=float(gain + one.average + bounds), coefficients=mean, std=std)
 
 
 def _likeliest(models: Sequence[Likelihood], noisy: Sequence[Likelihood]) -> Likelihood:
