@@ -27,7 +27,7 @@ from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined, refined_from
 from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.shapes import Axis, ShapeSlope, axes, slopes
+from torchrbd.likelihood.shapes import Axis, ShapeSlope, axes, slopes, varied
 from torchrbd.recordings import Recording
 
 
@@ -261,6 +261,15 @@ def test_axes_of_grids() -> None:
     assert axis.limits(23.9) == (23.0, 24.5)
     assert Axis((0.1, 1.0)).limits(0.1) == pytest.approx((0.05, 1.45))
     assert Axis((3.0,)).spacing(3.0) == Axis((3.0,)).reach == 0.0
+
+
+def test_where_recordings_tell_of_no_shape_a_term_keeps_its_own() -> None:
+    """The direction of a joint may be told above a larger speed than it seemed at first."""
+    bump = Columns(ROBOT, [], [SCALE] * ROBOT.n_dof).candidate(StribeckFriction(), Site(0), {"stribeck_speed": 0.3})
+    columns = Columns(ROBOT, [], [replace(SCALE, rest_width=SCALE.speed_max)] * ROBOT.n_dof)
+    assert StribeckFriction().shapes(columns.scale(bump.site)) == ()
+    assert axes(columns, bump)["stribeck_speed"].values == (0.3,)
+    assert varied(columns, bump) == {}
 
 
 def test_slopes_are_derivatives(arm: Truth) -> None:

@@ -96,10 +96,11 @@ def axes(columns: Columns, term: Candidate) -> dict[str, Axis]:
     follow from the coefficients.
 
     Of n shapes of its kind in d parameters, n^(1/d) values of each: a grid need not be a product, and points that
-    differ in another parameter only say nothing of how finely to look at this one.
+    differ in another parameter only say nothing of how finely to look at this one. Where recordings tell of no shape,
+    such as of a joint that hardly moves, the term has the one that it has.
     """
     kinds, fixed = term.effect.kinds, (*term.effect.kinds, *term.effect.follows)
-    grid: Sequence[Shape] = term.effect.shapes(columns.scale(term.site))
+    grid: Sequence[Shape] = term.effect.shapes(columns.scale(term.site)) or (term.shape,)
     own = min(grid, key=lambda shape: sum(abs(shape[name] - term.shape[name]) for name in kinds))
     grid = [shape for shape in grid if all(shape[name] == own[name] for name in kinds)]
     values = {name: sorted({shape[name] for shape in grid}) for name in term.shape if name not in fixed}
