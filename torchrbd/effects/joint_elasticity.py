@@ -14,7 +14,7 @@ load. A spring that yields by more than .2 rad or m is none that this could tell
 rotor inertia, an effect of its own; its friction does not wind the spring, and the link's is left out.
 
 The load comes from accelerations, and is differentiated twice more: what noise there is in the positions would drown
-the motion. So x is seen below a bandwidth that the data chooses as a shape.
+the motion. So x is seen below a bandwidth, with the response exp(-(f/b)^2 / 2), that the data chooses as a shape.
 
 Source: Spong, "Modeling and control of elastic joint robots", ASME J. Dyn. Syst. Meas. Control 1987, for the model.
 """

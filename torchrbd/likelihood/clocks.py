@@ -21,7 +21,7 @@ import numpy as np
 from torch import Tensor
 
 from torchrbd.effects import Signals
-from torchrbd.effects.band_limits import fading
+from torchrbd.effects.band_limits import below
 from torchrbd.effects.time_delay import delayed
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.extra import Extra
@@ -119,7 +119,7 @@ def _command_odds(moved: Clocks) -> float:
         assert signals.recording is not None
         t, lag, torque = signals.sequence(), -moved.shift_s[signals.recording], signals.supplied
         dt = float(t[1] - t[0])
-        return fading(delayed(torque + lag * signals.rate(torque), lag / dt) - torque, dt, OFFSET_HZ)
+        return below(delayed(torque + lag * signals.rate(torque), lag / dt) - torque, dt, OFFSET_HZ)
 
     rows = fit.machine.rows.around(fit.pi, fit.hyper.friction, fit.hyper.rest_width)
     features, seen = rows.evaluated(beyond), [j for j, at in enumerate(fit.index) if len(at)]

@@ -45,7 +45,7 @@ from scipy.special import ndtri
 from torch import Tensor
 
 from torchrbd.effects import Signals
-from torchrbd.effects.band_limits import fading
+from torchrbd.effects.band_limits import below
 from torchrbd.likelihood.hyper import Hyper
 from torchrbd.likelihood.noise import drift_basis, predicted
 from torchrbd.likelihood.rows import Rows
@@ -301,7 +301,7 @@ class Machine:
             rounding = amplitude * turns.sin(), amplitude * turns.cos()
             t, rate = signals.sequence(), signals.rate(signals.supplied)
             of_load = signals.rate(signals.load)
-            fast = of_load - fading(of_load, float(t[1] - t[0]), OFFSET_HZ)
+            fast = of_load - below(of_load, float(t[1] - t[0]), OFFSET_HZ)
             return torch.stack((rate, fast, *fastest, turns_at, signals.rate(turns_at), *rounding))
 
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
