@@ -76,8 +76,8 @@ def sized(fit: Likelihood, rows: Rows, h: Hypothesis, learn: Callable[[Likelihoo
         beside = fit.extended((*fit.extra, h.extra(fit, rows)))
         extended = learn(beside)
         own, sizes = extended.extended(fit.extra), {*sizes, h.scale}
-        now = again(own, rows, h)
-        assert now is not None
+        # What touches no torque that is measured is worth what it was.
+        now = again(own, rows, h) or h
         if now.scale in sizes:
             break
         h = now
