@@ -5,25 +5,23 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from diagnosis.hanging_arm import URDF, multisine
 
 import torchrbd
-from tests.diagnosis.test_play import URDF
 from torchrbd.recordings import Recording
 
 HALF_WIDTH, SECONDS, RATE_HZ, STEP_S = 0.4, 20.0, 250.0, 0.001
 ELBOW = 1
 
 
-def recorded(half_width: float, gain: float) -> Recording:
+def recorded(half_width: float, gain: float, seed: int = 0) -> Recording:
     """Record the commands of an arm that follows a multisine; the lower the gain, the longer in the zone."""
     model = mujoco.MjModel.from_xml_string(URDF.decode())
     model.opt.timestep = STEP_S
-    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
     hz, phase = rng.uniform(0.1, 0.8, (2, 5)), rng.uniform(0.0, 2 * np.pi, (2, 5))
     t = STEP_S * np.arange(round(SECONDS / STEP_S))
-    turn, size = 2 * np.pi * hz[..., None] * t + phase[..., None], 0.3 / (1.0 + hz)
-    wanted = (size[..., None] * np.sin(turn)).sum(1)
-    speed = (2 * np.pi * (size * hz)[..., None] * np.cos(turn)).sum(1)
+    wanted, speed = multisine(t, hz, 0.3 / (1.0 + hz), phase)
     data.qpos[:], data.qvel[:] = wanted[:, 0], speed[:, 0]
     q, tau = np.empty((2, len(t))), np.empty((2, len(t)))
     for k in range(len(t)):

@@ -5,21 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from diagnosis.hanging_arm import URDF, multisine
 
 import torchrbd
 from torchrbd.recordings import Recording
 
-URDF = b"""<robot name="arm">
-  <link name="base"/>
-  <link name="upper"><inertial><origin xyz=".02 0 -.15"/><mass value="2"/>
-    <inertia ixx=".02" iyy=".02" izz=".004" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <link name="lower"><inertial><origin xyz="0 0 -.2"/><mass value="1.2"/>
-    <inertia ixx=".012" iyy=".012" izz=".002" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="60" velocity="10"/></joint>
-  <joint name="elbow" type="revolute"><parent link="upper"/><child link="lower"/><origin xyz="0 0 -.3"/>
-    <axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="40" velocity="10"/></joint>
-</robot>"""
 # The elbow's motor turns by itself; a tendon of limited length holds the link to it.
 MJCF = """<mujoco>
   <option timestep=".0002" integrator="implicitfast"/><compiler angle="radian"/>
@@ -53,10 +43,8 @@ def recorded(play: float, motor_friction: float = 0.0, link_friction: float = 0.
     model = mujoco.MjModel.from_xml_string(MJCF.format(half=play / 2, inertia=INERTIA, **friction))
     data, rng, dt = mujoco.MjData(model), np.random.default_rng(seed), model.opt.timestep
     hz, size, phase = rng.uniform(0.1, 0.8, (2, 5)), rng.uniform(0.2, 0.5, (2, 5)), rng.uniform(0.0, 2 * np.pi, (2, 5))
-    size, t = size / (1.0 + hz), dt * np.arange(round(SECONDS / dt))
-    turn = 2 * np.pi * hz[..., None] * t + phase[..., None]
-    wanted = (size[..., None] * np.sin(turn)).sum(1)
-    wanted_speed = (2 * np.pi * (size * hz)[..., None] * np.cos(turn)).sum(1)
+    t = dt * np.arange(round(SECONDS / dt))
+    wanted, wanted_speed = multisine(t, hz, size / (1.0 + hz), phase)
     data.qpos[:], data.qvel[:] = wanted[[0, 1, 1], 0], wanted_speed[[0, 1, 1], 0]
     q, tau = np.empty((2, len(t))), np.empty((2, len(t)))
     for k in range(len(t)):

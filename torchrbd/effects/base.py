@@ -91,7 +91,7 @@ class Effect(ABC):
             cold, with a cable, with a sensor set anew. What a robot is built of does not.
         of_each_recording: True if coefficients differ from one recording of a site to the next: the site names them.
         sees_friction: True if the features depend on the plain friction beside that torque (``Signals.supplied``).
-        has_memory: True if the features depend on a sequence of states, and not on the present one alone.
+        has_memory: True if the features need a sequence of states, and are not defined on the present one alone.
         lasts_s: how long it usually is there where it is for a time [s]; the shorter, the less likely.
         prior: what is believed of the coefficients.
         shifts_clocks: True if, at all joints alike, it is to first order what an offset of clocks is.
