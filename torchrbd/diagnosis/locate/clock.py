@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +15,8 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.effects import Window
 
 MOST_EDGES, MOST_FINE_EDGES, EDGE_S = 40, 320, 0.4
+# How much closer edges lie each time that ends are looked at again.
+_ZOOM = 8
 
 
 @dataclass(frozen=True)
@@ -100,9 +103,9 @@ class Clock:
         self, fit: Fit, phi: Mapping[int, np.ndarray], found: Interval, step: float | None = None
     ) -> Interval:
         """Return a stretch with its ends placed within ``step`` of where they are, one of ``coarse`` if not told."""
-        step = step or self.coarse.step
+        step, dt = step or self.coarse.step, self.scene.dt
         k, reach = self._owner(found.low), 1.2 * step
-        for spacing in (step / 4, self.scene.dt / 4):
+        for spacing in np.geomspace(step / 4, dt / 4, 1 + max(1, math.ceil(math.log(step / dt, _ZOOM)))):
             near = np.arange(-reach, reach + spacing / 2, spacing)
             low, high = found.low + near, found.high + near
             low = np.array([found.low]) if found.low in self.starts else low[low > self.starts[k]]
