@@ -126,6 +126,15 @@ def test_size_by_unit_does_not_depend_on_the_torque() -> None:
     assert coefficient_std(candidate("time_delay", Site()), 0 * F, np.ones(3))[0][0] == 0.0
 
 
+def test_joints_sit_some_centimetres_off_whatever_torque_that_makes() -> None:
+    F = np.random.default_rng(4).normal(size=(6, 3, 400))
+    F[1] = 0.0
+    for part in (0.01, 100.0):
+        std, scales = coefficient_std(candidate("geometry_error", Site(1)), part * F, np.array([1.0, 5.0, 0.0]))
+        assert scales == UNIT_SCALES
+        np.testing.assert_array_equal(std, [0.02, 0.0, 0.02, 0.05, 0.05, 0.05])
+
+
 def test_sizes_of_several_keep_their_proportions_within_the_torque_of_every_joint() -> None:
     rng = np.random.default_rng(3)
     F, rms = rng.normal(size=(10, 3, 400)), np.array([1.0, 5.0, 0.0])

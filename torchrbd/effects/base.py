@@ -37,12 +37,14 @@ class CoefficientPrior:
         words: one sentence.
         positive: indices of the coefficients that the physics keeps from being negative.
         std: of each coefficient in its own unit, around zero; empty where it is enough that the torque that it makes
-            is no larger than the joint's. Of several coefficients the proportions count, and the torque sets the size.
+            is no larger than the joint's.
+        of_any_size: their proportions are believed alone, and the torque sets the size: loads and forces may be of any.
     """
 
     words: str = "Of either sign, with a torque no larger than the joint's."
     positive: tuple[int, ...] = ()
     std: tuple[float, ...] = ()
+    of_any_size: bool = False
 
     @property
     def proportions(self) -> tuple[float, ...]:

@@ -29,7 +29,9 @@ class ExternalWrench(Effect):
         **{f"force_{axis}": "N" for axis in "xyz"},
         **{f"moment_{axis}": "N m" for axis in "xyz"},
     }
-    prior = CoefficientPrior("Forces act some decimetres from a link's origin.", std=(1.0, 1.0, 1.0, 0.3, 0.3, 0.3))
+    prior = CoefficientPrior(
+        "Forces act some decimetres from a link's origin.", std=(1.0, 1.0, 1.0, 0.3, 0.3, 0.3), of_any_size=True
+    )
     whole_robot = True
     export_note = "a force is no part of a model: MuJoCo takes it as xfrc_applied, at the body's centre of mass"
 

@@ -43,6 +43,7 @@ class Payload(Effect):
         "Mass and moments of inertia are not negative, centre and radius of gyration are some decimetres.",
         positive=(0, 4, 6, 9),
         std=(1.0, *[0.2] * 3, *[0.06] * 6),
+        of_any_size=True,
     )
     export_note = (
         "the inertial of a body without joints that is added to the link; MJCF has no word for a part of the time"

@@ -3,8 +3,8 @@
 Inertial parameters: around the URDF, in the metric of pseudo-inertias, so that a body's mass, centre and inertia move
 together as those of matter do; how far URDFs err is one number for a robot, learnt by evidence.
 
-Anything else: by its own physical unit where that is known (a delay of some hundredths of a second), or by its torque
-against that of its joint. Of what size it is nobody knows: sizes from hundredths to all of the joint's torque are
+Anything else: by its own physical unit where that is known (a delay of some hundredths of a second, a joint that sits some
+centimetres off), or by its torque against that of its joint. Of what size it is nobody knows: sizes from hundredths to all of the joint's torque are
 equally likely in the logarithm (a scale mixture), so that small effects do not pay for large ones.
 """
 
@@ -58,6 +58,6 @@ def coefficient_std(
     believed = np.array(candidate.effect.prior.std)
     if len(believed) != len(by_torque):
         return by_torque, TORQUE_SCALES
-    if len(believed) > 1:
+    if candidate.effect.prior.of_any_size:
         return in_proportion(by_torque, believed), TORQUE_SCALES
     return np.where(by_torque > 0, believed, 0.0), UNIT_SCALES
