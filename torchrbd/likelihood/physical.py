@@ -15,7 +15,7 @@ theorem 3.2.1.
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from scipy.special import multigammaln  # type: ignore[attr-defined]
@@ -35,6 +35,13 @@ def expanded(z: np.ndarray, kappa: float) -> Quadratic:
         z: where, physical.
         kappa: weight of the divergence.
     """
+    return _expanded(z.tobytes(), kappa)
+
+
+# Models that differ in their noise are expanded around the same point, one after the other.
+@lru_cache(maxsize=16)
+def _expanded(at: bytes, kappa: float) -> Quadratic:
+    z = np.frombuffer(at)
     n = len(z)
     G = np.eye(_SIZE) + np.einsum("bk,kij->bij", z.reshape(-1, PARAMETERS_PER_BODY), _B) / math.sqrt(kappa)
     inverse = np.linalg.inv(G)

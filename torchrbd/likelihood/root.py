@@ -48,7 +48,10 @@ class Root:
     """
 
     def __init__(self, H: np.ndarray, local: Sequence[np.ndarray] = (), rounding: float = ROUNDING) -> None:
-        self.shared = np.setdiff1d(np.arange(len(H)), np.concatenate(local)) if len(local) else np.arange(len(H))
+        shared = np.ones(len(H), dtype=bool)
+        for own in local:
+            shared[own] = False
+        self.shared = np.flatnonzero(shared)
         self.left, self.local = _raised(H, self.shared, rounding), []
         for own in local:
             L, across = np.linalg.cholesky(_raised(H, own, rounding)), H[np.ix_(own, self.shared)]
