@@ -15,9 +15,7 @@ def along(z: np.ndarray, lasting: np.ndarray, brief: Brief | None) -> np.ndarray
     """Return z X of coefficients z (..., P) and columns X (P, m), the last of which are brief, if any."""
     if brief is None:
         return z @ lasting
-    found = z[..., : len(lasting)] @ lasting
-    found[..., brief.at] += z[..., len(lasting) :] @ brief.x
-    return found
+    return z[..., : len(lasting)] @ lasting + z[..., len(lasting) :] @ brief.x
 
 
 def dense(size: np.ndarray | float, lasting: np.ndarray, brief: Brief | None) -> np.ndarray:
@@ -69,7 +67,7 @@ class Block:
         own = self.lasting @ self.lasting.T
         if self.brief is None:
             return own
-        return _bordered(own, self.brief.times(self.lasting.T), self.brief.x @ self.brief.x.T)
+        return _bordered(own, self.brief.times(self.lasting.T), self.brief.products)
 
     def of_rows(self, rows: np.ndarray) -> np.ndarray:
         """Return some of the rows, by their numbers (...), as (P_j, ...)."""
@@ -89,10 +87,7 @@ class Block:
         for k, (begin, end) in enumerate(pairwise(edges)):
             np.matmul(self.lasting[:, begin:end], C[:, begin:end].T, out=found[k, :first])
         if self.brief is not None:
-            here = C[:, self.brief.at]
-            for k, (begin, end) in enumerate(pairwise(np.searchsorted(self.brief.at, edges))):
-                if begin < end:
-                    np.matmul(self.brief.x[:, begin:end], here[:, begin:end].T, out=found[k, first:])
+            found[:, first:] = self.brief.in_parts(C, edges)
         found *= np.broadcast_to(self.size, len(self.own))[:, None]
         return found
 

@@ -5,50 +5,83 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True, eq=False)
 class Brief:
-    """Columns (S, m) that are zero but at some rows ``at`` (b,), where they are ``x`` (S, b).
+    """Columns (S, m), as a sparse matrix x of so many ``rows``, in which three to nine numbers of a hundred are."""
 
-    A dense matrix of these rows: a sparse one holds fewer numbers still, and takes longer for each product.
-    """
-
-    x: np.ndarray
-    at: np.ndarray
+    x: csr_array
     rows: int
 
     @staticmethod
     def of(A: np.ndarray) -> Brief:
         """Return columns (S, m)."""
-        at = np.flatnonzero(A.any(axis=0))
-        return Brief(A[:, at], at, A.shape[1])
+        return Brief(csr_array(A), A.shape[1])
 
     @property
     def dense(self) -> np.ndarray:
         """All of it, (S, m)."""
-        found = np.zeros((len(self.x), self.rows))
-        found[:, self.at] = self.x
-        return found
+        return self.x.toarray()
+
+    @property
+    def products(self) -> np.ndarray:
+        """X X', (S, S)."""
+        return (self.x @ self.x.T).toarray()
 
     def __len__(self) -> int:
-        return len(self.x)
+        return len(self.x.indptr) - 1
 
     def some(self, kept: np.ndarray) -> Brief:
         """Return some of the columns, kept (S,) bool."""
-        return Brief(self.x[kept], self.at, self.rows)
+        return Brief(self.x[np.flatnonzero(kept)], self.rows)
 
     def of_rows(self, rows: np.ndarray) -> np.ndarray:
         """Return the columns at some rows (...), (S, ...)."""
-        if not len(self.at):
-            return np.zeros((len(self.x), *rows.shape))
-        place = np.minimum(np.searchsorted(self.at, rows), len(self.at) - 1)
-        return self.x[:, place] * (self.at[place] == rows)
+        return self.x[:, rows.ravel()].toarray().reshape(len(self), *rows.shape)
 
     def scaled(self, by: np.ndarray) -> Brief:
         """Return the columns times (m,)."""
-        return Brief(self.x * by[self.at], self.at, self.rows)
+        x = self.x
+        return Brief(csr_array((x.data * by[x.indices], x.indices, x.indptr), shape=x.shape), self.rows)
 
     def times(self, C: np.ndarray) -> np.ndarray:
         """Return X C of C (m, ...), (S, ...)."""
-        return self.x @ C[self.at]
+        return self.x @ C
+
+    def in_parts(self, C: np.ndarray, edges: np.ndarray) -> np.ndarray:
+        """Return X C' of C (K, m) for each part of the rows between ascending edges (B + 1,), (B, S, K)."""
+        S = len(self)
+        part = np.searchsorted(edges, self.x.indices, side="right") - 1
+        inside = (part >= 0) & (part < len(edges) - 1)
+        at = (part * S + self._column)[inside], self.x.indices[inside]
+        apart = csr_array((self.x.data[inside], at), shape=((len(edges) - 1) * S, self.rows))
+        return (apart @ C.T).reshape(len(edges) - 1, S, len(C))
+
+    def unpredicted(self, predictor: np.ndarray, index: np.ndarray) -> Brief:
+        """Return what rows ``index`` (m',) cannot predict of the columns from the rows before, by a predictor (p,).
+
+        From the first to the last number of each that is not zero they are filtered one after the other, with room
+        between them for what the filter remembers.
+        """
+        S, reach, held = len(self), len(predictor), np.diff(self.x.indptr)
+        begins, ends = np.zeros(S, dtype=int), np.zeros(S, dtype=int)
+        begins[held > 0] = np.minimum.reduceat(self.x.indices, self.x.indptr[:-1][held > 0])
+        ends[held > 0] = np.maximum.reduceat(self.x.indices, self.x.indptr[:-1][held > 0]) + 1
+        lengths = ends - begins + reach
+        first = np.cumsum(lengths) - lengths
+        row = np.arange(lengths.sum()) + np.repeat(begins - first, lengths)
+        signal = np.zeros(len(row) + 1)
+        signal[self.x.indices + (first - begins)[self._column]] = self.x.data
+        left = np.convolve(signal, np.concatenate(([1.0], -predictor)))[: len(row)]
+        number = np.full(self.rows + reach, -1)
+        number[index] = np.arange(len(index))
+        kept = (number[row] >= 0) & (left != 0.0)
+        at = np.repeat(np.arange(S), lengths)[kept], number[row][kept]
+        return Brief(csr_array((left[kept], at), shape=(S, len(index))), len(index))
+
+    @property
+    def _column(self) -> np.ndarray:
+        """Which column each number belongs to."""
+        return np.repeat(np.arange(len(self)), np.diff(self.x.indptr))

@@ -72,7 +72,7 @@ class Bare:
 
     def _filtered(self, noise: Noise) -> tuple[np.ndarray, Brief, np.ndarray]:
         """Return what rows cannot predict of lasting columns (L, m), of brief ones and of the target (m,)."""
-        brief = Brief.of(noise.unpredicted(self.brief.dense))
+        brief = self.brief.unpredicted(noise.predictor, noise.index)
         return noise.unpredicted(self.lasting), brief, noise.unpredicted(self.target)
 
     def _weighed(self, lasting: np.ndarray, brief: Brief, target: np.ndarray, noise: Noise) -> Block:

@@ -3,9 +3,10 @@
 Inertial parameters: around the URDF, in the metric of pseudo-inertias, so that a body's mass, centre and inertia move
 together as those of matter do; how far URDFs err is one number for a robot, learnt by evidence.
 
-Anything else: by its own physical unit where that is known (a delay of some hundredths of a second, a joint that sits some
-centimetres off), or by its torque against that of its joint. Of what size it is nobody knows: sizes from hundredths to all of the joint's torque are
-equally likely in the logarithm (a scale mixture), so that small effects do not pay for large ones.
+Anything else: by its own physical unit where that is known (a delay of some hundredths of a second, a joint that sits
+some centimetres off), or by its torque against that of its joint. Of what size it is nobody knows: sizes from
+hundredths to all of the joint's torque are equally likely in the logarithm (a scale mixture), so that small effects do
+not pay for large ones.
 """
 
 from __future__ import annotations
