@@ -1,12 +1,14 @@
 """Columns of one joint as whitening sees them: lasting and brief ones, and rows of another size."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from likelihood.fits import tail_of
 from scipy.linalg import toeplitz
 
+from torchrbd.likelihood.brief import Brief
 from torchrbd.likelihood.design import Bare, Design
 from torchrbd.likelihood.noise import Noise
 
@@ -40,6 +42,26 @@ def test_rows_are_those_of_the_whole_filter_matrix(design: Design, predictor: li
     np.testing.assert_allclose(b.louder(2.0).gram, 0.25 * b.gram)
     np.testing.assert_allclose(b.louder(2.0).X, 0.5 * b.X)
     np.testing.assert_array_equal(np.sort(b.own), np.arange(9) + 3)
+
+
+def test_brief_columns_are_what_they_are_as_a_matrix() -> None:
+    rng, n = np.random.default_rng(3), noise([0.4, -0.3, 0.1])
+    A = rng.standard_normal((5, M)) * (np.abs(np.arange(M) - rng.integers(0, M, (5, 1))) < 6)
+    A[1], A[2, 300] = 0.0, 1.0
+    n = replace(n, index=np.delete(n.index, [40, 41, 200]))
+    for columns in (A, A[:0]):
+        white = n.unpredicted(columns)
+        brief = Brief.of(columns).unpredicted(n.predictor, n.index)
+        np.testing.assert_allclose(brief.dense, white, atol=1e-14)
+        C, edges = rng.standard_normal((3, len(n.index))), np.array([5, 60, 61, 300, 370])
+        parts = np.stack([white[:, a:b] @ C[:, a:b].T for a, b in pairwise(edges)])
+        np.testing.assert_allclose(brief.in_parts(C, edges), parts, atol=1e-12)
+        np.testing.assert_allclose(brief.times(C.T), white @ C.T, atol=1e-12)
+        np.testing.assert_allclose(brief.products, white @ white.T, atol=1e-12)
+        rows = np.array([[3, 3], [299, 0]])
+        np.testing.assert_array_equal(brief.of_rows(rows), brief.dense[:, rows])
+        kept = np.arange(len(columns)) % 2 == 0
+        np.testing.assert_array_equal(brief.some(kept).dense, brief.dense[kept])
 
 
 def test_what_is_remembered_is_no_other_noise(design: Design) -> None:
