@@ -48,7 +48,7 @@ class CoefficientPrior:
 
     @property
     def proportions(self) -> tuple[float, ...]:
-        """Of several coefficients, their standard deviations; empty of one, or where each may be of any size."""
+        """Of several coefficients, their standard deviations; empty of one, or where none are believed."""
         return self.std if len(self.std) > 1 else ()
 
 
