@@ -251,3 +251,17 @@ def test_what_is_worse_than_nothing_without_what_is_set_apart_goes_too() -> None
     assert [one.effect for _, one in kept] == ["backlash"]
     assert [one.effect for _, one in apart] == ["torque_ripple", "joint_spring"]
     assert kept[0][1].nmse_after == {"hinge": 0.05}
+
+
+def test_what_other_joints_need_is_not_trifling() -> None:
+    """Friction that does nothing for its own joint keeps the bodies right that two others need; a ripple nothing."""
+    terms = {name: SimpleNamespace(place=0, name=name) for name in ("coulomb_friction", "torque_ripple")}
+    told = [(one, replace(finding(k, "hinge"), log_evidence_gain=20.0)) for k, one in terms.items()]
+
+    def error_without(gone: Sequence[SimpleNamespace]) -> dict[str, float]:
+        friction = "coulomb_friction" in {one.name for one in gone}
+        return {"hinge": 0.012 - 0.004 * friction, "slide": 0.01 + 0.01 * friction, "wrist": 0.01 + 0.01 * friction}
+
+    kept, apart = set_apart(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
+    assert [one.effect for _, one in kept] == ["coulomb_friction"]
+    assert [one.effect for _, one in apart] == ["torque_ripple"]
