@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from likelihood.arms import Torque, recorded, rows_of, wrong_robot
 from likelihood.fits import COULOMB, OPTIONS, URDF, VISCOUS, WIDTH, at_joint, with_friction
+from scipy.stats import multivariate_normal
 from simulated import joint_names
 
 from torchrbd.diagnosis.friction import Friction, ordinary_friction
@@ -79,6 +80,24 @@ def test_directions_are_told_apart_where_they_differ(torque: Torque | None, name
     found = told(learnt(torque))
     assert {key for key in found if key[1] == 0} == {("viscous_friction", 0), (name, 0)}
     assert {key for key in found if key[1] == 1} == {("viscous_friction", 1), (EVEN, 1)}
+
+
+@pytest.mark.parametrize("push", [0.0, 0.03, 0.035, 0.045])
+def test_how_sure_it_is_that_directions_differ_is_told(push: float) -> None:
+    """Two laws share what is sure of friction; that they differ has to be as sure as any other effect."""
+
+    def slightly(m) -> np.ndarray:
+        return push * np.tanh(m.qd[:, 0] / WIDTH) ** 2
+
+    fit = learnt(at_joint(0, slightly))
+    (law,) = (f for (name, joint), f in told(fit).items() if joint == 0 and name != "viscous_friction")
+    at, size = fit.machine.ordinary(0)[1:], fit.machine.friction_size(0, fit.hyper)[1:]
+    a = size * [1.0, -1.0]
+    m, v = a @ fit.gaussian.z[at], a @ fit.gaussian.covariance(at) @ a
+    odds = multivariate_normal(0.0, a @ a).pdf(0.0) / multivariate_normal(m, v).pdf(0.0) / 100.0
+    differ = odds / (1.0 + odds)
+    assert (law.candidate.effect.id == UNEVEN) == (differ > 0.5)
+    assert law.law == pytest.approx(max(differ, 1.0 - differ), abs=1e-9)
 
 
 def test_uneven_friction_is_told_of_a_urdf_that_has_the_mean() -> None:

@@ -13,7 +13,9 @@ from likelihood.fits import COULOMB, OPTIONS, URDF, VISCOUS, at_joint, with_fric
 from shortened import slow_but
 from simulated import Motion, inverse_dynamics, joint_names, with_wrong_inertials
 
+from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.extending import Extended, extended
+from torchrbd.diagnosis.friction import COULOMB as EVEN
 from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import is_curve
@@ -176,6 +178,22 @@ def test_a_dead_zone_has_a_name_though_it_hides_what_the_load_is(size: float) ->
     assert (term.own.candidate.effect.id, term.own.candidate.place) == ("torque_dead_zone", 0)
     assert term.own.coefficients == pytest.approx([size], rel=0.02)
     assert unexplained(model, (), ()) == ()
+
+
+@pytest.mark.parametrize(("uneven", "told", "other"), [(0.04, EVEN, UNEVEN), (0.048, UNEVEN, EVEN)])
+def test_coulomb_friction_whose_directions_may_differ_is_told_with_both_laws(
+    uneven: float, told: str, other: str
+) -> None:
+    """That there is friction is certain; its laws share that, and what is told has the level that both have."""
+    model = diagnosed(at_joint(0, lambda m: uneven * np.tanh(m.qd[:, 0] / 0.01) ** 2), may=MAY[:3])
+    (one,) = (f for f in explain(model).findings if f.joints == (FIRST,) and "coulomb" in f.effect)
+    assert (one.effect, [law.effect for law in one.laws]) == (told, [told, other])
+    assert one.family_probability > 0.99 > one.probability > 0.5
+    assert sum(law.probability for law in one.laws) == pytest.approx(1.0)
+    alike = one.indistinguishable_from[0]
+    level = [np.mean(list(p.values())) for p in (alike.parameters, {k: q.value for k, q in one.parameters.items()})]
+    assert alike.effect == other
+    assert level == pytest.approx([COULOMB[0]] * 2, rel=0.02)
 
 
 def test_where_nothing_is_left_nothing_is_told() -> None:

@@ -11,8 +11,8 @@ import torch
 
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.diagnosis.extending import Extended
-from torchrbd.diagnosis.friction import UNEVEN
-from torchrbd.diagnosis.hypotheses import whole
+from torchrbd.diagnosis.friction import COULOMB, UNEVEN, Friction
+from torchrbd.diagnosis.hypotheses import Hypothesis, whole
 from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds
 from torchrbd.diagnosis.proof import confirmed
 from torchrbd.diagnosis.residual import is_curve
@@ -262,11 +262,23 @@ def _sure(extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:
     """Yield the terms of a model that may be findings, their log evidence, and how sure they are."""
     terms = extended.model.proper_terms
     for friction, candidate in zip(extended.friction, terms, strict=False):
-        if friction.probability > LIKELY:
-            yield candidate, friction.log_evidence, Inclusion(friction.probability, friction.probability)
+        if (p := friction.probability) > LIKELY:
+            yield candidate, friction.log_evidence, Inclusion(p * friction.law, p, _laws(friction, candidate, extended))
     for term, candidate in zip(extended.found.terms, extended.terms, strict=True):
         if not is_curve(candidate):
             yield candidate, term.own.log_evidence, inclusion(term.own, term.rivals, extended.found.rows)
+
+
+def _laws(friction: Friction, term: Candidate, extended: Extended) -> tuple[tuple[Hypothesis, float], ...]:
+    """Return Coulomb friction that is the same in both directions, or is not, and how probable each is."""
+    if friction.law == 1.0:
+        return ()
+    plus, minus = extended.found.fit.friction[term.site.joint, 1:]
+    # The level is the machine's own already, see ``whole``.
+    name, w = (COULOMB, np.zeros(1)) if term.effect.id == UNEVEN else (UNEVEN, np.array([0.0, 0.5 * (plus - minus)]))
+    other = replace(friction, candidate=extended.model.columns.candidate(effect(name), term.site, {}))
+    pairs = (friction, friction.law), (other, 1.0 - friction.law)
+    return tuple((Hypothesis(f.candidate, f.log_evidence, w, np.zeros_like(w), 1.0, 1), p) for f, p in pairs)
 
 
 def places(robot: RobotModel, term: Candidate) -> tuple[tuple[str, ...], tuple[str, ...]]:

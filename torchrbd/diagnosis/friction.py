@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchrbd.diagnosis.hypotheses import SHARED
-from torchrbd.diagnosis.posterior import probability_of
+from torchrbd.diagnosis.posterior import LIKELY, probability_of
 from torchrbd.effects import Site, effect
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood
@@ -30,11 +30,13 @@ class Friction:
         candidate: the term.
         log_evidence: against what the URDF says.
         probability: that the URDF is wrong there.
+        law: probability that directions differ, or do not, as the term has it.
     """
 
     candidate: Candidate
     log_evidence: float
     probability: float
+    law: float = 1.0
 
 
 def ordinary_friction(
@@ -60,14 +62,16 @@ def ordinary_friction(
     for j in range(columns.robot.n_dof):
         if not fit.machine.rows.seen[j]:
             continue
-        names = [VISCOUS] if VISCOUS in may else []
-        uneven = UNEVEN in may and j not in shifted and (COULOMB not in may or _uneven(fit, j) > 0.0)
-        if uneven or COULOMB in may:
-            names.append(UNEVEN if uneven else COULOMB)
-        for name in names:
+        sure = {VISCOUS: 1.0} if VISCOUS in may else {}
+        differ = probability_of(_uneven(fit, j)) if COULOMB in may else 1.0
+        if UNEVEN in may and j not in shifted and differ > LIKELY:
+            sure[UNEVEN] = differ
+        elif COULOMB in may:
+            sure[COULOMB] = 1.0 - differ if UNEVEN in may and j not in shifted else 1.0
+        for name, law in sure.items():
             evidence = _evidence(fit, columns.robot, name, j, laws)
             candidate = columns.candidate(effect(name), Site(j), {})
-            found.append(Friction(candidate, evidence, probability_of(evidence)))
+            found.append(Friction(candidate, evidence, probability_of(evidence), law))
     return tuple(found)
 
 
