@@ -178,6 +178,9 @@ class Table(search._Search):
     def side_by_side(self, fit: Likelihood, now: list[Hypothesis], done: Collection[int]) -> list[Hypothesis]:
         return now
 
+    def shaped(self, fit: Likelihood, h: Hypothesis) -> list[Hypothesis]:
+        return [h]
+
 
 @pytest.fixture(scope="module")
 def rows() -> Rows:
@@ -321,6 +324,21 @@ def test_rivals_of_what_leads_are_learnt_anew_as_it_is(rows: Rows, monkeypatch: 
     judged = Table(rows, (), lambda _: None).judged(cast(Any, frozenset()), found)
     assert learnt == ["A", "B"]
     assert [h.log_evidence for h in judged] == [640.0, 645.0, 1.0, 45.0]
+
+
+def test_rivals_are_judged_at_their_best_shape(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the shapes of a grid a law that is right would lose to a curve."""
+
+    class Shaped(Table):
+        def shaped(self, fit: Likelihood, h: Hypothesis) -> list[Hypothesis]:
+            return [h, replace(h, log_evidence=h.log_evidence + 60.0)] if letter(h) == "B" else [h]
+
+    monkeypatch.setattr(search, "at_a_glance", lambda fit, rows, h: h)
+    monkeypatch.setattr(search, "with_own_noise", lambda fit, rows, h: h)
+    worth = {"A": 76.0, "B": 47.0}
+    found = [Hypothesis(candidate(rows, *SITES[name]), w, np.zeros(2), np.ones(2), 1.0, 1) for name, w in worth.items()]
+    judged = Shaped(rows, (), lambda _: None).judged(cast(Any, frozenset()), found)
+    assert [h.log_evidence for h in judged] == [76.0, 107.0]
 
 
 def test_rivals_are_weighed_by_the_noise_that_is_learnt_with_the_likeliest(rows: Rows, monkeypatch) -> None:

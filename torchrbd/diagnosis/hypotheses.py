@@ -62,6 +62,11 @@ class Hypothesis:
         return Extra(self.candidate.place, rows.features(self.candidate), std * self.scale)
 
 
+def meet(a: Candidate, b: Candidate) -> bool:
+    """Say whether two terms act on the torque of one joint."""
+    return a.place is None or b.place is None or a.place == b.place
+
+
 def carried(fit: Likelihood) -> Rows:
     """Return the rows whose signals carry the load and friction of a fit."""
     own = fit.around_its_fit(alone=True)

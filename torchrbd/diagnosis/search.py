@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried, meet
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
 from torchrbd.diagnosis.screening import lasting, refined, restarted, screened
@@ -93,11 +93,6 @@ def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int
     return Explanation(base, fit, search.rows, terms, first, last, len(first))
 
 
-def _meet(a: Candidate, b: Candidate) -> bool:
-    """Say whether two terms act on the torque of one joint."""
-    return a.place is None or b.place is None or a.place == b.place
-
-
 def _alike(h: Hypothesis) -> tuple[Hashable, ...]:
     """Return effect, place and recording, and whether it comes or goes: one hypothesis, whatever its window."""
     window = h.candidate.site.window
@@ -126,8 +121,10 @@ class _Search:
         """Return hypotheses, the likeliest first."""
         return sorted(found, key=lambda h: -log_odds(h, self.rows))
 
-    def judged(self, fit: Likelihood, found: Sequence[Hypothesis], *, sharp: bool = False) -> list[Hypothesis]:
+    def judged(self, fit: Likelihood, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return hypotheses beside a fit; those that lead, and their rivals, with all that is learnt learnt anew.
+
+        Their shapes are refined: between those of a grid a law seems to be worth less than a curve, which has none.
 
         That of the greatest odds and that of the greatest evidence lead. At a glance what is not explained hides much
         of a law, more of one than of another: what is likelier than not, and acts where a leader does, is its rival.
@@ -135,19 +132,17 @@ class _Search:
         Args:
             fit: beside which they stand.
             found: what is judged.
-            sharp: refine the shapes of those that lead, too.
         """
         now, done = [at_a_glance(fit, self.rows, h) for h in found], set[int]()
         while now:
             odds = np.array([log_odds(h, self.rows) for h in now])
             lead = {int(odds.argmax()), int(np.argmax([h.log_evidence for h in now]))}
-            near = [any(_meet(h.candidate, now[k].candidate) for k in lead) for h in now]
+            near = [any(meet(h.candidate, now[k].candidate) for k in lead) for h in now]
             lead |= set(np.flatnonzero(near & (odds >= 0.0)).tolist())
             if lead <= done:
                 break
             for k in lead - done:
-                ways = self.shaped(fit, found[k]) if sharp or found[k].candidate.effect.follows else [found[k]]
-                now[k] = self.likeliest(fit, ways)
+                now[k] = self.likeliest(fit, self.shaped(fit, found[k]))
             done |= lead
         return self.side_by_side(fit, now, done)
 
@@ -163,7 +158,7 @@ class _Search:
             best = now[first]
             beside = learnt_with(fit, self.rows, best).extended(fit.extra)
             level = again(beside, self.rows, best)
-            rivals = [k for k in done if k != first and _meet(now[k].candidate, best.candidate)]
+            rivals = [k for k in done if k != first and meet(now[k].candidate, best.candidate)]
             for k in rivals:
                 one = again(beside, self.rows, now[k])
                 if one is None or level is None or not np.isfinite(now[k].log_evidence):
@@ -193,7 +188,7 @@ class _Search:
         aside = *self.beside_normal, *self.hidden(fit, known)
         others = [again(fit, self.rows, h) for h in aside if h.name not in known]
         near += [h for h in others if h is not None and h.candidate not in seen]
-        best = self.ordered((*self.judged(fit, near, sharp=True), *likely[_LEADING:]))
+        best = self.ordered((*self.judged(fit, near), *likely[_LEADING:]))
         first = {_alike(h): h for h in reversed(best)}
         return [h for h in best if first[_alike(h)] is h]
 
@@ -342,7 +337,7 @@ class _Search:
             before, terms, changed_before, changed = terms, [], changed, []
             while (k := len(terms)) < len(chosen):
                 now = chosen[k].candidate
-                stays = [t for t in before if t.own.candidate == now and not any(_meet(now, c) for c in changed_before)]
+                stays = [t for t in before if t.own.candidate == now and not any(meet(now, c) for c in changed_before)]
                 if stays:
                     terms += stays[:1]
                     continue
