@@ -1,8 +1,9 @@
 """Ordinary friction of every joint: what of it the URDF leaves out, how sure that is, and whether directions differ.
 
 Coefficients are estimated in every model. The evidence for them is that of their density at what the URDF says, before
-the data and after (Savage and Dickey). Where a law that was found has the same column, theirs alone and the sum of both
-have to say otherwise than the URDF: each may stand in for a part of the other.
+the data and after (Savage and Dickey). That Coulomb friction differs by direction is as likely as not before the data:
+every model leaves it open, so that nothing is sought. Where a law that was found has the same column, theirs alone and
+the sum of both have to say otherwise than the URDF: each may stand in for a part of the other.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import expit
 
 from torchrbd.diagnosis.hypotheses import SHARED
 from torchrbd.diagnosis.posterior import LIKELY, probability_of
@@ -63,7 +65,7 @@ def ordinary_friction(
         if not fit.machine.rows.seen[j]:
             continue
         sure = {VISCOUS: 1.0} if VISCOUS in may else {}
-        differ = probability_of(_uneven(fit, j)) if COULOMB in may else 1.0
+        differ = float(expit(_uneven(fit, j))) if COULOMB in may else 1.0
         if UNEVEN in may and j not in shifted and differ > LIKELY:
             sure[UNEVEN] = differ
         elif COULOMB in may:
