@@ -158,7 +158,7 @@ def set_apart(
                 nmse_after={name: x for name, (_, x) in own.items()},
             )
             kept[k], total = (term, one), math.fsum(before.values())
-            if trifling(term, one) and least > (1.0 - NO_CHANGE) * total:
+            if trifling(term, one) and least >= (1.0 - NO_CHANGE) * total:
                 may_go[k] = total
         if not may_go:
             return kept, apart
