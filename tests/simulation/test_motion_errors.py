@@ -133,6 +133,6 @@ def test_the_report_marks_what_is_no_better_than_coasting(tmp_path: Path) -> Non
     assert "Motion: simulated from recorded states under recorded torque" in text
     assert "joint1 20 10–40 3.1 1.6–6.2 40 20–80 mrad" in text
     assert "slide ∞ 500–∞ 90 45–180 30 15–60 mm" in text
-    assert "over 12 windows of 0.5 s, on data that no fit or choice has seen; * anywhere" in text
+    assert "over 12 windows of 0.5 s, on data that no fit has seen; * anywhere" in text
     assert page.count('class=" worse"') == 1
     assert "Motion" not in " ".join(Text(render(identification(names), tmp_path)).words)

@@ -275,10 +275,14 @@ def _laws(friction: Friction, term: Candidate, extended: Extended) -> tuple[tupl
         return ()
     plus, minus = extended.found.fit.friction[term.site.joint, 1:]
     # The level is the machine's own already, see ``whole``.
-    name, w = (COULOMB, np.zeros(1)) if term.effect.id == UNEVEN else (UNEVEN, np.array([0.0, 0.5 * (plus - minus)]))
-    other = replace(friction, candidate=extended.model.columns.candidate(effect(name), term.site, {}))
-    pairs = (friction, friction.law), (other, 1.0 - friction.law)
-    return tuple((Hypothesis(f.candidate, f.log_evidence, w, np.zeros_like(w), 1.0, 1), p) for f, p in pairs)
+    coefficients = {COULOMB: np.zeros(1), UNEVEN: np.array([0.0, 0.5 * (plus - minus)])}
+    probability = {name: friction.law if name == term.effect.id else 1.0 - friction.law for name in coefficients}
+
+    def hypothesis(name: str) -> Hypothesis:
+        candidate = extended.model.columns.candidate(effect(name), term.site, {})
+        return Hypothesis(candidate, friction.log_evidence, coefficients[name], np.zeros(len(candidate.labels)), 1.0, 1)
+
+    return tuple((hypothesis(name), p) for name, p in sorted(probability.items(), key=lambda pair: -pair[1]))
 
 
 def places(robot: RobotModel, term: Candidate) -> tuple[tuple[str, ...], tuple[str, ...]]:

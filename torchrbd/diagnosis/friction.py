@@ -64,13 +64,14 @@ def ordinary_friction(
     for j in range(columns.robot.n_dof):
         if not fit.machine.rows.seen[j]:
             continue
-        sure = {VISCOUS: 1.0} if VISCOUS in may else {}
-        differ = float(expit(_uneven(fit, j))) if COULOMB in may else 1.0
-        if UNEVEN in may and j not in shifted and differ > LIKELY:
-            sure[UNEVEN] = differ
+        found_as, differ = {VISCOUS: 1.0} if VISCOUS in may else {}, float(UNEVEN in may and j not in shifted)
+        if differ and COULOMB in may:
+            differ = float(expit(_uneven(fit, j)))
+        if differ > LIKELY:
+            found_as[UNEVEN] = differ
         elif COULOMB in may:
-            sure[COULOMB] = 1.0 - differ if UNEVEN in may and j not in shifted else 1.0
-        for name, law in sure.items():
+            found_as[COULOMB] = 1.0 - differ
+        for name, law in found_as.items():
             evidence = _evidence(fit, columns.robot, name, j, laws)
             candidate = columns.candidate(effect(name), Site(j), {})
             found.append(Friction(candidate, evidence, probability_of(evidence), law))

@@ -1,4 +1,4 @@
-"""What an extended model is worth on torque that no fit and no choice has seen, and what memory its errors keep.
+"""What an extended model is worth on torque that no fit has seen, and what memory its errors keep.
 
 Blocks of time are drawn again (a paired bootstrap): neighbouring samples err alike, blocks hardly do. White noise below
 a cut-off f forgets itself within 1 / (2 f), unexplained physics does not.

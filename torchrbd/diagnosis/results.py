@@ -281,7 +281,7 @@ class Deflection:
 
 @dataclass(frozen=True)
 class Proof:
-    """What the extended model is worth at one joint, on torque that no fit and no choice has seen.
+    """What the extended model is worth at one joint, on torque that no fit has seen.
 
     Attributes:
         joint: which.
