@@ -18,7 +18,7 @@ def add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_requi
     """Add what commands understand that fit a robot to recordings."""
     add_robot(sub, output_required=output_required)
     data = sub.add_argument_group("data")
-    data.add_argument("--holdout", type=Path, metavar="FILE", help="recordings that no fit or choice sees", **_MANY)
+    data.add_argument("--holdout", type=Path, metavar="FILE", help="recordings that no fit sees", **_MANY)
     data.add_argument(
         "--holdout-fraction", type=float, metavar="X", help="else, the part of each recording kept back (default: 0.25)"
     )

@@ -47,7 +47,7 @@ class Prepared:
         reading: the recordings and how they are read.
         columns: layout of x.
         statistics: all blocks.
-        held_out: (B,) bool, blocks that no fit or choice may see.
+        held_out: (B,) bool, blocks that no fit may see.
         holdout_words: the same for a person.
         prior: around the URDF.
         found_encoder_noise: (n_dof,) standard deviation of the positions as the recordings to fit show it, whatever the

@@ -27,7 +27,7 @@ class TorqueSeries:
         recordings: names of the recordings.
         recording: (M,) index into ``recordings``.
         t: (M,) seconds from that recording's start.
-        held_out: (M,) True where no fit or choice has seen the sample.
+        held_out: (M,) True where no fit has seen the sample.
         q, qd, qdd: (M, n) band-limited states, [rad, m], per second, per second squared.
         measured: (M, n) band-limited torque, NaN where a joint's torque was not recorded.
         predicted: "urdf", "rigid_body" and, after a diagnosis, "extended": (M, n) each.

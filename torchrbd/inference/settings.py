@@ -30,7 +30,7 @@ class Settings:
     Where several are meant, one alone will do; text as on the command line is understood too ("2:30").
 
     Attributes:
-        holdout: recordings (files, opened, or in memory) that no fit or choice sees. Default: none, but
+        holdout: recordings (files, opened, or in memory) that no fit sees. Default: none, but
             ``holdout_fraction``.
         holdout_fraction: without ``holdout``, the part of each recording that is kept back, (0, 0.5]. Default: 0.25.
         time: use only this part of each recording, (from, to) [s] from its start. Default: all.

@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Fit:
-    """How well one model predicts the torque of blocks that no fit or choice has seen.
+    """How well one model predicts the torque of blocks that no fit has seen.
 
     Attributes:
         nmse: per joint, mean squared error / variance of the measured torque, both on held-out blocks, [-].

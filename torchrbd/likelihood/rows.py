@@ -33,7 +33,7 @@ _LOOK_S = 0.1
 _MOST_BLOCKS = 64
 
 KeptBack = Callable[[str, Tensor], Tensor]
-"""Says which times (N,) of a recording no fit or choice may see, bool."""
+"""Says which times (N,) of a recording no fit may see, bool."""
 
 
 @dataclass(frozen=True)

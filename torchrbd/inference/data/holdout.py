@@ -1,4 +1,4 @@
-"""Which blocks are kept back: no fit or choice sees them, all models are judged on them."""
+"""Which blocks are kept back: no fit sees them, all models are judged on them."""
 
 from __future__ import annotations
 
