@@ -13,12 +13,13 @@ from effects.sites import ROBOT, SCALE, signals, states
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, firwin, lfilter
 from shortened import slow_but
+from torch import Tensor
 from torch.autograd import gradcheck
 
 from torchrbd.effects import Effect, Shape, Signals, Site
 from torchrbd.effects.actuator_lag import ActuatorLag, acting
 from torchrbd.effects.backlash import Backlash
-from torchrbd.effects.band_limits import below
+from torchrbd.effects.band_limits import UNLIMITED_HZ, below, flat_below
 from torchrbd.effects.joint_elasticity import JointElasticity
 from torchrbd.effects.presliding_hysteresis import PreslidingHysteresis
 from torchrbd.effects.recurrence import recurrence
@@ -249,15 +250,20 @@ def test_what_an_actuator_supplies_is_its_command_filtered() -> None:
     np.testing.assert_allclose(supplied[1], 1.0 + 2.0 * t, rtol=1e-9)
 
 
-@pytest.mark.parametrize("hz", [1.5, 12.0, 1e4])
-def test_below_a_bandwidth(hz: float) -> None:
-    """A sine keeps exp(-(f/b)^2 / 2) of itself, a straight line all, to its ends."""
-    t = torch.arange(0, 6, 0.004, dtype=torch.float64)
+@pytest.mark.parametrize("hz", [1.5, 12.0])
+@pytest.mark.parametrize(
+    ("seen", "response"),
+    [(below, lambda f: np.exp(-0.5 * f**2)), (flat_below, lambda f: 1.0 / (1.0 + f**8))],
+)
+def test_below_a_bandwidth(seen: Callable[..., Tensor], response: Callable[[float], float], hz: float) -> None:
+    """A sine keeps what the response says of it, a straight line all, to its ends; a millionth is cut off."""
+    t = torch.arange(0, 16, 0.004, dtype=torch.float64)
     line, wave = 3.0 - 0.7 * t, torch.sin(2 * torch.pi * 2.5 * t + 0.3)
-    seen = below(torch.stack((line, wave)), 0.004, hz)
-    torch.testing.assert_close(seen[0], line, rtol=1e-9, atol=1e-9)
-    inner = slice(200, -200)
-    torch.testing.assert_close(seen[1][inner], wave[inner] * np.exp(-0.5 * (2.5 / hz) ** 2), rtol=1e-6, atol=1e-9)
+    found = seen(torch.stack((line, wave)), 0.004, hz)
+    torch.testing.assert_close(found[0], line, rtol=0.0, atol=3e-6)
+    inner = slice(1000, -1000)
+    torch.testing.assert_close(found[1][inner], wave[inner] * response(2.5 / hz), rtol=0.0, atol=3e-6)
+    torch.testing.assert_close(seen(wave, 0.004, UNLIMITED_HZ), wave)
 
 
 class TestTwoMasses:
@@ -271,7 +277,7 @@ class TestTwoMasses:
 
     def test_spring_between_motor_and_link(self) -> None:
         t, q, errors = np.arange(0, 8, 0.005), motion(11, 0.6), []
-        shape = {"bandwidth": 48.0, "compliance": 0.0}
+        shape = {"bandwidth": 48.0, "compliance": 0.0, "link_friction": 0.0}
         for stiffness in (600.0, 1200.0):
             torque = two_masses(q, t, 0.0, stiffness, damping=0.03 * 2 * (stiffness * INERTIA) ** 0.5)
             w, share = self.explained(JointElasticity(), shape, q, t, torque)
@@ -288,10 +294,27 @@ class TestTwoMasses:
         wound = at.load[0] / (1 - r)
         errors = []
         for known in (0.0, compliance):
-            (phi,) = JointElasticity().features(at, Site(0), {"bandwidth": 1e4, "compliance": known}).values()
+            (phi,) = (
+                JointElasticity()
+                .features(at, Site(0), {"bandwidth": 1e4, "compliance": known, "link_friction": 0.0})
+                .values()
+            )
             errors.append(float((at.load + compliance * phi - wound)[0, 100:-100].abs().max() / wound.abs().max()))
         assert errors[0] == pytest.approx(r**2, rel=0.05)
         assert errors[1] == pytest.approx(r**4, rel=0.2)
+
+    def test_friction_of_the_link_winds_the_spring(self) -> None:
+        """tau = Z q / (1 + Z / k) for small motions, Z = M s^2 + d s + m g l: d delays what accelerates the link."""
+        t, s, viscous, stiffness = np.arange(0, 4, 0.002), 4j * np.pi, 2.0, 3000.0
+        moved = pendulum_signals(lambda t, k: (1e-3 * s**k * np.exp(s * t)).imag, t)
+        at = replace(moved, friction=torch.tensor([[viscous, 0.0, 0.0]], dtype=torch.float64))
+        Z = INERTIA * s**2 + viscous * s + MASS * 9.81 * LENGTH
+        more, errors = (-1e-3 * Z**2 / (Z + stiffness) * np.exp(s * t)).imag, []
+        for link in (0.0, 1.0):
+            shape = {"bandwidth": 1e4, "compliance": 1 / stiffness, "link_friction": link}
+            (phi,) = JointElasticity().features(at, Site(0), shape).values()
+            errors.append(float(np.abs(phi[0].numpy() / stiffness - more)[100:-100].max() / np.abs(more).max()))
+        assert errors[1] < 0.05 < 0.5 < errors[0]
 
     @pytest.mark.parametrize("seed", slow_but((12,), (12, 13)))
     def test_play_between_motor_and_link(self, seed: int) -> None:

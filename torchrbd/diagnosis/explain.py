@@ -82,7 +82,7 @@ def explain(extended: Extended) -> Explained:
     # What its own time shows is set apart where held-out time is told worse with it.
     trifling = worded([(term, proven(term, one, [], unseen)) for term, one in apart])
     # What laws of friction take is ordinary friction's; what held-out time contradicts is nobody's.
-    leave = {term for term, one in apart if term.effect.family == _FRICTION or _contradicted(one)}
+    leave = {term for term, one in apart if term.effect.family == _FRICTION or one.share_of_all < -NO_CHANGE}
     gone = leave.intersection(extended.terms)
     if gone:
         extended = extended.without(gone)
