@@ -12,7 +12,7 @@ import pytest
 import torch
 from inference.problems import columns_of, dense, prior_of, recorded, statistics_of
 
-from torchrbd.diagnosis.explain import is_trifling, set_apart
+from torchrbd.diagnosis.explain import contradicted, is_trifling, set_apart
 from torchrbd.diagnosis.proof import confirmed, doubt, proofs
 from torchrbd.diagnosis.results import Finding, Ratio, Where
 from torchrbd.effects import Site, effect
@@ -161,7 +161,14 @@ def of_joints(*names: str) -> Any:
 
 @pytest.mark.parametrize(
     ("recordings", "after", "trifling"),
-    [(None, 0.05, False), (None, 0.1, True), (("a",), 0.05, False), (("a",), 0.1, False), (("a",), 0.11, True)],
+    [
+        (None, 0.05, False),
+        (None, 0.1, True),
+        (None, 0.11, True),
+        (("a",), 0.05, False),
+        (("a",), 0.1, False),
+        (("a",), 0.11, True),
+    ],
 )
 def test_held_out_time_that_contradicts_a_finding_sets_it_apart(
     recordings: tuple[str, ...] | None, after: float, trifling: bool
@@ -175,6 +182,7 @@ def test_held_out_time_that_contradicts_a_finding_sets_it_apart(
         torque_rms={"hinge": 1.0},
     )
     assert is_trifling(one, of_joints("hinge")) is trifling
+    assert contradicted(one) is (after > 0.1), "and it leaves the model, whenever it acts"
 
 
 @pytest.mark.parametrize(("recordings", "trifling"), [(None, False), (("a",), True)])

@@ -82,7 +82,7 @@ def explain(extended: Extended) -> Explained:
     # What its own time shows is set apart where held-out time is told worse with it.
     trifling = worded([(term, proven(term, one, [], unseen)) for term, one in apart])
     # What laws of friction take is ordinary friction's; what held-out time contradicts is nobody's.
-    leave = {term for term, one in apart if term.effect.family == _FRICTION or one.share_of_all < -NO_CHANGE}
+    leave = {term for term, one in apart if term.effect.family == _FRICTION or contradicted(one)}
     gone = leave.intersection(extended.terms)
     if gone:
         extended = extended.without(gone)
@@ -244,7 +244,7 @@ def is_trifling(finding: Finding, extended: Extended) -> bool:
     held-out time may have seen nothing; but then it changes nothing there, and does not make it worse. All joints that
     a force acts on are judged together then.
     """
-    if _contradicted(finding) or (finding.where.recordings is None and finding.share < NO_CHANGE):
+    if finding.share < NO_CHANGE if finding.where.recordings is None else contradicted(finding):
         return True
     torque = extended.prepared.training.torque.sum(0)
     rms = dict(zip(extended.prepared.robot.joint_names, (torque[:, 2] / torque[:, 0]).sqrt().tolist(), strict=True))
@@ -253,9 +253,9 @@ def is_trifling(finding: Finding, extended: Extended) -> bool:
     return small and finding.share < _LEAST_SHARE
 
 
-def _contradicted(finding: Finding) -> bool:
-    """Say whether held-out time is told worse, all joints together, with what acts for a time or in some recordings."""
-    return finding.where.recordings is not None and finding.share_of_all < -NO_CHANGE
+def contradicted(finding: Finding) -> bool:
+    """Say whether held-out time is told worse with it, all joints that it acts on together."""
+    return finding.share_of_all < -NO_CHANGE
 
 
 def _sure(extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:
