@@ -314,6 +314,14 @@ class TestTwoMasses:
             errors.append(float(np.abs(phi[0].numpy() / stiffness - more)[100:-100].max() / np.abs(more).max()))
         assert errors[1] < 1e-3 < 0.5 < errors[0]
 
+    def test_model_files_that_know_no_friction_of_a_link(self) -> None:
+        moved, one = pendulum_signals(motion(11, 0.6), np.arange(0, 4, 0.01)), torch.ones(1, dtype=torch.float64)
+        of_motor = {"bandwidth": 6.0, "compliance": 0.0, "link_friction": 0.0}
+        older = {name: of_motor[name] for name in ("bandwidth", "compliance")}
+        (phi,), (same,) = (JointElasticity().features(moved, Site(0), s).values() for s in (of_motor, older))
+        torch.testing.assert_close(phi, same, rtol=0.0, atol=0.0)
+        assert JointElasticity().parameters(one, older)["link_friction"] == 0.0
+
     @pytest.mark.parametrize("seed", slow_but((12,), (12, 13)))
     def test_play_between_motor_and_link(self, seed: int) -> None:
         t, q, play = np.arange(0, 6, 0.001), motion(seed, 0.6), 0.004

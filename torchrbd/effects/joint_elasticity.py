@@ -70,7 +70,7 @@ class JointElasticity(Effect):
         t, joint = signals.sequence(), site.joint
         assert joint is not None
         dt, band, compliance = float(t[1] - t[0]), shape["bandwidth"], shape["compliance"]
-        link = shape["link_friction"]
+        link = shape.get("link_friction", 0.0)
         alone = (signals.supplied if link else signals.load)[joint]
 
         def added(winding: Tensor) -> Tensor:
@@ -86,7 +86,8 @@ class JointElasticity(Effect):
         return {f"elastic({band:.6g} Hz, {compliance:.6g}, {link:.0f}) {site.name(signals.robot)}": torque}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        shapes = {name: coefficients.new_tensor(shape[name]) for name in shape}
+        names = ("bandwidth", "compliance", "link_friction")
+        shapes = {name: coefficients.new_tensor(shape.get(name, 0.0)) for name in names}
         return {"stiffness": 1.0 / coefficients[0], **shapes}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
