@@ -272,6 +272,14 @@ def test_a_sentence_names_properties_of_the_robot_alone() -> None:
     assert more_values(told) == 0
 
 
+def test_a_sentence_does_not_say_a_kind_of_zero() -> None:
+    """Friction is the motor's unless told otherwise."""
+    for link, more in ((0.0, ""), (1.0, ", link friction 1.00")):
+        quantities = {"stiffness": Quantity(200.0, 4.0, "N m/rad"), "link_friction": Quantity(link, 0.0, "1")}
+        told = finding_sentence(finding("joint_elasticity", "joint1", parameters=quantities))
+        assert told.startswith(f"joint1: joint elasticity, stiffness 200 ± 8 N m/rad{more} (± 95 %).")
+
+
 def test_a_sentence_says_where_no_number_is_told_from_zero() -> None:
     load = {"mass": Quantity(math.nan, math.nan, "kg"), "Iyy": Quantity(-0.03, 0.09, "kg m^2")}
     untold = "No number of it is told from zero; together they are."

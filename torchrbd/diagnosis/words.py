@@ -115,10 +115,11 @@ def values(finding: Finding) -> list[str]:
 
 
 def _properties(finding: Finding) -> dict[str, Quantity]:
-    """Return the quantities of a finding but those that follow from others or are of the data."""
+    """Return the quantities of a finding but those that follow from others or are of the data, and a kind of zero."""
     own = known_effects().get(finding.effect)
-    aside = () if own is None else (*own.follows, *own.of_the_data)
-    return {name: q for name, q in finding.parameters.items() if name not in aside}
+    aside, kinds = ((), ()) if own is None else ((*own.follows, *own.of_the_data), own.kinds)
+    told = {name: q for name, q in finding.parameters.items() if name not in aside}
+    return {name: q for name, q in told.items() if name not in kinds or q.value != 0.0}
 
 
 def _known(finding: Finding) -> dict[str, Quantity]:
