@@ -51,7 +51,12 @@ class LeftOut:
             series = diagnosis.identification.series
             errors.append(series.residual(model)[series.held_out])
             torques.append(series.measured[series.held_out])
-        return np.mean(np.concatenate(errors) ** 2, axis=0) / np.var(np.concatenate(torques), axis=0)
+        return nmse(np.concatenate(errors), np.concatenate(torques))
+
+
+def nmse(errors: np.ndarray, torques: np.ndarray) -> np.ndarray:
+    """Return per joint squared error over variance of the torque, of (N, n) each."""
+    return np.mean(errors**2, axis=0) / np.var(torques, axis=0)
 
 
 def left_out_in_turn(urdf: str | Path, recordings: Sequence[Path], **options) -> LeftOut:
