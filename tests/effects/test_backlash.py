@@ -11,8 +11,9 @@ from effects.sites import ROBOT, signals, states
 from torch import Tensor
 from torch.autograd import gradcheck
 
+from torchrbd.compiling import library
 from torchrbd.effects import Site
-from torchrbd.effects.backlash import Backlash, deviation
+from torchrbd.effects.backlash import COMPILED, Backlash, deviation
 
 
 def free(load: Tensor, inertia: Tensor, dt: float, play: float) -> Tensor:
@@ -98,6 +99,23 @@ def test_a_link_without_inertia_crosses_its_play_at_once() -> None:
         x = free(load, inertia, 0.01, 0.02)
         assert torch.isfinite(x).all()
         assert x.abs().max() <= 0.01
+
+
+@pytest.mark.skipif(library(COMPILED) is None, reason="no C compiler")
+@pytest.mark.parametrize("play", [1e-3, 0.02, 0.3])
+@pytest.mark.parametrize("coulomb", [0.0, 0.1, 2.0])
+def test_compiled_as_with_derivatives(play: float, coulomb: float) -> None:
+    """Links that hang, fly, swing and stick: the same to rounding, whatever has derivatives."""
+    rng = np.random.default_rng(5)
+    t = 2e-3 * torch.arange(3000, dtype=torch.float64)
+    rate, phase, size = (torch.from_numpy(rng.uniform(*x, (4, 2, 3, 1))) for x in ((1, 20), (0, 6), (0.1, 1)))
+    load, qd, A, B = (size * torch.sin(rate * t + phase)).sum(-2)
+    qdd, M = torch.gradient(qd, spacing=2e-3, dim=-1)[0], 0.05 + 0.02 * torch.cos(t).expand(2, -1)
+    slopes, friction = torch.stack((A, 0.02 * B, M)), torch.tensor([0.05, coulomb, -0.02]).double()
+    given = slopes, (qd, qdd), friction, 2e-3, play
+    found, derived = deviation(load, *given), deviation(load.clone().requires_grad_(), *given)
+    torch.testing.assert_close(found, derived.detach(), rtol=0, atol=1e-10 * play)
+    assert ((found.abs() < 0.49 * play).double().mean(-1) > 0.02).all()
 
 
 @pytest.mark.parametrize(("shape", "told"), [(0.0, 0.0), (1.0, 1.0), (-0.5, 1.0), (1.6e-17, 1.0)])

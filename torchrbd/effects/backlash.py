@@ -23,13 +23,15 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.compiling import ADDRESS, INTEGER, NUMBER, Source, library
 from torchrbd.effects.base import CoefficientPrior, Effect, Shape
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site
@@ -38,6 +40,12 @@ from torchrbd.effects.sites import Site
 _LEAST_INERTIA = 1e-6
 # Integrals over the whole sequence, of what the one before has found.
 _FEEDBACKS = 3
+COMPILED = Source(
+    Path(__file__).parent,
+    ("backlash.c",),
+    {"deviation": (INTEGER, INTEGER, ADDRESS, NUMBER, NUMBER, NUMBER, INTEGER, ADDRESS)},
+)
+"""`deviation` where no derivative is asked for, some thirty times faster."""
 
 
 class Backlash(Effect):
@@ -119,8 +127,11 @@ def deviation(
     viscous, coulomb, offset = friction.double()
     coulomb = coulomb.clamp_min(0.0)
     driven = tau + viscous * qd + offset
-    signals = torch.stack((driven, M, A, B, qd, driven - M * qdd)).detach().cpu().reshape(6, -1, tau.shape[-1])
-    courses = [_course(*row.numpy(), coulomb=coulomb.item(), dt=dt, play=play) for row in signals.unbind(1)]
+    signals = torch.stack((driven, M, A, B, qd, driven - M * qdd))
+    if not signals.requires_grad and (compiled := library(COMPILED)) is not None:
+        return _underived(compiled.deviation, signals, coulomb.item(), dt, play).to(load)
+    rows = signals.detach().cpu().reshape(6, -1, tau.shape[-1]).unbind(1)
+    courses = [_course(*row.numpy(), coulomb=coulomb.item(), dt=dt, play=play) for row in rows]
     course = torch.from_numpy(np.array(courses)).to(tau)
     side, left, begun, rests, direction, stuck, x, rate = (column.reshape(tau.shape) for column in course.unbind(1))
     free, left, begun = left >= 0, left.clamp_min(0).long(), begun.long()
@@ -133,6 +144,21 @@ def deviation(
         x = (torch.where(free, way - way.gather(-1, left), 0.0) - side * play / 2).clamp(-play / 2, play / 2)
         rate = torch.where(free, rate, 0.0)
     return x.to(load)
+
+
+def _underived(compiled: Callable[..., int], signals: Tensor, coulomb: float, dt: float, play: float) -> Tensor:
+    """Return the deviation (*batch, N) of signals (6, *batch, N), as they come to `_course`, by the compiled function.
+
+    Raises:
+        MemoryError: it found none.
+    """
+    given = signals.cpu().contiguous()
+    x = torch.empty_like(given[0])
+    samples = x.shape[-1]
+    rows = x.numel() // samples
+    if compiled(rows, samples, given.data_ptr(), coulomb, dt, play, _FEEDBACKS, x.data_ptr()):
+        raise MemoryError("no memory for the flights of a play")
+    return x
 
 
 def _integral(x: Tensor, dt: float) -> Tensor:

@@ -9,13 +9,33 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from torchrbd.compiling import ADDRESS, INTEGER, Source, library
 from torchrbd.robot.batching import zeros
-from torchrbd.robot.compiled.building import library
 from torchrbd.robot.compiled.tables import Tables
+
+_TABLES = (ADDRESS, ADDRESS, INTEGER)
+KERNELS = Source(
+    Path(__file__).parent,
+    ("kernels.c", "lanes.h", "log_cholesky.h", "mass_matrix.h", "motion.h", "regressor.h", "torque.h", "work.h"),
+    {
+        "inverse_dynamics": (*_TABLES, INTEGER, INTEGER, *[ADDRESS] * 6),
+        "inverse_dynamics_adjoint": (*_TABLES, INTEGER, INTEGER, *[ADDRESS] * 11),
+        "physical_torque": (*_TABLES, INTEGER, *[ADDRESS] * 6),
+        "torque_slopes": (*_TABLES, INTEGER, *[ADDRESS] * 6),
+        "regressor": (*_TABLES, INTEGER, INTEGER, *[ADDRESS] * 5),
+        "regressor_adjoint": (*_TABLES, INTEGER, INTEGER, *[ADDRESS] * 9),
+        "mass_matrix": (*_TABLES, INTEGER, INTEGER, *[ADDRESS] * 3),
+        "mass_matrix_adjoint": (*_TABLES, INTEGER, INTEGER, *[ADDRESS] * 5),
+        "log_cholesky": (INTEGER, *[ADDRESS] * 2),
+        "log_cholesky_adjoint": (INTEGER, *[ADDRESS] * 3),
+    },
+)
+"""One library serves all robots: what a robot is comes with each call, as tables."""
 
 LARGE = 1 << 19
 """Numbers from which on numpy asks for large pages."""
@@ -142,7 +162,7 @@ def log_cholesky_adjoint(tables: Tables, theta: Tensor, weight: Tensor, wanted: 
 
 
 def _kernels() -> ctypes.CDLL:
-    loaded = library()
+    loaded = library(KERNELS)
     assert loaded is not None
     return loaded
 

@@ -11,8 +11,8 @@ from torch import Tensor
 from torch._C._functorch import TransformType, get_interpreter_stack
 from torch.autograd import forward_ad
 
-from torchrbd.robot.compiled.building import library
-from torchrbd.robot.compiled.calls import physical_torque, torque_slopes
+from torchrbd.compiling import library
+from torchrbd.robot.compiled.calls import KERNELS, physical_torque, torque_slopes
 from torchrbd.robot.compiled.functions import TransformedValue, differentiable_value
 from torchrbd.robot.compiled.kernel import INVERSE_DYNAMICS, Kernel
 from torchrbd.robot.compiled.operators import OPERATORS
@@ -48,7 +48,7 @@ def only_eager() -> Iterator[None]:
 @_constant_in_graphs
 def is_available() -> bool:
     """Say whether there are compiled kernels; builds them if need be."""
-    return library() is not None
+    return library(KERNELS) is not None
 
 
 def call(kernel: Kernel, tables: Tables, *arguments: Tensor) -> Tensor | None:

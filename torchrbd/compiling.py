@@ -1,6 +1,6 @@
-"""The kernels as a library: built once a machine by its C compiler, kept in a cache folder, loaded once a process.
+"""C code as a library: built once a machine by its C compiler, kept in a cache folder, loaded once a process.
 
-One library serves all robots: what a robot is comes with each call, as tables. See docs/performance.md for why.
+Where there is no compiler callers do without: all that is compiled is written for torch or numpy as well.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -28,26 +30,28 @@ SECONDS = 120.0
 """That a compiler may take before it is given up; a second is usual."""
 
 _LOG = logging.getLogger(__name__)
-_SOURCES = ("kernels.c", "lanes.h", "log_cholesky.h", "mass_matrix.h", "motion.h", "regressor.h", "torque.h", "work.h")
-_INTEGER, _ADDRESS = ctypes.c_int64, ctypes.c_void_p
-_TABLES = (_ADDRESS, _ADDRESS, _INTEGER)
-_SIGNATURES = {
-    "inverse_dynamics": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 6),
-    "inverse_dynamics_adjoint": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 11),
-    "physical_torque": (*_TABLES, _INTEGER, *[_ADDRESS] * 6),
-    "torque_slopes": (*_TABLES, _INTEGER, *[_ADDRESS] * 6),
-    "regressor": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 5),
-    "regressor_adjoint": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 9),
-    "mass_matrix": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 3),
-    "mass_matrix_adjoint": (*_TABLES, _INTEGER, _INTEGER, *[_ADDRESS] * 5),
-    "log_cholesky": (_INTEGER, *[_ADDRESS] * 2),
-    "log_cholesky_adjoint": (_INTEGER, *[_ADDRESS] * 3),
-}
+INTEGER, NUMBER, ADDRESS = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+"""What functions are called with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """C code for a library.
+
+    Attributes:
+        folder: where it lies.
+        files: the one that is compiled, then those that it includes.
+        functions: those that are called, with the types of their arguments; they return an int.
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    functions: Mapping[str, tuple[type, ...]]
 
 
 @cache
-def library() -> ctypes.CDLL | None:
-    """Return the kernels, or None where TORCHRBD_KERNELS is 0 or there is no compiler that can build them.
+def library(source: Source) -> ctypes.CDLL | None:
+    """Return what is compiled of C code, or None where TORCHRBD_KERNELS is 0 or no compiler can build it.
 
     Environment:
         TORCHRBD_KERNELS: 0 for torch's own operations everywhere.
@@ -62,55 +66,56 @@ def library() -> ctypes.CDLL | None:
         _LOG.debug("no compiled kernels: found no C compiler; set CC, or put cc, gcc or clang on the PATH")
         return None
     try:
-        loaded = _load(compiler)
+        loaded = _load(compiler, source)
     except (OSError, subprocess.SubprocessError) as error:
         told = getattr(error, "stderr", None) or str(error)
         _LOG.debug("no compiled kernels: %s: %s", shlex.join(compiler), told.strip())
         return None
-    for name, arguments in _SIGNATURES.items():
+    for name, arguments in source.functions.items():
         function = getattr(loaded, name)
         function.argtypes, function.restype = arguments, ctypes.c_int
     return loaded
 
 
-def _load(compiler: list[str]) -> ctypes.CDLL:
+def _load(compiler: list[str], source: Source) -> ctypes.CDLL:
     """Load the library from the cache folder; where nothing can be kept there, build it for this process alone.
 
     Raises:
         OSError, subprocess.SubprocessError: as of `build`.
     """
     try:
-        return ctypes.CDLL(str(build(compiler, cache_folder())))
+        return ctypes.CDLL(str(build(compiler, source, cache_folder())))
     except (OSError, RuntimeError) as error:
-        _LOG.debug("compiled kernels are not kept, set TORCHRBD_CACHE to a folder that can be written to: %s", error)
+        _LOG.debug("compiled code is not kept, set TORCHRBD_CACHE to a folder that can be written to: %s", error)
     with tempfile.TemporaryDirectory() as folder:
-        return ctypes.CDLL(str(build(compiler, Path(folder))))
+        return ctypes.CDLL(str(build(compiler, source, Path(folder))))
 
 
-def build(compiler: list[str], folder: Path) -> Path:
+def build(compiler: list[str], source: Source, folder: Path) -> Path:
     """Return the library in a folder, built if it is not there; processes that build it at once do not meet.
 
     Args:
         compiler: command and options.
+        source: what is built.
         folder: is made if need be.
 
     Raises:
         OSError: the folder cannot be written to, or the compiler cannot be run.
         subprocess.SubprocessError: it fails, or takes too long.
     """
-    here = Path(__file__).parent
-    texts = [(here / name).read_bytes() for name in _SOURCES]
+    name = Path(source.files[0]).stem
+    texts = [(source.folder / file).read_bytes() for file in source.files]
     key = hashlib.sha256("\0".join((*compiler, *map(str, FLAGS), sys.platform, _machine())).encode())
     for text in texts:
         key.update(text)
-    library = folder / f"kernels-{key.hexdigest()[:32]}.so"
+    library = folder / f"{name}-{key.hexdigest()[:32]}.so"
     if library.exists():
         return library
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder) as beside:
-        built = Path(beside) / "kernels.so"
+        built = Path(beside) / f"{name}.so"
         for flags in FLAGS:
-            command = [*compiler, *flags, str(here / "kernels.c"), "-o", str(built), "-lm"]
+            command = [*compiler, *flags, str(source.folder / source.files[0]), "-o", str(built), "-lm"]
             done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS)
             if done.returncode == 0:
                 break

@@ -1,4 +1,4 @@
-"""The library of kernels: built once, by whatever compiler there is, or done without."""
+"""C code as a library: built once, by whatever compiler there is, or done without."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ import pytest
 import torch
 from robot.random_robots import random_urdf
 
+from torchrbd import compiling
+from torchrbd.effects.backlash import COMPILED
 from torchrbd.robot import RobotModel, compiled
-from torchrbd.robot.compiled import building, switch
+from torchrbd.robot.compiled import switch
+from torchrbd.robot.compiled.calls import KERNELS
 
-COMPILER = building._compiler()
+COMPILER = compiling._compiler()
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 
 
@@ -35,10 +38,10 @@ def test_built_once_and_nothing_left_beside(counted: tuple[list[str], Path], tmp
     compiler, calls = counted
     folder = tmp_path / "cache"
     with ThreadPoolExecutor(2) as pool:
-        made = set(pool.map(lambda _: building.build(compiler, folder), range(2)))
+        made = set(pool.map(lambda _: compiling.build(compiler, KERNELS, folder), range(2)))
     built = len(calls.read_text().splitlines())
     assert 1 <= built <= 2
-    assert made == {building.build(compiler, folder)} == set(folder.iterdir())
+    assert made == {compiling.build(compiler, KERNELS, folder)} == set(folder.iterdir())
     assert len(calls.read_text().splitlines()) == built
 
 
@@ -50,9 +53,9 @@ def test_another_compiler_or_machine_is_another_library(
     stub = tmp_path / "stub"
     stub.write_text('#!/bin/sh\nwhile [ "$1" != "-o" ]; do shift; done\n: > "$2"\n')
     stub.chmod(0o755)
-    names = [building.build([str(stub), *options], tmp_path).name for options in ((), ("-g",))]
-    monkeypatch.setattr(building, "_machine", lambda: "another")
-    names.append(building.build([str(stub)], tmp_path).name)
+    names = [compiling.build([str(stub), *options], KERNELS, tmp_path).name for options in ((), ("-g",))]
+    monkeypatch.setattr(compiling, "_machine", lambda: "another")
+    names.append(compiling.build([str(stub)], KERNELS, tmp_path).name)
     assert len(set(names)) == 3
 
 
@@ -75,7 +78,7 @@ def test_done_without(
     for name, value in settings.items():
         monkeypatch.setenv(name, value)
     with caplog.at_level(logging.DEBUG, "torchrbd"):
-        assert building.library.__wrapped__() is None
+        assert compiling.library.__wrapped__(KERNELS) is None
     assert told in caplog.text
     assert not any(tmp_path.iterdir())
 
@@ -88,7 +91,7 @@ def test_a_cache_that_cannot_be_written_to(
     (tmp_path / "file").touch()
     monkeypatch.setenv("TORCHRBD_CACHE", str(tmp_path / "file"))
     with caplog.at_level(logging.DEBUG, "torchrbd"):
-        assert building.library.__wrapped__() is not None
+        assert compiling.library.__wrapped__(KERNELS) is not None
     assert "not kept, set TORCHRBD_CACHE" in caplog.text
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
@@ -99,7 +102,7 @@ def test_a_robot_without_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     q = torch.linspace(-1, 1, 4, dtype=torch.float64)
     with compiled.only_eager():
         expected = [robot.inverse_dynamics(q, q, q), robot.regressor(q, q, q), robot.mass_matrix(q)]
-    monkeypatch.setattr(switch, "library", lambda: None)
+    monkeypatch.setattr(switch, "library", lambda source: None)
     assert not compiled.is_available()
     found = [robot.inverse_dynamics(q, q, q), robot.regressor(q, q, q), robot.mass_matrix(q)]
     assert all(map(torch.equal, found, expected))
@@ -107,16 +110,16 @@ def test_a_robot_without_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_cache_folder_of_the_platform(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert str(building.cache_folder()) == building.os.environ["TORCHRBD_CACHE"]
+    assert str(compiling.cache_folder()) == compiling.os.environ["TORCHRBD_CACHE"]
     monkeypatch.delenv("TORCHRBD_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(building.sys, "platform", "linux")
-    assert building.cache_folder() == tmp_path / "torchrbd"
-    monkeypatch.setattr(building.sys, "platform", "darwin")
-    assert building.cache_folder().parts[-3:] == ("Library", "Caches", "torchrbd")
+    monkeypatch.setattr(compiling.sys, "platform", "linux")
+    assert compiling.cache_folder() == tmp_path / "torchrbd"
+    monkeypatch.setattr(compiling.sys, "platform", "darwin")
+    assert compiling.cache_folder().parts[-3:] == ("Library", "Caches", "torchrbd")
 
 
-def test_sources_are_all_there() -> None:
-    """What the library's name is made of is what it is built of."""
-    folder = Path(building.__file__).parent
-    assert set(building._SOURCES) == {path.name for path in folder.iterdir() if path.suffix in (".c", ".h")}
+@pytest.mark.parametrize("source", [KERNELS, COMPILED], ids=lambda source: source.files[0])
+def test_sources_are_all_there(source: compiling.Source) -> None:
+    """What a library's name is made of is what it is built of."""
+    assert set(source.files) == {path.name for path in source.folder.iterdir() if path.suffix in (".c", ".h")}
