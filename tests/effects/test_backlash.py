@@ -19,7 +19,7 @@ from torchrbd.effects.backlash import COMPILED, Backlash, deviation
 def free(load: Tensor, inertia: Tensor, dt: float, play: float) -> Tensor:
     """Return the deviation of a link without friction."""
     still = torch.zeros_like(load)
-    return deviation(load, alone(inertia), (still, still), load.new_zeros(3), dt, play)
+    return deviation(load, alone(inertia), (still, still, still), load.new_zeros(3), dt, play)[0]
 
 
 def alone(inertia: Tensor) -> Tensor:
@@ -44,7 +44,7 @@ class TestBacklashFlight:
         t = dt * torch.arange(-200, 400, dtype=torch.float64)
         slopes = torch.stack((torch.full_like(t, A), 0.0 * t, torch.full_like(t, M)))
         still = torch.zeros_like(t)
-        x = deviation(0.5 * A * play - r * t, slopes, (still, still), still.new_zeros(3), dt, play)
+        x = deviation(0.5 * A * play - r * t, slopes, (still, still, still), still.new_zeros(3), dt, play)[0]
         w = (A / M) ** 0.5
         expected = (-0.5 * play + r / A * (t - torch.sin(w * t) / w)).clamp_max(0.5 * play)
         np.testing.assert_allclose(x[t < 0].numpy(), -0.5 * play)
@@ -62,33 +62,38 @@ class TestBacklashFlight:
         t = 1e-3 * torch.arange(3000, dtype=torch.float64)
         q, qd, qdd = 0.1 * torch.sin(4 * t), 0.4 * torch.cos(4 * t), -1.6 * torch.sin(4 * t)
         inertia, play = torch.full_like(t, 1e-3), 0.02
-        x = deviation(1e-3 * qdd, alone(inertia), (qd, qdd), torch.tensor([0.05, 0.5, 0.0]), 1e-3, play)
+        friction = torch.tensor([0.05, 0.5, 0.0])
+        x, more = deviation(1e-3 * qdd, alone(inertia), (qd, qdd, qd.sign()), friction, 1e-3, play)
         back = int(torch.nonzero(qd < 0)[0])
         met = back + int(torch.nonzero(q[back:] < q[back] - play)[0])
         np.testing.assert_allclose(x[:back].numpy(), -play / 2)
         resting = slice(back + 2, met - 2)
         np.testing.assert_allclose(x[resting].numpy(), (-play / 2 + q[back] - q[resting]).numpy(), atol=1e-4)
         np.testing.assert_allclose(x[met + 2 : met + 200].numpy(), play / 2)
+        # The link rests, and the motor turns on without its friction.
+        np.testing.assert_allclose(more[resting].numpy(), 0.5, atol=0.02)
+        assert not more[:back].any()
 
     def test_friction_is_little_by_little_none(self) -> None:
         at, width = signals(*states(300)), torch.ones(300, dtype=torch.float64)
-        motion = at.qd[1], at.qdd[1]
-        some = deviation(at.load[1], alone(width), motion, torch.full((3,), 1e-9), 0.01, 0.02)
+        motion = at.qd[1], at.qdd[1], at.joint(1).direction()
+        some = deviation(at.load[1], alone(width), motion, torch.full((3,), 1e-9), 0.01, 0.02)[0]
         torch.testing.assert_close(some, free(at.load[1], width, 0.01, 0.02), atol=1e-6, rtol=0.0)
 
     def test_gradients_in_flight(self) -> None:
         """The link flies where its load changes sign: there it moves by load, inertia and friction."""
         t = 0.01 * torch.arange(60, dtype=torch.float64)
         load, inertia = torch.cos(8 * t) - 0.1, 0.5 + 0.1 * torch.sin(5 * t)
-        motion, friction = (0.3 + 0.1 * t, torch.full_like(t, 0.1)), torch.tensor([0.2, 0.3, -0.1], dtype=t.dtype)
+        motion = 0.3 + 0.1 * t, torch.full_like(t, 0.1), torch.ones_like(t)
+        friction = torch.tensor([0.2, 0.3, -0.1], dtype=t.dtype)
 
-        def x(*given: Tensor) -> Tensor:
+        def x(*given: Tensor) -> tuple[Tensor, Tensor]:
             slopes = torch.stack((2.0 + given[1], 0.3 * given[1], given[1]))
             return deviation(given[0], slopes, motion, given[2], 0.01, 0.02)
 
         given = tuple(v.requires_grad_() for v in (load, inertia, friction))
         assert gradcheck(x, given)
-        by_friction = torch.autograd.grad(x(*given).sum(), given[2])[0]
+        by_friction = torch.autograd.grad(torch.stack(x(*given)).sum(), given[2])[0]
         assert by_friction.abs().min() > 0
 
 
@@ -112,10 +117,11 @@ def test_compiled_as_with_derivatives(play: float, coulomb: float) -> None:
     load, qd, A, B = (size * torch.sin(rate * t + phase)).sum(-2)
     qdd, M = torch.gradient(qd, spacing=2e-3, dim=-1)[0], 0.05 + 0.02 * torch.cos(t).expand(2, -1)
     slopes, friction = torch.stack((A, 0.02 * B, M)), torch.tensor([0.05, coulomb, -0.02]).double()
-    given = slopes, (qd, qdd), friction, 2e-3, play
+    given = slopes, (qd, qdd, torch.tanh(qd / 0.05)), friction, 2e-3, play
     found, derived = deviation(load, *given), deviation(load.clone().requires_grad_(), *given)
-    torch.testing.assert_close(found, derived.detach(), rtol=0, atol=1e-10 * play)
-    assert ((found.abs() < 0.49 * play).double().mean(-1) > 0.02).all()
+    for one, same, size in zip(found, derived, (play, 1.0), strict=True):
+        torch.testing.assert_close(one, same.detach(), rtol=0, atol=1e-10 * size)
+    assert ((found[0].abs() < 0.49 * play).double().mean(-1) > 0.02).all()
 
 
 @pytest.mark.parametrize(("shape", "told"), [(0.0, 0.0), (1.0, 1.0), (-0.5, 1.0), (1.6e-17, 1.0)])

@@ -4,9 +4,9 @@
 #include <stdlib.h>
 
 /* By sample: load and friction but for the Coulomb part, of a link that moves as the motor; what the load changes by as the
-   link deviates; the motor's speed; the first of a link at rest. */
+   link deviates; the motor's speed; the first of a link at rest; the motor's direction. */
 typedef struct {
-    const double *driven, *inertia, *stiffness, *damping, *speed, *held;
+    const double *driven, *inertia, *stiffness, *damping, *speed, *held, *direction;
     double coulomb, dt, half;
 } Link;
 
@@ -72,7 +72,13 @@ static void feed_back(const Link *l, int64_t start, int64_t end, double side, Fl
     }
 }
 
-/* x, (rows, samples), of signals (6, rows, samples) in the order of Link. */
+/* Friction of the link beyond that of one that moves as the motor. */
+static double more_friction(const Link *l, int64_t k, const Flying *f) {
+    double at_rest = fmax(-l->coulomb, fmin(l->coulomb, -(l->held[k] + l->stiffness[k] * f->x)));
+    return (f->stuck ? at_rest : l->coulomb * f->way) - l->coulomb * l->direction[k];
+}
+
+/* x and then friction, (2, rows, samples), of signals (7, rows, samples) in the order of Link. */
 int deviation(int64_t rows, int64_t samples, const double *signals, double coulomb, double dt, double play, int64_t feedbacks,
               double *x) {
     Flying *flight = malloc(sizeof(Flying) * (size_t)samples);
@@ -82,21 +88,26 @@ int deviation(int64_t rows, int64_t samples, const double *signals, double coulo
         free(gained);
         return 1;
     }
-    for (int64_t row = 0; row < rows; row++, x += samples) {
-        const double *at[6];
-        for (int s = 0; s < 6; s++) at[s] = signals + (s * rows + row) * samples;
-        const Link l = {at[0], at[1], at[2], at[3], at[4], at[5], coulomb, dt, play / 2};
+    double *more = x + rows * samples;
+    for (int64_t row = 0; row < rows; row++, x += samples, more += samples) {
+        const double *at[7];
+        for (int s = 0; s < 7; s++) at[s] = signals + (s * rows + row) * samples;
+        const Link l = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], coulomb, dt, play / 2};
         double side = copysign(1, l.driven[0] + coulomb * copysign(1, l.speed[0]));
         for (int64_t k = 0; k < samples;) {
             double pressed = side * (l.driven[k] + coulomb * copysign(1, l.speed[k])), from = side;
             if (!(pressed < l.half * l.stiffness[k])) {
+                more[k] = 0;
                 x[k++] = -side * l.half;
                 continue;
             }
             int64_t start = k;
             k = fly(&l, start, samples, &side, flight);
             for (int64_t time = 0; time < feedbacks; time++) feed_back(&l, start, k, from, flight, gained);
-            for (int64_t i = start; i < k; i++) x[i] = flight[i].x;
+            for (int64_t i = start; i < k; i++) {
+                x[i] = flight[i].x;
+                more[i] = more_friction(&l, i, flight + i);
+            }
         }
     }
     free(flight);

@@ -7,13 +7,15 @@ x = q_link - q, to first order in x
 
     tau_link = tau_load + A x + B dx/dt + M d2x/dt2
     tau_link + f = 0 from rest at x = -+b/2,  held at x = +-b/2
-    f = d dq/dt + c sign(dq_link/dt) + o;  at rest (q_link held) where f can balance the rest
+    f = d dq_link/dt + c sign(dq_link/dt) + o;  at rest (q_link held) where f can balance the rest
 
 with A, B, M the derivatives of the rigid body's torque with respect to the joint's q, qd, qdd, and the motor's torque
-is more by tau_link - tau_load. A link that hangs swings in its play as a pendulum does. The time of flight grows
-with the cube root of the play, so that it matters for small play too: without it, what the torque does around its zeros
-is the wrong way round. Whether the joint's friction is the link's, which it then holds inside the play, or the motor's,
-the data says. Not contained: bouncing. Impacts are short: a torque sampled without an anti-aliasing filter misses them.
+is more by tau_link - tau_load, and by what the friction of the link is more than that of one that moves as the motor:
+while the link rests within its play, the motor turns on without it. A link that hangs swings in its play as a pendulum
+does. The time of flight grows with the cube root of the play, so that it matters for small play too: without it, what
+the torque does around its zeros is the wrong way round. Whether the joint's friction is the link's, which it then holds
+inside the play, or the motor's, the data says. Not contained: bouncing. Impacts are short: a torque sampled without an
+anti-aliasing filter misses them.
 
 Source: Nordin, Gutman, "Controlling mechanical systems with backlash: a survey", Automatica 2002, for the dead-zone
     model with a stiff contact; worked out to first order here.
@@ -85,10 +87,11 @@ class Backlash(Effect):
         friction = slopes.new_zeros(3)
         if signals.friction is not None and shape["link_friction"]:
             friction = signals.friction[joint]
-        motion = signals.qd[joint], signals.qdd[joint]
-        x = deviation(signals.load[joint], slopes, motion, friction, float(t[1] - t[0]), play)
-        label = f"backlash({play:.6g}, {shape['link_friction']:.0f}) {site.name(signals.robot)}"
-        return {label: signals.deviating(site.joint, x / play)}
+        motion = signals.qd[joint], signals.qdd[joint], signals.joint(joint).direction()
+        x, turned = deviation(signals.load[joint], slopes, motion, friction, float(t[1] - t[0]), play)
+        torque = signals.deviating(joint, x)
+        torque[joint] += friction[0] * signals.rate(x) + turned
+        return {f"backlash({play:.6g}, {shape['link_friction']:.0f}) {site.name(signals.robot)}": torque / play}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         # Between the motor's friction and the link's there is none: what is not zero is the link's.
@@ -106,59 +109,69 @@ class Backlash(Effect):
 def deviation(
     load: Tensor,
     slopes: Tensor,
-    motion: tuple[Tensor, Tensor],
+    motion: tuple[Tensor, Tensor, Tensor],
     friction: Tensor,
     dt: float,
     play: float,
-) -> Tensor:
-    """Return how far a link is from the middle of its play, x (*batch, N) [rad, m].
+) -> tuple[Tensor, Tensor]:
+    """Return how far a link is from the middle of its play, and how much more Coulomb friction it has than the motor.
+
+    That is what is not friction of the joint as the motor moves: in flight a link slides its own way, or rests.
 
     Args:
         load: (*batch, N) torque that the link takes where it moves as the motor [N m, N].
         slopes: (3, *batch, N) its derivatives A, B, M by the link's position, velocity and acceleration.
-        motion: velocity and acceleration of the motor, (*batch, N) each.
+        motion: velocity, acceleration and softened direction of the motor, (*batch, N) each.
         friction: (3,) viscous and Coulomb coefficient and offset of the link.
         dt: [s]. play: full width [rad, m].
+
+    Returns:
+        x (*batch, N) [rad, m] and torques (*batch, N) [N m, N].
     """
     # In double: a flight is a small difference of integrals over the whole sequence.
-    tau, qd, qdd, A, B, M = (v.double() for v in (load, *motion, *slopes))
+    tau, qd, qdd, direction, A, B, M = (v.double() for v in (load, *motion, *slopes))
     # Parameters that no body has may leave an inertia of nothing or less: such a link is over at once.
     M = torch.maximum(M, _LEAST_INERTIA * M.abs().max() + torch.finfo(load.dtype).eps)
     viscous, coulomb, offset = friction.double()
     coulomb = coulomb.clamp_min(0.0)
-    driven = tau + viscous * qd + offset
-    signals = torch.stack((driven, M, A, B, qd, driven - M * qdd))
+    driven, B = tau + viscous * qd + offset, B + viscous
+    held = driven - M * qdd - B * qd
+    signals = torch.stack((driven, M, A, B, qd, held, direction))
     if not signals.requires_grad and (compiled := library(COMPILED)) is not None:
-        return _underived(compiled.deviation, signals, coulomb.item(), dt, play).to(load)
-    rows = signals.detach().cpu().reshape(6, -1, tau.shape[-1]).unbind(1)
+        x, more = _underived(compiled.deviation, signals, coulomb.item(), dt, play)
+        return x.to(load), more.to(load)
+    rows = signals[:6].detach().cpu().reshape(6, -1, tau.shape[-1]).unbind(1)
     courses = [_course(*row.numpy(), coulomb=coulomb.item(), dt=dt, play=play) for row in rows]
     course = torch.from_numpy(np.array(courses)).to(tau)
-    side, left, begun, rests, direction, stuck, x, rate = (column.reshape(tau.shape) for column in course.unbind(1))
+    side, left, begun, rests, way, stuck, x, rate = (column.reshape(tau.shape) for column in course.unbind(1))
     free, left, begun = left >= 0, left.clamp_min(0).long(), begun.long()
     # The course has x already; what it feeds back on itself matters to derivatives.
     for _ in range(_FEEDBACKS):
-        speed = _integral(-(driven + A * x + B * rate + coulomb * direction) / M, dt)
+        speed = _integral(-(driven + A * x + B * rate + coulomb * way) / M, dt)
         speed = speed - speed.gather(-1, begun) - rests * qd.gather(-1, begun)
         rate = torch.where(stuck > 0, -qd, speed)
-        way = _integral(rate, dt)
-        x = (torch.where(free, way - way.gather(-1, left), 0.0) - side * play / 2).clamp(-play / 2, play / 2)
+        gone = _integral(rate, dt)
+        x = (torch.where(free, gone - gone.gather(-1, left), 0.0) - side * play / 2).clamp(-play / 2, play / 2)
         rate = torch.where(free, rate, 0.0)
-    return x.to(load)
+    own = torch.where(stuck > 0, -(held + A * x).clamp(-coulomb, coulomb), coulomb * way)
+    return x.to(load), torch.where(free, own - coulomb * direction, 0.0).to(load)
 
 
 def _underived(compiled: Callable[..., int], signals: Tensor, coulomb: float, dt: float, play: float) -> Tensor:
-    """Return the deviation (*batch, N) of signals (6, *batch, N), as they come to `_course`, by the compiled function.
+    """Return deviation and friction (2, *batch, N) of signals (7, *batch, N) by the compiled function.
+
+    The signals are what comes to `_course`, and the direction of the motor.
 
     Raises:
         MemoryError: it found none.
     """
     given = signals.cpu().contiguous()
-    x = torch.empty_like(given[0])
-    samples = x.shape[-1]
-    rows = x.numel() // samples
-    if compiled(rows, samples, given.data_ptr(), coulomb, dt, play, _FEEDBACKS, x.data_ptr()):
+    found = torch.empty_like(given[:2])
+    samples = found.shape[-1]
+    rows = found.numel() // (2 * samples)
+    if compiled(rows, samples, given.data_ptr(), coulomb, dt, play, _FEEDBACKS, found.data_ptr()):
         raise MemoryError("no memory for the flights of a play")
-    return x
+    return found
 
 
 def _integral(x: Tensor, dt: float) -> Tensor:
