@@ -288,6 +288,15 @@ def test_a_sentence_says_where_no_number_is_told_from_zero() -> None:
     assert untold not in finding_sentence(finding("payload", links=("hand",), parameters=told))
 
 
+def test_an_angle_that_is_told_is_no_torque_that_is() -> None:
+    crank = {"dead_centre": Quantity(1.5, 0.1, "rad"), "crank_ratio": Quantity(0.9, 0.1, "1")}
+    for spring, told in ((0.3, False), (0.01, True)):
+        torques = {name: Quantity(0.5, std, "N m") for name, std in (("spring_torque", spring), ("force_torque", 0.4))}
+        sentence = finding_sentence(finding("counterbalance", "joint1", parameters={**torques, **crank}))
+        words = "Spring torque and force torque are not told from zero one by one; together they are."
+        assert sentence.endswith(words) is not told
+
+
 def test_a_sentence_does_not_say_a_region_twice() -> None:
     ends = {"start": Quantity(0.1, 0.01, "rad"), "end": Quantity(0.5, 0.01, "rad")}
     drag = finding("cable_drag", "joint1", parameters=ends, where=Where(region=(Region("q_joint1", 0.1, 0.5),)))

@@ -166,11 +166,18 @@ def most_changed(finding: Finding) -> str | None:
 
 
 def _untold(finding: Finding) -> str:
-    """Say that no number is told from zero; of several correlated ones, all may still be."""
-    numbers = _known(finding).values()
-    if len(_properties(finding)) < 2 or any(abs(q.value) >= 1.96 * q.std for q in numbers):
+    """Say that nothing that would be zero without it is told from zero; of several correlated numbers, all may be."""
+    own, known = known_effects().get(finding.effect), _known(finding)
+    whole = own is not None and finding.parameters.keys() >= own.units.keys()
+    shape = own.coefficients({name: q.value for name, q in finding.parameters.items()})[1] if own and whole else {}
+    sizes = {name: q for name, q in known.items() if name not in shape}
+    alone = len(_properties(finding)) < 2 or len(sizes) == 1 < len(known)
+    if alone or any(abs(q.value) >= 1.96 * q.std for q in sizes.values()):
         return ""
-    return "No number of it is told from zero; together they are."
+    if len(sizes) == len(known):
+        return "No number of it is told from zero; together they are."
+    names = joined(name.replace("_", " ") for name in sizes)
+    return f"{names.capitalize()} are not told from zero one by one; together they are."
 
 
 def _worth(finding: Finding) -> str:
