@@ -15,8 +15,8 @@ import torchrbd
 PACKAGE = Path(__file__).parent.parent / "torchrbd"
 ROOMS = (
     "errors", "estimators", "threads", "processes", "engines", "ranks", "outputs", "display", "rebuilding", "compiling",
-    "robot", "recordings", "parameters", "effects", "model", "likelihood", "simulation", "inference", "diagnosis",
-    "excitation", "learning", "export", "report", "cli",
+    "filters", "robot", "recordings", "parameters", "effects", "model", "likelihood", "simulation", "inference",
+    "diagnosis", "excitation", "learning", "export", "report", "cli",
 )  # fmt: skip
 ONLY_IN = {"yourdfpy": "robot/urdf.py", "pytorch_kinematics": "robot/chain.py"}
 

@@ -13,7 +13,7 @@ import pytest
 import torch
 from robot.random_robots import random_urdf
 
-from torchrbd import compiling
+from torchrbd import compiling, filters
 from torchrbd.effects.backlash import COMPILED
 from torchrbd.robot import RobotModel, compiled
 from torchrbd.robot.compiled import switch
@@ -119,7 +119,7 @@ def test_cache_folder_of_the_platform(monkeypatch: pytest.MonkeyPatch, tmp_path:
     assert compiling.cache_folder().parts[-3:] == ("Library", "Caches", "torchrbd")
 
 
-@pytest.mark.parametrize("source", [KERNELS, COMPILED], ids=lambda source: source.files[0])
+@pytest.mark.parametrize("source", [KERNELS, COMPILED, filters.COMPILED], ids=lambda source: source.files[0])
 def test_sources_are_all_there(source: compiling.Source) -> None:
     """What a library's name is made of is what it is built of."""
     assert set(source.files) == {path.name for path in source.folder.iterdir() if path.suffix in (".c", ".h")}

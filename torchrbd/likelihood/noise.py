@@ -27,11 +27,9 @@ from functools import cached_property
 import numpy as np
 from scipy.special import gammaln
 
+from torchrbd.filters import unpredicted
+
 _MOST_ORDER = 16
-# Of as many rows side by side, by how many the second (columns) is behind the first: of those before them, and of
-# themselves, where no predictor reaches as far as stands for those that are not behind.
-_BEHIND = np.arange(_MOST_ORDER) - np.arange(_MOST_ORDER)[:, None]
-_LAGS = np.stack((_BEHIND + _MOST_ORDER, np.where(_BEHIND < 0, 2 * _MOST_ORDER - 1, _BEHIND)))
 # Noise below this part of the residual's RMS is rounding.
 _LEAST = 1e-6
 # Degrees of freedom of Student's t that are tried, its variance finite, and steps towards its size.
@@ -142,25 +140,8 @@ class Noise:
         return out
 
     def unpredicted(self, A: np.ndarray) -> np.ndarray:
-        """Return what of signals (..., M) rows (m,) cannot predict from those before, (..., m).
-
-        Rows side by side are a product of matrices with themselves and with those before them.
-        """
-        order, count, together = len(self.predictor), A.shape[-1], _MOST_ORDER
-        if not order:
-            return A[..., self.index]
-        ahead = np.zeros(_LAGS.max() + 1)
-        ahead[0], ahead[1 : order + 1] = 1.0, -self.predictor
-        before, own = ahead[_LAGS]
-        blocks = -(-count // together)
-        signals = np.empty((*A.shape[:-1], (blocks + 1) * together))
-        signals[..., together : together + count] = A
-        signals[..., :together] = signals[..., together + count :] = 0.0
-        flat = signals.reshape(-1, together)
-        found = np.empty_like(flat)
-        np.matmul(flat[1:], own, out=found[:-1])
-        found[:-1] += flat[:-1] @ before
-        return found.reshape(signals.shape)[..., self.index]
+        """Return what of signals (..., M) rows (m,) cannot predict from those before, (..., m)."""
+        return unpredicted(A, self.predictor, self.index) if len(self.predictor) else A[..., self.index]
 
     @cached_property
     def size(self) -> np.ndarray:

@@ -10,6 +10,7 @@ import scipy.fft
 import torch
 
 from torchrbd.errors import RecordingError
+from torchrbd.filters import thinned
 from torchrbd.recordings.blocks import Block
 from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering
@@ -18,8 +19,6 @@ from torchrbd.recordings.survey import Survey
 
 # Turning points of a joint that a piece remembers of those before it.
 _MOST_TURNS = 256
-# Rows whose windows are copied at a time: few enough for the processor's cache.
-_ROWS_AT_ONCE = 32
 
 
 @dataclass(frozen=True)
@@ -106,10 +105,7 @@ class States:
 
     def decimate(self, x: torch.Tensor) -> torch.Tensor:
         """Low-pass x (..., N) with the feature filter and keep every `stride`-th sample: (..., M). Differentiable."""
-        taps, outputs, kernel = self._kernel.shape[0], self.t_out.shape[0], self._kernel.to(x)
-        some = x.reshape(-1, x.shape[-1]).split(_ROWS_AT_ONCE)
-        parts = [rows.unfold(-1, taps, self._stride)[:, :outputs] @ kernel for rows in some]
-        return torch.cat(parts).reshape(*x.shape[:-1], outputs)
+        return thinned(x, self._kernel, self._stride, self.t_out.shape[0])
 
 
 def tiles(recording: Recording, survey: Survey, filtering: Filtering, rows: int = 4096) -> Iterator[States]:

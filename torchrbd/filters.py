@@ -1,0 +1,72 @@
+"""Filters of finite length along the last axis: compiled where a machine has a compiler, the same to rounding."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.signal import lfilter
+from torch import Tensor
+from torch.autograd import forward_ad
+
+from torchrbd.compiling import ADDRESS, INTEGER, Source, library
+
+COMPILED = Source(
+    Path(__file__).parent,
+    ("filters.c",),
+    {"thinned": (*[INTEGER] * 5, *[ADDRESS] * 3), "unpredicted": (*[INTEGER] * 4, *[ADDRESS] * 4)},
+)
+# Rows of a product of matrices whose samples are copied as often as the filter is long.
+_ROWS_AT_ONCE = 32
+
+
+def thinned(x: Tensor, kernel: Tensor, stride: int, outputs: int) -> Tensor:
+    """Return weighted sums over the samples from each ``stride``-th on, (..., outputs). Differentiable.
+
+    Args:
+        x: (..., N).
+        kernel: (taps,) weights of a sample and those after it.
+        stride: samples from one sum to the next.
+        outputs: how many sums there are.
+    """
+    taps, rows = kernel.shape[0], x.reshape(-1, x.shape[-1])
+    if _is_plain(x) and (compiled := library(COMPILED)) is not None:
+        rows, kernel = rows.contiguous(), kernel.to(x)
+        found = x.new_empty(len(rows), outputs)
+        addresses = kernel.data_ptr(), rows.data_ptr(), found.data_ptr()
+        compiled.thinned(*rows.shape, taps, stride, outputs, *addresses)
+    else:
+        kernel = kernel.to(x)
+        parts = [some.unfold(-1, taps, stride)[:, :outputs] @ kernel for some in rows.split(_ROWS_AT_ONCE)]
+        found = torch.cat(parts)
+    return found.reshape(*x.shape[:-1], outputs)
+
+
+def _is_plain(x: Tensor) -> bool:
+    """Say whether a tensor is numbers in memory and nothing else, which compiled code takes."""
+    watched = torch._C._are_functorch_transforms_active() or torch.compiler.is_compiling()
+    derived = (x.requires_grad and torch.is_grad_enabled()) or forward_ad._current_level >= 0
+    return type(x) is Tensor and x.is_cpu and x.dtype is torch.float64 and not x.is_neg() and not (watched or derived)
+
+
+def unpredicted(x: np.ndarray, predictor: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return what a predictor of samples from those before leaves of some of them, (..., m): x_k - sum_i a_i x_(k-i).
+
+    Args:
+        x: (..., N), zero before the first sample.
+        predictor: a (p,).
+        index: (m,) samples.
+
+    Raises:
+        MemoryError: there is none.
+    """
+    compiled = library(COMPILED)
+    if compiled is None:
+        return np.asarray(lfilter(np.concatenate(([1.0], -predictor)), 1.0, x))[..., index]
+    x, a, index = (np.ascontiguousarray(v, dtype=d) for v, d in ((x, float), (predictor, float), (index, np.int64)))
+    found = np.empty((*x.shape[:-1], len(index)))
+    sizes = x.size // x.shape[-1], x.shape[-1], len(a), len(index)
+    if compiled.unpredicted(*sizes, *(v.ctypes.data for v in (a, index, x, found))):
+        raise MemoryError("no memory to whiten rows")
+    return found
