@@ -14,8 +14,8 @@ is more by tau_link - tau_load, and by what the friction of the link is more tha
 while the link rests within its play, the motor turns on without it. A link that hangs swings in its play as a pendulum
 does. The time of flight grows with the cube root of the play, so that it matters for small play too: without it, what
 the torque does around its zeros is the wrong way round. Whether the joint's friction is the link's, which it then holds
-inside the play, or the motor's, the data says. Not contained: bouncing. Impacts are short: a torque sampled without an
-anti-aliasing filter misses them.
+inside the play, or the motor's, or of both, the data says. Not contained: bouncing. Impacts are short: a torque sampled
+without an anti-aliasing filter misses them.
 
 Source: Nordin, Gutman, "Controlling mechanical systems with backlash: a survey", Automatica 2002, for the dead-zone
     model with a stiff contact; worked out to first order here.
@@ -35,6 +35,7 @@ from torch import Tensor
 
 from torchrbd.compiling import ADDRESS, INTEGER, NUMBER, Source, library
 from torchrbd.effects.base import CoefficientPrior, Effect, Shape
+from torchrbd.effects.link_friction import PARTS, link_part
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site
 
@@ -54,7 +55,7 @@ class Backlash(Effect):
     """tau = tau_load(q + x), x from side to side of the play, linear in its width b.
 
     The coefficient is b; the play for which flights are worked out is a shape, and equal to b where the name is right.
-    So is ``link_friction``: 1 if the friction at the joint is the link's, 0 if it is the motor's.
+    So is ``link_friction``, the part of the friction at the joint that is the link's: none, half or all of it.
     """
 
     id = "backlash"
@@ -78,25 +79,22 @@ class Backlash(Effect):
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
         # The time of flight, which is what they differ by, goes with the cube root.
         roots = np.linspace(np.cbrt(self._SMALLEST), np.cbrt(self._LARGEST), self._GRID_POINTS)
-        return tuple({"flight": float(b), "link_friction": f} for f in (0.0, 1.0) for b in roots**3)
+        return tuple({"flight": float(b), "link_friction": f} for f in PARTS for b in roots**3)
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         t, play, joint = signals.sequence(), shape["flight"], site.joint
         assert joint is not None
         slopes = signals.load_slopes[:, joint, joint]
-        friction = slopes.new_zeros(3)
-        if signals.friction is not None and shape["link_friction"]:
-            friction = signals.friction[joint]
+        of_link = link_part(shape)
+        friction = slopes.new_zeros(3) if signals.friction is None else of_link * signals.friction[joint]
         motion = signals.qd[joint], signals.qdd[joint], signals.joint(joint).direction()
         x, turned = deviation(signals.load[joint], slopes, motion, friction, float(t[1] - t[0]), play)
         torque = signals.deviating(joint, x)
         torque[joint] += friction[0] * signals.rate(x) + turned
-        return {f"backlash({play:.6g}, {shape['link_friction']:.0f}) {site.name(signals.robot)}": torque / play}
+        return {f"backlash({play:.6g}, {of_link:.3g}) {site.name(signals.robot)}": torque / play}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        # Between the motor's friction and the link's there is none: what is not zero is the link's.
-        of_link = float(bool(shape["link_friction"]))
-        flight, link = (coefficients.new_tensor(v) for v in (shape["flight"], of_link))
+        flight, link = (coefficients.new_tensor(v) for v in (shape["flight"], link_part(shape)))
         return {"backlash": coefficients[0], "flight": flight, "link_friction": link}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:

@@ -7,7 +7,8 @@ tau_s the torque that winds it: that of the link's motion, and of the joint's fr
 
 with A, M the derivatives of the rigid body's torque with respect to the joint's q and qdd, and B that with respect to
 qd, and the link's viscous friction. To first order in the compliance 1/k load and friction wind the spring. Whose the
-friction is, the data says: viscous friction of the link makes what accelerates it late by its coefficient over k.
+friction is, the motor's, the link's or of both, the data says: viscous friction of the link makes what accelerates it
+late by its coefficient over k.
 Higher orders are those of a series, tau_s put into its own right side twice, which is worked out for a compliance that
 is a shape: it follows the coefficient 1/k. Near the resonance sqrt(k / M) the series ends too early; there the link
 rings by itself, which is not contained, nor is damping beside the spring. Solving for the ringing instead would amplify
@@ -26,10 +27,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 from torchrbd.effects.band_limits import BANDWIDTHS_HZ, flat_below
 from torchrbd.effects.base import CoefficientPrior, Effect, Shape
+from torchrbd.effects.link_friction import PARTS, link_part
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site
 
@@ -60,7 +63,7 @@ class JointElasticity(Effect):
     _FURTHEST, _ORDERS = 0.2, 3
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        kinds = ({"compliance": 0.0, "link_friction": link} for link in (0.0, 1.0))
+        kinds = ({"compliance": 0.0, "link_friction": link} for link in PARTS)
         return tuple({"bandwidth": hz, **kind} for kind in kinds for hz in BANDWIDTHS_HZ)
 
     def agreeing(self, coefficients: Tensor, shape: Shape) -> Shape:
@@ -70,24 +73,25 @@ class JointElasticity(Effect):
         t, joint = signals.sequence(), site.joint
         assert joint is not None
         dt, band, compliance = float(t[1] - t[0]), shape["bandwidth"], shape["compliance"]
-        link = shape.get("link_friction", 0.0)
-        alone = (signals.supplied if link else signals.load)[joint]
+        link, alone = link_part(shape), signals.load[joint]
+        if link:
+            alone = torch.lerp(alone, signals.supplied[joint], link)
 
         def added(winding: Tensor) -> Tensor:
             x = flat_below(-winding, dt, band)
             torque = signals.deviating(joint, x)
             if link and signals.friction is not None:
-                torque[joint] += signals.friction[joint, 0] * signals.rate(x)
+                torque[joint] += link * signals.friction[joint, 0] * signals.rate(x)
             return torque
 
         torque = added(alone)
         for _ in range(self._ORDERS - 1 if compliance else 0):
             torque = added(alone + compliance * torque[joint])
-        return {f"elastic({band:.6g} Hz, {compliance:.6g}, {link:.0f}) {site.name(signals.robot)}": torque}
+        return {f"elastic({band:.6g} Hz, {compliance:.6g}, {link:.3g}) {site.name(signals.robot)}": torque}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        names = ("bandwidth", "compliance", "link_friction")
-        shapes = {name: coefficients.new_tensor(shape.get(name, 0.0)) for name in names}
+        told = {"bandwidth": 0.0, "compliance": 0.0, **shape, "link_friction": link_part(shape)}
+        shapes = {name: coefficients.new_tensor(value) for name, value in told.items()}
         return {"stiffness": 1.0 / coefficients[0], **shapes}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:

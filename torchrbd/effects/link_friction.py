@@ -1,0 +1,13 @@
+"""Whose the friction at a joint is: the motor's, that of the link behind the gear, or half of it each."""
+
+from __future__ import annotations
+
+from torchrbd.effects.base import Shape
+
+PARTS = (0.0, 0.5, 1.0)
+"""Of the friction at a joint, what the link may have."""
+
+
+def link_part(shape: Shape) -> float:
+    """Return the part of the friction at a joint that is the link's; none if the shape does not tell."""
+    return min(max(shape.get("link_friction", 0.0), 0.0), 1.0)
