@@ -48,7 +48,7 @@ COMPILED = Source(
     ("backlash.c",),
     {"deviation": (INTEGER, INTEGER, ADDRESS, NUMBER, NUMBER, NUMBER, INTEGER, ADDRESS)},
 )
-"""`deviation` where no derivative is asked for, some thirty times faster."""
+"""`deviation` where no derivative is asked for."""
 
 
 class Backlash(Effect):
