@@ -110,7 +110,13 @@ def value(q: Quantity) -> str:
 
 def values(finding: Finding) -> list[str]:
     """Return the quantities of a finding by name, "mass 1.2 ± 0.1 kg"; of many, the first few."""
-    found = [f"{name.replace('_', ' ')} {value(q)}" for name, q in _known(finding).items()]
+    own = known_effects().get(finding.effect)
+    kinds = {} if own is None else own.kinds
+
+    def told(name: str, q: Quantity) -> str:
+        return kinds.get(name, {}).get(q.value, f"{name.replace('_', ' ')} {value(q)}")
+
+    found = [told(name, q) for name, q in _known(finding).items()]
     return found if len(found) <= _MOST_VALUES else found[:_FEW_VALUES]
 
 

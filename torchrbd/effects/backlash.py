@@ -63,7 +63,7 @@ class Backlash(Effect):
     words = "backlash"
     equation = "tau_load(q + x) - tau_load(q), abs(x) <= b/2"
     units: ClassVar[Mapping[str, str]] = {"backlash": "{q}", "flight": "{q}", "link_friction": "1"}
-    kinds = ("link_friction",)
+    kinds: ClassVar[Mapping[str, Mapping[float, str]]] = {"link_friction": PARTS}
     whole_robot = True
     uses_load = True
     has_memory = True

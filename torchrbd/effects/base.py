@@ -15,6 +15,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import ClassVar, NamedTuple
 
 import torch
@@ -97,7 +98,8 @@ class Effect(ABC):
         lasts_s: how long it usually is there where it is for a time [s]; the shorter, the less likely.
         prior: what is believed of the coefficients.
         shifts_clocks: True if, at all joints alike, it is to first order what an offset of clocks is.
-        kinds: shape parameters that choose between kinds, such as the side of a stop: none lies between two of them.
+        kinds: shape parameters that choose between kinds, such as the side of a stop: none lies between two of them;
+            with words for values that a number does not tell as well.
         several: True if a joint may have more than one of them, such as two stops.
         follows: shape parameters that follow from the coefficients, see ``agreeing``.
         of_the_data: shape parameters that say which part of it recordings tell, no property of a robot.
@@ -123,7 +125,7 @@ class Effect(ABC):
     shifts_clocks: ClassVar[bool] = False
     lasts_s: ClassVar[float | None] = None
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
-    kinds: ClassVar[tuple[str, ...]] = ()
+    kinds: ClassVar[Mapping[str, Mapping[float, str]]] = MappingProxyType({})
     several: ClassVar[bool] = False
     follows: ClassVar[tuple[str, ...]] = ()
     of_the_data: ClassVar[tuple[str, ...]] = ()

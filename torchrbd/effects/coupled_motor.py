@@ -47,7 +47,7 @@ class CoupledMotor(Effect):
         "ratio": "1",
     }
     whole_robot = True
-    kinds = ("ratio",)
+    kinds: ClassVar[Mapping[str, Mapping[float, str]]] = {"ratio": {}}
     several = True
     prior = CoefficientPrior("A motor's friction resists its motion, and its inertia is not negative.", (0, 1, 2))
 

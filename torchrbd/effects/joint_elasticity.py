@@ -51,7 +51,7 @@ class JointElasticity(Effect):
         "compliance": "{q}/({tau})",
         "link_friction": "1",
     }
-    kinds = ("link_friction",)
+    kinds: ClassVar[Mapping[str, Mapping[float, str]]] = {"link_friction": PARTS}
     whole_robot = True
     uses_load = True
     has_memory = True

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from torchrbd.effects.base import Shape
 
-PARTS = (0.0, 0.5, 1.0)
-"""Of the friction at a joint, what the link may have."""
+PARTS: Mapping[float, str] = {
+    0.0: "friction of the motor",
+    0.5: "friction half of the link, half of the motor",
+    1.0: "friction of the link",
+}
+"""Of the friction at a joint, what the link may have, and words for it."""
 
 
 def link_part(shape: Shape) -> float:

@@ -23,7 +23,7 @@ class OneSidedSpring(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"contact_position": "{q}", "side": "1", "stiffness": "{tau}/{q}"}
     comes_and_goes = True
     drawn_over = "q"
-    kinds = ("side",)
+    kinds: ClassVar[Mapping[str, Mapping[float, str]]] = {"side": {}}
     several = True
     prior = CoefficientPrior("A spring pushes back.", positive=(0,))
     export_note = "a fixed tendon over this joint alone, with coefficient one"
