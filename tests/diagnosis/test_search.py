@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ from likelihood.fits import at_joint, carried, fitted
 from torchrbd.diagnosis import search
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import is_curve, stands_in
-from torchrbd.diagnosis.search import Explanation, _Search, explained
+from torchrbd.diagnosis.search import _Search, explained
+from torchrbd.diagnosis.terms import Explanation
 from torchrbd.effects import Site, effect
 
 EFFECTS = (
@@ -141,3 +143,13 @@ def test_laws_come_before_curves_that_are_no_likelier() -> None:
     (term,) = found.terms
     assert term.own.name == ("joint_spring", Site(0))
     assert term.own.coefficients[0] == pytest.approx(2.0, abs=4 * term.own.std[0])
+
+
+def test_what_a_model_has_is_not_added_to_it_again() -> None:
+    """However small it is believed to be: a second one of the same time would stand for a larger first one."""
+    fit = fitted(PULL)
+    at = _Search(carried(fit), [effect("torque_offset")], lambda _: None)
+    first = next(h for h in at.leading(fit) if h.candidate.site.window is not None)
+    small = replace(first, scale=1e-3 * first.scale)
+    beside = fit.extended((small.extra(fit, at.rows),))
+    assert first.candidate not in [h.candidate for h in at.leading(beside, [small])]

@@ -14,7 +14,8 @@ from likelihood.fits import candidate, carried, fitted
 from torchrbd.diagnosis import search
 from torchrbd.diagnosis.explain import likeliest_left
 from torchrbd.diagnosis.hypotheses import Hypothesis
-from torchrbd.diagnosis.search import MOST_TERMS, Explanation, Term
+from torchrbd.diagnosis.search import MOST_TERMS
+from torchrbd.diagnosis.terms import Explanation, Term
 from torchrbd.effects import Site, Window
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
@@ -193,6 +194,16 @@ def test_rivals_of_what_leads_are_learnt_anew_as_it_is(rows: Rows, monkeypatch: 
     judged = Table(rows, (), lambda _: None).judged(cast(Any, frozenset()), found)
     assert learnt == ["A", "B"]
     assert [h.log_evidence for h in judged] == [640.0, 645.0, 1.0, 45.0]
+
+
+def test_what_hides_at_a_glance_is_learnt_with_what_leads(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A law that leads beside independent rows may seem to be nothing beside the noise that it has coloured."""
+    glance, then = {"A": 28.0, "C": -3.0, "D": -2.0}, {"A": 13.0, "C": 57.0, "D": 99.0}
+    monkeypatch.setattr(search, "at_a_glance", lambda fit, rows, h: replace(h, log_evidence=glance[letter(h)]))
+    monkeypatch.setattr(search, "with_own_noise", lambda fit, rows, h: replace(h, log_evidence=then[letter(h)]))
+    found = [Hypothesis(candidate(rows, *SITES[name]), 99.0, np.zeros(2), np.ones(2), 1.0, 1) for name in glance]
+    judged = Table(rows, (), lambda _: None).judged(cast(Any, frozenset()), found, found[1:2])
+    assert [h.log_evidence for h in judged] == [13.0, 57.0, -2.0]
 
 
 def test_rivals_are_judged_at_their_best_shape(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:

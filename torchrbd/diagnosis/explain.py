@@ -17,7 +17,7 @@ from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds
 from torchrbd.diagnosis.proof import confirmed
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import OWN_TIME, Alternative, Finding, Law, Quantity, Ratio, Region, Where
-from torchrbd.diagnosis.search import Explanation
+from torchrbd.diagnosis.terms import Explanation
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.diagnosis.words import NO_CHANGE, at, finding_sentence, named, strongest_first
 from torchrbd.effects import Site, effect

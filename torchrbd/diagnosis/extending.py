@@ -19,8 +19,8 @@ import torch
 
 from torchrbd.diagnosis.friction import Friction, ordinary_friction, weighed_beside
 from torchrbd.diagnosis.residual import has_friction
-from torchrbd.diagnosis.search import Explanation
 from torchrbd.diagnosis.sharpening import known_shapes
+from torchrbd.diagnosis.terms import Explanation
 from torchrbd.effects import Site
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared

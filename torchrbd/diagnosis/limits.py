@@ -14,7 +14,7 @@ from torchrbd.diagnosis.explain import places
 from torchrbd.diagnosis.hypotheses import SHARED, Hypothesis, believed, whole
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Limit
-from torchrbd.diagnosis.search import Explanation
+from torchrbd.diagnosis.terms import Explanation
 
 # A parameter is told by the data, and not by the prior, if the data leave less than this part of the prior's variance.
 _MOST_OF_PRIOR = 0.25

@@ -13,7 +13,8 @@ import torch
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, carried, told, whole
 from torchrbd.diagnosis.screening import is_clocks
-from torchrbd.diagnosis.search import Explanation, explained
+from torchrbd.diagnosis.search import explained
+from torchrbd.diagnosis.terms import Explanation
 from torchrbd.diagnosis.weighing import with_own_noise
 from torchrbd.effects import Effect, Site, Window
 from torchrbd.effects.registry import effect

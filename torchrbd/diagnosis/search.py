@@ -9,7 +9,7 @@ three nats of it; they are looked at where laws have ended, and as rivals of the
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
 from torchrbd.diagnosis.screening import lasting, refined, restarted, screened
 from torchrbd.diagnosis.sharpening import sharpened
+from torchrbd.diagnosis.terms import Explanation, Term
 from torchrbd.diagnosis.weighing import at_a_glance, learnt_with, with_own_noise
 from torchrbd.effects import Effect, Site
 from torchrbd.effects.base import ShowsBodies
@@ -31,46 +32,14 @@ from torchrbd.likelihood.shapes import agrees, in_one_cell, varied
 # Hypotheses whose shapes are refined and whose noise is learnt anew, at each step.
 _LEADING = 5
 MOST_TERMS = 24
+# Laws of the joint that leads beside independent rows whose shapes are refined there.
+_HIDDEN = 3
 # Rivals of a term that are looked at beside all others, and those of them that are judged; sweeps over all terms.
 _RIVALS, _JUDGED, _SWEEPS = 12, 3, 2
 # How often the likeliest of several rivals may turn out to be another one.
 _TURNS = 2
 # How often effects are given the load of their own fit, and how many nats that has to be worth.
 _LOADS, _SAME = 3, 1.0
-
-
-@dataclass(frozen=True)
-class Term:
-    """A hypothesis that stands in a model, and its rivals in its place, evidence all of it beside the other terms."""
-
-    own: Hypothesis
-    rivals: tuple[Hypothesis, ...]
-
-    def best(self, rows: Rows) -> Hypothesis:
-        """Return the likeliest of them."""
-        return max((self.own, *self.rivals), key=lambda h: log_odds(h, rows))
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """What was found.
-
-    Attributes:
-        base: ordinary physics alone.
-        fit: with the terms, in their order.
-        rows: those of the base, whose signals carry the load and friction of a fit.
-        terms: what stands in the model.
-        first, last: all other hypotheses beside the base, and beside the model, likeliest first.
-        considered: number of hypotheses.
-    """
-
-    base: Likelihood
-    fit: Likelihood
-    rows: Rows
-    terms: tuple[Term, ...]
-    first: list[Hypothesis]
-    last: list[Hypothesis]
-    considered: int
 
 
 def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int], None]) -> Explanation:
@@ -121,7 +90,9 @@ class _Search:
         """Return hypotheses, the likeliest first."""
         return sorted(found, key=lambda h: -log_odds(h, self.rows))
 
-    def judged(self, fit: Likelihood, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    def judged(
+        self, fit: Likelihood, found: Sequence[Hypothesis], hidden: Sequence[Hypothesis] = ()
+    ) -> list[Hypothesis]:
         """Return hypotheses beside a fit; those that lead, and their rivals, with all that is learnt learnt anew.
 
         Their shapes are refined: between those of a grid a law seems to be worth less than a curve, which has none.
@@ -132,13 +103,15 @@ class _Search:
         Args:
             fit: beside which they stand.
             found: what is judged.
+            hidden: of them, what may hide at a glance, and leads whatever it seems to be worth.
         """
+        first = {k for k, h in enumerate(found) if h.candidate in [one.candidate for one in hidden]}
         now, done = [at_a_glance(fit, self.rows, h) for h in found], set[int]()
         while now:
             odds = np.array([log_odds(h, self.rows) for h in now])
             lead = {int(odds.argmax()), int(np.argmax([h.log_evidence for h in now]))}
             near = [any(meet(h.candidate, now[k].candidate) for k in lead) for h in now]
-            lead |= set(np.flatnonzero(near & (odds >= 0.0)).tolist())
+            lead |= first | set(np.flatnonzero(near & (odds >= 0.0)).tolist())
             if lead <= done:
                 break
             for k in lead - done:
@@ -177,27 +150,40 @@ class _Search:
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
         known = _only_once(chosen, self.effects)
-        likely = self.sought(fit, known)
-        near = [refined(fit, self.rows, h) for h in likely[:_LEADING]]
+        likely, near, present = self.sought(fit, known), list[Hypothesis](), {h.candidate for h in chosen}
+        while likely and len(near) < _LEADING:
+            one = refined(fit, self.rows, likely.pop(0))
+            near += [] if one.candidate in present else [one]
         if self.beside_normal is None:
             plain = fit.with_normal_noise
             others = [] if plain is fit else self.sought(plain, known)
             brief = [h for h in others[_LEADING:] if h.candidate.site.window is not None]
             self.beside_normal = [refined(plain, self.rows, h) for h in (*others[:_LEADING], *brief[:_LEADING])]
-        seen = [h.candidate for h in (*near, *chosen)]
-        aside = *self.beside_normal, *self.hidden(fit, known)
-        others = [again(fit, self.rows, h) for h in aside if h.name not in known]
-        near += [h for h in others if h is not None and h.candidate not in seen]
-        best = self.ordered((*self.judged(fit, near), *likely[_LEADING:]))
+        seen = {h.candidate for h in near} | present
+        others = [again(fit, self.rows, h) for h in self.beside_normal if h.name not in known]
+        hidden = self.hidden(fit, known)
+        near += [h for h in (*others, *hidden) if h is not None and h.candidate not in seen]
+        others = [h for h in likely if h.candidate not in present]
+        best = self.ordered((*self.judged(fit, near, hidden[:1]), *others))
         first = {_alike(h): h for h in reversed(best)}
         return [h for h in best if first[_alike(h)] is h]
 
     def hidden(self, fit: Likelihood, known: Collection[tuple[str, Site]]) -> list[Hypothesis]:
-        """Return of each joint the law that leads beside independent rows: the noise that is learnt has its colour."""
-        plain = fit.least_squares
-        found = self.ordered([h for h in lasting(plain, self.rows, self.effects) if h.name not in known])
-        first = {h.candidate.place: h for h in reversed(found)}
-        return [refined(plain, self.rows, h) for h in first.values()]
+        """Return of each joint the law that leads beside independent rows: the noise that is learnt has its colour.
+
+        The first of them, which leads them all, is the likeliest of its joint's at refined shapes. They are of the size
+        that they have there.
+        """
+        plain, laws = fit.least_squares, dict[int | None, list[Hypothesis]]()
+        for h in self.ordered([h for h in lasting(plain, self.rows, self.effects) if h.name not in known]):
+            laws.setdefault(h.candidate.place, []).append(h)
+        found = []
+        for own in laws.values():
+            near = [refined(plain, self.rows, h) for h in own[: 1 if found else _HIDDEN]]
+            best = self.ordered(near)[0]
+            one = again(fit, self.rows, best)
+            found += [] if one is None else [replace(one, scale=best.scale)]
+        return found
 
     def offered(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return curves and tones beside a fit that a model may have: one for each joint and signal.
@@ -390,5 +376,6 @@ class _Search:
             known = {h.name for h in (*chosen, *likeliest)}
             functions = [h for h in curves_at(rest, self.rows, [place]) if h.name not in known]
             likeliest += self.ordered([h for h in functions if not stands_in(h.candidate)])[:1]
-        own, *rivals = self.judged(rest, (own, *likeliest))
+        own = replace(own, scale=chosen[k].scale)
+        own, *rivals = self.judged(rest, (own, *likeliest), [own])
         return Term(own, tuple(self.ordered(rivals)))

@@ -14,7 +14,7 @@ from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.residual import depends_on, is_curve
 from torchrbd.diagnosis.results import Finding, Proof, Region, Unexplained, Where
-from torchrbd.diagnosis.search import Explanation
+from torchrbd.diagnosis.terms import Explanation
 from torchrbd.diagnosis.words import NO_CHANGE, joined, number, percent, torque_unit
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.fitting import judge

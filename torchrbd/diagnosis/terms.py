@@ -1,0 +1,44 @@
+"""What a search has found: terms of a model, and what else was considered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.posterior import log_odds
+from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.rows import Rows
+
+
+@dataclass(frozen=True)
+class Term:
+    """A hypothesis that stands in a model, and its rivals in its place, evidence all of it beside the other terms."""
+
+    own: Hypothesis
+    rivals: tuple[Hypothesis, ...]
+
+    def best(self, rows: Rows) -> Hypothesis:
+        """Return the likeliest of them."""
+        return max((self.own, *self.rivals), key=lambda h: log_odds(h, rows))
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What was found.
+
+    Attributes:
+        base: ordinary physics alone.
+        fit: with the terms, in their order.
+        rows: those of the base, whose signals carry the load and friction of a fit.
+        terms: what stands in the model.
+        first, last: all other hypotheses beside the base, and beside the model, likeliest first.
+        considered: number of hypotheses.
+    """
+
+    base: Likelihood
+    fit: Likelihood
+    rows: Rows
+    terms: tuple[Term, ...]
+    first: list[Hypothesis]
+    last: list[Hypothesis]
+    considered: int
