@@ -66,7 +66,6 @@ def recorded(play: float, motor_friction: float = 0.0, link_friction: float = 0.
         (0.002, {}),
         (0.01, {"motor_friction": 0.1}),
         (0.01, {"link_friction": 0.1}),
-        (0.01, {"motor_friction": 0.03, "link_friction": 0.07}),
         (0.015, {}),
         (0.02, {}),
         (0.05, {}),

@@ -14,8 +14,8 @@ is more by tau_link - tau_load, and by what the friction of the link is more tha
 while the link rests within its play, the motor turns on without it. A link that hangs swings in its play as a pendulum
 does. The time of flight grows with the cube root of the play, so that it matters for small play too: without it, what
 the torque does around its zeros is the wrong way round. Whether the joint's friction is the link's, which it then holds
-inside the play, or the motor's, or of both, the data says. Not contained: bouncing. Impacts are short: a torque sampled
-without an anti-aliasing filter misses them.
+inside the play, or the motor's, the data says. Not contained: friction of both, and bouncing. Impacts are short: a
+torque sampled without an anti-aliasing filter misses them.
 
 Source: Nordin, Gutman, "Controlling mechanical systems with backlash: a survey", Automatica 2002, for the dead-zone
     model with a stiff contact; worked out to first order here.
@@ -55,7 +55,7 @@ class Backlash(Effect):
     """tau = tau_load(q + x), x from side to side of the play, linear in its width b.
 
     The coefficient is b; the play for which flights are worked out is a shape, and equal to b where the name is right.
-    So is ``link_friction``, the part of the friction at the joint that is the link's: none, half or all of it.
+    So is ``link_friction``, the part of the friction at the joint that is the link's: none or all of it.
     """
 
     id = "backlash"

@@ -7,7 +7,7 @@ tau_s the torque that winds it: that of the link's motion, and of the joint's fr
 
 with A, M the derivatives of the rigid body's torque with respect to the joint's q and qdd, and B that with respect to
 qd, and the link's viscous friction. To first order in the compliance 1/k load and friction wind the spring. Whose the
-friction is, the motor's, the link's or of both, the data says: viscous friction of the link makes what accelerates it
+friction is, the motor's or the link's, the data says: viscous friction of the link makes what accelerates it
 late by its coefficient over k.
 Higher orders are those of a series, tau_s put into its own right side twice, which is worked out for a compliance that
 is a shape: it follows the coefficient 1/k. Near the resonance sqrt(k / M) the series ends too early; there the link

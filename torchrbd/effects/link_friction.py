@@ -1,4 +1,4 @@
-"""Whose the friction at a joint is: the motor's, that of the link behind the gear, or half of it each."""
+"""Whose the friction at a joint is: the motor's, or that of the link behind the gear."""
 
 from __future__ import annotations
 
@@ -6,11 +6,7 @@ from collections.abc import Mapping
 
 from torchrbd.effects.base import Shape
 
-PARTS: Mapping[float, str] = {
-    0.0: "friction of the motor",
-    0.5: "friction half of the link, half of the motor",
-    1.0: "friction of the link",
-}
+PARTS: Mapping[float, str] = {0.0: "friction of the motor", 1.0: "friction of the link"}
 """Of the friction at a joint, what the link may have, and words for it."""
 
 
