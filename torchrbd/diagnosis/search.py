@@ -161,25 +161,26 @@ class _Search:
             self.beside_normal = [refined(plain, self.rows, h) for h in (*others[:_LEADING], *brief[:_LEADING])]
         seen = {h.candidate for h in near} | present
         others = [again(fit, self.rows, h) for h in self.beside_normal if h.name not in known]
-        hidden = self.hidden(fit, known)
+        # Where nothing is explained yet, noise has the colour of all that is left out.
+        hidden = self.hidden(fit, known, 1 if chosen else _HIDDEN)
         near += [h for h in (*others, *hidden) if h is not None and h.candidate not in seen]
         others = [h for h in likely if h.candidate not in present]
-        best = self.ordered((*self.judged(fit, near, hidden[:1]), *others))
+        best = self.ordered((*self.judged(fit, near, () if chosen else hidden[:1]), *others))
         first = {_alike(h): h for h in reversed(best)}
         return [h for h in best if first[_alike(h)] is h]
 
-    def hidden(self, fit: Likelihood, known: Collection[tuple[str, Site]]) -> list[Hypothesis]:
+    def hidden(self, fit: Likelihood, known: Collection[tuple[str, Site]], most: int) -> list[Hypothesis]:
         """Return of each joint the law that leads beside independent rows: the noise that is learnt has its colour.
 
-        The first of them, which leads them all, is the likeliest of its joint's at refined shapes. They are of the size
-        that they have there.
+        The first of them, which leads them all, is the likeliest of its joint's leading laws, ``most`` of them, at
+        refined shapes. They are of the size that they have there.
         """
         plain, laws = fit.least_squares, dict[int | None, list[Hypothesis]]()
         for h in self.ordered([h for h in lasting(plain, self.rows, self.effects) if h.name not in known]):
             laws.setdefault(h.candidate.place, []).append(h)
         found = []
         for own in laws.values():
-            near = [refined(plain, self.rows, h) for h in own[: 1 if found else _HIDDEN]]
+            near = [refined(plain, self.rows, h) for h in own[: 1 if found else most]]
             best = self.ordered(near)[0]
             one = again(fit, self.rows, best)
             found += [] if one is None else [replace(one, scale=best.scale)]
