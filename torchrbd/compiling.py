@@ -20,6 +20,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+
 FLAGS = (
     ("-O3", "-std=gnu11", "-fPIC", "-shared", "-ffp-contract=fast", "-fno-math-errno", "-Wno-psabi", "-march=native"),
     ("-O3", "-std=gnu11", "-fPIC", "-shared", "-ffp-contract=fast", "-fno-math-errno", "-mcpu=native"),
@@ -47,6 +51,20 @@ class Source:
     folder: Path
     files: tuple[str, ...]
     functions: Mapping[str, tuple[type, ...]]
+
+
+def is_watched() -> bool:
+    """Say whether something watches operations to trace them or to differentiate forwards."""
+    stack, tracing = torch._C._len_torch_dispatch_stack(), torch._C._get_tracing_state()
+    return bool(stack or tracing) or forward_ad._current_level >= 0
+
+
+def is_plain(x: Tensor) -> bool:
+    """Say whether a tensor is float64 numbers in memory and nothing else, which compiled code takes as they are."""
+    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active() or is_watched():
+        return False
+    ordinary = type(x) is Tensor and x.is_cpu and x.dtype is torch.float64 and not x.is_neg()
+    return ordinary and not (x.requires_grad and torch.is_grad_enabled())
 
 
 @cache

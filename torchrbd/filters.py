@@ -8,9 +8,8 @@ import numpy as np
 import torch
 from scipy.signal import lfilter
 from torch import Tensor
-from torch.autograd import forward_ad
 
-from torchrbd.compiling import ADDRESS, INTEGER, Source, library
+from torchrbd.compiling import ADDRESS, INTEGER, Source, is_plain, library
 
 COMPILED = Source(
     Path(__file__).parent,
@@ -31,7 +30,7 @@ def thinned(x: Tensor, kernel: Tensor, stride: int, outputs: int) -> Tensor:
         outputs: how many sums there are.
     """
     taps, rows = kernel.shape[0], x.reshape(-1, x.shape[-1])
-    if _is_plain(x) and (compiled := library(COMPILED)) is not None:
+    if is_plain(x) and (compiled := library(COMPILED)) is not None:
         rows, kernel = rows.contiguous(), kernel.to(x)
         found = x.new_empty(len(rows), outputs)
         addresses = kernel.data_ptr(), rows.data_ptr(), found.data_ptr()
@@ -41,13 +40,6 @@ def thinned(x: Tensor, kernel: Tensor, stride: int, outputs: int) -> Tensor:
         parts = [some.unfold(-1, taps, stride)[:, :outputs] @ kernel for some in rows.split(_ROWS_AT_ONCE)]
         found = torch.cat(parts)
     return found.reshape(*x.shape[:-1], outputs)
-
-
-def _is_plain(x: Tensor) -> bool:
-    """Say whether a tensor is numbers in memory and nothing else, which compiled code takes."""
-    watched = torch._C._are_functorch_transforms_active() or torch.compiler.is_compiling()
-    derived = (x.requires_grad and torch.is_grad_enabled()) or forward_ad._current_level >= 0
-    return type(x) is Tensor and x.is_cpu and x.dtype is torch.float64 and not x.is_neg() and not (watched or derived)
 
 
 def unpredicted(x: np.ndarray, predictor: np.ndarray, index: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import pytest
 import torch
 from effects.sites import ROBOT, signals, states
 from torch import Tensor
-from torch.autograd import gradcheck
+from torch.autograd import forward_ad, gradcheck
 
 from torchrbd.compiling import library
 from torchrbd.effects import Site
@@ -104,6 +104,21 @@ def test_a_link_without_inertia_crosses_its_play_at_once() -> None:
         x = free(load, inertia, 0.01, 0.02)
         assert torch.isfinite(x).all()
         assert x.abs().max() <= 0.01
+
+
+@pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated")
+def test_forward_derivatives_are_those_backwards() -> None:
+    t = 0.01 * torch.arange(60, dtype=torch.float64)
+    load, change, still = torch.cos(8 * t) - 0.1, torch.sin(t), torch.zeros_like(t)
+
+    def x(load: Tensor) -> Tensor:
+        return free(load, still + 0.5, 0.01, 0.02)
+
+    with forward_ad.dual_level():
+        found = forward_ad.unpack_dual(x(forward_ad.make_dual(load, change))).tangent
+    expected = torch.autograd.functional.jacobian(x, load) @ change
+    assert expected.abs().max() > 1e-3
+    torch.testing.assert_close(found, expected)
 
 
 @pytest.mark.skipif(library(COMPILED) is None, reason="no C compiler")

@@ -33,7 +33,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.compiling import ADDRESS, INTEGER, NUMBER, Source, library
+from torchrbd.compiling import ADDRESS, INTEGER, NUMBER, Source, is_plain, library
 from torchrbd.effects.base import CoefficientPrior, Effect, Shape
 from torchrbd.effects.link_friction import PARTS, link_part
 from torchrbd.effects.signals import JointScale, Signals
@@ -135,7 +135,7 @@ def deviation(
     driven, B = tau + viscous * qd + offset, B + viscous
     held = driven - M * qdd - B * qd
     signals = torch.stack((driven, M, A, B, qd, held, direction))
-    if not signals.requires_grad and (compiled := library(COMPILED)) is not None:
+    if is_plain(signals) and (compiled := library(COMPILED)) is not None:
         x, more = _underived(compiled.deviation, signals, coulomb.item(), dt, play)
         return x.to(load), more.to(load)
     rows = signals[:6].detach().cpu().reshape(6, -1, tau.shape[-1]).unbind(1)
@@ -163,7 +163,7 @@ def _underived(compiled: Callable[..., int], signals: Tensor, coulomb: float, dt
     Raises:
         MemoryError: it found none.
     """
-    given = signals.cpu().contiguous()
+    given = signals.contiguous()
     found = torch.empty_like(given[:2])
     samples = found.shape[-1]
     rows = found.numel() // (2 * samples)

@@ -9,9 +9,8 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 from torch._C._functorch import TransformType, get_interpreter_stack
-from torch.autograd import forward_ad
 
-from torchrbd.compiling import library
+from torchrbd.compiling import is_watched, library
 from torchrbd.robot.compiled.calls import KERNELS, physical_torque, torque_slopes
 from torchrbd.robot.compiled.functions import TransformedValue, differentiable_value
 from torchrbd.robot.compiled.kernel import INVERSE_DYNAMICS, Kernel
@@ -125,13 +124,7 @@ def _is_run_as_it_is() -> bool:
 
 def _is_plainly_run() -> bool:
     """Say whether kernels may be used, and nothing watches operations to make a graph or to differentiate forwards."""
-    return not (
-        _refused
-        or torch._C._len_torch_dispatch_stack()
-        or torch._C._get_tracing_state()
-        or forward_ad._current_level >= 0
-        or not is_available()
-    )
+    return not (_refused or is_watched() or not is_available())
 
 
 def _in_graph(kernel: Kernel, tables: Tables, arguments: tuple[Tensor, ...]) -> Tensor | None:
