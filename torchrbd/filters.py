@@ -1,10 +1,11 @@
-"""Filters of finite length along the last axis: compiled where a machine has a compiler, the same to rounding."""
+"""Filters of finite length along the last axis: where they are compiled, the same to rounding."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import scipy.fft
 import torch
 from scipy.signal import lfilter
 from torch import Tensor
@@ -40,6 +41,19 @@ def thinned(x: Tensor, kernel: Tensor, stride: int, outputs: int) -> Tensor:
         parts = [some.unfold(-1, taps, stride)[:, :outputs] @ kernel for some in rows.split(_ROWS_AT_ONCE)]
         found = torch.cat(parts)
     return found.reshape(*x.shape[:-1], outputs)
+
+
+def convolved(x: Tensor, kernels: Tensor) -> Tensor:
+    """Convolve x (n, N) with each of its kernels (n, k, taps) where they overlap fully: (k, n, N - taps + 1).
+
+    Args:
+        x: rows of samples.
+        kernels: (n, k, taps), or (1, k, taps) for all rows.
+    """
+    samples, taps = x.shape[1], kernels.shape[2]
+    size = int(scipy.fft.next_fast_len(samples, real=True) or samples)
+    spectrum = torch.fft.rfft(x, size) * torch.fft.rfft(kernels, size).transpose(0, 1)
+    return torch.fft.irfft(spectrum, size)[..., taps - 1 : samples]
 
 
 def unpredicted(x: np.ndarray, predictor: np.ndarray, index: np.ndarray) -> np.ndarray:

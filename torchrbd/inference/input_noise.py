@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.filters import convolved
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.likelihood.block_statistics import BlockStatistics, assemble, filtered_rows
 from torchrbd.likelihood.columns import Columns
@@ -132,18 +133,17 @@ def _some_tiles(reading: Reading, used: Sequence[int]) -> Iterator[tuple[int, St
 def _shaken(states: States, survey: Survey, filtering: Filtering, generator: torch.Generator) -> States:
     """Return the states with encoder noise, as the state filter leaves it, added."""
     kernels = filtering.state_kernels(states.dt)
-    n, taps = len(states.q), kernels.shape[1]
+    n, samples = states.q.shape
 
     def drawn(std: Tensor) -> Tensor:
-        white = torch.randn(n, 1, states.q.shape[1] + taps - 1, generator=generator, dtype=torch.float64)
-        coloured = torch.nn.functional.conv1d(white, kernels.flip(1).unsqueeze(1))
-        return torch.nan_to_num(std)[:, None, None] * coloured
+        white = torch.randn(n, samples + kernels.shape[1] - 1, generator=generator, dtype=torch.float64)
+        return torch.nan_to_num(std)[:, None] * convolved(white, kernels[None])
 
-    q, qd, qdd = drawn(torch.from_numpy(survey.q_noise_std)).unbind(1)
+    q, qd, qdd = drawn(torch.from_numpy(survey.q_noise_std))
     measured = torch.from_numpy(survey.qd_noise_std)
     seen = ~measured.isnan()
     if bool(seen.any()):
         of_velocity = drawn(measured)
-        qd = torch.where(seen.unsqueeze(1), of_velocity[:, 0], qd)
-        qdd = torch.where(seen.unsqueeze(1), of_velocity[:, 1], qdd)
+        qd = torch.where(seen.unsqueeze(1), of_velocity[0], qd)
+        qdd = torch.where(seen.unsqueeze(1), of_velocity[1], qdd)
     return replace(states, q=states.q + q, qd=states.qd + qd, qdd=states.qdd + qdd)

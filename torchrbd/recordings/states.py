@@ -6,11 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.fft
 import torch
 
 from torchrbd.errors import RecordingError
-from torchrbd.filters import thinned
+from torchrbd.filters import convolved, thinned
 from torchrbd.recordings.blocks import Block
 from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering
@@ -179,14 +178,14 @@ class _Cutter:
         length = (outputs - 1) * self._stride + 2 * self._feature_half + 1
         n, half = len(self._use_velocity), self._state_half
         raw = torch.from_numpy(self._x[:, : length + 2 * half])
-        q, qd, qdd = self._filter(raw[:n], self._kernels)
+        q, qd, qdd = convolved(raw[:n], self._kernels)
         if self._use_velocity.any():
-            measured = self._filter(raw[2 * n : self._ends[0]], self._kernels[:, :2])
+            measured = convolved(raw[2 * n : self._ends[0]], self._kernels[:, :2])
             qd = torch.where(self._use_velocity[:, None], measured[0], qd)
             qdd = torch.where(self._use_velocity[:, None], measured[1], qdd)
         reference = None
         if self._ends[1] > self._ends[0]:
-            q_ref, qd_ref, qdd_ref = self._filter(raw[self._ends[0] : self._ends[1]], self._kernels)
+            q_ref, qd_ref, qdd_ref = convolved(raw[self._ends[0] : self._ends[1]], self._kernels)
             reference = q_ref, qd_ref, qdd_ref
         q_link = self._partly(raw[self._ends[1] : self._ends[2]], self._linked)
         temperature = self._partly(raw[self._ends[2] :], self._thermal)
@@ -208,17 +207,10 @@ class _Cutter:
         """Return x (m, samples) low-passed as positions of all joints (n, N), NaN for those that are not ``there``."""
         if not there.any():
             return None
-        filtered = self._filter(x, self._kernels[there, :1])[0]
+        filtered = convolved(x, self._kernels[there, :1])[0]
         whole = filtered.new_full((len(there), filtered.shape[1]), torch.nan)
         whole[there] = filtered
         return whole
-
-    def _filter(self, x: torch.Tensor, kernels: torch.Tensor) -> torch.Tensor:
-        """Convolve x (n, N) with each of its kernels (n, k, taps) where they overlap fully: (k, n, N - taps + 1)."""
-        samples, taps = x.shape[1], kernels.shape[2]
-        size = int(scipy.fft.next_fast_len(samples, real=True) or samples)
-        spectrum = torch.fft.rfft(x, size) * torch.fft.rfft(kernels, size).transpose(0, 1)
-        return torch.fft.irfft(spectrum, size)[..., taps - 1 : samples]
 
 
 def _turns(path: torch.Tensor) -> torch.Tensor:
