@@ -273,11 +273,30 @@ def test_a_term_that_is_swapped_for_another_time_is_that_of_the_model(rows: Rows
     assert cast(Any, fit) == [late.candidate]
 
 
+def test_what_is_not_needed_beside_what_was_added_last_is_dropped_one_after_the_other(rows: Rows, monkeypatch) -> None:
+    """Beside both of them neither the first nor the second is needed; beside the last alone the first one is."""
+    worth = {"ABC": (-3.0, -9.0, 99.0), "AC": (50.0, 99.0)}
+
+    def model(letters: str) -> Any:
+        return SimpleNamespace(name=letters, evidence_for=lambda k: worth[letters][k])
+
+    chosen = [Hypothesis(candidate(rows, *SITES[c]), 99.0, np.zeros(1), np.ones(1), 1.0, 1) for c in "ABC"]
+    monkeypatch.setattr(Table, "with_terms", lambda self, base, terms: model("".join(map(letter, terms))))
+    at = Table(rows, (), lambda _: None)
+    fit, left, seen = at.needed(cast(Any, None), model("ABC"), chosen, [[h] for h in chosen])
+    assert cast(Any, fit).name == "".join(map(letter, left)) == "AC"
+    assert [h for (h,) in seen] == left
+    # The last one has just been weighed.
+    worth["AC"] = (50.0, -99.0)
+    assert at.needed(cast(Any, None), model("AC"), left, seen)[1] == left
+
+
 def test_no_more_terms_are_added_than_a_person_would_read(rows: Rows, monkeypatch) -> None:
     c = candidate(rows, *SITES["A"])
     sure = Hypothesis(c, 99.0, np.zeros(2), np.ones(2), 1.0, 1)
     at = Table(rows, (), lambda _: None)
     monkeypatch.setattr(Table, "leading", lambda self, fit, chosen=(): [sure])
+    monkeypatch.setattr(Likelihood, "evidence_for", lambda self, k: 99.0)
     _, chosen, seen, _ = at.added(fitted(), fitted(), [], [], [sure])
     assert len(chosen) == len(seen) == MOST_TERMS
     # What is left, and likelier than not, is told.

@@ -135,6 +135,28 @@ def test_law_that_takes_a_part_of_friction_leaves_what_rests_may_hold_as_large()
     np.testing.assert_allclose(*holding, rtol=1e-6)
 
 
+def test_rests_may_hold_more_than_friction_takes_in_motion() -> None:
+    """A joint that moves without friction, and is held when it pauses: what holds it is learnt of the pauses."""
+    moved, length, hold = multisine(2, 5, duration_s=20.0, rate_hz=1000.0), 800, 0.3
+    turns = np.flatnonzero(np.diff(np.sign(moved.qd[:, 0])))[::3]
+    at = np.repeat(np.arange(len(moved.t)), 1 + length * np.isin(np.arange(len(moved.t)), turns))[: len(moved.t)]
+    rests = np.diff(at, append=at[-1] + 1) == 0
+    q, qd, qdd = moved.q.copy(), moved.qd.copy(), moved.qdd.copy()
+    q[:, 0], qd[:, 0], qdd[:, 0] = moved.q[at, 0], ~rests * moved.qd[at, 0], ~rests * moved.qdd[at, 0]
+    motion, rng = Motion(moved.t, q, qd, qdd), np.random.default_rng(6)
+    held = hold * np.sign(rng.standard_normal(len(at)))[at] * rests
+    tau = inverse_dynamics(URDF, motion) + VISCOUS * qd + held[:, None] * [1.0, 0.0]
+    tau += 0.005 * np.sqrt(np.mean(tau**2, axis=0)) * rng.standard_normal(tau.shape)
+    names = RobotModel.from_urdf(URDF).joint_names
+    recording = Recording.from_arrays("pauses", names, moved.t[::10], motion.q[::10], tau[::10])
+    fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [recording])))
+    assert fit.friction[0, 1:].max() < 0.1 * hold
+    assert 0.5 * hold < fit.hyper.held[0] < 3.0 * hold
+    assert fit.hyper.hold[1] < 0.1 * hold
+    less = fit.with_(hold=0.1 * fit.hyper.hold)
+    assert less.log_evidence < fit.log_evidence - 30
+
+
 def test_rows_that_least_squares_sees_are_those_of_a_noise_without_memory(fit: Likelihood) -> None:
     """They are remembered for noises of other sizes, not for another spread."""
     louder = fit.renoised()

@@ -18,7 +18,7 @@ from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried, meet
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
 from torchrbd.diagnosis.screening import lasting, refined, restarted, screened
-from torchrbd.diagnosis.sharpening import sharpened
+from torchrbd.diagnosis.sharpening import at_summit, sharpened
 from torchrbd.diagnosis.terms import Explanation, Term
 from torchrbd.diagnosis.weighing import at_a_glance, learnt_with, with_own_noise
 from torchrbd.effects import Effect, Site
@@ -173,7 +173,7 @@ class _Search:
         """Return of each joint the law that leads beside independent rows: the noise that is learnt has its colour.
 
         The first of them, which leads them all, is the likeliest of its joint's leading laws, ``most`` of them, at
-        refined shapes. They are of the size that they have there.
+        refined shapes. They are of the shape and size that they have there.
         """
         plain, laws = fit.least_squares, dict[int | None, list[Hypothesis]]()
         for h in self.ordered([h for h in lasting(plain, self.rows, self.effects) if h.name not in known]):
@@ -181,7 +181,7 @@ class _Search:
         found = []
         for own in laws.values():
             near = [refined(plain, self.rows, h) for h in own[: 1 if found else most]]
-            best = self.ordered(near)[0]
+            best = at_summit(plain, self.rows, self.ordered(near)[0])
             one = again(fit, self.rows, best)
             found += [] if one is None else [replace(one, scale=best.scale)]
         return found
@@ -280,7 +280,7 @@ class _Search:
         seen: list[list[Hypothesis]],
         found: list[Hypothesis],
     ) -> tuple[Likelihood, list[Hypothesis], list[list[Hypothesis]], list[Hypothesis]]:
-        """Add what is likelier than not, one after the other.
+        """Add what is likelier than not, one after the other, and drop what is not needed any more.
 
         Args:
             base, fit: ordinary physics, and the model so far.
@@ -291,7 +291,7 @@ class _Search:
             The model, what is in it, what was considered there, and what is left.
         """
         seen = list(seen)
-        while len(chosen) < MOST_TERMS:
+        for _ in range(len(chosen), MOST_TERMS):
             if not found or log_odds(found[0], self.rows) <= 0.0:
                 found = self.ordered((*self.curves(fit, chosen), *found))
                 if not found or log_odds(found[0], self.rows) <= 0.0:
@@ -303,8 +303,25 @@ class _Search:
             fit = self.felt_through(fit, len(chosen) - 1, found[0])
             if found[0].candidate.effect.uses_load:
                 fit, chosen = self.with_own_load(base, fit, chosen)
+            fit, chosen, seen = self.needed(base, fit, chosen, seen)
             found = self.leading(fit, chosen)
         return fit, chosen, seen, found
+
+    def needed(
+        self, base: Likelihood, fit: Likelihood, chosen: list[Hypothesis], seen: list[list[Hypothesis]]
+    ) -> tuple[Likelihood, list[Hypothesis], list[list[Hypothesis]]]:
+        """Drop, the least likely first, what is not likelier than not any more beside the last that was added.
+
+        Of two forces of nearly the same time the second may do all that the first was there for.
+        """
+        while True:
+            worth = [replace(h, log_evidence=fit.evidence_for(k) + h.paid) for k, h in enumerate(chosen[:-1])]
+            odds = [log_odds(h, self.rows) for h in worth]
+            if min(odds, default=1.0) > 0.0:
+                return fit, chosen, seen
+            k = int(np.argmin(odds))
+            chosen, seen = [*chosen[:k], *chosen[k + 1 :]], [*seen[:k], *seen[k + 1 :]]
+            fit = self.with_terms(base, chosen)
 
     def settled(
         self,

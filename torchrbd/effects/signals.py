@@ -203,7 +203,12 @@ class Signals:
         """Torque that Coulomb friction takes of it, (n, *batch) [N m] or [N]."""
         if self.friction is None:
             return torch.zeros_like(self.qd)
-        return self._each(self.friction[:, 1]) * torch.tanh(self.qd / self._each(self.rest_width))
+        return self._each(self.friction[:, 1]) * self.directions
+
+    @property
+    def directions(self) -> Tensor:
+        """Soft signs of the velocities, (n, *batch)."""
+        return torch.tanh(self.qd / self._each(self.rest_width))
 
     def _each(self, values: Tensor) -> Tensor:
         """Return values (n,) of the joints as they go with the samples, (n, 1, ...)."""

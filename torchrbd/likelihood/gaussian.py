@@ -32,6 +32,10 @@ from torchrbd.likelihood.root import ROUNDING, Root, forwards
 
 # Sweeps over the sites of truncated coefficients, and the least part of its variance that a truncation leaves.
 _SWEEPS, _LEAST_VARIANCE = 8, 1e-6
+# Directions of a joint's columns below this are told by rounding.
+_LEAST_DIRECTION = 1e-3
+# Mean squares of coefficients are believed by as much at once.
+_STEP = 10.0
 
 
 @dataclass(frozen=True)
@@ -208,6 +212,33 @@ class Gaussian(Posterior):
             b = self.blocks[joint]
             self._used[joint] = float((self.covariance(b.own) * b.gram).sum())
         return self._used[joint]
+
+    def rms(self, index: np.ndarray) -> float:
+        """Return the root mean square that is expected of some coefficients, one before the data; 0 of none of them.
+
+        The step of expectation and maximisation for the size of their prior.
+        """
+        if not len(index):
+            return 0.0
+        power = float(np.mean(self.z[index] ** 2 + self.covariance(index).diagonal()))
+        return math.sqrt(min(max(power, 1.0 / _STEP), _STEP))
+
+    def dispersion(self, joint: int, part: np.ndarray) -> float:
+        """Return the scatter of a joint's scores over parts of its rows, numbered (m,), over that of white rows.
+
+        With scores g_b = X_b'e_b in coordinates in which X'X = 1, E[sum_b |g_b|^2] is the number of directions if rows
+        are independent, and more where an error lasts: the sandwich estimator's ratio (White, "Maximum Likelihood
+        Estimation of Misspecified Models", Econometrica 1982).
+        """
+        b, e = self.blocks[joint], self.left[joint]
+        if not len(e):
+            return 1.0
+        size = np.sqrt(np.maximum(b.gram.diagonal(), 1e-300))
+        values, vectors = np.linalg.eigh(b.gram / size / size[:, None])
+        kept = values > _LEAST_DIRECTION
+        coordinates = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
+        scores = np.add.reduceat(b.X * e, np.flatnonzero(np.diff(part, prepend=-1)), axis=1).T @ coordinates
+        return float((scores**2).sum() / kept.sum() / np.mean(e**2))
 
     def beside(self, columns: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return precision S (K, K) and score r (K,) of whitened columns, (K, m) by joint."""

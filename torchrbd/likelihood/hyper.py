@@ -19,6 +19,7 @@ class Hyper:
         encoder_share: (n,) part of each joint's noise that encoders make, on average over the rows.
         rest_width: (n,) speeds over which friction changes its sign [rad/s, m/s].
         drift: (n,) standard deviation of the slowest cosine [N m or N].
+        hold: (n,) root mean square of what friction holds at rest [N m or N].
         noise: of each joint.
         dispersion: (n,) scatter of blocks over that of white rows.
         bodies: (P,) coordinates of the inertial parameters around which their prior is expanded, for a kappa of one.
@@ -32,6 +33,7 @@ class Hyper:
     encoder_share: np.ndarray
     rest_width: np.ndarray
     drift: np.ndarray
+    hold: np.ndarray
     noise: tuple[Noise, ...]
     dispersion: np.ndarray
     bodies: np.ndarray
@@ -39,6 +41,11 @@ class Hyper:
     pi: Tensor
     friction: Tensor
     white: bool = False
+
+    @property
+    def held(self) -> np.ndarray:
+        """How large what friction holds at rest is believed to be (n,): as it is in motion, or larger [N m or N]."""
+        return np.maximum(self.hold, self.friction[:, 1].numpy())
 
     def with_(self, **changes: object) -> Hyper:
         """Return the same with some values changed."""

@@ -11,7 +11,7 @@ from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.noise import Noise
 
 # Parts of a joint's torque.
-_FIRST_NOISE, _FIRST_DRIFT = 0.05, 0.01
+_FIRST_NOISE, _FIRST_DRIFT, _FIRST_HOLD = 0.05, 0.01, 0.3
 _ROUNDS = 3
 
 
@@ -19,8 +19,8 @@ def learn(machine: Machine) -> Likelihood:
     """Learn noise, widths, drift, dispersion and the URDF's error from the data, the model being the machine's.
 
     Least squares is learnt first: beside coefficients that are far off, slow errors pass for noise that is slow, which
-    then keeps them there. It alone tells the widths of friction's sign change, while all rows count: those that show
-    them, at reversals, count less the worse they are explained.
+    then keeps them there. The widths of friction's sign change are told while all rows count: those that show them, at
+    reversals, count less the worse they are explained; and once more beside what rests have been found to hold.
 
     Args:
         machine: rigid body and ordinary physics.
@@ -32,6 +32,7 @@ def learn(machine: Machine) -> Likelihood:
         encoder_share=np.zeros(rows.n_dof),
         rest_width=np.array([s.rest_width for s in rows.columns.scales]),
         drift=_FIRST_DRIFT * rms,
+        hold=_FIRST_HOLD * rms,
         noise=tuple(Noise(i, np.zeros(0), _FIRST_NOISE * r, one) for i, r in zip(machine.index, rms, strict=True)),
         dispersion=np.ones(rows.n_dof),
         bodies=np.zeros(len(machine.inertial)),
@@ -46,7 +47,7 @@ def learn(machine: Machine) -> Likelihood:
     del first
     for _ in range(_ROUNDS):
         hyper = _around(machine, hyper).with_(white=False).renoised().around_its_fit(alone=True)
-    last = _around(machine, hyper)
+    last = _around(machine, hyper).rewidened()
     hyper = last.with_heavy_tails.recalibrated().around_its_fit(alone=True)
     del last
     return _around(machine, hyper).renoised(dispersed=True)

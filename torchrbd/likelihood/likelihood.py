@@ -21,13 +21,11 @@ from torchrbd.likelihood.physical import expanded, most_probable
 from torchrbd.likelihood.widths import likeliest_width
 
 KAPPAS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
-_LEAST_DRIFT, _LEAST_NOISE = 1e-4, 1e-6
+_LEAST_SIZE, _LEAST_NOISE = 1e-4, 1e-6
 _SHARES, _DOUBTS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0), (0.0, 0.1, 0.3, 1.0)
 # What columns do not depend on, or but for their sizes.
 _NOT_OF_COLUMNS = {"noise", "dispersion", "bodies", "resists", "encoder_share"}
-_OF_SIZES = {"kappa", "drift"}
-# Directions of a joint's columns below this are told by rounding.
-_LEAST_DIRECTION = 1e-3
+_OF_SIZES = {"kappa", "drift", "hold"}
 # Part of its rows that a fit leaves free at least.
 _LEAST_FREEDOM = 0.1
 
@@ -118,6 +116,10 @@ class Likelihood:
         at, std = self.further(k), self.extra[k].std
         return self.gaussian.covariance(at) * np.outer(std, std)
 
+    def evidence_for(self, k: int) -> float:
+        """Return the log evidence for further columns, beside what has been learnt with them."""
+        return self.gaussian.against(self.further(k))
+
     def residual(self, joint: int) -> np.ndarray:
         """Return what is left of a joint's torque, (M,) [N m or N]; nothing where it is not measured."""
         if joint not in self._residuals:
@@ -151,25 +153,13 @@ class Likelihood:
         )
 
     def dispersion(self, joint: int) -> float:
-        """Return the scatter of a joint's scores over blocks of time, over that of white rows.
-
-        With scores g_b = X_b'e_b in coordinates in which X'X = 1, E[sum_b |g_b|^2] is the number of directions if rows
-        are independent, and more where an error lasts: the sandwich estimator's ratio (White, "Maximum Likelihood
-        Estimation of Misspecified Models", Econometrica 1982).
-        """
-        b, e = self.gaussian.blocks[joint], self.gaussian.left[joint]
-        if not len(e):
-            return 1.0
-        size = np.sqrt(np.maximum(b.gram.diagonal(), 1e-300))
-        values, vectors = np.linalg.eigh(b.gram / size / size[:, None])
-        kept = values > _LEAST_DIRECTION
-        coordinates = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
-        first = np.flatnonzero(np.diff(self.machine.rows.block[self.index[joint]], prepend=-1))
-        scores = np.add.reduceat(b.X * e, first, axis=1).T @ coordinates
-        return float((scores**2).sum() / kept.sum() / np.mean(e**2))
+        """Return the scatter of a joint's scores over blocks of time, over that of white rows."""
+        return self.gaussian.dispersion(joint, self.machine.rows.block[self.index[joint]])
 
     def renoised(self, joints: Sequence[int] | None = None, *, dispersed: bool = False) -> Likelihood:
         """Return the same model with the noise, its drift and, if asked, its dispersion learnt from what is left.
+
+        Beside that noise it is learnt what friction holds at rest.
 
         Args:
             joints: where; everywhere if not given.
@@ -181,11 +171,19 @@ class Likelihood:
             dispersion[joints] = np.maximum([self.dispersion(j) for j in joints], 1.0)
         for j in joints:
             noise[j] = self._noise(j, dispersion[j], self.hyper.noise[j].spread)
-            at = self.machine.wandering(j)
-            power = np.mean(self.gaussian.z[at] ** 2 + self.gaussian.covariance(at).diagonal())
-            least = _LEAST_DRIFT * self.machine.torque_rms[j]
-            drift[j] = max(drift[j] * np.sqrt(np.clip(power, 0.1, 10.0)), least)
-        return self.with_(noise=tuple(noise), drift=drift, dispersion=dispersion).levelled(joints)
+            drift[j] = self._expected(drift[j], self.machine.wandering(j), j)
+        return self.with_(noise=tuple(noise), drift=drift, dispersion=dispersion)._reheld(joints).levelled(joints)
+
+    def _reheld(self, joints: Sequence[int]) -> Likelihood:
+        """Return the same model, what friction holds at rest as large as is expected of it at some joints."""
+        hold = self.hyper.held.copy()
+        for j in joints:
+            hold[j] = self._expected(hold[j], self.machine.holding(j), j)
+        return self.with_(hold=hold)
+
+    def _expected(self, size: float, coefficients: np.ndarray, joint: int) -> float:
+        """Return the size [N m or N] of coefficients that is expected of them, whose prior has another one."""
+        return max(size * self.gaussian.rms(coefficients), _LEAST_SIZE * self.machine.torque_rms[joint])
 
     def levelled(self, joints: Sequence[int] | None = None) -> Likelihood:
         """Return the same model with noises as large, and tails as heavy, as the evidence says; their colours stay.
@@ -293,8 +291,8 @@ class Likelihood:
             if not len(index):
                 continue
             d = float(self.hyper.dispersion[j])
-            coulomb = 0.5 * float(np.abs(self.friction[j, 1:]).sum()) / (noise[j].std / np.sqrt(d))
-            ways = [(x * coulomb, stick) for x in _DOUBTS for stick in STICKS]
+            held = float(self.hyper.held[j]) / (noise[j].std / np.sqrt(d))
+            ways = [(x * held, stick) for x in _DOUBTS for stick in STICKS]
             found = [(way, self._noise(j, d, self.machine.spread(j, share[j], *way))) for way in ways]
             way, _ = min(found, key=lambda one: one[1].surprise)
             parts = [(part, self._noise(j, d, self.machine.spread(j, part, *way))) for part in _SHARES]

@@ -4,7 +4,7 @@
           + d qd + c_+ max(g, 0) + c_- min(g, 0)            viscous and two-sided Coulomb friction, g = tanh(qd / w)
           + s dg/dlog w + l d(c g)/dt + r d^2(c g)/dt^2     how wide the sign change is, how late, and how long it lasts
           + sum_i f_i c (g'_i - g)                          how far friction at rest is what holds the joint
-          + sum_e (c sum_k h_ek u_e(t) cos(k pi s_e) / (1 + k) + t_e d(c g)/dt)
+          + h sum_e (sum_k h_ek u_e(t) cos(k pi s_e) / (1 + k) + t_e dg/dt)
                                                             each rest or reversal, s_e from 0 to 1 while it lasts: what
                                                             friction holds, and when it turns
           + t0 d(tau_s)/dt + (t1 + t_j b) F d(tau_load)/dt  one offset t0 between the clocks of torque and motion; F is
@@ -25,8 +25,8 @@ Friction keeps its sharp edges, but for this: at a reversal a joint rests while 
 other, which the differentiated positions, smoothed, pass over. The drive pushes harder and harder until the joint
 breaks away, so that friction follows a straight line: g' is g with straight lines across rests, shorter or longer ones.
 How far it does (f) depends on the drive: a joint that passes through zero does not rest. Each time, friction is
-whatever holds, within what it could be (h): one unknown for a reversal, more for a long rest; and when it turns is told
-to a part of a sample (t). What rounding adds is a function of the torque, a sawtooth that noise smooths to its first
+whatever holds, within what it could be (h, as much as in motion or more): one unknown for a reversal, more for a long
+rest; and when it turns is told to a part of a sample (t). What rounding adds is a function of the torque, a sawtooth that noise smooths to its first
 harmonic (Widrow and Kollar, "Quantization Noise", 2008).
 """
 
@@ -202,6 +202,10 @@ class Machine:
         """Return where the coefficients of a joint's drift stand but for its levels: those may be an offset."""
         return self.drifting(joint)[self._drift_order > 0]
 
+    def holding(self, joint: int) -> np.ndarray:
+        """Return where the coefficients stand of what friction holds at each of a joint's rests."""
+        return self._rest_at[joint] + np.arange(len(self._holding[joint]))
+
     def resting(self, joint: int) -> np.ndarray:
         """Return where the coefficients of a joint's rests stand, what each holds and then when each turns."""
         return np.arange(self._rest_at[joint], self._rest_at[joint + 1])
@@ -287,7 +291,7 @@ class Machine:
         """Return the columns (2 + n + 2 + 2, n, M) that follow the load.
 
         d(tau_s)/dt of all that is supplied, and what of the load's is fast; each joint's fastest motion; d/dt and
-        d^2/dt^2 of Coulomb friction; and rounding.
+        d^2/dt^2 of the direction of Coulomb friction; and rounding.
         """
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
@@ -297,7 +301,7 @@ class Machine:
             turns = 2.0 * math.pi * signals.supplied / step
             amplitude = torch.where(step.isinf(), 0.0, step / math.pi)
             fastest = [signals.deviating(k, signals.qdd[k]) for k in range(self.rows.n_dof)]
-            turns_at = signals.rate(signals.coulomb_torque)
+            turns_at = signals.rate(signals.directions)
             rounding = amplitude * turns.sin(), amplitude * turns.cos()
             t, rate = signals.sequence(), signals.rate(signals.supplied)
             of_load = signals.rate(signals.load)
@@ -332,8 +336,8 @@ class Machine:
             lasting = 0.5 * (_LASTING_ROWS * self.rows.dt_out) ** 2
             late, long = slopes[-_ROUNDING - 2 : -_ROUNDING, joint]
             fast = self.timing_std * self.rows.noise_share[joint] * slopes[1, joint]
-            own = lasting * long, self._breaking * fast, *slopes[-_ROUNDING:, joint]
-            parts.append(np.stack((self.rows.dt * late, *own)))
+            own = coulomb * lasting * long, self._breaking * fast, *slopes[-_ROUNDING:, joint]
+            parts.append(np.stack((coulomb * self.rows.dt * late, *own)))
             places.append(local[-1] + 1 + np.arange(3 + _ROUNDING))
             average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
             fastest = slopes[2 : -_ROUNDING - 2, joint]
@@ -343,7 +347,7 @@ class Machine:
             inside = np.array(self._inside)
             parts += [self.timing_std * slopes[0, joint] * inside, fast * inside]
             places += [self.timing, self.timing + len(inside)]
-            parts.append(coulomb * self._holding[joint])
+            parts.append(self._holding[joint])
             parts.append(_TURNS_SAMPLES * self.rows.dt * late * self._around[joint])
             places.append(self.resting(joint))
         return np.concatenate(parts), np.concatenate(places)
@@ -351,12 +355,14 @@ class Machine:
     def sizes(self, joint: int, own: np.ndarray, hyper: Hyper) -> np.ndarray:
         """Return by what the columns (P_j,) of a joint are to be multiplied to be in prior coordinates.
 
-        They are learnt more often than the columns themselves: those of bodies, by the URDF's error, and of drift.
+        They are learnt more often than the columns themselves: those of bodies, by the URDF's error, of drift, and of
+        what friction holds at rest.
         """
         first, size = int(self.drifting(joint)[0]), np.ones(len(own))
         size[own < len(self.inertial)] = 1.0 / math.sqrt(hyper.kappa)
         drift = (own >= first) & (own < first + len(self._drift))
         size[drift] = hyper.drift[joint] / np.maximum(self._drift_order[own[drift] - first], 1)
+        size[np.isin(own, self.resting(joint))] = hyper.held[joint]
         return size
 
     def pi(self, z: np.ndarray, kappa: float) -> Tensor:
