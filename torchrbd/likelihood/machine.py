@@ -26,8 +26,8 @@ other, which the differentiated positions, smoothed, pass over. The drive pushes
 breaks away, so that friction follows a straight line: g' is g with straight lines across rests, shorter or longer ones.
 How far it does (f) depends on the drive: a joint that passes through zero does not rest. Each time, friction is
 whatever holds, within what it could be (h, as much as in motion or more): one unknown for a reversal, more for a long
-rest; and when it turns is told to a part of a sample (t). What rounding adds is a function of the torque, a sawtooth that noise smooths to its first
-harmonic (Widrow and Kollar, "Quantization Noise", 2008).
+rest; and when it turns is told to a part of a sample (t). What rounding adds is a function of the torque, a sawtooth
+that noise smooths to its first harmonic (Widrow and Kollar, "Quantization Noise", 2008).
 """
 
 from __future__ import annotations
