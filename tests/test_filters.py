@@ -36,6 +36,15 @@ def test_thinned_is_a_product_of_every_window(taps: int, stride: int) -> None:
     np.testing.assert_allclose(single.numpy(), expected, atol=1e-4)
 
 
+@pytest.mark.parametrize("shared", [False, True])
+def test_convolved_is_a_convolution_of_each_row_with_each_of_its_kernels(shared: bool) -> None:
+    rng = np.random.default_rng(3)
+    x, kernels = rng.standard_normal((2, 101)), rng.standard_normal((1 if shared else 2, 3, 7))
+    found = filters.convolved(torch.from_numpy(x), torch.from_numpy(kernels)).numpy()
+    expected = [[np.convolve(x[i], kernels[0 if shared else i, k], "valid") for i in range(2)] for k in range(3)]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
 @pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated")
 def test_thinned_has_derivatives() -> None:
     x, kernel = torch.randn(2, 12, dtype=torch.float64), torch.randn(5, dtype=torch.float64)

@@ -23,11 +23,8 @@ from likelihood.fits import (
     tail_of,
     with_friction,
 )
-from simulated import Motion, inverse_dynamics, multisine
 
-from torchrbd.diagnosis.hypotheses import averaged
 from torchrbd.effects import Site
-from torchrbd.effects.registry import effect
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
@@ -36,7 +33,6 @@ from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.noise import learnt
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
-from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
 ROBOT = RobotModel.from_urdf(URDF)
@@ -119,44 +115,6 @@ def test_widths_are_told_anew_where_columns_are_and_are_elsewhere_as_given(fit: 
     assert Extra(None, whole, np.ones(1)).joints == [0]
 
 
-def test_law_that_takes_a_part_of_friction_leaves_what_rests_may_hold_as_large() -> None:
-    """Smaller priors of so many columns would be evidence for the law."""
-    more = with_friction(at_joint(0, lambda m: np.sign(m.qd[:, 0]) * np.abs(m.qd[:, 0]) ** 0.3))
-    noisy = recorded(URDF, 2, more, **OPTIONS | {"encoder_noise": 5e-4})
-    fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [noisy])))
-    machine, qd = fit.machine, fit.machine.rows.qd[:1]
-    law = Extra(0, np.sign(qd) * np.abs(qd) ** 0.3, np.ones(1))
-    beside = fit.extended((law,)).renoised().relinearised()
-    assert beside.friction[0, 1] < 0.95 * fit.friction[0, 1]
-    assert len(machine.resting(0)) > 5
-    holding = [
-        one.columns(0)[np.isin(one.own(0), machine.resting(0))] for one in (beside, fit.renoised().relinearised())
-    ]
-    np.testing.assert_allclose(*holding, rtol=1e-6)
-
-
-def test_rests_may_hold_more_than_friction_takes_in_motion() -> None:
-    """A joint that moves without friction, and is held when it pauses: what holds it is learnt of the pauses."""
-    moved, length, hold = multisine(2, 5, duration_s=20.0, rate_hz=1000.0), 800, 0.3
-    turns = np.flatnonzero(np.diff(np.sign(moved.qd[:, 0])))[::3]
-    at = np.repeat(np.arange(len(moved.t)), 1 + length * np.isin(np.arange(len(moved.t)), turns))[: len(moved.t)]
-    rests = np.diff(at, append=at[-1] + 1) == 0
-    q, qd, qdd = moved.q.copy(), moved.qd.copy(), moved.qdd.copy()
-    q[:, 0], qd[:, 0], qdd[:, 0] = moved.q[at, 0], ~rests * moved.qd[at, 0], ~rests * moved.qdd[at, 0]
-    motion, rng = Motion(moved.t, q, qd, qdd), np.random.default_rng(6)
-    held = hold * np.sign(rng.standard_normal(len(at)))[at] * rests
-    tau = inverse_dynamics(URDF, motion) + VISCOUS * qd + held[:, None] * [1.0, 0.0]
-    tau += 0.005 * np.sqrt(np.mean(tau**2, axis=0)) * rng.standard_normal(tau.shape)
-    names = RobotModel.from_urdf(URDF).joint_names
-    recording = Recording.from_arrays("pauses", names, moved.t[::10], motion.q[::10], tau[::10])
-    fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [recording])))
-    assert fit.friction[0, 1:].max() < 0.1 * hold
-    assert 0.5 * hold < fit.hyper.held[0] < 3.0 * hold
-    assert fit.hyper.hold[1] < 0.1 * hold
-    less = fit.with_(hold=0.1 * fit.hyper.hold)
-    assert less.log_evidence < fit.log_evidence - 30
-
-
 def test_rows_that_least_squares_sees_are_those_of_a_noise_without_memory(fit: Likelihood) -> None:
     """They are remembered for noises of other sizes, not for another spread."""
     louder = fit.renoised()
@@ -165,57 +123,6 @@ def test_rows_that_least_squares_sees_are_those_of_a_noise_without_memory(fit: L
         for found, wanted in zip(one.least_squares.gaussian.blocks, again.gaussian.blocks, strict=True):
             np.testing.assert_allclose(found.y, wanted.y, rtol=1e-10)
             np.testing.assert_allclose(found.gram, wanted.gram, rtol=1e-9, atol=1e-9 * np.abs(wanted.gram).max())
-
-
-@pytest.fixture(scope="module")
-def sticking() -> Likelihood:
-    """Learn of an arm whose first joint stops at each reversal, its drive pushing it from one side to the other."""
-    moved, hold, every = multisine(2, 5, duration_s=22.0, rate_hz=1000.0), 70, 10
-    turns = np.flatnonzero(np.diff(np.sign(moved.qd[:, 0])))
-    at = np.repeat(np.arange(len(moved.t)), 1 + hold * np.isin(np.arange(len(moved.t)), turns))[: len(moved.t)]
-    rests = np.diff(at, append=at[-1] + 1) == 0
-    q, qd, qdd = moved.q.copy(), moved.qd.copy(), moved.qdd.copy()
-    q[:, 0], qd[:, 0], qdd[:, 0] = moved.q[at, 0], ~rests * moved.qd[at, 0], ~rests * moved.qdd[at, 0]
-    number = np.arange(len(at))
-    side = np.interp(number, number[~rests], np.sign(moved.qd[at, 0])[~rests])
-    dry = COULOMB * np.stack((side, np.tanh(qd[:, 1] / WIDTH)), axis=1)
-    motion = Motion(moved.t, q, qd, qdd)
-    tau = inverse_dynamics(URDF, motion) + VISCOUS * qd + dry
-    rng = np.random.default_rng(6)
-    tau += 0.02 * np.sqrt(np.mean(tau**2, axis=0)) * rng.standard_normal(tau.shape)
-    seen = q + 3e-4 * rng.standard_normal(q.shape)
-    names = RobotModel.from_urdf(URDF).joint_names
-    recording = Recording.from_arrays("sticks", names, moved.t[::every], seen[::every], tau[::every])
-    return learn(Machine(rows_of(wrong_robot(URDF, 1), [recording])))
-
-
-def test_friction_of_a_joint_that_sticks_passes_in_a_straight_line(sticking: Likelihood) -> None:
-    machine = sticking.machine
-    rests = machine._resting[0].max(0) > 0.5
-    assert np.std(sticking.residual(0)[rests]) < 0.3 * COULOMB[0]
-    assert sticking.gaussian.against(machine.sticks(0)) > 5
-    assert sticking.gaussian.against(machine.sticks(1)) < 3
-    np.testing.assert_allclose(sticking.friction[0, 1:], COULOMB[0], rtol=0.1)
-
-
-def test_joint_that_sticks_is_not_late(sticking: Likelihood) -> None:
-    rows = carried(sticking)
-    for name in ("actuator_lag", "stribeck_friction"):
-        e, site = effect(name), Site(joint=0)
-        shapes = e.shapes(rows.columns.scale(site))
-        found = averaged(sticking, rows, [rows.columns.candidate(e, site, shape) for shape in shapes])
-        assert found is not None
-        assert found.log_evidence < 5
-
-
-def test_long_rest_holds_in_more_ways_than_a_short_one(sticking: Likelihood) -> None:
-    machine = sticking.machine
-    lengths = (machine._resting[0] > 0).sum(1)
-    ways = np.array([(machine._holding[0][:, rest > 0] != 0).any(1).sum() for rest in machine._resting[0]])
-    assert ways[lengths.argmax()] > ways[lengths.argmin()] >= 1
-    sizes = np.abs(machine._holding[0]).max(1)
-    assert (np.diff(sizes) < 0.2).all()
-    assert sizes[0] == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.fixture(scope="module")

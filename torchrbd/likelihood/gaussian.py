@@ -34,7 +34,7 @@ from torchrbd.likelihood.root import ROUNDING, Root, forwards
 _SWEEPS, _LEAST_VARIANCE = 8, 1e-6
 # Directions of a joint's columns below this are told by rounding.
 _LEAST_DIRECTION = 1e-3
-# Mean squares of coefficients are believed by as much at once.
+# A mean square may be so many times larger, or smaller, than the prior says, at once.
 _STEP = 10.0
 
 
