@@ -59,6 +59,7 @@ class Case:
         self.data = self.model.createData()
         x = np.random.default_rng(0).uniform(-1, 1, (3, samples, self.robot.n_dof))
         self.states = [torch.from_numpy(v if samples > 1 else v[0]) for v in x]
+        self.samples_last = [v.reshape(samples, -1).T.contiguous() for v in self.states]
         self.tracked = [v.clone().requires_grad_() for v in self.states]
         self.weight = torch.rand_like(self.states[0])
         looped = min(samples, LOOPED)
@@ -101,6 +102,7 @@ class Case:
         yield "the same with friction, to be differentiated", lambda: self.rubbing(*self.tracked), rnea
         yield "regressor", lambda: robot.regressor(*states), self.regressor_loop
         yield "the same, samples first in memory", lambda: robot.regressor(*states).contiguous(), self.regressor_loop
+        yield "regressor, samples last", lambda: robot.regressor_batch_last(*self.samples_last), self.regressor_loop
         yield "mass matrix", lambda: robot.mass_matrix(states[0]), crba
         yield "forward dynamics", lambda: robot.forward_dynamics(*states), partial(self.loop, pin.aba)
         yield (

@@ -42,8 +42,9 @@ def regressor_batch_last(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor,
     if tracked or torch.compiler.is_compiling():
         return tiled(lambda q, qd, qdd: dynamics.regressor(geometry, q, qd, qdd, gravity), q, qd, qdd)
     Y = zeros(q, len(q), 10 * len(geometry.ends), q.shape[-1])
-    for q_k, qd_k, qdd_k, Y_k in tiles(q, qd, qdd, Y):
-        dynamics.write_regressor(geometry, q_k, qd_k, qdd_k, gravity, out=Y_k)
+    with torch.no_grad():
+        for q_k, qd_k, qdd_k, Y_k in tiles(q, qd, qdd, Y):
+            dynamics.write_regressor(geometry, q_k, qd_k, qdd_k, gravity, out=Y_k)
     return Y
 
 

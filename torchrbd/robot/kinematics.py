@@ -13,6 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchrbd.compiling import is_plain
 from torchrbd.robot.tree import Tree
 
 
@@ -122,8 +123,9 @@ def dot(a: Iterable[Tensor], b: Iterable[Tensor], out: Tensor | None = None) -> 
     """Return the sum of products along the first dimension; the rest broadcasts."""
     first, *rest = zip(a, b, strict=True)
     total = torch.mul(*first, out=out)
+    # Derivatives need every step of the sum, and vmap has no batched addcmul_.
+    out = total if out is not None or (not torch.is_grad_enabled() and is_plain(total)) else None
     for x, y in rest:
-        # Not in place where it need not be: vmap has no batched addcmul_.
         total = torch.addcmul(total, x, y, out=out)
     return total
 
@@ -165,16 +167,17 @@ def body_poses(geometry: Geometry, q: Tensor) -> Pose:
         q: (n_bodies, N) coordinate of every body [rad, m].
     """
     A, B, C = geometry.rotation
-    E = torch.addcmul(torch.addcmul(A, B, q.sin()[:, None]), C, q.cos()[:, None])
+    sines, cosines = q.sin(), q.cos()
     rotations: list[Tensor] = []
     steps: list[Tensor] = []
     for body, parent in enumerate(geometry.parents):
         t = geometry.translation[:, body]
+        E = torch.addcmul(torch.addcmul(A[:, body], B[:, body], sines[body]), C[:, body], cosines[body])
         if parent < 0:
-            rotations.append(E[:, body])
+            rotations.append(E)
             steps.append(t.expand(3, q.shape[-1]))
         else:
-            rotations.append(product(rotations[parent], E[:, body]))
+            rotations.append(product(rotations[parent], E))
             steps.append(apply(rotations[parent], t))
     R, r = torch.stack(rotations, 1), torch.stack(steps, 1)
     z = apply(R, geometry.axis)
