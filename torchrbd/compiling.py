@@ -59,9 +59,14 @@ def is_watched() -> bool:
     return bool(stack or tracing) or forward_ad._current_level >= 0
 
 
+def is_transformed() -> bool:
+    """Say whether operations are traced, batched, differentiated forwards or watched: none may write into a tensor."""
+    return torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active() or is_watched()
+
+
 def is_plain(x: Tensor) -> bool:
     """Say whether a tensor is float64 numbers in memory and nothing else, which compiled code takes as they are."""
-    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active() or is_watched():
+    if is_transformed():
         return False
     ordinary = type(x) is Tensor and x.is_cpu and x.dtype is torch.float64 and not x.is_neg()
     return ordinary and not (x.requires_grad and torch.is_grad_enabled())

@@ -174,13 +174,19 @@ def test_second_derivatives_of_the_regressor(robot: RobotModel) -> None:
 
 
 @SCRIPTED
-def test_forward_mode_is_left_to_torch(robot: RobotModel) -> None:
+@pytest.mark.parametrize("backward", [True, False])
+def test_forward_mode_is_left_to_torch(robot: RobotModel, backward: bool) -> None:
+    """Whether derivatives are taken backwards as well or not."""
     q, qd, qdd = states(robot, 4)
-    with forward_ad.dual_level():
+    with torch.set_grad_enabled(backward), forward_ad.dual_level():
         tau = robot.inverse_dynamics(forward_ad.make_dual(q, torch.ones_like(q)), qd, qdd)
         found = forward_ad.unpack_dual(tau).tangent
+        Y = robot.regressor(forward_ad.make_dual(q, torch.ones_like(q)), qd, qdd)
+        of_rows = forward_ad.unpack_dual(Y).tangent
     assert found is not None
+    assert of_rows is not None
     close(found, robot.torque_slopes(q, qd, qdd)[:, 0].sum(-1))
+    close(of_rows @ robot.pi, found)
 
 
 @pytest.mark.usefixtures("no_eager")

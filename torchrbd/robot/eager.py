@@ -10,6 +10,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from torchrbd.compiling import is_transformed
 from torchrbd.robot import dynamics, slopes
 from torchrbd.robot.batching import batch_first, batch_last, tiled, tiles, zeros
 from torchrbd.robot.kinematics import Geometry
@@ -39,7 +40,7 @@ def regressor(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, gravity: T
 def regressor_batch_last(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, gravity: Tensor) -> Tensor:
     """Return the regressor, (n_dof, n_params, N), of states (n_dof, N)."""
     tracked = torch.is_grad_enabled() and any(x.requires_grad for x in (q, qd, qdd, gravity))
-    if tracked or torch.compiler.is_compiling():
+    if tracked or is_transformed():
         return tiled(lambda q, qd, qdd: dynamics.regressor(geometry, q, qd, qdd, gravity), q, qd, qdd)
     Y = zeros(q, len(q), 10 * len(geometry.ends), q.shape[-1])
     with torch.no_grad():
