@@ -277,7 +277,7 @@ def test_size_is_averaged_over() -> None:
     fit, rows, found = leading(ROTOR)
     c = found[0].candidate
     F = rows.features(c)
-    std, scales = coefficient_std(c, F, fit.machine.torque_rms)
+    std, scales = coefficient_std(c, rows.rms(c), fit.machine.torque_rms)
     each = [added(*fit.beside(1, F), std * k, positive=(0,)).log_evidence for k in scales]
     assert found[0].log_evidence == pytest.approx(logsumexp(each) - np.log(len(scales)), abs=1e-6)
     assert found[0].scale == scales[int(np.argmax(each))]

@@ -42,7 +42,7 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
     c = candidate(rows, "payload", Site(body=1, window=Window("second")))
     stretches = Stretches.of_blocks(rows, "second")
     F, always = rows.features(c), candidate(rows, "payload", Site(body=1))
-    std, scales = coefficient_std(always, rows.features(always), fit.machine.torque_rms)
+    std, scales = coefficient_std(always, rows.rms(always), fit.machine.torque_rms)
     expected, best = [], -np.inf
     for begin, end in stretches.times[stretches.pairs]:
         inside = (rows.t >= begin) & (rows.t < end) & (rows.recording == 1)
@@ -82,7 +82,7 @@ def test_recordings_in_which_an_effect_is_are_averaged_over(two_recordings: tupl
         for shape in shapes:
             always = candidate(rows, name, Site(j), **shape)
             F = rows.features(always)
-            std, scales = coefficient_std(always, F, fit.machine.torque_rms)
+            std, scales = coefficient_std(always, rows.rms(always), fit.machine.torque_rms)
             inside = (rows.recording == rows.recordings.index(one))[fit.index[j]]
             S, r = fit.gaussian.beside({j: fit.hyper.noise[j].white(F) * inside})
             every += [added(S, r, k * std, e.prior.positive).log_evidence for k in scales]

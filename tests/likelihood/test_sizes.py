@@ -105,32 +105,37 @@ def candidate(name: str, site: Site) -> Candidate:
     return Candidate(e, site, {}, tuple(e.units))
 
 
+def size(F: np.ndarray) -> np.ndarray:
+    """Return the root mean square of features (..., M)."""
+    return np.sqrt(np.mean(F**2, axis=-1))
+
+
 def test_size_by_torque_makes_all_of_the_joints_torque() -> None:
     rng = np.random.default_rng(1)
     F, rms = rng.normal(size=(1, 400)), np.array([2.0, 30.0, 0.0])
-    std, scales = coefficient_std(candidate("quadratic_drag", Site(1)), F, rms)
+    std, scales = coefficient_std(candidate("quadratic_drag", Site(1)), size(F), rms)
     assert scales == TORQUE_SCALES
     assert np.sqrt(np.mean((std[0] * F[0]) ** 2)) == pytest.approx(30.0)
-    (other,), _ = coefficient_std(candidate("quadratic_drag", Site(1)), 1e3 * F, rms)
+    (other,), _ = coefficient_std(candidate("quadratic_drag", Site(1)), size(1e3 * F), rms)
     assert other == pytest.approx(std[0] / 1e3)
-    assert coefficient_std(candidate("quadratic_drag", Site(1)), 0 * F, rms)[0][0] == 0.0
-    assert coefficient_std(candidate("quadratic_drag", Site(2)), F, rms)[0][0] == 0.0
+    assert coefficient_std(candidate("quadratic_drag", Site(1)), size(0 * F), rms)[0][0] == 0.0
+    assert coefficient_std(candidate("quadratic_drag", Site(2)), size(F), rms)[0][0] == 0.0
 
 
 def test_size_by_unit_does_not_depend_on_the_torque() -> None:
     F = np.random.default_rng(2).normal(size=(1, 3, 400))
     for rms in (np.ones(3), np.array([0.1, 7.0, 0.0])):
-        std, scales = coefficient_std(candidate("time_delay", Site()), F, rms)
+        std, scales = coefficient_std(candidate("time_delay", Site()), size(F), rms)
         assert scales == UNIT_SCALES
         np.testing.assert_allclose(std, [0.02])
-    assert coefficient_std(candidate("time_delay", Site()), 0 * F, np.ones(3))[0][0] == 0.0
+    assert coefficient_std(candidate("time_delay", Site()), size(0 * F), np.ones(3))[0][0] == 0.0
 
 
 def test_joints_sit_some_centimetres_off_whatever_torque_that_makes() -> None:
     F = np.random.default_rng(4).normal(size=(6, 3, 400))
     F[1] = 0.0
     for part in (0.01, 100.0):
-        std, scales = coefficient_std(candidate("geometry_error", Site(1)), part * F, np.array([1.0, 5.0, 0.0]))
+        std, scales = coefficient_std(candidate("geometry_error", Site(1)), size(part * F), np.array([1.0, 5.0, 0.0]))
         assert scales == UNIT_SCALES
         np.testing.assert_array_equal(std, [0.02, 0.0, 0.02, 0.05, 0.05, 0.05])
 
@@ -139,7 +144,7 @@ def test_sizes_of_several_keep_their_proportions_within_the_torque_of_every_join
     rng = np.random.default_rng(3)
     F, rms = rng.normal(size=(10, 3, 400)), np.array([1.0, 5.0, 0.0])
     F[4] = 0.0
-    std, scales = coefficient_std(candidate("payload", Site(body=1)), F, rms)
+    std, scales = coefficient_std(candidate("payload", Site(body=1)), size(F), rms)
     assert scales == TORQUE_SCALES
     believed = np.array(effect("payload").prior.std)
     free = np.arange(10) != 4

@@ -98,42 +98,34 @@ def agreed(fit: Likelihood, rows: Rows, one: Hypothesis, *, plausible: bool = Tr
     return one
 
 
-def believed(
-    fit: Likelihood, rows: Rows, candidate: Candidate, features: np.ndarray | None = None
-) -> tuple[np.ndarray, tuple[float, ...]]:
-    """Return how large coefficients are believed to be, (K,) and multiples, whatever the time in which they act.
-
-    ``features`` of the candidate need not be evaluated again where they are at hand.
-    """
+def believed(fit: Likelihood, rows: Rows, candidate: Candidate) -> tuple[np.ndarray, tuple[float, ...]]:
+    """Return how large coefficients are believed to be, (K,) and multiples, whatever the time in which they act."""
     if not (candidate.site.always or candidate.effect.of_each_recording):
         at = replace(candidate.site, window=None, recordings=None)
-        candidate, features = rows.columns.candidate(candidate.effect, at, candidate.shape), None
-    features = rows.features(candidate) if features is None else features
-    return coefficient_std(candidate, features, fit.machine.torque_rms)
-
-
-def _counts(fit: Likelihood, place: int | None, F: np.ndarray) -> bool:
-    """Say whether features (K, M) of a joint, or (K, n, M) of all, touch any torque that counts."""
-    each = ((F[:, j] if place is None else F)[:, i] for j, i in enumerate(fit.index) if place in (None, j))
-    return any(bool(own.any()) for own in each)
+        candidate = rows.columns.candidate(candidate.effect, at, candidate.shape)
+    return coefficient_std(candidate, rows.rms(candidate), fit.machine.torque_rms)
 
 
 def averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hypothesis | None:
-    """Return the evidence of an effect at a place, averaged over its shapes and sizes."""
-    parts = [(c, F) for c in candidates if np.isfinite(F := rows.features(c)).all() and _counts(fit, c.place, F)]
-    if not parts:
+    """Return the evidence of an effect at a place, averaged over its shapes and sizes; None if no torque feels it."""
+    known = [(c, F) for c in candidates if np.isfinite(F := rows.features(c)).all()]
+    if not known:
         return None
-    S, r = fit.beside(parts[0][0].place, np.concatenate([F for _, F in parts]))
-    K = len(parts[0][1])
-    at = np.arange(len(parts))[:, None] * K + np.arange(K)
-    sizes = [believed(fit, rows, c, F) for c, F in parts]
+    S, r = fit.beside(known[0][0].place, np.concatenate([F for _, F in known]))
+    at = np.arange(len(r)).reshape(len(known), -1)
+    S, r = S[at[:, :, None], at[:, None, :]], r[at]
+    felt = np.flatnonzero(S.any(axis=(1, 2)))
+    if not len(felt):
+        return None
+    parts = [known[k][0] for k in felt]
+    sizes = [believed(fit, rows, c) for c in parts]
     scales = np.array(sizes[0][1])
     std = np.stack([s for s, _ in sizes])[:, None] * scales[:, None]
-    found = added(S[at[:, :, None], at[:, None, :]][:, None], r[at][:, None], std, parts[0][0].effect.prior.positive)
+    found = added(S[felt][:, None], r[felt][:, None], std, parts[0].effect.prior.positive)
     shape, size = np.unravel_index(int(found.log_evidence.argmax()), found.log_evidence.shape)
     best, mean = (shape, size), mean_of(found.log_evidence)
     paid = mean - mean_of(found.log_evidence[shape])
-    return Hypothesis(parts[shape][0], mean, found.mean[best], found.std[best], float(scales[size]), len(parts), paid)
+    return Hypothesis(parts[shape], mean, found.mean[best], found.std[best], float(scales[size]), len(parts), paid)
 
 
 def again(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis | None:

@@ -225,7 +225,7 @@ def in_stretches(
     """
     always = rows.columns.candidate(candidate.effect, replace(candidate.site, window=None), candidate.shape)
     F, place = rows.features(always), candidate.place
-    std, multiples = believed(fit, rows, always, F)
+    std, multiples = believed(fit, rows, always)
     if place is not None:
         own, F = F, np.zeros((len(F), rows.n_dof, F.shape[-1]))
         F[:, place] = own
@@ -313,7 +313,7 @@ def _sums(edges: Edges, F: np.ndarray, gradually: np.ndarray, at_once: np.ndarra
     if len(sharp):
         cross = np.zeros((len(sharp), len(fit.gaussian.z), len(F)))
         for joint, (block, left) in enumerate(zip(fit.gaussian.blocks, fit.gaussian.left, strict=True)):
-            if not len(left):
+            if not (len(left) and F[:, joint].any()):
                 continue
             leap, going, row = edges.leap(joint, F[:, joint], at[sharp])
             gram[sharp] += leap @ leap.transpose(0, 2, 1)
@@ -348,13 +348,15 @@ def moments(
     K, P = len(F), len(fit.gaussian.z)
     cross, gram, score = np.zeros((count, P, K)), np.zeros((count, K, K)), np.zeros((count, K))
     for j, index in enumerate(fit.index):
-        of_rows = part[index]
+        if place not in (None, j):
+            continue
+        own, of_rows = F[:, j] if place is None else F, part[index]
         inside = np.flatnonzero(of_rows >= 0)
-        if not len(inside) or place not in (None, j):
+        if not (len(inside) and own.any()):
             continue
         seen, first = np.unique(of_rows[inside], return_index=True)
         edges = np.append(inside[first], inside[-1] + 1)
-        b, C = fit.gaussian.blocks[j], fit.hyper.noise[j].white(F if place == j else F[:, j])
+        b, C = fit.gaussian.blocks[j], fit.hyper.noise[j].white(own)
         cross[np.ix_(seen, b.own)] += b.in_parts(C, edges)
         gram[seen] += np.stack([C[:, begin:end] @ C[:, begin:end].T for begin, end in pairwise(edges)])
         score[seen] += np.add.reduceat((C * fit.gaussian.left[j])[:, : edges[-1]], edges[:-1], axis=1).T

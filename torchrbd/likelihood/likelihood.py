@@ -147,10 +147,9 @@ class Likelihood:
 
     def beside(self, place: int | None, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return precision (K, K) and score (K,) of features (K, M) of a joint, or (K, n, M) of all, beside the fit."""
-        joints = [j for j in (range(len(self.index)) if place is None else (place,)) if len(self.index[j])]
-        return self.gaussian.beside(
-            {j: self.hyper.noise[j].white(features[:, j] if place is None else features) for j in joints}
-        )
+        each = dict(enumerate(features.swapaxes(0, 1))) if place is None else {place: features}
+        felt = {j: self.hyper.noise[j].white(F) for j, F in each.items() if len(self.index[j]) and F.any()}
+        return self.gaussian.beside(felt) if felt else (np.zeros((len(features),) * 2), np.zeros(len(features)))
 
     def dispersion(self, joint: int) -> float:
         """Return the scatter of a joint's scores over blocks of time, over that of white rows."""

@@ -22,6 +22,8 @@ Progress = Callable[[str, float], None]
 StateEstimate = Callable[[States], States]
 """Replaces the filtered states of a tile by better ones."""
 
+SHORT = 4096
+"""Samples of a tile."""
 _BLOCK_S, _BLOCK_CYCLES, _MOST_BLOCKS = 1.0, 5.0, 256
 
 
@@ -59,13 +61,13 @@ class Reading:
         varies = [m and n not in constant for m, n in zip(recording.measured, recording.joints, strict=True)]
         return torch.tensor(varies) & self.used
 
-    def tiles(self, k: int) -> Iterator[States]:
-        """Stream the states of recording k; what is known is taken off: payloads, rotors and springs of the robot's
-        description, a simulator's extra torque."""
+    def tiles(self, k: int, rows: int = SHORT) -> Iterator[States]:
+        """Stream the states of recording k in tiles of about so many samples; what is known is taken off: payloads,
+        rotors and springs of the robot's description, a simulator's extra torque."""
         recording = self.recordings[k]
         load, late = self.payload.get(recording.name), self.delay_s.get(recording.name, 0.0)
         lag = self.lag_s.get(recording.name, 0.0)
-        for states in tiles(recording, self.surveys[k], self.filtering):
+        for states in tiles(recording, self.surveys[k], self.filtering, rows):
             if late:
                 states = replace(states, tau=delayed(states.tau, -late / states.dt))
             if lag:

@@ -6,7 +6,7 @@ read, so that memory stays bounded.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NoReturn
@@ -113,7 +113,13 @@ class Rows:
         def evaluated() -> np.ndarray:
             return self.evaluated(lambda signals: torch.stack(list(candidate.features(signals).values())))
 
-        return self._known.of((candidate.effect, candidate.site, *candidate.shape.items()), evaluated)
+        return self._known.of(_key(candidate), evaluated)
+
+    def rms(self, candidate: Candidate) -> np.ndarray:
+        """Return the root mean square of the features of a candidate, (K,) at its joint, or (K, n)."""
+        return self._known.of(
+            ("rms", *_key(candidate)), lambda: np.sqrt(np.mean(self.features(candidate) ** 2, axis=-1))
+        )
 
     def through_bodies(self, effect: ShowsBodies, coefficients: np.ndarray) -> list[np.ndarray]:
         """Return per joint what inertial parameters change its torque by through an effect, as ``rigid`` has them."""
@@ -206,6 +212,10 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
         dt_out=float(dt_out.max()),
         **joined,  # type: ignore[arg-type]
     )
+
+
+def _key(candidate: Candidate) -> tuple[Hashable, ...]:
+    return candidate.effect, candidate.site, *candidate.shape.items()
 
 
 def _noise_share(survey: Survey, band_hz: float) -> np.ndarray:

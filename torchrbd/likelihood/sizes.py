@@ -43,16 +43,16 @@ def inertial_scale(robot: RobotModel, held: frozenset[str] = frozenset()) -> tup
 
 
 def coefficient_std(
-    candidate: Candidate, features: np.ndarray, torque_rms: np.ndarray
+    candidate: Candidate, rms: np.ndarray, torque_rms: np.ndarray
 ) -> tuple[np.ndarray, tuple[float, ...]]:
     """Return prior standard deviations of a candidate's coefficients (K,), and the multiples that are equally likely.
 
     Args:
         candidate: the effect at its place.
-        features: (K, M) at its joint, or (K, n, M) at all.
+        rms: (K,) of its features at its joint, or (K, n) at all.
         torque_rms: (n,) of the measured torque [N m or N].
     """
-    size = np.sqrt(np.mean(features**2, axis=-1)).reshape(len(features), -1)
+    size = rms.reshape(len(rms), -1)
     own = torque_rms if candidate.place is None else torque_rms[[candidate.place]]
     ratio = (size[:, own > 0] / own[own > 0]).max(1, initial=0.0)
     by_torque = np.where(ratio > 0, 1.0 / np.maximum(ratio, 1e-300), 0.0)
