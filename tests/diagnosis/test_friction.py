@@ -12,6 +12,9 @@ from scipy.stats import multivariate_normal
 from simulated import joint_names
 
 from torchrbd.diagnosis.friction import Friction, ordinary_friction
+from torchrbd.diagnosis.hypotheses import carried
+from torchrbd.effects import Site, effect
+from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
@@ -98,6 +101,30 @@ def test_how_sure_it_is_that_directions_differ_is_told(push: float) -> None:
     differ = odds / (1.0 + odds)
     assert (law.candidate.effect.id == UNEVEN) == (differ > 0.5)
     assert law.law == pytest.approx(max(differ, 1.0 - differ), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "site", "found_as"),
+    [
+        ("torque_offset", Site(0), EVEN),
+        ("joint_spring", Site(0), EVEN),
+        ("joint_coupling", Site(0, 1), EVEN),
+        ("torque_offset", Site(1), UNEVEN),
+        ("torque_offset", Site(0, recordings=("r",)), UNEVEN),
+        ("quadratic_drag", Site(0), UNEVEN),
+    ],
+)
+def test_a_joint_with_a_constant_torque_has_even_friction(name: str, site: Site, found_as: str) -> None:
+    """Also where it is that of a spring's rest: both are told of what happens within a reversal alone."""
+    fit, e = learnt(PUSHED), effect(name)
+    rows = carried(fit)
+    law = rows.columns.candidate(e, site, {})
+    F = rows.features(law)
+    beside = fit.extended((Extra(law.place, F, np.ones(len(F))),))
+    found = {
+        f.candidate.effect.id for f in ordinary_friction(beside, rows.columns, ALL, [law]) if f.candidate.joint == 0
+    }
+    assert found == {"viscous_friction", found_as}
 
 
 def test_uneven_friction_is_told_of_a_urdf_that_has_the_mean() -> None:

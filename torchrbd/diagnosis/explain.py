@@ -240,11 +240,11 @@ def _acts_in(block: Block, site: Site) -> bool:
 def is_trifling(finding: Finding, extended: Extended) -> bool:
     """Say whether held-out time does not show a finding, or hardly, and it carries next to none of its joint's torque.
 
-    Other inertial parameters, or other friction, do as well then. Of what acts for a time only, or in some recordings,
-    held-out time may have seen nothing; but then it changes nothing there, and does not make it worse. All joints that
-    a force acts on are judged together then.
+    Other inertial parameters, or other friction, do as well then. One joint that it is shown at is enough, unless all
+    that it acts on together are told worse with it. Of what acts for a time only, or in some recordings, held-out time
+    may have seen nothing; but then it changes nothing there.
     """
-    if finding.share < NO_CHANGE if finding.where.recordings is None else contradicted(finding):
+    if contradicted(finding) or (finding.share < NO_CHANGE and finding.where.recordings is None):
         return True
     torque = extended.prepared.training.torque.sum(0)
     rms = dict(zip(extended.prepared.robot.joint_names, (torque[:, 2] / torque[:, 0]).sqrt().tolist(), strict=True))

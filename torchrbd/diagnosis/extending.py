@@ -85,9 +85,8 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     """
     columns = prepared.columns
     own = [t.own.candidate for t in found.terms]
-    shifted = {c.joint for c in own if c.effect.id == "torque_offset" and c.site.always}
     beside, laws = _friction_beside(found)
-    friction = ordinary_friction(beside, columns, may, shifted, laws)
+    friction = ordinary_friction(beside, columns, may, laws)
     # Nothing is larger than the likelihood believes; of two kinds at one place, than of the larger.
     believed: dict[tuple[str, Site], np.ndarray] = {}
     for t in found.terms:

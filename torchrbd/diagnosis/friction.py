@@ -8,7 +8,7 @@ the sum of both have to say otherwise than the URDF: each may stand in for a par
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,8 @@ from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.robot import RobotModel
 
+# The label of a constant torque.
+_LEVEL = "1"
 VISCOUS, COULOMB, UNEVEN = "viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction"
 
 
@@ -45,22 +47,20 @@ def ordinary_friction(
     fit: Likelihood,
     columns: Columns,
     may: Sequence[str],
-    shifted: Collection[int] = (),
     laws: Sequence[Candidate] = (),
 ) -> tuple[Friction, ...]:
     """Return the friction of every joint with a torque, as far as it is among the effects that may be there.
 
-    A constant torque and friction that differs by direction are one but for what happens within a reversal: a joint has
-    one of both.
+    A constant torque, that of a spring's rest among them, and friction that differs by direction are one but for what
+    happens within a reversal: a joint has one of both.
 
     Args:
         fit: the likelihood, with all that was found.
         columns: of the model that the terms are for.
         may: ids of effects.
-        shifted: joints at which a constant torque was found.
         laws: what was found, as the likelihood has it.
     """
-    found = []
+    found, shifted = [], {c.place for c in laws if _LEVEL in c.labels}
     for j in range(columns.robot.n_dof):
         if not fit.machine.rows.seen[j]:
             continue
