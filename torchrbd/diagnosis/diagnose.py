@@ -8,7 +8,7 @@ from typing import Any
 
 from torchrbd.diagnosis.clock_offset import clock_offset
 from torchrbd.diagnosis.deflection import deflections
-from torchrbd.diagnosis.explain import explain, is_trifling, likeliest_left
+from torchrbd.diagnosis.explain import explain, likeliest_left
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
@@ -22,6 +22,7 @@ from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect, tells_nothing
+from torchrbd.diagnosis.trifling import is_trifling
 from torchrbd.diagnosis.unexplained import only_where_fitted, tones, unexplained
 from torchrbd.diagnosis.verdict_words import REFUTED, ended_statement, verdict_statement
 from torchrbd.diagnosis.words import strongest_first

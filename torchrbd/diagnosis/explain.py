@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from torchrbd.diagnosis.proof import confirmed
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import OWN_TIME, Alternative, Finding, Law, Quantity, Ratio, Region, Where
 from torchrbd.diagnosis.terms import Explanation
+from torchrbd.diagnosis.trifling import contradicted, is_trifling, set_apart
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.diagnosis.words import NO_CHANGE, at, finding_sentence, named, strongest_first
 from torchrbd.effects import Site, effect
@@ -31,8 +32,6 @@ from torchrbd.robot import RobotModel
 _LEAST_LAW = 0.05
 LARGEST_PROBABILITY = 0.999
 _FRICTION = "friction"
-# Parts of a joint's torque, and of its held-out error, that are nobody's business.
-LEAST_TORQUE, _LEAST_SHARE = 0.01, 0.1
 
 
 @dataclass(frozen=True)
@@ -41,9 +40,9 @@ class Explained:
 
     Attributes:
         findings: that count, the largest gain first.
-        trifling: others that are as certain, but trifling, all of these together.
+        trifling: others that are as certain, but trifling, all of these together, or that stand in for something else.
         model: without laws of friction that are trifling: what they take is ordinary friction's, which is told; and
-            without what held-out time contradicts.
+            without what held-out time contradicts, unless other joints need it.
         apart: terms of the model that are trifling.
     """
 
@@ -79,8 +78,12 @@ def explain(extended: Extended) -> Explained:
 
     others = [term for term, _ in apart]
     kept = [(term, proven(term, one, others, own_time)) for term, one in kept]
+    # What was sought, and its own joints are told worse with, stands in for something that others need: it stays there.
+    stand_ins = [(term, one) for term, one in kept if term in extended.terms and contradicted(one)]
+    kept = [pair for pair in kept if pair not in stand_ins]
     # What its own time shows is set apart where held-out time is told worse with it.
-    trifling = worded([(term, proven(term, one, [], unseen)) for term, one in apart])
+    trifling = worded([*((term, proven(term, one, [], unseen)) for term, one in apart), *stand_ins])
+    others += [term for term, _ in stand_ins]
     # What laws of friction take is ordinary friction's; what held-out time contradicts is nobody's.
     leave = {term for term, one in apart if term.effect.family == _FRICTION or contradicted(one)}
     gone = leave.intersection(extended.terms)
@@ -124,48 +127,6 @@ def _judged_as(judged: Finding, one: Finding) -> Finding:
     """Return a finding with what unseen time says of it elsewhere."""
     taken = ("nmse_before", "nmse_after", "judged_on", "confirmed")
     return replace(one, **{name: getattr(judged, name) for name in taken})
-
-
-def set_apart(
-    told: Sequence[tuple[Candidate, Finding]],
-    error_without: Callable[[Sequence[Candidate]], Mapping[str, float]],
-    trifling: Callable[[Candidate, Finding], bool],
-) -> tuple[list[tuple[Candidate, Finding]], list[tuple[Candidate, Finding]]]:
-    """Set findings apart, one after the other, that held-out time does not need.
-
-    First goes what it is told best without, all joints taken together; of what is alike in that, the least likely, so
-    that of two findings that stand in for each other one stays. What other joints need, whose bodies and friction are
-    fitted beside it, stays: without it all of them are told worse than they have been.
-
-    Args:
-        told: terms and what is told of them; their errors are given here.
-        error_without: nmse by joint of the model without some terms.
-        trifling: says whether a term is, of what is told of it, with its errors with it and without it.
-
-    Returns:
-        Those that count, their errors beside all others that do, and those that are set apart, the first of them first.
-    """
-    kept, apart, after = list(told), list[tuple[Candidate, Finding]](), error_without([])
-    least = math.fsum(after.values())
-    while True:
-        gone, may_go = [term for term, _ in apart], dict[int, float]()
-        for k, (term, one) in enumerate(kept):
-            before, touched = error_without([*gone, term]), one.joints if term.place is not None else after.keys()
-            own = {name: (before[name], after[name]) for name in touched if name in before and name in after}
-            one = replace(
-                one,
-                nmse_before={name: x for name, (x, _) in own.items()},
-                nmse_after={name: x for name, (_, x) in own.items()},
-            )
-            kept[k], total = (term, one), math.fsum(before.values())
-            if trifling(term, one) and least >= (1.0 - NO_CHANGE) * total:
-                may_go[k] = total
-        if not may_go:
-            return kept, apart
-        most = min(may_go.values()) / (1.0 - NO_CHANGE)
-        first = min((k for k, total in may_go.items() if total <= most), key=lambda k: kept[k][1].log_evidence_gain)
-        apart.append(kept.pop(first))
-        after, least = error_without([term for term, _ in apart]), min(least, may_go[first])
 
 
 class _Fits:
@@ -235,27 +196,6 @@ def _acts_in(block: Block, site: Site) -> bool:
     if w is not None:
         return block.recording == w.recording and block.start_s < w.end_s and block.end_s > w.start_s
     return site.recordings is None or block.recording in site.recordings
-
-
-def is_trifling(finding: Finding, extended: Extended) -> bool:
-    """Say whether held-out time does not show a finding, or hardly, and it carries next to none of its joint's torque.
-
-    Other inertial parameters, or other friction, do as well then. One joint that it is shown at is enough, unless all
-    that it acts on together are told worse with it. Of what acts for a time only, or in some recordings, held-out time
-    may have seen nothing; but then it changes nothing there.
-    """
-    if contradicted(finding) or (finding.share < NO_CHANGE and finding.where.recordings is None):
-        return True
-    torque = extended.prepared.training.torque.sum(0)
-    rms = dict(zip(extended.prepared.robot.joint_names, (torque[:, 2] / torque[:, 0]).sqrt().tolist(), strict=True))
-    own = {joint: x for joint, x in finding.torque_rms.items() if joint in finding.joints} or finding.torque_rms
-    small = all(carried < LEAST_TORQUE * rms[joint] for joint, carried in own.items())
-    return small and finding.share < _LEAST_SHARE
-
-
-def contradicted(finding: Finding) -> bool:
-    """Say whether held-out time is told worse with it, all joints that it acts on together."""
-    return finding.share_of_all < -NO_CHANGE
 
 
 def _sure(extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:

@@ -9,12 +9,13 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.curves import fitted_curve
-from torchrbd.diagnosis.explain import LEAST_TORQUE, torque_rms
+from torchrbd.diagnosis.explain import torque_rms
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.residual import depends_on, is_curve
 from torchrbd.diagnosis.results import Finding, Proof, Region, Unexplained, Where
 from torchrbd.diagnosis.terms import Explanation
+from torchrbd.diagnosis.trifling import LEAST_TORQUE
 from torchrbd.diagnosis.words import NO_CHANGE, joined, number, percent, torque_unit
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.fitting import judge
