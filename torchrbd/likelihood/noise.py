@@ -50,22 +50,27 @@ class Student:
     weight: np.ndarray
     group: np.ndarray | None = None
 
-    def weighed(self, square: np.ndarray, index: np.ndarray) -> Student:
-        """Return the same with the weights of rows (m,) whose n^2 is this."""
-        nu, weight = self.freedom, np.ones(len(self.weight))
-        if self.group is None:
-            weight[index] = (nu + 1.0) / (nu + square)
-        else:
-            own = self.group[index]
-            weight[index] = ((nu + np.bincount(own)) / (nu + np.bincount(own, square)))[own]
+    def at(self, square: np.ndarray, own: np.ndarray | None) -> np.ndarray:
+        """Return the weights (m,) of rows whose n^2 is this, of the groups ``own`` (m,); None if each stands alone."""
+        nu = self.freedom
+        if own is None:
+            return (nu + 1.0) / (nu + square)
+        return ((nu + np.bincount(own)) / (nu + np.bincount(own, square)))[own]
+
+    def weighed(self, w: np.ndarray, index: np.ndarray) -> Student:
+        """Return the same whose rows (m,) have these weights."""
+        weight = np.ones(len(self.weight))
+        weight[index] = w
         return replace(self, weight=weight)
 
     def constant(self, index: np.ndarray) -> float:
         """Return sum c(w) of some rows (m,): what the normal densities below Student's lack at their own size."""
         nu, w, m = self.freedom, self.weight[index], np.ones(1)
         if self.group is not None:
-            _, first, m = np.unique(self.group[index], return_index=True, return_counts=True)
-            w = w[first]
+            own = self.group[index]
+            m, each = np.bincount(own), np.ones(int(own.max(initial=-1)) + 1)
+            each[own] = w
+            w, m = each[m > 0], m[m > 0]
         size = gammaln(0.5 * (nu + m)) - gammaln(0.5 * nu) + 0.5 * (m * math.log(2.0) + nu * math.log(nu))
         each = 0.5 * (nu + m) * (np.log(w / (nu + m)) + 1.0) - 0.5 * nu * w - 0.5 * m * np.log(w)
         return float((size + each).sum())
@@ -125,7 +130,7 @@ class Noise:
         """Standard deviation of e where s is one [N m or N]."""
         return self.sigma * math.sqrt(max(float(self.correlation[0]), 1.0))
 
-    @property
+    @cached_property
     def surprise(self) -> float:
         """-log p of the rows, but for half the squares of the whitened ones: its order is paid for."""
         volume = float(np.log(self.sigma * self.scatter[self.index]).sum())
@@ -235,21 +240,22 @@ def _tailed(
     Of one part, sum w = m where the size is best: dividing by it leads there faster (Kent, Tyler and Vardi, "A curious
     likelihood identity for the multivariate t-distribution", Communications in Statistics 1994).
     """
+    weights = [one.weight[index] for one in parts]
+    groups = [None if one.group is None else one.group[index] for one in parts]
+
+    def weigh() -> np.ndarray:
+        """Tell each part's weights beside those of all others, and return all of them together."""
+        square = (n / size) ** 2
+        for k, (one, own) in enumerate(zip(parts, groups, strict=True)):
+            weights[k] = one.at(math.prod((*weights[:k], *weights[k + 1 :]), start=square), own)
+        return np.prod(weights, axis=0)
+
     for _ in range(_STEPS):
-        parts = _weighed(n / size, index, parts)
-        w = Tail(parts).weight[index]
+        w = weigh()
         size = math.sqrt(float(w @ n**2) / (float(w.sum()) if len(parts) == 1 else len(n)))
-    tail = Tail(_weighed(n / size, index, parts))
+    weigh()
+    tail = Tail(tuple(one.weighed(own, index) for one, own in zip(parts, weights, strict=True)))
     return _loss(n, index, size, tail), size, tail
-
-
-def _weighed(n: np.ndarray, index: np.ndarray, parts: tuple[Student, ...]) -> tuple[Student, ...]:
-    """Return the parts of a tail with the weights of innovations n (m,) of size one, each beside those before it."""
-    for k, one in enumerate(parts):
-        others = (*parts[:k], *parts[k + 1 :])
-        square = n**2 * Tail(others).weight[index] if others else n**2
-        parts = (*parts[:k], one.weighed(square, index), *parts[k + 1 :])
-    return parts
 
 
 def _loss(n: np.ndarray, index: np.ndarray, size: float, tail: Tail | None) -> float:
