@@ -13,6 +13,7 @@ from simulated import joint_names
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect
 from torchrbd.likelihood import rows as rows_module
+from torchrbd.likelihood.remembered import Remembered
 from torchrbd.likelihood.rows import Rows, read_rows
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
@@ -36,6 +37,27 @@ def test_regressor_times_parameters_is_pinocchios_torque(clean: Rows) -> None:
     predicted = clean.load(ROBOT.pi.numpy())
     rms = np.sqrt(np.mean(clean.tau**2, 1))
     assert (np.sqrt(np.mean((predicted - clean.tau) ** 2, 1)) < 2e-3 * rms).all()
+
+
+def test_sizes_are_remembered_where_features_are_not(clean: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows, count = replace(clean, _known=Remembered(0), _rms={}), list[str]()
+    evaluated = Rows.evaluated
+
+    def counted(self: Rows, function) -> np.ndarray:
+        count.append("once more")
+        return evaluated(self, function)
+
+    monkeypatch.setattr(Rows, "evaluated", counted)
+    for name, site in (("torque_ripple", Site(1)), ("time_delay", Site())):
+        e = effect(name)
+        c = rows.columns.candidate(e, site, e.shapes(rows.columns.scale(site))[0])
+        F = rows.features(c)
+        np.testing.assert_allclose(rows.rms(c), np.linalg.norm(F, axis=-1) / np.sqrt(len(rows.t)))
+        assert rows.rms(c) is rows.rms(c)
+    assert len(count) == 2
+    with_load = rows.around(2.0 * ROBOT.pi, torch.zeros(3, 3), np.full(3, 0.01))
+    c = with_load.columns.candidate(effect("torque_scale"), Site(1), {})
+    np.testing.assert_allclose(with_load.rms(c), 2.0 * rows.rms(c))
 
 
 @pytest.mark.parametrize("of_motion", [False, True])

@@ -80,7 +80,7 @@ def explain(extended: Extended) -> Explained:
     kept = [(term, proven(term, one, others, own_time)) for term, one in kept]
     # What was sought, and its own joints are told worse with, stands in for something that others need: it stays there.
     stand_ins = [(term, one) for term, one in kept if term in extended.terms and contradicted(one)]
-    kept = [pair for pair in kept if pair not in stand_ins]
+    kept = [(term, one) for term, one in kept if term not in dict(stand_ins)]
     # What its own time shows is set apart where held-out time is told worse with it.
     trifling = worded([*((term, proven(term, one, [], unseen)) for term, one in apart), *stand_ins])
     others += [term for term, _ in stand_ins]

@@ -68,9 +68,10 @@ class Student:
         nu, w, m = self.freedom, self.weight[index], np.ones(1)
         if self.group is not None:
             own = self.group[index]
-            m, each = np.bincount(own), np.ones(int(own.max(initial=-1)) + 1)
-            each[own] = w
-            w, m = each[m > 0], m[m > 0]
+            m = np.bincount(own)
+            of_group = np.ones(len(m))
+            of_group[own] = w
+            w, m = of_group[m > 0], m[m > 0]
         size = gammaln(0.5 * (nu + m)) - gammaln(0.5 * nu) + 0.5 * (m * math.log(2.0) + nu * math.log(nu))
         each = 0.5 * (nu + m) * (np.log(w / (nu + m)) + 1.0) - 0.5 * nu * w - 0.5 * m * np.log(w)
         return float((size + each).sum())

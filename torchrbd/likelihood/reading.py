@@ -13,7 +13,7 @@ from torchrbd.effects.time_delay import delayed
 from torchrbd.likelihood.block_statistics import BlockStatistics, block_statistics
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.simulated import Simulated
-from torchrbd.recordings import Filtering, Recording, States, Survey, tiles
+from torchrbd.recordings import TILE_ROWS, Filtering, Recording, States, Survey, tiles
 from torchrbd.robot import RobotModel
 
 Progress = Callable[[str, float], None]
@@ -22,8 +22,6 @@ Progress = Callable[[str, float], None]
 StateEstimate = Callable[[States], States]
 """Replaces the filtered states of a tile by better ones."""
 
-SHORT = 4096
-"""Samples of a tile."""
 _BLOCK_S, _BLOCK_CYCLES, _MOST_BLOCKS = 1.0, 5.0, 256
 
 
@@ -61,7 +59,7 @@ class Reading:
         varies = [m and n not in constant for m, n in zip(recording.measured, recording.joints, strict=True)]
         return torch.tensor(varies) & self.used
 
-    def tiles(self, k: int, rows: int = SHORT) -> Iterator[States]:
+    def tiles(self, k: int, rows: int = TILE_ROWS) -> Iterator[States]:
         """Stream the states of recording k in tiles of about so many samples; what is known is taken off: payloads,
         rotors and springs of the robot's description, a simulator's extra torque."""
         recording = self.recordings[k]

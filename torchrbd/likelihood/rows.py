@@ -87,6 +87,7 @@ class Rows:
     dt: float
     dt_out: float
     _known: Remembered = field(default_factory=partial(Remembered, _MOST_REMEMBERED), repr=False)
+    _rms: dict[Hashable, np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
     def n_dof(self) -> int:
@@ -110,16 +111,21 @@ class Rows:
     def features(self, candidate: Candidate) -> np.ndarray:
         """Return the features of a candidate, (K, M) at its joint, or (K, n, M) if it acts on the whole robot."""
 
-        def evaluated() -> np.ndarray:
-            return self.evaluated(lambda signals: torch.stack(list(candidate.features(signals).values())))
+        key = _key(candidate)
 
-        return self._known.of(_key(candidate), evaluated)
+        def evaluated() -> np.ndarray:
+            F = self.evaluated(lambda signals: torch.stack(list(candidate.features(signals).values())))
+            self._rms[key] = np.sqrt(np.mean(F**2, axis=-1))
+            return F
+
+        return self._known.of(key, evaluated)
 
     def rms(self, candidate: Candidate) -> np.ndarray:
         """Return the root mean square of the features of a candidate, (K,) at its joint, or (K, n)."""
-        return self._known.of(
-            ("rms", *_key(candidate)), lambda: np.sqrt(np.mean(self.features(candidate) ** 2, axis=-1))
-        )
+        key = _key(candidate)
+        if key not in self._rms:
+            self.features(candidate)
+        return self._rms[key]
 
     def through_bodies(self, effect: ShowsBodies, coefficients: np.ndarray) -> list[np.ndarray]:
         """Return per joint what inertial parameters change its torque by through an effect, as ``rigid`` has them."""
@@ -151,7 +157,7 @@ class Rows:
         ]
         columns = self.columns.of_candidates((), pi, friction).at_scales(scales)
         tiles = tuple(replace(t, signals=columns.signals(t.states)) for t in self.tiles)
-        return replace(self, columns=columns, tiles=tiles, _known=Remembered(_MOST_REMEMBERED))
+        return replace(self, columns=columns, tiles=tiles, _known=Remembered(_MOST_REMEMBERED), _rms={})
 
 
 def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from torchrbd.likelihood.reading import SHORT, Reading
-from torchrbd.recordings import Filtering, States, Survey
+from torchrbd.likelihood.reading import Reading
+from torchrbd.recordings import TILE_ROWS, Filtering, States, Survey
 
 # Samples of a tile where all are kept, and numbers of its regressor at most.
 _LONG, _MOST_NUMBERS = 16384, 8_000_000
@@ -34,7 +34,7 @@ class Density:
         step = max(1, math.ceil(total / self.most_states))
         # Short tiles spread better, long ones take fewer calls.
         largest = _MOST_NUMBERS // (reading.robot.n_dof * reading.robot.n_params)
-        rows = SHORT if step > 1 else min(_LONG, max(SHORT, largest))
+        rows = TILE_ROWS if step > 1 else min(_LONG, max(TILE_ROWS, largest))
         for k in chosen:
             for states in reading.tiles(k, rows):
                 if number % step == 0:

@@ -7,10 +7,11 @@ from torchrbd.recordings.mapping import Mapping, read_mapping
 from torchrbd.recordings.memory import Data, InMemory
 from torchrbd.recordings.recording import Chunk, Recording, open_recording
 from torchrbd.recordings.sources import NamedSource, RecordingSource, listed_sources
-from torchrbd.recordings.states import States, skipped_segments, tiles
+from torchrbd.recordings.states import TILE_ROWS, States, skipped_segments, tiles
 from torchrbd.recordings.survey import Survey, choose_cutoff, survey
 
 __all__ = [
+    "TILE_ROWS",
     "Chunk",
     "Data",
     "Filtering",

@@ -16,6 +16,8 @@ from torchrbd.recordings.filtering import Filtering
 from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.survey import Survey
 
+TILE_ROWS = 4096
+"""Samples of a tile, about."""
 # Turning points of a joint that a piece remembers of those before it.
 _MOST_TURNS = 256
 
@@ -107,7 +109,7 @@ class States:
         return thinned(x, self._kernel, self._stride, self.t_out.shape[0])
 
 
-def tiles(recording: Recording, survey: Survey, filtering: Filtering, rows: int = 4096) -> Iterator[States]:
+def tiles(recording: Recording, survey: Survey, filtering: Filtering, rows: int = TILE_ROWS) -> Iterator[States]:
     """Stream a recording as tiles of about `rows` new samples each (plus the feature filter's reach at both ends).
 
     Ends of segments within reach of the filters have no output, and segments shorter than that none at all.

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch._C._functorch import TransformType, get_interpreter_stack
 
-from torchrbd.compiling import is_watched, library
+from torchrbd.compiling import is_transformed, is_watched, library
 from torchrbd.robot.compiled.calls import KERNELS, physical_torque, torque_slopes
 from torchrbd.robot.compiled.functions import TransformedValue, differentiable_value
 from torchrbd.robot.compiled.kernel import INVERSE_DYNAMICS, Kernel
@@ -119,7 +119,7 @@ def _seen(kernel: Kernel, arguments: tuple[Tensor, ...]) -> tuple[bool, bool, bo
 
 def _is_run_as_it_is() -> bool:
     """Say whether kernels may be called here, neither for a graph nor by a transform."""
-    return not (torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active()) and _is_plainly_run()
+    return not (_refused or is_transformed() or not is_available())
 
 
 def _is_plainly_run() -> bool:
