@@ -6,22 +6,29 @@ OUT ?= demo-report
 TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 CONCEALED = concealed/dev $(if $(TORCHRBD_DATA),concealed/real)
 
-.PHONY: demo test slow check concealed-dev clean
+.PHONY: demo test lint docs slow check concealed-dev clean
 
 demo: .venv/base
 	$(BIN)/torchrbd demo -o $(OUT)
 
-test: .venv/test
+# Lint and docs take a core each, then the tests take all.
+test: .venv/dev
+	$(MAKE) --jobs 2 --output-sync lint docs
 	$(TESTS)
 
 slow: .venv/test
 	$(TESTS) -m slow
 
-check: .venv/dev
+check: lint
+	$(BIN)/python -m pytest tests/test_architecture.py
+
+lint: .venv/dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
-	$(BIN)/python -m pytest tests/test_architecture.py
+
+docs: .venv/docs
+	OMP_NUM_THREADS=1 NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 .venv/python:
 	$(PYTHON) -m venv .venv
@@ -40,7 +47,11 @@ check: .venv/dev
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'
 	touch $@
 
-.venv/dev: .venv/test
+.venv/docs: .venv/base
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	touch $@
+
+.venv/dev: .venv/test .venv/docs
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
@@ -53,4 +64,4 @@ concealed-dev: .venv/benchmark
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.concealed.run score $(CONCEALED) -o concealed/out
 
 clean:
-	rm -rf .venv demo-report concealed
+	rm -rf .venv demo-report concealed site
