@@ -192,8 +192,7 @@ def test_a_single_file_is_whole_or_as_it_was(tmp_path: Path, monkeypatch: pytest
         with pytest.raises(OSError, match="No space"):
             write_whole(tmp_path / "one", b"new")
     assert (tmp_path / "one").read_bytes() == b"old"
-    (tmp_path / "link").symlink_to("one")
-    write_whole(tmp_path / "link", b"new")
+    write_whole(tmp_path / "one", b"new")
     assert (tmp_path / "one").read_bytes() == b"new"
-    assert sorted(os.listdir(tmp_path)) == ["link", "one"]
+    assert os.listdir(tmp_path) == ["one"]
     write_whole("/dev/null", b"anything")

@@ -2,6 +2,9 @@
 
 A set is written into a folder of its own inside its folder, which becomes ready by one renaming, and then moved file by
 file; what a killed run had made ready is moved by the next run. Nothing of a set that is not ready replaces anything.
+
+Nothing is written, moved or removed through a link, nor outside the folder. The folder itself may be reached through
+links, as the user names it; so may a device such as /dev/stdout.
 """
 
 from __future__ import annotations
@@ -33,9 +36,14 @@ _ROOM, _ROOM_FILE, _PIECE = 32 << 20, "room", bytes(1 << 20)
 
 
 def write_whole(path: str | Path, content: bytes) -> None:
-    """Write a file; if that fails or is cut off, what it held stays. What is no file, such as a pipe, is written to."""
-    target = Path(os.path.realpath(path))
-    if target.exists() and not stat.S_ISREG(target.stat().st_mode):
+    """Write a file; if that fails or is cut off, what it held stays. What is no file, such as a pipe, is written to.
+
+    Raises:
+        OptionError: it is a link.
+    """
+    target = Path(path)
+    _refuse_link(target)
+    if target.exists() and not target.is_file():
         target.write_bytes(content)
         return
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
@@ -56,6 +64,7 @@ def check_file(path: Path) -> None:
     Raises:
         OptionError: it cannot; says why.
     """
+    _refuse_link(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -64,6 +73,22 @@ def check_file(path: Path) -> None:
         raise OptionError(f"output '{path}' is a folder; name a file")
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise OptionError(f"output '{path}': '{path.parent}' is not a folder that can be written; name another")
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return the path of a folder inside an output folder; it need not exist.
+
+    Args:
+        folder: the output folder.
+        name: one that comes from a file, such as the name of a recording.
+
+    Raises:
+        OptionError: no folder inside can have the name, or a link has it already.
+    """
+    if name in ("", ".", "..", _LOCK, _WRITING, _READY) or any(mark in name for mark in ("/", "\\", "\0")):
+        raise OptionError(f"output '{folder}': no folder inside it can be called {name!r}; rename the recording")
+    _refuse_link(folder / name)
+    return folder / name
 
 
 class OutputFolder:
@@ -92,6 +117,7 @@ class OutputFolder:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._made = absent
+            self._check()
             self._take()
             _finish(self.folder)
             self._reserve()
@@ -121,12 +147,31 @@ class OutputFolder:
         Args:
             write: writes files, no folders, into the folder that it is given.
         """
+        self._check()
         writing = self.folder / _WRITING
         (writing / _ROOM_FILE).unlink()
         value = write(writing)
+        self._check()
         os.rename(writing, self.folder / _READY)
         _finish(self.folder)
         return value
+
+    def _check(self) -> None:
+        """Refuse what others have put where this process's own lock and folders are to be.
+
+        Raises:
+            OptionError: it is a link, or something else than torchrbd would make.
+        """
+        for name, kind in ((_LOCK, stat.S_ISREG), (_WRITING, stat.S_ISDIR), (_READY, stat.S_ISDIR)):
+            with suppress(FileNotFoundError):
+                found = (self.folder / name).lstat()
+                # A file with two names is another file's content too.
+                if not kind(found.st_mode) or _is_link(self.folder / name) or (name == _LOCK and found.st_nlink > 1):
+                    what = "is a link" if _is_link(self.folder / name) else "is not from torchrbd"
+                    raise OptionError(
+                        f"output '{self.folder}': '{name}' in it {what}; see what it is and remove it, or name "
+                        "another folder"
+                    )
 
     def _take(self) -> None:
         """Take the folder's lock, which ends with its process however that ends."""
@@ -171,12 +216,27 @@ class OutputFolder:
 
 
 def _finish(folder: Path) -> None:
-    """Move what is ready to where it belongs."""
+    """Move what is ready to where it belongs; what lies there, a link too, is replaced and not followed."""
     ready = folder / _READY
-    if ready.is_dir():
+    if ready.is_dir() and not _is_link(ready):
         for path in sorted(ready.iterdir()):
             os.replace(path, folder / path.name)
         ready.rmdir()
+
+
+def _is_link(path: Path) -> bool:
+    # Python 3.12 knows the links of Windows that are folders.
+    return path.is_symlink() or bool(getattr(os.path, "isjunction", lambda _: False)(path))
+
+
+def _refuse_link(path: Path) -> None:
+    """Refuse to write through a link; /dev/stdout is one, to something that is no file.
+
+    Raises:
+        OptionError: it is one.
+    """
+    if _is_link(path) and not (path.absolute().parts[:2] == ("/", "dev") and path.exists() and not path.is_file()):
+        raise OptionError(f"output '{path}' is a link to '{os.readlink(path)}'; remove it or name another")
 
 
 def _hold(lock: IO[str]) -> None:

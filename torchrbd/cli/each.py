@@ -18,7 +18,7 @@ from torchrbd.cli.tables import print_each
 from torchrbd.errors import InputError, OptionError, reason
 from torchrbd.inference import Identification
 from torchrbd.inference.many import identify_and
-from torchrbd.outputs import OutputFolder
+from torchrbd.outputs import OutputFolder, inside
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,12 @@ def identify_each(options: argparse.Namespace) -> None:
     """Identify each recording, write its results, and show all in a table.
 
     Raises:
-        OptionError: two recordings for one folder.
+        OptionError: two recordings for one folder, or one for none inside the output folder.
         InputError: some could not be identified; it says which and why, the others are done.
     """
     _check_stems(options.recordings)
+    for file in options.recordings:
+        _folder_of(options.output, file)
     into, settings = partial(_write_brief, options.output), settings_of(options)
     with OutputFolder(options.output), progress_bar() as progress:
         found = identify_and(
@@ -73,8 +75,20 @@ def _check_stems(recordings: Sequence[Path]) -> None:
             )
 
 
+def _folder_of(output: Path, recording: Path) -> Path:
+    """Return the folder of a recording's results.
+
+    Raises:
+        OptionError: its name is none that a folder inside can have, or is that of a link.
+    """
+    try:
+        return inside(output, recording.stem)
+    except OptionError as error:
+        raise OptionError(f"{recording}: {error}") from None
+
+
 def _write_brief(folder: Path, result: Identification, recording: Path) -> Brief:
-    with OutputFolder(folder / recording.stem) as into:
+    with OutputFolder(_folder_of(folder, recording)) as into:
         into.fill(partial(write_results, result))
     before, *_, after = (fit.mean_nmse for fit in result.fits.values())
     return Brief(result.verdict, before, after)

@@ -16,7 +16,7 @@ from torchrbd.cli.progress import progress_bar
 from torchrbd.diagnosis.numbers import number
 from torchrbd.errors import OptionError
 from torchrbd.excitation import Excitation, excite
-from torchrbd.export.motion_files import check_rate, write_motion
+from torchrbd.export.motion_files import check_rate, series_of, write_motion
 from torchrbd.outputs import check_file
 
 # Options that ``excite`` takes under the same names.
@@ -32,7 +32,8 @@ def design(options: argparse.Namespace) -> None:
     file: Path = options.output
     if file.is_dir() or file.suffix.lower() != ".csv":
         raise OptionError(f"output '{file}' is no CSV file; name one, e.g. {file.with_suffix('') / 'motion.csv'}")
-    check_file(file)
+    for path in (file, series_of(file)):
+        check_file(path)
     check_rate(options.rate_hz)
     given: dict[str, Any] = {name: getattr(options, name) for name in _OPTIONS if getattr(options, name) is not None}
     given |= {

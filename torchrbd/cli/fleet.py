@@ -25,7 +25,7 @@ from torchrbd.inference import identify
 from torchrbd.inference.many import WithEffects, counted
 from torchrbd.inference.robots_file import RobotEntry, read_robots
 from torchrbd.likelihood.reading import Progress
-from torchrbd.outputs import OutputFolder, write_whole
+from torchrbd.outputs import OutputFolder, inside, write_whole
 from torchrbd.recordings.contents import digest
 from torchrbd.report.fleet import write_fleet_report
 
@@ -84,8 +84,8 @@ def identify_fleet(robots: Sequence[RobotEntry], output: Path, engine: Engine, p
 def _identify(output: Path, task: tuple[RobotEntry, str]) -> None:
     """Identify one robot and write its files."""
     entry, made_from = task
+    folder = inside(output, entry.name)
     found = identify(entry.urdf, entry.recordings, **entry.options)
-    folder = output / entry.name
     folder.mkdir(parents=True, exist_ok=True)
     (folder / _MADE_FROM).unlink(missing_ok=True)
     write_identified(found, folder)

@@ -26,7 +26,7 @@ def inspect(options: argparse.Namespace) -> None:
         OptionError: the mapping is there already.
     """
     into = options.output
-    if into is not None and into.exists():
+    if into is not None and into.exists() and not into.is_symlink():
         raise OptionError(f"'{into}' exists, and may have been edited; name another file for the mapping")
     if into is not None:
         check_file(into)

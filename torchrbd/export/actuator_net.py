@@ -21,6 +21,7 @@ import torch
 from torch import nn
 
 from torchrbd.errors import InputError, OptionError
+from torchrbd.outputs import write_whole
 
 # Rows to try with: of several environments, so that a network that mixes rows is seen.
 _ROWS = 6
@@ -64,4 +65,4 @@ def to_actuator_net(network: nn.Module, path: str | Path, *, n_history: int) -> 
             scripted = torch.jit.script(own)
         except (RuntimeError, OSError) as error:
             raise InputError(f"{name}: cannot be written as TorchScript: {error}") from None
-        scripted.save(str(path))
+        write_whole(path, scripted.save_to_buffer())

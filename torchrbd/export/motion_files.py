@@ -15,7 +15,7 @@ import yaml
 from torchrbd.errors import OptionError
 from torchrbd.excitation import Excitation
 from torchrbd.excitation.limits import AXES
-from torchrbd.outputs import write_whole
+from torchrbd.outputs import check_file, write_whole
 
 _FASTEST_HZ, _MOST_SAMPLES = 1e5, 1e7
 
@@ -116,10 +116,16 @@ def _plain(value: Any) -> Any:
     )
 
 
+def series_of(file: Path) -> Path:
+    """Return where the series of a motion is written, given the file of its samples."""
+    return file.with_suffix(".yaml")
+
+
 def write_motion(result: Excitation, file: Path, rate_hz: float, options: Mapping[str, Any]) -> Path:
     """Write a motion as CSV, and its series beside it; return where that is."""
-    samples, series = motion_csv(result, rate_hz), file.with_suffix(".yaml")
-    file.parent.mkdir(parents=True, exist_ok=True)
+    samples, series = motion_csv(result, rate_hz), series_of(file)
+    for path in (file, series):
+        check_file(path)
     write_whole(series, motion_yaml(result, options))
     write_whole(file, samples)
     return series

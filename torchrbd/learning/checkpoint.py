@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from torchrbd.errors import InputError
+from torchrbd.outputs import write_whole
 
 _FORMAT = "torchrbd-training-1"
 _MODEL, _BEST, _OPTIMISER = "model.", "best.", "optimiser."
@@ -42,9 +42,7 @@ def write_checkpoint(
         {name: x.detach().cpu().clone(memory_format=torch.contiguous_format) for name, x in tensors.items()},
         {"format": _FORMAT, "progress": json.dumps(progress)},
     )
-    beside = Path(f"{path}.part")
-    beside.write_bytes(content)
-    os.replace(beside, path)
+    write_whole(path, content)
 
 
 def read_checkpoint(

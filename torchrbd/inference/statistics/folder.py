@@ -69,7 +69,8 @@ def write_statistics(
     if merged is not None:
         check_file(Path(merged))
     files = [folder / f"{path.name}{STATISTICS}" for path in paths]
-    folder.mkdir(parents=True, exist_ok=True)
+    for file in files:
+        check_file(file)
     own = ranks.own(list(zip(paths, files, strict=True)))
     tell = _told(progress, len(own))
     for k, (path, file) in enumerate(own):
