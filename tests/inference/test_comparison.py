@@ -101,8 +101,6 @@ def test_unknown_estimators_and_options_are_told(recordings: list[Recording]) ->
         compare_estimators(WRONG, recordings, estimators=["auto"])
     with pytest.raises(OptionError, match=r"unknown estimator 'lassso'; did you mean 'lasso'\?"):
         compare_estimators(WRONG, recordings, estimators=["lassso"])
-    with pytest.raises(OptionError, match="compare_estimators: unknown setting 'estimater'"):
-        compare_estimators(WRONG, recordings, estimater="wls")
 
 
 def test_encoder_noise_for_all_or_some_joints() -> None:

@@ -71,7 +71,7 @@ def met(folder: Path, found: Identification, _: object) -> tuple[int, Identifica
 def test_another_process_finds_the_same(recordings: list[Recording], own_friction: str, tmp_path: Path) -> None:
     options = OPTIONS | {"effects": ["coulomb_friction", own_friction]}
     loop = [torchrbd.identify(GIVEN, recording, **options) for recording in recordings]
-    found = identify_and(partial(met, tmp_path), GIVEN, recordings, "identify", jobs=2, **options)
+    found = identify_and(partial(met, tmp_path), GIVEN, recordings, "identify", options, jobs=2)
     assert [one.error for one in found] == [None] * 3
     values = [one.value for one in found if one.value is not None]
     assert len({process for process, _ in values}) == 2
@@ -125,7 +125,6 @@ ROBOT = RobotModel.from_urdf(GIVEN)
 BAD: dict[str, tuple[object, object, dict[str, object], type[Exception], str]] = {
     "robot": (b"<robot", ["a.csv"], {}, RobotError, "XML"),
     "numbers": ([GIVEN, GIVEN], ["a.csv"], {}, OptionError, "2 robots for 1 recordings; give one for all"),
-    "option": (GIVEN, ["a.csv"], {"cutof_hz": 5}, OptionError, "identify_many: unknown setting 'cutof_hz'"),
     "option of several": ([GIVEN], ["a.csv"], {"kappa": -1}, OptionError, "kappa is -1"),
     "joint": (GIVEN, ["a.csv"], {"joints": ["jointX"]}, OptionError, "no moving joint 'jointX'"),
     "link": (GIVEN, ["a.csv"], {"trust": ["linkX"]}, OptionError, "no moving link 'linkX'"),

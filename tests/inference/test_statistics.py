@@ -237,8 +237,6 @@ def test_what_moments_cannot_do_is_said(case: Path, made: list[Path], tmp_path: 
         merge_statistics([], tmp_path / "all.stats")
     with pytest.raises(OptionError, match=r"payload for 'friday.npz', which is no recording here"):
         write_statistics(urdf, monday, tmp_path, cutoff_hz=5.0, payload="friday.npz=1,0,0,0")
-    with pytest.raises(OptionError, match=r"leave --holdout out"):
-        write_statistics(urdf, monday, tmp_path, cutoff_hz=5.0, holdout=made[1])
     with pytest.raises(OptionError, match=r"holds statistics already"):
         write_statistics(urdf, made[0], tmp_path, cutoff_hz=5.0)
     with pytest.raises(OptionError, match=r"none.csv: no such file"):

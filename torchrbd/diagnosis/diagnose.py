@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from torchrbd.diagnosis.clock_offset import clock_offset
 from torchrbd.diagnosis.deflection import deflections
@@ -35,7 +34,8 @@ from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.suspicions import suspicions
 from torchrbd.likelihood.reading import Progress
-from torchrbd.recordings import RecordingSource
+from torchrbd.options import Names, Payload, given
+from torchrbd.recordings import Sources
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded
 
@@ -43,23 +43,65 @@ from torchrbd.threads import single_threaded
 @single_threaded()
 def diagnose(
     robot: RobotModel | str | Path | bytes,
-    recordings: Sequence[RecordingSource] | RecordingSource,
+    recordings: Sources,
     *,
+    holdout: Sources = (),
+    holdout_fraction: float = 0.25,
+    time: str | tuple[float, float] | None = None,
+    joints: Names | None = None,
+    effects: Names | None = None,
+    exclude: Names = (),
+    gravity: Sequence[float] | None = None,
+    trust: Names = (),
+    payload: Sequence[Payload | str] | Payload | str = (),
+    simulated: Sources = (),
+    mapping: str | Path | None = None,
+    cutoff_hz: float | None = None,
+    estimator: str = "auto",
+    encoder_noise: float | Mapping[str, float] | None = None,
+    kappa: float = 3.0,
+    seed: int = 0,
     progress: Progress = lambda *_: None,
-    **options: Any,
 ) -> Diagnosis:
     """Find the physics that a robot's URDF leaves out.
 
     Args:
         robot: a robot or its URDF.
         recordings: files, opened recordings or data in memory, as for ``identify``.
+        holdout: recordings that no fit uses; the reported errors are those on them. In Python, files, opened recordings
+            or data in memory. Default: none; a part of each recording is held out, see ``holdout_fraction``.
+        holdout_fraction: without ``holdout``, the part of each recording that is held out, (0, 0.5]. Default: 0.25.
+        time: use only this part of each recording, FROM:TO [s] from its start, e.g. 2:30. In Python, text or a pair of
+            numbers. Default: all.
+        joints: joints whose torque counts, by name. Default: all.
+        effects: effects to fit (``diagnose``: to search among), by id at all their places, or as EFFECT@PLACE. A place
+            is a joint, a pair such as joint3_joint1, or a link. EFFECT@PLACE@RECORDING=FROM:TO [s] acts for a time
+            only. In Python, ``torchrbd.known_effects()`` lists the ids, and [] is the rigid body alone. Default: of
+            ``diagnose`` all, of ``compare_estimators`` none, else viscous and Coulomb friction.
+        exclude: effects not to use, by id. Default: none.
+        gravity: acceleration in the base's axes, X Y Z [m/s^2], e.g. 0 9.81 0 for an arm on a wall. In Python, only
+            with a robot that is given by its URDF. Default: 0 0 -9.81.
+        trust: links whose inertia is not fitted again, by name. Default: none.
+        payload: known loads, FILE=kg,x,y,z[@LINK]: mass [kg] and centre of mass [m] in the frame of a link. In Python,
+            text or ``torchrbd.inference.Payload``. Default: none; of a chain, the link is the last one.
+        simulated: recordings of a simulator with the same commands: one for each recording, then one for each of
+            ``holdout``, in their order. The robot is compared with them in place of the URDF. Where the simulator has
+            other inertials than the URDF, the difference is reported as inertial parameters. Default: none.
+        mapping: YAML file with other column names, units, signs, gear ratios or torque constants. Default: columns t,
+            q_<joint>, tau_<joint> in SI units.
+        cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
+        estimator: how parameters are estimated. In Python, ``torchrbd.estimators.ESTIMATORS`` lists the names. Default:
+            auto.
+        encoder_noise: standard deviation of the positions [rad, m], one number or JOINT=number for each. In Python, a
+            number or {joint: number}. Default: estimated.
+        kappa: weight of the URDF's inertia against the data, above 0. Default: 3.
+        seed: which blocks of time are held out, a whole number. Default: 0.
         progress: told how far the work is.
-        **options: those of ``identify``; ``effects`` are those that the search may use, all by default.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
     """
-    robot, sources, settings = read_arguments(robot, recordings, options, "diagnose")
+    robot, sources, settings = read_arguments(robot, recordings, given(locals()), "diagnose")
     if settings.estimator not in OF_RECORDINGS:
         raise OptionError(
             f"diagnose: estimator '{settings.estimator}' does not tell how sure it is, which the search must know; "
@@ -107,8 +149,8 @@ def diagnose(
     progress("looking at what is left", 0.0)
     locations, maps = _located(prepared, model)
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))
-    simulated = tuple(one.name for one in prepared.reading.simulated)
-    compared = "simulation" if simulated else "URDF"
+    simulations = tuple(one.name for one in prepared.reading.simulated)
+    compared = "simulation" if simulations else "URDF"
     there = there if findings else None
     statement = verdict_statement(verdict, findings, rest, identification.fits, compared, there)
     ended = ended_statement(len(found.terms), likeliest_left(found))
@@ -125,7 +167,7 @@ def diagnose(
         maps,
         absent,
         springs,
-        simulated,
+        simulations,
         proof,
         ranking=ranked,
         trifling=trifling,

@@ -37,7 +37,7 @@ from torchrbd.effects.torque_saturation import TorqueSaturation
 from torchrbd.effects.torque_scale import TorqueScale
 from torchrbd.effects.velocity_coupling import VelocityCoupling
 from torchrbd.effects.viscous_friction import ViscousFriction
-from torchrbd.errors import OptionError
+from torchrbd.errors import OptionError, closest
 
 PLAIN = ("viscous_friction", "coulomb_friction", "torque_offset")
 """What is found on every robot."""
@@ -107,5 +107,6 @@ def effect(identifier: str) -> Effect:
     if identifier in _UNNAMED:
         return _UNNAMED[identifier]
     if identifier not in _EFFECTS:
-        raise OptionError(f"unknown effect '{identifier}'; known: {', '.join(sorted(_EFFECTS))}")
+        hint = f"{closest(identifier, _EFFECTS)} ".lstrip()
+        raise OptionError(f"unknown effect '{identifier}'; {hint}known: {', '.join(sorted(_EFFECTS))}")
     return _EFFECTS[identifier]

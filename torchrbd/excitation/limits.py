@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrbd.errors import OptionError
+from torchrbd.errors import OptionError, closest
 from torchrbd.robot import RobotModel
 from torchrbd.robot.tree import build_tree
 
@@ -159,8 +159,10 @@ def _check_share(name: str, value: float, inside: bool) -> None:
 def _check_names(robot: RobotModel, what: str, given: Collection[str]) -> None:
     for name in given:
         if name not in robot.joint_names:
+            hint = f"{closest(name, robot.joint_names)} ".lstrip()
             raise OptionError(
-                f"{what}: robot '{robot.name}' has no joint '{name}'; its joints are {', '.join(robot.joint_names)}"
+                f"{what}: robot '{robot.name}' has no joint '{name}'; {hint}its joints are "
+                f"{', '.join(robot.joint_names)}"
             )
 
 

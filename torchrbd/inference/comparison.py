@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from torchrbd.effects import Effect
 from torchrbd.errors import OptionError, TorchRBDError
@@ -19,7 +18,8 @@ from torchrbd.inference.settings import Settings
 from torchrbd.inference.torque_error import Fit
 from torchrbd.inference.verdict import encoder_doubts, regime_of
 from torchrbd.likelihood.reading import Progress
-from torchrbd.recordings import NamedSource, RecordingSource
+from torchrbd.options import Names, Payload, given
+from torchrbd.recordings import NamedSource, Sources
 from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded
 
@@ -81,11 +81,25 @@ class EstimatorComparison:
 @single_threaded()
 def compare_estimators(
     robot: RobotModel | str | Path | bytes,
-    recordings: Sequence[RecordingSource] | RecordingSource,
+    recordings: Sources,
     *,
     estimators: Sequence[str] = COMPARABLE,
+    holdout: Sources = (),
+    holdout_fraction: float = 0.25,
+    time: str | tuple[float, float] | None = None,
+    joints: Names | None = None,
+    effects: Names | None = None,
+    exclude: Names = (),
+    gravity: Sequence[float] | None = None,
+    trust: Names = (),
+    payload: Sequence[Payload | str] | Payload | str = (),
+    simulated: Sources = (),
+    mapping: str | Path | None = None,
+    cutoff_hz: float | None = None,
+    encoder_noise: float | Mapping[str, float] | None = None,
+    kappa: float = 3.0,
+    seed: int = 0,
     progress: Progress = lambda *_: None,
-    **options: Any,
 ) -> EstimatorComparison:
     """Estimate a robot's parameters with many estimators and judge each on the same held-out, filtered torques.
 
@@ -94,20 +108,45 @@ def compare_estimators(
         recordings: files, opened recordings or data in memory, as for ``identify``.
         estimators: names, of ``torchrbd.estimators.COMPARABLE``. One that cannot be used on these recordings is a row
             that says why.
+        holdout: recordings that no fit uses; the reported errors are those on them. In Python, files, opened recordings
+            or data in memory. Default: none; a part of each recording is held out, see ``holdout_fraction``.
+        holdout_fraction: without ``holdout``, the part of each recording that is held out, (0, 0.5]. Default: 0.25.
+        time: use only this part of each recording, FROM:TO [s] from its start, e.g. 2:30. In Python, text or a pair of
+            numbers. Default: all.
+        joints: joints whose torque counts, by name. Default: all.
+        effects: effects to fit (``diagnose``: to search among), by id at all their places, or as EFFECT@PLACE. A place
+            is a joint, a pair such as joint3_joint1, or a link. EFFECT@PLACE@RECORDING=FROM:TO [s] acts for a time
+            only. In Python, ``torchrbd.known_effects()`` lists the ids, and [] is the rigid body alone. Default: of
+            ``diagnose`` all, of ``compare_estimators`` none, else viscous and Coulomb friction.
+        exclude: effects not to use, by id. Default: none.
+        gravity: acceleration in the base's axes, X Y Z [m/s^2], e.g. 0 9.81 0 for an arm on a wall. In Python, only
+            with a robot that is given by its URDF. Default: 0 0 -9.81.
+        trust: links whose inertia is not fitted again, by name. Default: none.
+        payload: known loads, FILE=kg,x,y,z[@LINK]: mass [kg] and centre of mass [m] in the frame of a link. In Python,
+            text or ``torchrbd.inference.Payload``. Default: none; of a chain, the link is the last one.
+        simulated: recordings of a simulator with the same commands: one for each recording, then one for each of
+            ``holdout``, in their order. The robot is compared with them in place of the URDF. Where the simulator has
+            other inertials than the URDF, the difference is reported as inertial parameters. Default: none.
+        mapping: YAML file with other column names, units, signs, gear ratios or torque constants. Default: columns t,
+            q_<joint>, tau_<joint> in SI units.
+        cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
+        encoder_noise: standard deviation of the positions [rad, m], one number or JOINT=number for each. In Python, a
+            number or {joint: number}. Default: estimated.
+        kappa: weight of the URDF's inertia against the data, above 0. Default: 3.
+        seed: which blocks of time are held out, a whole number. Default: 0.
         progress: told how far the work is.
-        **options: those of ``identify``, whose ``estimator`` does not count.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
     """
-    robot, opened, settings = read_arguments(robot, recordings, options, "compare_estimators")
+    robot, opened, settings = read_arguments(robot, recordings, given(locals()), "compare_estimators")
     names = tuple(dict.fromkeys(estimators))
     if "auto" in names:
         raise OptionError("'auto' is either 'physical' or 'smoother', by recording; compare these two")
     check_estimators(names, COMPARABLE)
-    effects = settings.chosen_effects() if settings.effects else ()
-    prepared = prepare(robot, opened, replace(settings, estimator="physical"), effects, progress)
-    terms = term_candidates(prepared.columns, [e.id for e in effects])
+    fitted = settings.chosen_effects() if settings.effects else ()
+    prepared = prepare(robot, opened, replace(settings, estimator="physical"), fitted, progress)
+    terms = term_candidates(prepared.columns, [e.id for e in fitted])
     urdf = judge(prepared.judging, prepared.prior.reference)
     rows = [EstimatorRow("urdf", urdf, urdf, None, 0.0, "")]
     for k, name in enumerate(names):
@@ -115,7 +154,7 @@ def compare_estimators(
         # An estimator that breaks down, in whatever way, is a result of the comparison and not its end.
         try:
             if name == "smoother":
-                found = _smoothed(robot, opened, settings, effects, progress)
+                found = _smoothed(robot, opened, settings, fitted, progress)
             else:
                 found = estimate(prepared, name, terms)
             rows.append(_row(prepared, found))

@@ -30,8 +30,9 @@ from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, ver
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.simulated import motion_doubts
 from torchrbd.model import RigidBodyDynamics, described_terms
+from torchrbd.options import Names, Payload, given
 from torchrbd.parameters import base_parameters
-from torchrbd.recordings import NamedSource, RecordingSource, listed_sources
+from torchrbd.recordings import NamedSource, Sources, listed_sources
 from torchrbd.robot import RobotModel
 from torchrbd.simulation import MotionErrors, motion_errors
 from torchrbd.threads import single_threaded
@@ -40,10 +41,25 @@ from torchrbd.threads import single_threaded
 @single_threaded()
 def identify(
     robot: RobotModel | str | Path | bytes,
-    recordings: Sequence[RecordingSource] | RecordingSource,
+    recordings: Sources,
     *,
+    holdout: Sources = (),
+    holdout_fraction: float = 0.25,
+    time: str | tuple[float, float] | None = None,
+    joints: Names | None = None,
+    effects: Names | None = None,
+    exclude: Names = (),
+    gravity: Sequence[float] | None = None,
+    trust: Names = (),
+    payload: Sequence[Payload | str] | Payload | str = (),
+    simulated: Sources = (),
+    mapping: str | Path | None = None,
+    cutoff_hz: float | None = None,
+    estimator: str = "auto",
+    encoder_noise: float | Mapping[str, float] | None = None,
+    kappa: float = 3.0,
+    seed: int = 0,
     progress: Progress = lambda *_: None,
-    **options: Any,
 ) -> Identification:
     """Fit a robot's inertial parameters to recordings; the result is always physically valid.
 
@@ -52,12 +68,35 @@ def identify(
         recordings: files, opened recordings, or data in memory as ``open_recording`` takes them: tables such as a
             ``pandas.DataFrame``, dicts of arrays. Those in memory are called "recording 1" by their place in the list.
             Or files of statistics, see ``write_statistics``.
+        holdout: recordings that no fit uses; the reported errors are those on them. In Python, files, opened recordings
+            or data in memory. Default: none; a part of each recording is held out, see ``holdout_fraction``.
+        holdout_fraction: without ``holdout``, the part of each recording that is held out, (0, 0.5]. Default: 0.25.
+        time: use only this part of each recording, FROM:TO [s] from its start, e.g. 2:30. In Python, text or a pair of
+            numbers. Default: all.
+        joints: joints whose torque counts, by name. Default: all.
+        effects: effects to fit (``diagnose``: to search among), by id at all their places, or as EFFECT@PLACE. A place
+            is a joint, a pair such as joint3_joint1, or a link. EFFECT@PLACE@RECORDING=FROM:TO [s] acts for a time
+            only. In Python, ``torchrbd.known_effects()`` lists the ids, and [] is the rigid body alone. Default: of
+            ``diagnose`` all, of ``compare_estimators`` none, else viscous and Coulomb friction.
+        exclude: effects not to use, by id. Default: none.
+        gravity: acceleration in the base's axes, X Y Z [m/s^2], e.g. 0 9.81 0 for an arm on a wall. In Python, only
+            with a robot that is given by its URDF. Default: 0 0 -9.81.
+        trust: links whose inertia is not fitted again, by name. Default: none.
+        payload: known loads, FILE=kg,x,y,z[@LINK]: mass [kg] and centre of mass [m] in the frame of a link. In Python,
+            text or ``torchrbd.inference.Payload``. Default: none; of a chain, the link is the last one.
+        simulated: recordings of a simulator with the same commands: one for each recording, then one for each of
+            ``holdout``, in their order. The robot is compared with them in place of the URDF. Where the simulator has
+            other inertials than the URDF, the difference is reported as inertial parameters. Default: none.
+        mapping: YAML file with other column names, units, signs, gear ratios or torque constants. Default: columns t,
+            q_<joint>, tau_<joint> in SI units.
+        cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
+        estimator: how parameters are estimated. In Python, ``torchrbd.estimators.ESTIMATORS`` lists the names. Default:
+            auto.
+        encoder_noise: standard deviation of the positions [rad, m], one number or JOINT=number for each. In Python, a
+            number or {joint: number}. Default: estimated.
+        kappa: weight of the URDF's inertia against the data, above 0. Default: 3.
+        seed: which blocks of time are held out, a whole number. Default: 0.
         progress: told how far the work is.
-        **options: holdout, holdout_fraction, time, joints, effects, exclude, gravity, trust, payload, simulated,
-            mapping, cutoff_hz, estimator, encoder_noise, kappa and seed; ``help(torchrbd.Settings)`` has their
-            meaning, units and defaults. ``effects`` are fitted beside the inertial parameters (viscous and Coulomb
-            friction, by direction, if not told; ``[]`` for the rigid body alone), at every joint or where
-            "id@place" says, and their nonlinear parameters (a Stribeck speed) refined.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
@@ -70,20 +109,20 @@ def identify(
         >>> found.recordings, found.held_out
         (('recording 1', 'sunday.csv'), 'held-out recording 1')
     """
-    robot, sources, settings = read_arguments(robot, recordings, options, "identify")
+    robot, sources, settings = read_arguments(robot, recordings, given(locals()), "identify")
     if of_moments(sources, settings):
         return _by_moments(robot, sources, replace(settings, estimator=MOMENTS), progress)
-    effects = with_friction(settings)
-    prepared = prepare(robot, sources, settings, effects, progress)
+    fitted = with_friction(settings)
+    prepared = prepare(robot, sources, settings, fitted, progress)
     progress("looking for wrong units and columns", 0.0)
     suspected = suspicions(prepared)
-    prepared = with_machine(prepared, settings, effects, progress)
-    terms = term_candidates(prepared.columns, [e.id for e in effects])
+    prepared = with_machine(prepared, settings, fitted, progress)
+    terms = term_candidates(prepared.columns, [e.id for e in fitted])
     check_seen(settings.told_effects(), prepared.columns)
     prepared, terms = refined(prepared, terms, progress)
     progress("fitting", 0.0)
     models = {"rigid_body": prepared.fit()}
-    if effects:
+    if fitted:
         sure = settings.estimator in WITH_INTERVALS
         models["extended"] = fit_with_shapes(prepared, terms) if sure else prepared.fit(terms)
     if settings.estimator not in WITH_INTERVALS:
@@ -106,7 +145,7 @@ def _by_moments(
 
 def read_arguments(
     robot: RobotModel | str | Path | bytes,
-    recordings: Sequence[RecordingSource] | RecordingSource,
+    recordings: Sources,
     options: Mapping[str, Any],
     place: str,
 ) -> tuple[RobotModel, list[NamedSource], Settings]:

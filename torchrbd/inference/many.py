@@ -19,14 +19,15 @@ from torchrbd.inference.ordinary import with_friction
 from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.reading import Progress
+from torchrbd.options import Names, Payload, given
 from torchrbd.processes import Attempt, side_by_side
-from torchrbd.recordings import InMemory, NamedSource, Recording, RecordingSource, listed_sources
+from torchrbd.recordings import InMemory, NamedSource, Recording, RecordingSource, Sources, listed_sources
 from torchrbd.recordings.memory import is_data
 from torchrbd.robot import RobotModel
 
 Robot = RobotModel | str | Path | bytes
 Value = TypeVar("Value")
-Sources = TypeVar("Sources")
+Given = TypeVar("Given")
 Task = TypeVar("Task")
 
 
@@ -58,10 +59,25 @@ def identify_many(
     recordings: Iterable[RecordingSource | Sequence[RecordingSource]] | RecordingSource,
     *,
     jobs: int | None = None,
+    holdout: Sources = (),
+    holdout_fraction: float = 0.25,
+    time: str | tuple[float, float] | None = None,
+    joints: Names | None = None,
+    effects: Names | None = None,
+    exclude: Names = (),
+    gravity: Sequence[float] | None = None,
+    trust: Names = (),
+    payload: Sequence[Payload | str] | Payload | str = (),
+    simulated: Sources = (),
+    mapping: str | Path | None = None,
+    cutoff_hz: float | None = None,
+    estimator: str = "auto",
+    encoder_noise: float | Mapping[str, float] | None = None,
+    kappa: float = 3.0,
+    seed: int = 0,
     progress: Progress = lambda *_: None,
-    **options: Any,
 ) -> list[Outcome]:
-    """Identify many robots, or one robot many times, as ``identify(robot, recording, **options)`` does each.
+    """Identify many robots, or one robot many times, as ``identify(robot, recording, ...)`` does each.
 
     The work is shared out to processes, one a core; one recording is identified in this one alone. What cannot be used
     does not stop the others:
@@ -76,8 +92,35 @@ def identify_many(
             takes.
         jobs: processes in all. Default: one for each core that this process may use; give it where a container has
             fewer, or where memory is short: each takes 0.5 to 1 GB.
+        holdout: recordings that no fit uses; the reported errors are those on them. In Python, files, opened recordings
+            or data in memory. Default: none; a part of each recording is held out, see ``holdout_fraction``.
+        holdout_fraction: without ``holdout``, the part of each recording that is held out, (0, 0.5]. Default: 0.25.
+        time: use only this part of each recording, FROM:TO [s] from its start, e.g. 2:30. In Python, text or a pair of
+            numbers. Default: all.
+        joints: joints whose torque counts, by name. Default: all.
+        effects: effects to fit (``diagnose``: to search among), by id at all their places, or as EFFECT@PLACE. A place
+            is a joint, a pair such as joint3_joint1, or a link. EFFECT@PLACE@RECORDING=FROM:TO [s] acts for a time
+            only. In Python, ``torchrbd.known_effects()`` lists the ids, and [] is the rigid body alone. Default: of
+            ``diagnose`` all, of ``compare_estimators`` none, else viscous and Coulomb friction.
+        exclude: effects not to use, by id. Default: none.
+        gravity: acceleration in the base's axes, X Y Z [m/s^2], e.g. 0 9.81 0 for an arm on a wall. In Python, only
+            with a robot that is given by its URDF. Default: 0 0 -9.81.
+        trust: links whose inertia is not fitted again, by name. Default: none.
+        payload: known loads, FILE=kg,x,y,z[@LINK]: mass [kg] and centre of mass [m] in the frame of a link. In Python,
+            text or ``torchrbd.inference.Payload``. Default: none; of a chain, the link is the last one.
+        simulated: recordings of a simulator with the same commands: one for each recording, then one for each of
+            ``holdout``, in their order. The robot is compared with them in place of the URDF. Where the simulator has
+            other inertials than the URDF, the difference is reported as inertial parameters. Default: none.
+        mapping: YAML file with other column names, units, signs, gear ratios or torque constants. Default: columns t,
+            q_<joint>, tau_<joint> in SI units.
+        cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
+        estimator: how parameters are estimated. In Python, ``torchrbd.estimators.ESTIMATORS`` lists the names. Default:
+            auto.
+        encoder_noise: standard deviation of the positions [rad, m], one number or JOINT=number for each. In Python, a
+            number or {joint: number}. Default: estimated.
+        kappa: weight of the URDF's inertia against the data, above 0. Default: 3.
+        seed: which blocks of time are held out, a whole number. Default: 0.
         progress: told how many have been identified, in this thread; an error that it raises ends the work.
-        **options: as for ``identify``, the same for all.
 
     Returns:
         outcomes in the order of ``recordings``.
@@ -90,26 +133,27 @@ def identify_many(
     entries: Any = [recordings] if single else recordings
     several = [_named(sources, k) for k, sources in enumerate(entries)]
     names = [", ".join(one.name for one in sources) for sources in several]
-    found = identify_and(_itself, robots, several, "identify_many", jobs=jobs, progress=progress, **options)
+    found = identify_and(_itself, robots, several, "identify_many", given(locals()), jobs=jobs, progress=progress)
     return [Outcome(name, one.value, one.error, one.seconds) for name, one in zip(names, found, strict=True)]
 
 
 def identify_and(
-    then: Callable[[Identification, Sources], Value],
+    then: Callable[[Identification, Given], Value],
     robots: Robot | Sequence[Robot],
-    recordings: Sequence[Sources],
+    recordings: Sequence[Given],
     place: str,
+    options: Mapping[str, Any],
     *,
     jobs: int | None = None,
     progress: Progress = lambda *_: None,
-    **options: Any,
 ) -> list[Attempt[Value]]:
     """Identify many, and in the same process do with each what is wanted of it.
 
     Args:
         then: does it; what it returns is all that comes back.
         place: is named in errors.
-        robots, recordings, jobs, progress, options: as for ``identify_many``.
+        options: of ``identify``, by name.
+        robots, recordings, jobs, progress: as for ``identify_many``.
     """
     if isinstance(robots, Robot):
         robot, _, settings = read_arguments(robots, (), options, place)
@@ -128,7 +172,7 @@ def identify_and(
 
 
 def _identified(
-    then: Callable[[Identification, Sources], Value], options: Mapping[str, Any], task: tuple[Robot, Sources]
+    then: Callable[[Identification, Given], Value], options: Mapping[str, Any], task: tuple[Robot, Given]
 ) -> Value:
     robot, sources = task
     return then(identify(robot, cast(Any, sources), **options), sources)

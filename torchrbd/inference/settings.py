@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,85 +13,13 @@ from torch import Tensor
 from torchrbd.effects import Effect, effect, known_effects
 from torchrbd.effects.told import ToldEffect
 from torchrbd.errors import OptionError, closest
-from torchrbd.estimators import ESTIMATORS, check_estimators
-from torchrbd.inference.data.payload import Payload
-from torchrbd.recordings import NamedSource, listed_sources
+from torchrbd.options import Options, Payload
+from torchrbd.recordings import listed_sources
 from torchrbd.robot import RobotModel
 
-# Position noise beyond these is none [rad, m]; a lower band is that of no robot.
-_LEAST_NOISE, _LARGEST_NOISE, _LEAST_CUTOFF_HZ = 1e-15, 1.0, 1e-3
 
-
-@dataclass(frozen=True)
-class Settings:
-    """The options that ``identify``, ``diagnose`` and ``compare_estimators`` share, as keyword arguments.
-
-    Where several are meant, one alone will do; text as on the command line is understood too ("2:30").
-
-    Attributes:
-        holdout: recordings (files, opened, or in memory) that no fit sees. Default: none, but
-            ``holdout_fraction``.
-        holdout_fraction: without ``holdout``, the part of each recording that is kept back, (0, 0.5]. Default: 0.25.
-        time: use only this part of each recording, (from, to) [s] from its start. Default: all.
-        joints: joints whose torque counts, by name. Default: all.
-        effects: by id, at all their places, or as "id@place"; ``torchrbd.known_effects()`` lists the ids, a place is a
-            joint, a pair "joint3_joint1" or a link. What acts for a time only is "id@place@recording=from:to" [s].
-            ``identify`` fits them (default: viscous and Coulomb friction; ``[]`` for the rigid body alone), and so does
-            ``compare_estimators`` (default: none); ``diagnose`` searches among them (default: all).
-        exclude: effects not to use, by id. Default: none.
-        gravity: in the base's axes, (x, y, z) [m/s^2], of a robot that is given by its URDF. Default: (0, 0, -9.81).
-        trust: links whose inertia is not re-fitted, by name. Default: none.
-        payload: known loads: ``torchrbd.inference.Payload`` or "FILE=kg,x,y,z[@LINK]" [kg, m]. Default: none.
-        simulated: recordings of a simulator with the same commands, one for each recording and then for each of
-            ``holdout``, in their order (files, opened, or in memory): they stand for the URDF in what is compared.
-            Default: none.
-        mapping: YAML file that maps other column names and units. Default: columns as in the README.
-        cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
-        estimator: of the parameters, one of ``torchrbd.estimators.ESTIMATORS``. Default: "auto".
-        encoder_noise: standard deviation of the positions [rad, m], of all joints or {joint: std}. Default: estimated.
-        kappa: weight of the URDF's inertia against the data, above 0 [-]. Default: 3.
-        seed: which blocks are kept back, a whole number. Default: 0.
-    """
-
-    holdout: tuple[NamedSource, ...] = ()
-    holdout_fraction: float = 0.25
-    time: tuple[float, float] | None = None
-    joints: tuple[str, ...] | None = None
-    effects: tuple[str, ...] | None = None
-    exclude: tuple[str, ...] = ()
-    gravity: tuple[float, ...] | None = None
-    trust: tuple[str, ...] = ()
-    payload: tuple[Payload, ...] = ()
-    simulated: tuple[NamedSource, ...] = ()
-    mapping: Path | None = None
-    cutoff_hz: float | None = None
-    estimator: str = "auto"
-    encoder_noise: float | Mapping[str, float] | None = None
-    kappa: float = 3.0
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.holdout_fraction <= 0.5:
-            raise OptionError(f"holdout_fraction is {self.holdout_fraction:g}; expected a number in (0, 0.5]")
-        if not 0.0 < self.kappa < math.inf:
-            raise OptionError(f"kappa is {self.kappa:g}; expected a number above 0")
-        check_estimators([self.estimator], tuple(ESTIMATORS))
-        for joint, std in self._encoder_noise().items():
-            if not _LEAST_NOISE <= std <= _LARGEST_NOISE:
-                place = f" of {joint}" if joint else ""
-                raise OptionError(
-                    f"encoder_noise{place} is {std:g}; expected a standard deviation above 0 in rad or m, at most "
-                    f"{_LARGEST_NOISE:g}"
-                )
-        if self.cutoff_hz is not None and not self.cutoff_hz >= _LEAST_CUTOFF_HZ:
-            raise OptionError(f"cutoff is {self.cutoff_hz:g} Hz; expected at least {_LEAST_CUTOFF_HZ:g} Hz")
-        if self.seed < 0:
-            raise OptionError(f"seed is {self.seed}; expected a whole number that is not negative")
-
-    @classmethod
-    def names(cls) -> frozenset[str]:
-        """Return the names of all settings."""
-        return frozenset(f.name for f in fields(cls))
+class Settings(Options):
+    __doc__ = Options.__doc__
 
     @classmethod
     def from_mapping(cls, options: Mapping[str, Any], place: str) -> Settings:
@@ -102,7 +29,7 @@ class Settings:
             if key not in known:
                 hint = closest(key, known) or f"known: {', '.join(sorted(known))}"
                 raise OptionError(f"{place}: unknown setting '{key}'; {hint}")
-        values = dict(options)
+        values = {key: value for key, value in options.items() if value is not None}
         for key, word in (("holdout", "held-out recording"), ("simulated", "simulated recording")):
             values[key] = tuple(listed_sources(values.get(key), word))
         for key in ("joints", "effects"):
@@ -169,12 +96,6 @@ class Settings:
         everywhere = given.get("", math.nan)
         return torch.tensor([given.get(name, everywhere) for name in robot.joint_names], dtype=torch.float64)
 
-    def _encoder_noise(self) -> Mapping[str, float]:
-        """Return the noise by joint; that of all joints under the empty name."""
-        if self.encoder_noise is None:
-            return {}
-        return self.encoder_noise if isinstance(self.encoder_noise, Mapping) else {"": self.encoder_noise}
-
     def held_bodies(self, robot: RobotModel) -> tuple[str, ...]:
         """Return the bodies that ``trust`` keeps; a link that is fixed to a body stands for the body."""
         body_of = {link.name: body for body, links in robot.folded.items() for link in links}
@@ -185,7 +106,8 @@ class Settings:
 def _check_names(names: Iterable[str], known: tuple[str, ...], kind: str, robot: str) -> None:
     for name in names:
         if name not in known:
-            raise OptionError(f"robot '{robot}' has no moving {kind} '{name}'; it has: {', '.join(known)}")
+            hint = f"{closest(name, known)} ".lstrip()
+            raise OptionError(f"robot '{robot}' has no moving {kind} '{name}'; {hint}it has: {', '.join(known)}")
 
 
 def _noise(value: Any, place: str) -> float | dict[str, float]:

@@ -6,7 +6,7 @@ from torchrbd.recordings.inspection import Inspection, inspect_recording
 from torchrbd.recordings.mapping import Mapping, read_mapping
 from torchrbd.recordings.memory import Data, InMemory
 from torchrbd.recordings.recording import Chunk, Recording, open_recording
-from torchrbd.recordings.sources import NamedSource, RecordingSource, listed_sources
+from torchrbd.recordings.sources import NamedSource, RecordingSource, Sources, listed_sources
 from torchrbd.recordings.states import TILE_ROWS, States, skipped_segments, tiles
 from torchrbd.recordings.survey import Survey, choose_cutoff, survey
 
@@ -21,6 +21,7 @@ __all__ = [
     "NamedSource",
     "Recording",
     "RecordingSource",
+    "Sources",
     "States",
     "Survey",
     "choose_cutoff",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ from torchrbd.recordings.recording import Recording
 
 RecordingSource = str | Path | Recording | Data
 """What a recording is taken from, see ``open_recording``."""
+Sources = Sequence[RecordingSource] | RecordingSource
+"""One or several."""
 NamedSource = Path | Recording | InMemory
 """The same with a name."""
 

@@ -2,46 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from torchrbd.errors import OptionError
+from torchrbd.options import Payload
 from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.robot import RobotModel, from_pseudo_inertia
-
-# More than any robot carries [kg], and farther out [m].
-_HEAVIEST, _FURTHEST = 1e6, 1e3
-
-
-@dataclass(frozen=True)
-class Payload:
-    """A known load on the robot in one recording: mass [kg] and centre of mass [m] in the frame of ``link``."""
-
-    recording: str
-    mass: float
-    centre: tuple[float, float, float]
-    link: str | None = None
-
-    @classmethod
-    def parse(cls, text: str) -> Payload:
-        """Read ``FILE=kg,x,y,z`` or ``FILE=kg,x,y,z@LINK``."""
-        name, _, numbers = text.rpartition("=")
-        numbers, _, link = numbers.partition("@")
-        try:
-            mass, x, y, z = (float(part) for part in numbers.split(","))
-        except ValueError:
-            raise OptionError(f"payload '{text}': expected FILE=kg,x,y,z or FILE=kg,x,y,z@LINK") from None
-        if not name or not 0.0 < mass <= _HEAVIEST or not math.hypot(x, y, z) <= _FURTHEST:
-            raise OptionError(
-                f"payload '{text}': expected FILE=kg,x,y,z with a mass above zero, at most {_HEAVIEST:g} kg, "
-                f"within {_FURTHEST:g} m"
-            )
-        return cls(Path(name).name, mass, (x, y, z), link or None)
 
 
 def payload_parameters(robot: RobotModel, recordings: Sequence[str], payloads: Sequence[Payload]) -> dict[str, Tensor]:

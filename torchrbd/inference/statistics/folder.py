@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from torchrbd.errors import InputError, OptionError
 from torchrbd.inference.identify import read_arguments
@@ -16,6 +15,7 @@ from torchrbd.inference.statistics.building import conditions, payload_words, st
 from torchrbd.inference.statistics.files import read_head, write_file
 from torchrbd.inference.statistics.results import Conditions, Statistics
 from torchrbd.likelihood.reading import Progress
+from torchrbd.options import Names, Payload, given
 from torchrbd.outputs import check_file
 from torchrbd.ranks import Ranks
 from torchrbd.recordings import NamedSource
@@ -33,8 +33,16 @@ def write_statistics(
     *,
     merged: str | Path | None = None,
     ranks: Ranks | None = None,
+    time: str | tuple[float, float] | None = None,
+    joints: Names | None = None,
+    effects: Names | None = None,
+    exclude: Names = (),
+    gravity: Sequence[float] | None = None,
+    payload: Sequence[Payload | str] | Payload | str = (),
+    mapping: str | Path | None = None,
+    cutoff_hz: float | None = None,
+    encoder_noise: float | Mapping[str, float] | None = None,
     progress: Progress = lambda *_: None,
-    **options: Any,
 ) -> list[Path]:
     """Stream recordings into files of second moments, which ``identify`` takes in place of them.
 
@@ -47,9 +55,24 @@ def write_statistics(
         folder: for ``<recording>.stats``.
         merged: file for the moments of all recordings together, as ``merge_statistics`` would write it.
         ranks: processes that share the work; this one alone if not given.
+        time: use only this part of each recording, FROM:TO [s] from its start, e.g. 2:30. In Python, text or a pair of
+            numbers. Default: all.
+        joints: joints whose torque counts, by name. Default: all.
+        effects: effects to fit (``diagnose``: to search among), by id at all their places, or as EFFECT@PLACE. A place
+            is a joint, a pair such as joint3_joint1, or a link. EFFECT@PLACE@RECORDING=FROM:TO [s] acts for a time
+            only. In Python, ``torchrbd.known_effects()`` lists the ids, and [] is the rigid body alone. Default: of
+            ``diagnose`` all, of ``compare_estimators`` none, else viscous and Coulomb friction.
+        exclude: effects not to use, by id. Default: none.
+        gravity: acceleration in the base's axes, X Y Z [m/s^2], e.g. 0 9.81 0 for an arm on a wall. In Python, only
+            with a robot that is given by its URDF. Default: 0 0 -9.81.
+        payload: known loads, FILE=kg,x,y,z[@LINK]: mass [kg] and centre of mass [m] in the frame of a link. In Python,
+            text or ``torchrbd.inference.Payload``. Default: none; of a chain, the link is the last one.
+        mapping: YAML file with other column names, units, signs, gear ratios or torque constants. Default: columns t,
+            q_<joint>, tau_<joint> in SI units.
+        cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
+        encoder_noise: standard deviation of the positions [rad, m], one number or JOINT=number for each. In Python, a
+            number or {joint: number}. Default: estimated.
         progress: told how many are done, at which rate, and how far the work is.
-        **options: cutoff_hz, which has to be given, and time, joints, effects, exclude, gravity, payload, mapping and
-            encoder_noise, as for ``identify``.
 
     Returns:
         the files, in the order of the recordings.
@@ -57,9 +80,7 @@ def write_statistics(
     Raises:
         InputError: a robot, recording or option that cannot be used, or a place for the sum that cannot be written.
     """
-    robot, sources, settings = read_arguments(robot, recordings, options, "stats")
-    if settings.holdout or settings.simulated:
-        raise OptionError("stats: what is held out is chosen when the statistics are used; leave --holdout out")
+    robot, sources, settings = read_arguments(robot, recordings, given(locals()), "stats")
     if not sources:
         raise OptionError("stats: no recording; give at least one")
     made, ranks, folder = conditions(robot, settings), ranks or Ranks(), Path(folder)
