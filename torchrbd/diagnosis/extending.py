@@ -132,5 +132,6 @@ def with_late(prepared: Prepared, first: FittedModel, late: Sequence[Candidate])
         free=torch.cat((first.free, at)),
         laplace=torch.block_diag(first.laplace, covariance),
         covariance=torch.block_diag(first.covariance, covariance),
+        prior_covariance=torch.block_diag(first.prior_covariance, size.square().diag()),
         scatter=None if first.scatter is None else first.scatter.beside(at, covariance),
     )

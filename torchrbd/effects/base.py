@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple
 
@@ -40,12 +40,23 @@ class CoefficientPrior:
         std: of each coefficient in its own unit, around zero; empty where it is enough that the torque that it makes
             is no larger than the joint's.
         of_any_size: their proportions are believed alone, and the torque sets the size: loads and forces may be of any.
+        sums: weights (K,) of sums of coefficients that the physics keeps from being negative as well.
+        may_be_none: True if what cannot be negative is zero on many machines, or has a value in the URDF. Its most
+            probable value is fitted then, which may be zero. The mean of a truncated distribution never is.
+        torque_part: standard deviation of the torque that the coefficients make, in parts of the joint's.
     """
 
     words: str = "Of either sign, with a torque no larger than the joint's."
     positive: tuple[int, ...] = ()
     std: tuple[float, ...] = ()
     of_any_size: bool = False
+    sums: tuple[tuple[float, ...], ...] = ()
+    may_be_none: bool = False
+    torque_part: float = 1.0
+
+    def not_negative(self, n: int) -> list[tuple[float, ...]]:
+        """Return the weights (n,) of all sums of n coefficients that cannot be negative, single ones first."""
+        return [*(tuple(float(i == k) for k in range(n)) for i in self.positive), *self.sums]
 
     @property
     def proportions(self) -> tuple[float, ...]:
@@ -54,6 +65,7 @@ class CoefficientPrior:
 
 
 RESISTS = CoefficientPrior("It resists motion, with a torque no larger than the joint's.", positive=(0,))
+FRICTION = replace(RESISTS, may_be_none=True)
 
 
 class Curve(NamedTuple):

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.effects.base import RESISTS, JointEffect, Mjcf, Shape
+from torchrbd.effects.base import FRICTION, CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.effects.mjcf import affine
 from torchrbd.effects.signals import JointScale, JointState
 
@@ -27,7 +27,7 @@ class CoulombFriction(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}"}
     comes_and_goes = True
     dissipative = True
-    prior = RESISTS
+    prior = FRICTION
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"sign(qd)": state.direction()}
@@ -63,6 +63,11 @@ class AsymmetricCoulombFriction(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"coulomb_plus": "{tau}", "coulomb_minus": "{tau}"}
     comes_and_goes = True
     dissipative = True
+    prior = CoefficientPrior(
+        "It resists motion in both directions, with a torque no larger than the joint's.",
+        sums=((1.0, 1.0), (1.0, -1.0)),
+        may_be_none=True,
+    )
     export_note = "frictionloss is the mean of both directions; half their difference is a torque of the actuator"
     urdf_note = "friction is the mean of both directions; the difference between them is left out"
 

@@ -21,7 +21,7 @@ class RotorInertia(JointEffect):
     equation = "I_r qdd"
     units: ClassVar[Mapping[str, str]] = {"rotor_inertia": "{tau} s^2/{q}"}
     drawn_over = "qdd"
-    prior = CoefficientPrior("An inertia is not negative.", positive=(0,))
+    prior = CoefficientPrior("An inertia is not negative.", positive=(0,), may_be_none=True)
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"qdd": state.qdd}

@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.effects.base import JointEffect, Mjcf, Shape
+from torchrbd.effects.base import CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.effects.mjcf import affine
 from torchrbd.effects.placed import in_windows
 from torchrbd.effects.signals import JointScale, JointState
@@ -27,6 +27,7 @@ class TorqueOffset(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}
     comes_and_goes = True
     drawn_over = "q"
+    prior = CoefficientPrior("A sensor's zero is off by a tenth of the joint's torque or so.", torque_part=0.1)
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         """Return every joint, all the time or in stretches of time: brakes drag, cables pull, sensors are set anew."""

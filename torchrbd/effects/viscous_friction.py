@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.effects.base import RESISTS, JointEffect, Mjcf, Shape
+from torchrbd.effects.base import FRICTION, JointEffect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, JointState
 
 
@@ -22,7 +22,7 @@ class ViscousFriction(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}
     comes_and_goes = True
     dissipative = True
-    prior = RESISTS
+    prior = FRICTION
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"qd": state.qd}

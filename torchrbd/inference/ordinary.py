@@ -15,13 +15,13 @@ from dataclasses import replace
 import torch
 
 from torchrbd.effects import Effect, JointScale, effect
+from torchrbd.effects.registry import PLAIN, PLAIN_OR_UNEVEN
 from torchrbd.errors import RecordingError
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.band import band_hz
 from torchrbd.likelihood.clocks import Clocks, in_band, of_one_machine
-from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.rows import not_held_out
@@ -35,7 +35,7 @@ def with_friction(settings: Settings) -> tuple[Effect, ...]:
     """Return the effects to fit: those that the user names, ordinary friction if that is left open."""
     if settings.effects is not None:
         return settings.chosen_effects() if settings.effects else ()
-    return tuple(effect(identifier) for identifier in ORDINARY_EFFECTS if identifier not in settings.exclude)
+    return tuple(effect(identifier) for identifier in PLAIN if identifier not in settings.exclude)
 
 
 def with_machine(
@@ -52,7 +52,7 @@ def with_machine(
         progress: told how far the work is.
         known: clocks and likelihood in the wide band, if they have been learnt.
     """
-    frictionless = not any(e.id in ORDINARY_EFFECTS for e in effects)
+    frictionless = not any(e.id in PLAIN_OR_UNEVEN for e in effects)
     if prepared.states is not None or (known is None and frictionless):
         return prepared
     progress("learning clocks and friction", 0.0)
@@ -81,7 +81,7 @@ def _left(
     columns = prepared.columns.at_scales(scales)
     columns = columns.sticking(torch.zeros_like(columns.stick_levels))
     training = prepared.reading.statistics(columns, lambda *_: None).together(~prepared.held_out)
-    terms = term_candidates(columns, [e.id for e in effects if e.id in ORDINARY_EFFECTS])
+    terms = term_candidates(columns, [e.id for e in effects if e.id in PLAIN_OR_UNEVEN])
     fit = fit_model(training, data_prior(training, held, prepared.prior.kappa), terms)
     return training.squared_error(fit.x).sum(0)
 

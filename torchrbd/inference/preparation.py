@@ -19,7 +19,7 @@ from torchrbd.effects import Effect, Site
 from torchrbd.effects.told import told_sites
 from torchrbd.errors import RecordingError
 from torchrbd.inference.data.holdout import held_out_blocks
-from torchrbd.inference.data.notes import input_notes
+from torchrbd.inference.data.notes import input_notes, rest_notes
 from torchrbd.inference.data.opening import open_all, open_simulated
 from torchrbd.inference.data.payload import payload_parameters
 from torchrbd.inference.input_noise import InputNoise, input_noise
@@ -179,6 +179,7 @@ def prepare(
         notes=(
             *simulation_notes(simulated),
             *input_notes(columns, surveys, filtering, prior, held, used & (weight == 0)),
+            *rest_notes(training),
         ),
     )
     if settings.estimator == "smoother" or (settings.estimator == "auto" and prepared.input_noise.matters):

@@ -105,6 +105,7 @@ class Columns:
         self.stick_levels = torch.zeros(robot.n_dof, dtype=torch.float64) if stick_levels is None else stick_levels
         still = torch.zeros(3, robot.n_dof, 4, dtype=torch.float64)
         self._asked_for: dict[Hashable, Candidate] = {}
+        self._made_by_motion: dict[int, Tensor] = {}
         self._probe = replace(self.signals_at(*still), t=torch.arange(4, dtype=torch.float64))
         self.urdf_friction = tuple(
             self.candidate(effect(name), Site(joint), {}) for joint in range(robot.n_dof) for name in URDF_FRICTION
@@ -158,11 +159,44 @@ class Columns:
         At which speeds a joint may stick stays as it is: that friction changes its sign over a range of speeds does not
         leave it open what it is there.
         """
-        return self._like(scales=scales, unsure=self._slow)
+        return self._like(scales=scales, unsure=self.slow)
 
     @property
-    def _slow(self) -> Tensor:
+    def slow(self) -> Tensor:
+        """Speeds (n_dof,) below which the direction of motion is not known [rad/s, m/s]."""
         return self._rest_width if self.unsure is None else self.unsure
+
+    def local(self, joint: int, label: str) -> int:
+        """Return where among the columns of a joint one of its own features stands."""
+        return len(self.inertial[joint]) + self.labels[joint].index(label)
+
+    def made_by_motion(self, joint: int) -> Tensor:
+        """Return which columns (p_j,) of a joint are zero whenever it rests itself, bool."""
+        if joint not in self._made_by_motion:
+            generator = torch.Generator().manual_seed(0)
+            q, qd, qdd = torch.randn(3, self.robot.n_dof, 4, generator=generator, dtype=torch.float64)
+            qd[joint] = qdd[joint] = 0.0
+            self._made_by_motion[joint] = self._own_power(joint, q, qd, qdd) == 0.0
+        return self._made_by_motion[joint]
+
+    def in_unit_motion(self, joint: int) -> Tensor:
+        """Return how large the columns (p_j,) of a joint are that its own motion makes; zero of others.
+
+        All joints move at 1 rad/s or m/s, and accelerate at 1 rad/s^2 or m/s^2.
+        """
+        q, one = torch.zeros(2, self.robot.n_dof, 4, dtype=torch.float64)
+        one += 1.0
+        return torch.where(self.made_by_motion(joint), self._own_power(joint, q, one, one), 0.0).sqrt()
+
+    def _own_power(self, joint: int, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+        """Return the mean square of what acts at a joint all the time, (p_j,); NaN of its other columns."""
+        signals = replace(self.signals_at(q, qd, qdd), t=self._probe.t)
+        found = torch.full((self.n,), torch.nan, dtype=torch.float64)
+        for (place, _), c in self._maker.items():
+            if place == joint and c.site.always:
+                features = torch.stack(list(c.effect.features(signals, c.site, c.shape).values()))
+                found[self.of(c)] = features.square().mean(1)
+        return found[self.of_joint[joint]]
 
     def around(self, pi: Tensor, friction: Tensor | None = None) -> Columns:
         """Return the same columns with the torque of pi (n_params,) as load, and friction (n_dof, 3) beside it."""
@@ -258,7 +292,7 @@ class Columns:
 
         Less where a joint with dry friction may stick.
         """
-        unknown = states.decimate(undetermined(states.qd, self._slow)).abs()
+        unknown = states.decimate(undetermined(states.qd, self.slow)).abs()
         # The filter's trace of a stick crosses zero beside it, that of the friction in it elsewhere.
         unknown = torch.nn.functional.max_pool1d(unknown, 3, stride=1, padding=1)
         return stick_weight(unknown, self.stick_levels)

@@ -250,7 +250,7 @@ class Likelihood:
             noise[j] = replace(noise[j], spread=one, tail=None)
         plain = self.with_(noise=tuple(noise))
         for j in joints:
-            if self.machine.speed_rms[j]:
+            if self.machine.moving[j]:
                 coulomb = float(self.hyper.friction[j, 1])
                 widths[j] = likeliest_width(self.machine, plain.gaussian, noise[j], coulomb, j)
         return self.with_(rest_width=widths)

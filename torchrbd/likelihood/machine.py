@@ -48,6 +48,7 @@ from torchrbd.effects import Signals
 from torchrbd.effects.band_limits import below
 from torchrbd.likelihood.hyper import Hyper
 from torchrbd.likelihood.noise import drift_basis, predicted
+from torchrbd.likelihood.resting import moving
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import inertial_scale
 
@@ -91,6 +92,7 @@ class Machine:
     Attributes:
         n: number of coefficients.
         torque_rms: (n_dof,) of what is measured [N m or N].
+        moving: (n_dof,) joints that ever move; the others have no columns that their own motion makes.
         index: per joint, the rows (m,) that are whitened.
     """
 
@@ -99,6 +101,7 @@ class Machine:
         self.mean, self.inertial, self.scale = inertial_scale(rows.columns.robot, held)
         self.torque_rms = np.sqrt((rows.tau**2).sum(1) / np.maximum(rows.measured.sum(1), 1))
         self.speed_rms = np.sqrt(np.mean(rows.qd**2, axis=1))
+        self.moving = moving(rows.qd, rows.block, rows.columns.slow.numpy())
         self._drift, self._drift_order = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
         self._local = len(ORDINARY) + 4 + len(STICKS) + _ROUNDING + len(self._drift)
         self._inside = [rows.recording == k for k in np.unique(rows.recording)]
@@ -258,7 +261,7 @@ class Machine:
 
     def _evaluated_directions(self, joint: int, width: float) -> np.ndarray:
         def directions(signals: Signals) -> Tensor:
-            qd = signals.qd[joint]
+            qd = signals.qd[joint] * float(self.moving[joint])
             g = torch.tanh(qd / width)
             # Where the direction is as unsure as this, as ``_direction_std`` has it.
             unsure = (qd.abs() < _SLOW * stick * max(self.rows.speed_std[joint], 1e-300) for stick in STICKS)
@@ -275,7 +278,7 @@ class Machine:
 
     def friction_columns(self, joint: int, width: float) -> np.ndarray:
         """Return the features of ordinary friction, (3, M)."""
-        return np.concatenate((self.rows.qd[joint : joint + 1], self.sign(joint, width)))
+        return np.concatenate((self.rows.qd[[joint]] * self.moving[joint], self.sign(joint, width)))
 
     def friction_std(self, joint: int, features: np.ndarray) -> np.ndarray:
         """Return the prior standard deviations of their coefficients, (K,): all of the joint's torque."""

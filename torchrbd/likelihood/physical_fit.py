@@ -9,10 +9,11 @@ Source: Lee, Wensing, Park (T-RO 2020), eq. (31).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.optimize import nnls
 from torch import Tensor
 
 from torchrbd.likelihood.central_path import Problem, follow_path, in_blocks
@@ -23,6 +24,9 @@ from torchrbd.robot import from_pseudo_inertia
 
 # Moments are exact to about 1e-16 of the largest: of anything stiffer, rounding would decide the weak directions.
 _STIFFEST = 1e13
+# Rounds of multipliers, and how far they still move a sum when they have settled, in standard deviations. Sums of the
+# same column depend on each other.
+_MOST_PULLS, _SETTLED, _JITTER = 8, 1e-6, 1e-12
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,49 @@ def physical_fit(prior: Prior, equations: Equations, terms: Tensor) -> PhysicalF
     factor = L0 @ torch.from_numpy(L)
     x[prior.inertial] = _representable(x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY), factor, L0).flatten()
     return PhysicalFit(x, free, 0.5 * (precision + precision.T), steps, converged)
+
+
+def fit_with_signs(prior: Prior, equations: Equations, terms: Tensor, signs: Tensor) -> PhysicalFit:
+    """Fit inertial parameters and terms, some sums of coefficients being kept from negative values.
+
+        minimise  f(x)  subject to  W x >= 0:   grad f(x) = W'l,  l >= 0,  l'W x = 0
+
+    with f as of ``physical_fit``. The multipliers l are those of f to second order around the last fit, and f is
+    nearly quadratic in what terms do, so that a few rounds find them. The precision is that of f.
+
+    Args:
+        prior, equations, terms: as of ``physical_fit``.
+        signs: W (K, n), rows of columns of terms.
+
+    Source: Nocedal, Wright, "Numerical Optimization" (2006), ch. 18 (sequential quadratic programming).
+    """
+    fit = physical_fit(prior, equations, terms)
+    if bool((signs @ fit.x >= 0.0).all()):
+        return fit
+    G = (signs @ prior.scale)[:, fit.free]
+    pull = torch.zeros(len(signs), dtype=torch.float64)
+    for _ in range(_MOST_PULLS):
+        C = G @ torch.linalg.solve(fit.precision, G.T)
+        before, pull = pull, _multipliers(signs @ fit.x - C @ pull, C)
+        if bool(((pull - before).abs() * C.diagonal().sqrt() < _SETTLED).all()):
+            break
+        pulled = equations.h + prior.scaled((signs.T @ pull).unsqueeze(1), back=True)[:, 0]
+        fit = physical_fit(prior, Equations(equations.H, pulled), terms)
+    # What is left of these sums, and of those on the wrong side, is rounding.
+    none = signs[(pull > 0.0) | (signs @ fit.x < 0.0)]
+    return replace(fit, x=fit.x - torch.linalg.pinv(none) @ (none @ fit.x))
+
+
+def _multipliers(y: Tensor, C: Tensor) -> Tensor:
+    """Return l (K,) with y + C l >= 0, l >= 0 and l'(y + C l) = 0, of sums y (K,) with covariance C (K, K)."""
+    free = C.diagonal() > 0.0
+    size = C.diagonal()[free].rsqrt()
+    L = torch.linalg.cholesky(size[:, None] * C[free][:, free] * size + _JITTER * torch.eye(int(free.sum())))
+    wanted = -torch.linalg.solve_triangular(L, (size * y[free]).unsqueeze(1), upper=False)[:, 0]
+    found, _ = nnls(L.T.numpy(), wanted.numpy())
+    pull = torch.zeros_like(y)
+    pull[free] = size * torch.from_numpy(found)
+    return pull
 
 
 def _turn(prior: Prior, L0: Tensor) -> np.ndarray:

@@ -20,12 +20,13 @@ from torch import Tensor
 
 from torchrbd.likelihood.block_statistics import BlockStatistics
 from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.resting import told_by_motion
 from torchrbd.parameters import BASIS, ORTHONORMAL, PARAMETERS_PER_BODY, is_extended, nearest_physical
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 
 KAPPA = 3.0
-# Prior standard deviation of a term's torque, in units of the joint's torque RMS: wide, it only keeps directions
-# bounded that no data tells.
+# Prior standard deviation of the torque of columns that are no effect's, in units of the joint's torque RMS: wide, it
+# only keeps directions bounded that no data tells.
 TERM_WIDTH = 10.0
 
 
@@ -106,12 +107,13 @@ def urdf_prior(
         here = slice(PARAMETERS_PER_BODY * b, PARAMETERS_PER_BODY * (b + 1))
         mean[here] = own
         scale[here, here] = inverse_root(kappa * metric)
+    parts = _torque_parts(columns)
     for joint in range(robot.n_dof):
         for k in columns.of_joint[joint].tolist():
             if k >= robot.n_params:
                 rms = float(feature_rms[joint, k])
                 if rms > 0:
-                    width, known = TERM_WIDTH * float(torque_rms[joint]) / rms, float(scale[k, k])
+                    width, known = parts[k] * float(torque_rms[joint]) / rms, float(scale[k, k])
                     scale[k, k] = min(width, known) if known > 0 else width
     for term in columns.candidates:
         if std := term.effect.prior.proportions:
@@ -120,8 +122,21 @@ def urdf_prior(
     return Prior(mean, reference, bodies, inverse, kappa, scale)
 
 
+def _torque_parts(columns: Columns) -> dict[int, float]:
+    """Return how much of its joint's torque each column of a term may make, by its place in x."""
+    found: dict[int, float] = {}
+    for c in (*columns.urdf_friction, *columns.candidates):
+        part = c.effect.prior.torque_part if c.site.always else 1.0
+        found |= {k: max(part, found.get(k, 0.0)) for k in columns.of(c)}
+    return found
+
+
 def data_prior(statistics: BlockStatistics, held: Collection[str], kappa: float) -> Prior:
-    """Return the prior around the URDF; the size of torques and features tells how wide that of terms is."""
+    """Return the prior around the URDF; the size of torques and features tells how wide that of terms is.
+
+    The features of a joint's own motion count where it moves. Of one that never does, they are those of unit motion.
+    """
+    statistics = told_by_motion(statistics)
     weight, _, square = statistics.torque.sum(0).unbind(-1)
     torque_rms = (square / weight.clamp_min(1e-300)).sqrt()
     return urdf_prior(statistics.columns, torque_rms, _feature_rms(statistics), held=held, kappa=kappa)
@@ -133,7 +148,11 @@ def _feature_rms(statistics: BlockStatistics) -> Tensor:
     weight = statistics.torque[..., 0].sum(0)
     for joint, total in enumerate(statistics.total()):
         if weight[joint] > 0:
-            power[joint, columns.of_joint[joint]] = total.diagonal()[:-1] / weight[joint]
+            own = total.diagonal()[:-1] / weight[joint]
+            still = own == 0.0
+            if bool(still.any()):
+                own = torch.where(still, columns.in_unit_motion(joint).square(), own)
+            power[joint, columns.of_joint[joint]] = own
     return power.sqrt()
 
 

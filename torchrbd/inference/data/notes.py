@@ -8,7 +8,9 @@ from itertools import compress
 import numpy as np
 from torch import Tensor
 
+from torchrbd.likelihood.block_statistics import BlockStatistics
 from torchrbd.likelihood.columns import Columns
+from torchrbd.likelihood.resting import at_rest
 from torchrbd.likelihood.urdf_prior import Prior, unphysical_bodies
 from torchrbd.recordings import Filtering, Survey, skipped_segments
 from torchrbd.robot import STANDARD_GRAVITY
@@ -53,3 +55,11 @@ def input_notes(
         *notes,
         *(f"{name} has no mass in the URDF and keeps none; give it a rough one if it has any" for name in massless),
     )
+
+
+def rest_notes(training: BlockStatistics) -> list[str]:
+    """Return which joints never move in the blocks that are fitted."""
+    seen = training.torque[..., 0] > 0
+    still = (at_rest(training) | ~seen).all(0) & seen.any(0)
+    names = compress(training.columns.robot.joint_names, still.tolist())
+    return [f"{name} does not move in these recordings: its friction stays that of the URDF" for name in names]

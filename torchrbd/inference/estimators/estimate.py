@@ -15,6 +15,7 @@ from torchrbd.inference.estimators.instrumental import instrumental_variables
 from torchrbd.inference.estimators.plain import regress, regress_on_noisy_inputs
 from torchrbd.inference.estimators.problem import LinearProblem, linear_problem
 from torchrbd.inference.estimators.reweighted import iteratively_reweighted
+from torchrbd.inference.physical.fitting import not_negative
 from torchrbd.inference.physical.projection import project
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.regression.base import Regression
@@ -37,7 +38,7 @@ class Estimate:
     Attributes:
         name: of the estimator.
         raw: (n,) coefficients in the layout of ``Columns``, as estimated.
-        was_physical: whether every body of ``raw`` has a positive definite pseudo-inertia.
+        was_physical: whether every body of ``raw`` has a positive definite pseudo-inertia, and no friction drives.
         x: (n,) physical ones: ``raw``, or where it is not physical its projection in the metric of the data, whose
             torque on the fitted blocks is nearest.
         seconds: of the estimate, without reading and filtering.
@@ -70,8 +71,9 @@ def estimate(prepared: Prepared, name: str, terms: Sequence[Candidate] = ()) -> 
     if not bool(torch.isfinite(raw).all()):
         raise OptionError(f"estimator '{name}' finds no finite parameters on these recordings; use another")
     bodies = raw[prepared.prior.inertial].reshape(-1, PARAMETERS_PER_BODY)
-    physical = bool(is_physical(bodies).all())
-    x = raw if physical else project(prepared.prior, raw, problem.information(), problem.free_terms)
+    signs = not_negative(prepared.columns, terms)
+    physical = bool(is_physical(bodies).all()) and bool((signs @ raw >= 0.0).all())
+    x = raw if physical else project(prepared.prior, raw, problem.information(), problem.free_terms, signs)
     return Estimate(name, raw, physical, x, time.perf_counter() - start, note)
 
 

@@ -25,6 +25,7 @@ from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.equations import first_noise_variance, with_noise
 from torchrbd.likelihood.gaussian import Posterior
+from torchrbd.likelihood.resting import told_by_motion
 from torchrbd.recordings import States
 
 # Of a column's square. Right angles written as 1.5708 make columns that depend on each other up to 4e-6 differ.
@@ -114,7 +115,7 @@ def linear_problem(prepared: Prepared, terms: Sequence[Candidate] = ()) -> Linea
         prepared: the data.
         terms: effects that are fitted beside the inertial parameters.
     """
-    columns, prior, training = prepared.columns, prepared.prior, prepared.training
+    columns, prior, training = prepared.columns, prepared.prior, told_by_motion(prepared.training)
     free = columns_of(prepared, terms)
     H, _ = assemble(columns, training.total(), 1.0 / first_noise_variance(training))
     H = H[free][:, free]

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from torchrbd.effects import Site, Term
-from torchrbd.effects.registry import PLAIN_OR_UNEVEN
 from torchrbd.inference.physical.scatter import Scatter
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.torque_error import Fit
@@ -17,7 +16,8 @@ from torchrbd.likelihood.block_statistics import BlockStatistics
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.equations import Equations, first_noise_variance, scaled_equations, with_noise
 from torchrbd.likelihood.gaussian import nonnegative
-from torchrbd.likelihood.physical_fit import PhysicalFit, physical_fit
+from torchrbd.likelihood.physical_fit import PhysicalFit, fit_with_signs
+from torchrbd.likelihood.resting import told_by_motion
 from torchrbd.likelihood.shapes import ShapeSlope
 from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.model import RigidBodyDynamics, known_terms
@@ -43,6 +43,7 @@ class FittedModel:
         covariance: (n_free, n_free) the same, widened where the scatter over blocks says so.
         noise_variance: (n_dof,) of the band-limited torque.
         converged: False if the torques are so far from any rigid body's that the fit stopped early.
+        prior_covariance: (n_free, n_free) covariance before the data.
         scatter: how far single blocks move the fit, where that has been worked out.
     """
 
@@ -54,6 +55,7 @@ class FittedModel:
     covariance: Tensor
     noise_variance: Tensor
     converged: bool
+    prior_covariance: Tensor
     scatter: Scatter | None = None
 
     @property
@@ -127,7 +129,8 @@ def fit_model(
     """
     columns = statistics.columns
     term_columns = torch.tensor(sorted({k for c in terms for k in columns.of(c)}), dtype=torch.long)
-    totals, positive = statistics.total(), _positive(columns, terms)
+    statistics = told_by_motion(statistics)
+    totals, signs, positive = statistics.total(), not_negative(columns, terms), _positive(columns, terms)
     variance = first_noise_variance(statistics) if noise is None else noise
     if states is not None and noise is None:
         variance = torch.where(torch.isfinite(variance), states.torque_variance, variance)
@@ -137,11 +140,11 @@ def fit_model(
         equations = scaled_equations(prior, totals, columns, 1.0 / variance)
         if states is not None:
             equations = states.discount(prior, equations)
-        fit = physical_fit(prior, equations, term_columns)
+        fit = fit_with_signs(prior, equations, term_columns, signs)
         x, covariance = _told(prior, fit)
         bounded = _with_signs(prior, equations, x, covariance, positive)
         if bounded is not equations:
-            fit = physical_fit(prior, bounded, term_columns)
+            fit = fit_with_signs(prior, bounded, term_columns, signs)
             x, covariance = _told(prior, fit)
         return (fit, equations), x, covariance
 
@@ -154,7 +157,8 @@ def fit_model(
     wider = ((axes.T @ filling @ axes).diagonal() / stiffness).clamp_min(1.0)
     axes = S[fit.free] @ axes
     laplace, covariance = (axes / stiffness) @ axes.T, (axes * (wider / stiffness)) @ axes.T
-    return FittedModel(columns, tuple(terms), fit.x, fit.free, laplace, covariance, variance, fit.converged)
+    before = S[fit.free] @ S[fit.free].T
+    return FittedModel(columns, tuple(terms), fit.x, fit.free, laplace, covariance, variance, fit.converged, before)
 
 
 def _told(prior: Prior, fit: PhysicalFit) -> tuple[Tensor, Tensor]:
@@ -165,12 +169,24 @@ def _told(prior: Prior, fit: PhysicalFit) -> tuple[Tensor, Tensor]:
 
 
 def _positive(columns: Columns, terms: Sequence[Candidate]) -> list[int]:
-    """Return the columns of coefficients that physics keeps from being negative.
+    """Return the columns of coefficients that physics keeps above zero."""
+    own = [c for c in terms if not isinstance(c, ShapeSlope) and not c.effect.prior.may_be_none]
+    return sorted({columns.of(c)[i] for c in own for i in c.effect.prior.positive})
 
-    Ordinary friction, which every machine is fitted with, may be negative: there may be none.
-    """
-    proper = [c for c in terms if not isinstance(c, ShapeSlope) and c.effect.id not in PLAIN_OR_UNEVEN]
-    return sorted({columns.of(c)[i] for c in proper for i in c.effect.prior.positive})
+
+def not_negative(columns: Columns, terms: Sequence[Candidate]) -> Tensor:
+    """Return the weights (K, n) of sums of coefficients that physics keeps from being negative, and that may be zero."""
+    found: dict[tuple[tuple[int, float], ...], None] = {}
+    for c in terms:
+        if not isinstance(c, ShapeSlope) and c.effect.prior.may_be_none:
+            index = columns.of(c)
+            for weights in c.effect.prior.not_negative(len(index)):
+                found[tuple((k, w) for k, w in zip(index, weights, strict=True) if w)] = None
+    signs = torch.zeros(len(found), columns.n, dtype=torch.float64)
+    for row, places in zip(signs, found, strict=True):
+        for k, weight in places:
+            row[k] = weight
+    return signs
 
 
 def _with_signs(
@@ -178,6 +194,8 @@ def _with_signs(
 ) -> Equations:
     """Return equations whose prior is truncated where coefficients would be negative, see ``nonnegative``."""
     std = covariance.diagonal().clamp_min(0.0).sqrt()
+    # What the data say nothing of stays where the prior has it.
+    positive = [k for k in positive if float(equations.H[k, k]) > 0.0]
     if all(float(x[k]) >= _CERTAIN_SIGN * float(std[k]) for k in positive):
         return equations
     at = torch.tensor(positive, dtype=torch.long)

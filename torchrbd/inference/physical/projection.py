@@ -28,7 +28,7 @@ from torch import Tensor
 
 from torchrbd.errors import InputError
 from torchrbd.likelihood.equations import Equations
-from torchrbd.likelihood.physical_fit import physical_fit
+from torchrbd.likelihood.physical_fit import fit_with_signs
 from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.robot import pseudo_inertia
@@ -39,7 +39,9 @@ from torchrbd.robot import pseudo_inertia
 _EPSILON = 1e-8
 
 
-def project(prior: Prior, x_hat: Tensor, metric: Tensor, terms: Tensor | None = None) -> Tensor:
+def project(
+    prior: Prior, x_hat: Tensor, metric: Tensor, terms: Tensor | None = None, signs: Tensor | None = None
+) -> Tensor:
     """Return the physical coefficients nearest to an estimate.
 
     The scale of the metric does not matter. An estimate whose fitted bodies fulfil the first bound above is returned as
@@ -50,9 +52,10 @@ def project(prior: Prior, x_hat: Tensor, metric: Tensor, terms: Tensor | None = 
         x_hat: (k,) estimate, physical or not: inertial parameters [kg, kg m, kg m^2], or these and columns of terms.
         metric: M (k, k), symmetric positive semidefinite; a diagonal may be given as (k,).
         terms: indices of the columns of terms that may move too; none by default.
+        signs: (s, k) weights of sums of these columns that cannot be negative; none by default.
 
     Returns:
-        (k,) with a positive definite pseudo-inertia for every body that the prior fits.
+        (k,) with a positive definite pseudo-inertia for every body that the prior fits, and no negative sum.
 
     Raises:
         InputError: the shapes do not fit, or an entry is not finite.
@@ -63,14 +66,16 @@ def project(prior: Prior, x_hat: Tensor, metric: Tensor, terms: Tensor | None = 
         raise InputError(f"metric has shape {tuple(metric.shape)}, expected ({k}, {k}) or ({k},) like x_hat")
     if not bool(torch.isfinite(x_hat).all() & torch.isfinite(M).all()):
         raise InputError("x_hat or the metric has entries that are not finite; give what was not estimated no weight")
-    if _inside(prior, x_hat):
+    signs = x_hat.new_zeros(0, k) if signs is None else signs
+    if _inside(prior, x_hat) and bool((signs @ x_hat >= 0.0).all()):
         return x_hat.clone()
     S, away = prior.scale[:k, :k], x_hat - prior.mean[:k]
     kappa = _EPSILON * 0.5 * float(away @ M @ away)
     M = M / kappa if kappa > 0.0 else torch.zeros_like(M)
     equations = Equations(S.T @ M @ S, S.T @ (M @ away))
     free = torch.arange(0) if terms is None else terms
-    return physical_fit(replace(prior, kappa=1.0), equations, free).x[:k]
+    signs = torch.cat((signs, signs.new_zeros(len(signs), len(prior.mean) - k)), 1)
+    return fit_with_signs(replace(prior, kappa=1.0), equations, free, signs).x[:k]
 
 
 def _inside(prior: Prior, x: Tensor) -> bool:

@@ -23,11 +23,12 @@ def term_estimates(model: FittedModel) -> list[ParameterEstimate]:
     robot, found = model.columns.robot, []
     for candidate in model.proper_terms:
         place, joint = candidate.site.name(robot), candidate.site.joint
-        urdf = model.columns.urdf_value(candidate)
+        urdf, shares = model.columns.urdf_value(candidate), _prior_shares(model, candidate)
         for name, (value, std) in told_parameters(model, candidate).items():
             unit = candidate.effect.unit(name, prismatic=joint is not None and bool(robot.prismatic[joint]))
+            share = shares[name] if math.isfinite(std) else math.nan
             found.append(
-                ParameterEstimate(f"{candidate.effect.id}_{place}.{name}", place, unit, urdf, value, std, 0.0, "term")
+                ParameterEstimate(f"{candidate.effect.id}_{place}.{name}", place, unit, urdf, value, std, share, "term")
             )
     return found
 
@@ -74,6 +75,22 @@ def told_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple
         name: (math.nan, math.nan) if std > widest * own else (v, std)
         for (name, (v, std)), own in zip(found.items(), believed, strict=True)
     }
+
+
+def _prior_shares(model: FittedModel, candidate: Candidate) -> dict[str, float]:
+    """Return which part of what is known of a term's parameters the prior alone says: var(p | data) / var(p)."""
+    w, _ = model.coefficients(candidate)
+    at, w = model.position(candidate), w.requires_grad_(True)
+    found = {}
+    for name, value in candidate.effect.parameters(w, candidate.shape).items():
+        slope = torch.zeros_like(w)
+        if value.requires_grad:
+            (slope,) = torch.autograd.grad(value, w, retain_graph=True)
+        after, before = (
+            float(slope @ C[at.unsqueeze(1), at] @ slope) for C in (model.laplace, model.prior_covariance)
+        )
+        found[name] = min(after / before, 1.0) if before > 0.0 else 1.0
+    return found
 
 
 def _variance(model: FittedModel, g: Tensor) -> float:

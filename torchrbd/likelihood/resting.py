@@ -1,0 +1,53 @@
+"""Joints that rest: the noise of their velocity is no motion, and tells nothing of friction.
+
+    E[phi phi'] = phi0 phi0' + noise
+
+A joint rests in a block of time if the root mean square of its velocity there lies below the speed at which it has a
+direction. What its own motion makes, d qd or c sign(qd), is noise then, phi0 is zero, and the block has no such columns.
+Were they kept, they would draw friction to zero, or to whatever a drive makes of the noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrbd.likelihood.block_statistics import BlockStatistics
+
+
+def at_rest(statistics: BlockStatistics) -> Tensor:
+    """Return where joints rest, (B, n_dof) bool; nowhere where they have no torque."""
+    columns, weight = statistics.columns, statistics.torque[..., 0]
+    rest = torch.zeros_like(weight, dtype=torch.bool)
+    for joint, (moments, slow) in enumerate(zip(statistics.moments, columns.slow.tolist(), strict=True)):
+        k = columns.local(joint, "qd")
+        rest[:, joint] = moments[:, k, k] < slow**2 * weight[:, joint]
+    return rest
+
+
+def moving(qd: np.ndarray, block: np.ndarray, slow: np.ndarray) -> np.ndarray:
+    """Return which joints do not rest in every block, (n,) bool.
+
+    Args:
+        qd: (n, M) [rad/s, m/s].
+        block: (M,) number of each row's block.
+        slow: (n,) speeds below which a joint has no direction [rad/s, m/s].
+    """
+    rows = np.maximum(np.bincount(block), 1)
+    power = np.stack([np.bincount(block, one**2) for one in qd]) / rows
+    return (power >= slow[:, None] ** 2).any(1)
+
+
+def told_by_motion(statistics: BlockStatistics) -> BlockStatistics:
+    """Return the same without columns that a joint's own motion makes, in blocks in which it rests."""
+    rest = at_rest(statistics)
+    moments = list(statistics.moments)
+    for joint in torch.nonzero(rest.any(0)).flatten().tolist():
+        made = statistics.columns.made_by_motion(joint)
+        kept = torch.where(rest[:, joint, None] & made, 0.0, 1.0)
+        kept = torch.cat((kept, torch.ones(len(rest), 1, dtype=torch.float64)), 1)
+        moments[joint] = moments[joint] * kept.unsqueeze(2) * kept.unsqueeze(1)
+    return replace(statistics, moments=tuple(moments))
