@@ -182,8 +182,9 @@ def _wiener_kernel(share: np.ndarray, density: np.ndarray, hz: np.ndarray, dt: f
     """
     size = 2 * _OVERSAMPLED * half
     f = np.fft.rfftfreq(size, dt)
-    measured, motion = np.interp(f, hz, density), np.interp(f, hz, share * density)
-    measured += _LEAST_DENSITY * max(float(density.max()), 1e-300)
+    # Of a joint that is locked there is no density at all.
+    density = density / max(float(density.max()), 1e-300)
+    measured, motion = np.interp(f, hz, density) + _LEAST_DENSITY, np.interp(f, hz, share * density)
     lags = np.fft.irfft(motion, size)[: half + 1]
     wanted = np.concatenate((lags[:0:-1], lags))
     slow = np.linspace(-1.0, 1.0, 2 * half + 1)[:, None] ** [0, 2]
