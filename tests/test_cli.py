@@ -113,7 +113,9 @@ def test_identify_says_the_same_on_the_screen_in_the_report_and_in_the_file(
     told = re.sub(r"\s+", " ", capsys.readouterr().out)
     page = (tmp_path / "report.html").read_text()
     content = json.loads((tmp_path / "parameters.json").read_text())
-    names = {"identified": "Identified", "doubtful": "Identified, with doubts", "worse": "Worse than the URDF"}
+    names = {"identified": "Identified", "doubtful": "Identified, with doubts", "worse": "Worse than the URDF"} | {
+        "suspect": "Suspect input"
+    }
     assert told.startswith(f"{names[content['verdict']]}: ")
     assert f"{names[content['verdict']]}</span>" in page
     for doubt in content["doubts"]:

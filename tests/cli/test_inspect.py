@@ -10,6 +10,15 @@ from rosbags import rosbag2
 
 from torchrbd.cli import main
 from torchrbd.recordings import inspect_recording, open_recording, read_mapping
+from torchrbd.recordings.mapping import (
+    _CURRENT_KEYS,
+    _SIGNAL_KEYS,
+    _TOP_KEYS,
+    CURRENT_UNITS,
+    SIGNALS,
+    TIME_UNITS,
+    UNITS,
+)
 
 CLOCK = np.arange(0, 20, 0.01)
 JOINTS = ("lift", "turn")
@@ -104,7 +113,43 @@ def test_what_is_wrong_is_told(tmp_path, look):
         "little range, slow, never turns back",
     ):
         assert words in told
-    assert 'time: {column: "t", unit: s} # looks like ms' in " ".join((tmp_path / "map.yaml").read_text().split())
+    text = (tmp_path / "map.yaml").read_text()
+    assert 'time: {column: "t", unit: ms}  # a guess, from the size of the values: if it is wrong, write s' in text
+    assert 'q: {column: "q_turn", unit: deg}  # a guess, from the size of the values: if it is wrong, write rad' in text
+    assert 'q: {column: "q_lift", unit: m}\n' in text
+    told = look(tmp_path / "r.csv", tmp_path / "arm.urdf", "--mapping", tmp_path / "map.yaml")
+    assert "looks like" not in told
+    assert "2000 rows, 100 Hz" in told
+
+
+def test_a_guess_of_a_unit_keeps_what_the_mapping_says(tmp_path, look):
+    """Time in microseconds that a mapping calls milliseconds; degrees that it turns round."""
+    table = columns(t=1e6 * CLOCK, q_turn=np.rad2deg(columns()["q_turn"]))
+    write(tmp_path / "r.csv", table)
+    (tmp_path / "one.yaml").write_text("time: {column: t, unit: ms}\njoints: {turn: {q: {column: q_turn, sign: -1}}}")
+    arm = tmp_path / "arm.urdf"
+    look(tmp_path / "r.csv", arm, "--mapping", tmp_path / "one.yaml", "-o", tmp_path / "two.yaml")
+    text = (tmp_path / "two.yaml").read_text()
+    assert 'time: {column: "t", unit: us}  # a guess' in text
+    assert 'q: {column: "q_turn", unit: deg, scale: -1.0}  # a guess' in text
+    (mapped,) = open_recording(tmp_path / "r.csv", JOINTS, mapping=read_mapping(tmp_path / "two.yaml")).chunks()
+    np.testing.assert_allclose(mapped.t, CLOCK, atol=1e-9)
+    np.testing.assert_allclose(mapped.q[:, 1], -columns()["q_turn"], atol=1e-8)
+
+
+def test_the_head_of_a_mapping_explains_every_key_and_unit(tmp_path, look):
+    look(write(tmp_path / "r.csv", columns()), "-o", tmp_path / "map.yaml")
+    text = (tmp_path / "map.yaml").read_text()
+    head = [line for line in text.splitlines() if line.startswith("#")]
+    assert text.startswith("\n".join(head))
+    assert "docs/guide/recordings.md" in head[1]
+    assert "README" not in text
+    words = {line[1:].split()[0] for line in head}
+    assert {*_TOP_KEYS, *_SIGNAL_KEYS, *_CURRENT_KEYS, *SIGNALS} - {"joints"} <= words
+    for units in (TIME_UNITS, CURRENT_UNITS, *UNITS.values()):
+        assert any(", ".join(units) in line for line in head)
+    assert max(map(len, text.splitlines())) <= 120
+    assert len(head) < 35
 
 
 def test_coarse_steps_and_gaps(tmp_path, look):

@@ -62,7 +62,7 @@ def test_every_file_says_that_the_input_is_suspect(
     assert parameters["suspicions_tested"]
     assert says in parameters["doubts"][0]
     if command == "identify":
-        assert parameters["verdict"] == "doubtful"
+        assert parameters["verdict"] == "suspect"
         return
     assert told.startswith("Suspect input: ")
     assert "Suspect input" in report

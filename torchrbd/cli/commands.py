@@ -44,7 +44,7 @@ def _run(work: Callable[..., Result], show: Callable[[Result], None], options: a
     """Do the work on what the user gave, show the result and write it."""
     settings, into = settings_of(options), options.output
     with nullcontext() if into is None else OutputFolder(into) as folder:
-        with progress_bar() as progress:
+        with progress_bar(quiet=options.quiet) as progress:
             result = work(options.robot, options.recordings, progress=progress, **settings)
         names = () if folder is None else folder.fill(partial(write_results, result))
     show(result)
@@ -65,7 +65,11 @@ def _identify(options: argparse.Namespace) -> None:
 def _demo(options: argparse.Namespace) -> None:
     with as_file(files("torchrbd") / "demo") as case:
         given = {"robot": case / "arm.urdf", "recordings": case / "fit.parquet", "holdout": case / "holdout.parquet"}
-        _run(diagnose, print_diagnosis, argparse.Namespace(**given, config=None, output=options.output))
+        _run(
+            diagnose,
+            print_diagnosis,
+            argparse.Namespace(**given, config=None, output=options.output, quiet=options.quiet),
+        )
 
 
 def _compare(options: argparse.Namespace) -> None:

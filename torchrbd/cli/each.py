@@ -44,7 +44,7 @@ def identify_each(options: argparse.Namespace) -> None:
     for file in options.recordings:
         _folder_of(options.output, file)
     into, settings = partial(_write_brief, options.output), settings_of(options)
-    with OutputFolder(options.output), progress_bar() as progress:
+    with OutputFolder(options.output), progress_bar(quiet=options.quiet) as progress:
         found = identify_and(
             into, options.robot, options.recordings, "identify", jobs=options.jobs, progress=progress, **settings
         )

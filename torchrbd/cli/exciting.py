@@ -42,7 +42,7 @@ def design(options: argparse.Namespace) -> None:
         "velocities": dict(_value("--velocity", word) for word in options.velocities),
         "efforts": dict(_value("--effort", word) for word in options.efforts),
     }
-    with progress_bar() as progress:
+    with progress_bar(quiet=options.quiet) as progress:
         result = excite(options.robot, options.diagnosis, progress=progress, **given)
     asked = {"diagnosis": options.diagnosis, "rate_hz": options.rate_hz, **given}
     series = write_motion(result, file, options.rate_hz, asked)

@@ -44,7 +44,7 @@ def fleet(options: argparse.Namespace) -> None:
     robots = read_robots(options.robots)
     engine = Engine(options.engine, options.jobs, options.scheduler, options.retries)
     _check_before(options.before, options.output)
-    with OutputFolder(options.output) as folder, progress_bar(time_left=True) as progress:
+    with OutputFolder(options.output) as folder, progress_bar(time_left=True, quiet=options.quiet) as progress:
         failed = identify_fleet(robots, options.output, engine, progress)
         if len(failed) == len(robots):
             raise InputError(f"no robot could be identified{_reasons(failed)}")

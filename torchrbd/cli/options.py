@@ -17,6 +17,8 @@ from torchrbd.cli.shared_options import RECORDING, add_shared
 from torchrbd.estimators import COMPARABLE, ESTIMATORS, WITH_INTERVALS
 
 _FITTED_EFFECTS = "effects to fit beside the inertial parameters, at every joint or only at PLACE (default: {})"
+# Commands that say how far they are.
+_LONG = ("identify", "diagnose", "compare-estimators", "demo", "excite", "simulate", "stats", "fleet")
 _FRICTION = "viscous and Coulomb friction; exclude both for the rigid body alone"
 
 
@@ -48,6 +50,8 @@ def parser() -> argparse.ArgumentParser:
     def command(name: str, words: str) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=words, description=words, formatter_class=_Help)
         sub.set_defaults(command=name, output=None)
+        if name in _LONG:
+            sub.add_argument("-q", "--quiet", action="store_true", help="do not say on stderr how far the work is")
         return sub
 
     sub = command("identify", "Fit the inertial parameters of a URDF to recordings; always physically valid.")

@@ -28,7 +28,7 @@ def simulate_recording(options: argparse.Namespace) -> None:
     if options.file.exists() and options.recording.exists() and options.file.samefile(options.recording):
         raise OptionError(f"output '{options.file}' is the recording; name another file for the motion")
     model = _model(options.model, options.gravity)
-    with progress_bar() as progress:
+    with progress_bar(quiet=options.quiet) as progress:
         found = simulate(
             model,
             options.recording,

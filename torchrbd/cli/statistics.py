@@ -21,7 +21,11 @@ def stats(options: argparse.Namespace) -> None:
     """Make a statistics file of each recording."""
     settings = settings_of(options)
     _check_ending(options.merge)
-    with ranks() as own, _folder(options, own), progress_bar(time_left=True, shown=own.first) as progress:
+    with (
+        ranks() as own,
+        _folder(options, own),
+        progress_bar(time_left=True, shown=own.first, quiet=options.quiet) as progress,
+    ):
         files = write_statistics(
             options.robot, options.recordings, options.output, merged=options.merge, ranks=own, progress=progress,
             **settings,

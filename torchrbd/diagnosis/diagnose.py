@@ -20,7 +20,7 @@ from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.springs import with_springs
-from torchrbd.diagnosis.suspect import suspect, tells_nothing
+from torchrbd.diagnosis.suspect import suspect
 from torchrbd.diagnosis.trifling import is_trifling
 from torchrbd.diagnosis.unexplained import only_where_fitted, tones, unexplained
 from torchrbd.diagnosis.verdict_words import REFUTED, ended_statement, verdict_statement
@@ -33,6 +33,7 @@ from torchrbd.inference.identify import read_arguments, summarise
 from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.suspicions import suspicions
+from torchrbd.inference.verdict import tells_nothing
 from torchrbd.likelihood.reading import Progress
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import Sources

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import torch
-
 from torchrbd.diagnosis.ranking import Ranking
 from torchrbd.diagnosis.results import Diagnosis
 from torchrbd.diagnosis.verdict_words import suspect_statement
 from torchrbd.inference.identify import summarise
-from torchrbd.inference.physical.fitting import FittedModel, beside_constant
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
@@ -36,12 +33,6 @@ def suspect(
     return Diagnosis(
         identification, "suspect", suspect_statement(suspected), (), simulated=_simulated(prepared), ranking=ranked
     )
-
-
-def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:
-    """Say whether a model predicts held-out torque no better than a constant, in the mean over the joints."""
-    error = beside_constant(prepared.training, prepared.judging, model.x)
-    return bool(error.isfinite().any()) and float(torch.nanmean(error)) > 1.0
 
 
 def _plain(prepared: Prepared, settings: Settings, progress: Progress, suspected: Suspicions) -> Identification:

@@ -38,7 +38,8 @@ def write_parameters(result: Identification, path: Path) -> None:
         torque predicted from filtered positions for their noise alone, and of the torque that is left [N m, N].
     noise_std: the last of these alone.
     states, regime: "filtered" or "smoothed", and why.
-    verdict: "identified"; "doubtful", there are ``doubts``; "worse" than the URDF on held-out data.
+    verdict: "identified"; "doubtful", there are ``doubts``; "worse" than the URDF on held-out data; "suspect": the
+        recordings do not mean what they say, or the model predicts held-out torque no better than a constant.
     """
     _write(
         path,

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
+from torchrbd.inference.data.bodies import fixed_base
 from torchrbd.inference.estimators import estimate
 from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.parameter_estimates import base_estimates, inertial_estimates, values_alone
@@ -26,7 +27,7 @@ from torchrbd.inference.shapes.places import check_seen
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined
 from torchrbd.inference.statistics.preparing import MOMENTS, of_moments, prepare_moments
 from torchrbd.inference.suspicions import NO_SUSPICIONS, Suspicions, suspicions, with_late_torque
-from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, verdict_of
+from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, tells_nothing, verdict_of
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.simulated import motion_doubts
 from torchrbd.model import RigidBodyDynamics, described_terms
@@ -203,9 +204,12 @@ def summarise(
     regime = regime_of(prepared, settings.estimator)
     simulation = _simulation(prepared, models, final, progress)
     biased = prepared.input_noise.matters and prepared.states is None
+    own, base_words = doubts_of(prepared, final, fits), fixed_base(prepared.robot)
     doubts = (
         *(one.words for one in suspected.found if one.spoils),
-        *doubts_of(prepared, final, fits),
+        *own,
+        # Torques that the model explains show that the base stood still.
+        *(base_words if own else ()),
         *motion_doubts(prepared.reading.simulated),
         *encoder_doubts(prepared, settings),
         *([regime] if biased else []),
@@ -216,7 +220,7 @@ def summarise(
         held_out=prepared.holdout_words,
         cutoff_hz=prepared.filtering.cutoff_hz,
         fits=fits,
-        verdict=verdict_of(fits, doubts),
+        verdict=verdict_of(fits, doubts, suspect=suspected.settles or tells_nothing(prepared, final)),
         parameters=(
             *(inertial_estimates(prepared, final) if sure else values_alone(prepared, final, base)),
             *(p if sure else replace(p, std=np.nan, prior_share=np.nan) for p in term_estimates(final)),
@@ -233,7 +237,12 @@ def summarise(
         model=final.module(),
         posterior=Posterior(prepared.prior, final) if sure else None,
         doubts=doubts,
-        notes=(*prepared.notes, *simulation.notes, *(one.words for one in suspected.found if not one.spoils)),
+        notes=(
+            *(() if own else base_words),
+            *prepared.notes,
+            *simulation.notes,
+            *(one.words for one in suspected.found if not one.spoils),
+        ),
         suspicions=suspected,
         simulation=simulation.errors,
     )

@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar, cast
 
 from torchrbd.effects import Effect, known_effects, register
 from torchrbd.errors import OptionError, RecordingError
+from torchrbd.inference.data.bodies import check_masses
 from torchrbd.inference.identify import identify, read_arguments
 from torchrbd.inference.ordinary import with_friction
 from torchrbd.inference.results import Identification
@@ -214,6 +215,7 @@ def _itself(identification: Identification, _: object) -> Identification:
 
 def _check(settings: Settings, robot: RobotModel) -> None:
     """Refuse at once what would be refused for every recording."""
+    check_masses(robot)
     settings.used_joints(robot)
     settings.held_bodies(robot)
     settings.known_encoder_noise(robot)

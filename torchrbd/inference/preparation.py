@@ -18,6 +18,7 @@ from torch import Tensor
 from torchrbd.effects import Effect, Site
 from torchrbd.effects.told import told_sites
 from torchrbd.errors import RecordingError
+from torchrbd.inference.data.bodies import check_masses
 from torchrbd.inference.data.holdout import held_out_blocks
 from torchrbd.inference.data.notes import input_notes, rest_notes
 from torchrbd.inference.data.opening import open_all, open_simulated
@@ -138,8 +139,9 @@ def prepare(
         progress: told how far the work is.
 
     Raises:
-        RecordingError, OptionError: input that cannot be used.
+        RobotError, RecordingError, OptionError: input that cannot be used.
     """
+    check_masses(robot)
     reading, found = read(robot, recordings, settings, progress)
     opened, surveys, filtering, simulated = reading.recordings, reading.surveys, reading.filtering, reading.simulated
     sites, windows = told_sites(settings.told_effects(), robot, [r.name for r in opened])

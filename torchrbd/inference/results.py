@@ -15,7 +15,7 @@ from torchrbd.model import RigidBodyDynamics
 from torchrbd.robot import RobotModel
 from torchrbd.simulation import MotionError
 
-Verdict = Literal["identified", "doubtful", "worse"]
+Verdict = Literal["identified", "doubtful", "worse", "suspect"]
 
 
 @dataclass(frozen=True)
@@ -122,8 +122,9 @@ class Identification(Displayed):
         recordings, held_out: names of the recordings fitted; what was kept back, in words.
         cutoff_hz: the one band limit of all torques and features.
         fits: "urdf", "rigid_body" and, after a diagnosis or with effects, "extended".
-        verdict: of the last model on held-out data: "identified"; "doubtful", there are ``doubts``; or "worse", its
-            mean nmse is above 1.2 times the URDF's.
+        verdict: the worst that is known of the last model: "identified"; "doubtful", there are ``doubts``; "worse", its
+            mean nmse on held-out data is above 1.2 times the URDF's; or "suspect": the recordings do not mean what they
+            say, or it predicts held-out torque no better than a constant.
         parameters: every inertial parameter, then the coefficients of the terms.
         combinations: what is identified of the parameters that are not identified alone, one sentence each.
         base: what the robot's motion can tell, with intervals.

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# Squared error over variance from which on a prediction is no better than one in other units.
+_ABSURD = 100.0
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -18,6 +21,11 @@ class Fit:
 
     nmse: dict[str, float]
     rmse: dict[str, float]
+
+    @property
+    def absurd(self) -> tuple[str, ...]:
+        """Joints whose torque is more than ten times off: units or columns are wrong, and no gain over it counts."""
+        return tuple(joint for joint, value in self.nmse.items() if value > _ABSURD)
 
     @property
     def mean_nmse(self) -> float:

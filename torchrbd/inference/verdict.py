@@ -5,29 +5,44 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import torch
 
-from torchrbd.inference.physical.fitting import FittedModel, judge
+from torchrbd.inference.physical.fitting import FittedModel, beside_constant, judge
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.results import Verdict
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.torque_error import Fit
 from torchrbd.parameters import PARAMETERS_PER_BODY
 
-_POOR, _ABSURD, _WORSE, _IMPLAUSIBLE, _BEYOND_LIMIT = 0.8, 100.0, 1.2, 5.0, 3.0
+_POOR, _WORSE, _IMPLAUSIBLE, _BEYOND_LIMIT = 0.8, 1.2, 5.0, 3.0
 # An encoder's noise that is stated is doubted if it is off by more than this factor.
 _MISSTATED = 2.0
 # Position noise that adds less than this part of the parameters' squared error is not worth a word.
 _SMALL = 0.1
 
 
-def verdict_of(fits: Mapping[str, Fit], doubts: tuple[str, ...]) -> Verdict:
-    """Judge an identification by the held-out torque errors of the URDF and of the last model.
+def verdict_of(fits: Mapping[str, Fit], doubts: tuple[str, ...], *, suspect: bool = False) -> Verdict:
+    """Return the worst that is known of an identification.
 
-    "worse" if the model's mean nmse is above 1.2 times the URDF's; otherwise "doubtful" if there is any doubt.
+    "suspect" if the input is; otherwise "worse" if the last model's mean nmse is above 1.2 times the URDF's; otherwise
+    "doubtful" if there is any doubt.
+
+    Args:
+        fits: held-out errors by model, the URDF's first.
+        doubts: of input and result.
+        suspect: whether nothing can be said of the robot before the input has been looked at.
     """
+    if suspect:
+        return "suspect"
     if list(fits.values())[-1].mean_nmse > _WORSE * fits["urdf"].mean_nmse:
         return "worse"
     return "doubtful" if doubts else "identified"
+
+
+def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:
+    """Say whether a model predicts held-out torque no better than a constant, in the mean over the joints."""
+    error = beside_constant(prepared.training, prepared.judging, model.x)
+    return bool(error.isfinite().any()) and float(torch.nanmean(error)) > 1.0
 
 
 def doubts_of(prepared: Prepared, model: FittedModel, fits: Mapping[str, Fit]) -> tuple[str, ...]:
@@ -38,7 +53,7 @@ def doubts_of(prepared: Prepared, model: FittedModel, fits: Mapping[str, Fit]) -
         model: the last one.
         fits: held-out errors, those of ``model`` last.
     """
-    fitted, told = judge(prepared.training, model.x).nmse, judge(prepared.training, prepared.prior.reference).nmse
+    fitted, absurd = judge(prepared.training, model.x).nmse, judge(prepared.training, prepared.prior.reference).absurd
     held_out, urdf = list(fits.values())[-1].nmse, fits["urdf"].nmse
     poor = [
         f"{joint} (nmse {nmse:.2f} where it was fitted"
@@ -46,7 +61,6 @@ def doubts_of(prepared: Prepared, model: FittedModel, fits: Mapping[str, Fit]) -
         for joint, nmse in fitted.items()
         if max(nmse, held_out.get(joint, 0.0)) > _POOR
     ]
-    absurd = [joint for joint, nmse in told.items() if nmse > _ABSURD]
     worse = [
         f"{joint} (nmse {nmse:.3g} against {urdf[joint]:.3g})"
         for joint, nmse in held_out.items()

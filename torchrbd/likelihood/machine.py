@@ -232,7 +232,8 @@ class Machine:
             stick: speeds of so many standard deviations of the velocity's error may be rest, see ``STICKS``.
         """
         m = self._carried[joint]
-        encoders = 1.0 - encoder_share + encoder_share * m / max(float(m.mean()), 1e-300)
+        # A joint whose links have no mass carries no noise of encoders: its rows are alike.
+        encoders = 1.0 - encoder_share + encoder_share * (m / m.mean() if m.any() else np.ones_like(m))
         return np.sqrt(encoders + (loose * self._undirected[stick][joint]) ** 2)
 
     @property

@@ -18,15 +18,15 @@ _EVERY_JOINT = "*"
 _DEG = math.pi / 180
 _TURN = 2 * math.pi
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_CURRENT = {"A": 1.0, "mA": 1e-3}
-_UNITS = {
+CURRENT_UNITS = {"A": 1.0, "mA": 1e-3}
+UNITS = {
     "q": {"rad": 1.0, "mrad": 1e-3, "deg": _DEG, "turn": _TURN, "m": 1.0, "mm": 1e-3},
     "qd": {"rad/s": 1.0, "deg/s": _DEG, "rpm": _TURN / 60, "turn/s": _TURN, "m/s": 1.0, "mm/s": 1e-3},
     "qdd": {"rad/s^2": 1.0, "deg/s^2": _DEG, "turn/s^2": _TURN, "m/s^2": 1.0, "mm/s^2": 1e-3},
     "tau": {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3, "N mm": 1e-3, "N": 1.0, "kN": 1e3},
 }
-_UNITS["q_ref"] = _UNITS["q_link"] = _UNITS["q"]
-_UNITS["temperature"] = {"degC": 1.0}
+UNITS["q_ref"] = UNITS["q_link"] = UNITS["q"]
+UNITS["temperature"] = {"degC": 1.0}
 _TOP_KEYS = ("time", "joints", "topic", "episodes", "torque_delay")
 _LONGEST_DELAY_S = 1.0
 _SIGNAL_KEYS = ("column", "unit", "sign", "scale", "offset", "gear_ratio")
@@ -237,9 +237,9 @@ class _Reader:
         if from_current:
             if "torque_constant" not in table:
                 raise self.fail(f"{where}: a current needs its torque_constant [N m / A]")
-            scale *= self.factor(table, "torque_constant", where) * self.unit(table, _CURRENT, "A", where)
+            scale *= self.factor(table, "torque_constant", where) * self.unit(table, CURRENT_UNITS, "A", where)
             return Source(self.text(table, "current", where), scale * ratio, offset)
-        scale *= self.unit(table, _UNITS[signal], next(iter(_UNITS[signal])), where)
+        scale *= self.unit(table, UNITS[signal], next(iter(UNITS[signal])), where)
         scale = scale * ratio if signal == "tau" else scale / ratio
         return Source(self.text(table, "column", where), scale, offset)
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 
 from torchrbd.recordings.guessing import guess
 from torchrbd.recordings.inspection import Inspection
-from torchrbd.recordings.mapping import SIGNALS, TIME_UNITS, Mapping, Source
+from torchrbd.recordings.mapping import CURRENT_UNITS, SIGNALS, TIME_UNITS, UNITS, Mapping, Source
 
 _UNITS = {
     "q": "rad",
@@ -18,6 +19,33 @@ _UNITS = {
     "temperature": "degC",
 }
 _SLIDING = {"rad": "m", "rad/s": "m/s", "rad/s^2": "m/s^2", "N m": "N"}
+_KEYS = f"""\
+# Every key: "Recordings and mappings" in the documentation, docs/guide/recordings.md.
+# Top level
+#   time          column; unit: {", ".join(TIME_UNITS)}
+#   joints        an entry for each joint of the URDF; "*" is every joint that has none of its own
+#   topic         of a ROS bag or a PlotJuggler export with several
+#   episodes      of a LeRobot data set, e.g. [0, 3]
+#   torque_delay  seconds by which torques are written later than positions
+# Signals of a joint, each NAME or {{column: NAME, ...}}; {{joint}} and {{index}} (from 0) in a name are filled in
+#   q             position: {", ".join(UNITS["q"])}
+#   qd            velocity, optional: {", ".join(UNITS["qd"])}
+#   qdd           acceleration, optional: {", ".join(UNITS["qdd"])}
+#   tau           torque: {", ".join(UNITS["tau"])}
+#   q_ref         set-point, optional; units of q
+#   q_link        encoder behind the gear, optional; units of q
+#   temperature   optional: {", ".join(UNITS["temperature"])}
+# Keys of a signal
+#   column        name of the column
+#   unit          one of those above; the first is the default
+#   sign          1 or -1, where the column counts the other way than the URDF
+#   scale         any other factor
+#   gear_ratio    N, where the column is of the motor: q = column / N, tau = column * N
+#   offset        added last [rad, m, N m, N]
+# A torque from a motor current: tau = torque_constant * gear_ratio * current
+#   current       name of the column, in place of 'column'; unit: {", ".join(CURRENT_UNITS)}
+#   torque_constant  of the motor [N m/A], or [N/A] of a linear motor
+"""
 _CURRENT = "{{current: {column}, unit: A, torque_constant: 1.0, gear_ratio: 1.0}}  # guessed; put in the motor's"
 
 
@@ -29,7 +57,10 @@ def mapping_text(found: Inspection, mapping: Mapping, sliding: tuple[str, ...] =
         mapping: that it was read with.
         sliding: the robot's prismatic joints.
     """
-    lines = [f"# Of {json.dumps(found.name)}. Correct it and give it to --mapping; see the README for the keys."]
+    lines = [
+        f"# Mapping for {json.dumps(found.name)}. Check each line, then give this file to --mapping.",
+        *_KEYS.splitlines(),
+    ]
     if mapping.topic is not None:
         lines.append(f"topic: {json.dumps(mapping.topic)}")
     if mapping.episodes is not None:
@@ -44,8 +75,12 @@ def _found(found: Inspection, sliding: tuple[str, ...]) -> list[str]:
     recording = found.recording
     assert recording is not None
     time = recording.source("t", "") or Source("t")
-    unit = next(name for name, seconds in TIME_UNITS.items() if seconds == time.scale)
-    lines = [f"time: {{column: {json.dumps(time.column)}, unit: {unit}}}{_suspected(found, time.column)}", "joints:"]
+    now = next(name for name, seconds in TIME_UNITS.items() if seconds == time.scale)
+    # What is suspected is the unit of the time as it is read now.
+    meant = time.scale * TIME_UNITS[found.units.get(time.column, "s")]
+    unit = next((name for name, seconds in TIME_UNITS.items() if math.isclose(seconds, meant)), now)
+    guess_words = _suspected(unit, now) if unit != now else ""
+    lines = [f"time: {{column: {json.dumps(time.column)}, unit: {unit}}}{guess_words}", "joints:"]
     _, guesses = guess(found.columns, found.joints)
     for joint in recording.joints:
         lines.append(f"  {json.dumps(joint)}:")
@@ -53,7 +88,9 @@ def _found(found: Inspection, sliding: tuple[str, ...]) -> list[str]:
             source = recording.source(signal, joint)
             if source is not None:
                 symbol = _SLIDING.get(_UNITS[signal], _UNITS[signal]) if joint in sliding else _UNITS[signal]
-                lines.append(f"    {signal}: {_entry(source, symbol)}{_suspected(found, source.column)}")
+                unit = found.units.get(source.column, symbol)
+                guess_words = _suspected(unit, symbol) if unit != symbol else ""
+                lines.append(f"    {signal}: {_entry(source, unit)}{guess_words}")
             elif signal == "tau":
                 lines += _guessed_torque(guesses.get(joint, {}))
     return lines
@@ -74,8 +111,8 @@ def _entry(source: Source, unit: str) -> str:
     return f"{{{', '.join(keys)}}}"
 
 
-def _suspected(found: Inspection, column: str) -> str:
-    return f"  # looks like {found.units[column]}" if column in found.units else ""
+def _suspected(unit: str, otherwise: str) -> str:
+    return f"  # a guess, from the size of the values: if it is wrong, write {otherwise} in place of {unit}"
 
 
 def _guessed(found: Inspection) -> list[str]:

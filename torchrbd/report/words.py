@@ -42,6 +42,8 @@ def headline(result: Identification | Diagnosis) -> tuple[str, str]:
     mean = {name: fit.mean_nmse for name, fit in result.fits.items()}
     last = list(mean)[-1]
     before, after = mean["urdf"], mean[last]
+    if first := _worst(result, after):
+        return first, ""
     subject = "The extended model" if last == "extended" else "Re-fitting"
     name, numbers = result.robot.name, f"mean nmse {number(before)} → {number(after)}"
     rest = f"The rigid body alone, re-fitted, has {number(mean['rigid_body'])}." if last == "extended" else ""
@@ -49,6 +51,28 @@ def headline(result: Identification | Diagnosis) -> tuple[str, str]:
         verb = "raises" if result.verdict == "worse" else "does not lower"
         return f"{subject} {verb} the held-out torque error of {name}: {numbers}.", rest
     return f"{subject} lowers the held-out torque error of {name} by {percent(1 - after / before)}: {numbers}.", rest
+
+
+def _worst(result: Identification, after: float) -> str:
+    """Return the sentence on what makes a lower error no praise; nothing where there is none.
+
+    Args:
+        result: an identification.
+        after: mean nmse of its last model.
+    """
+    if reasons := [one.statement for one in result.suspicions.found if one.settles]:
+        return f"The recordings do not mean what they say, or are not of this robot: {'; '.join(reasons)}."
+    if result.verdict == "suspect" or after >= 1.0:
+        return (
+            f"The fitted model predicts the held-out torque of {result.robot.name} no better than a constant: "
+            f"mean nmse {number(after)}."
+        )
+    if absurd := result.fits["urdf"].absurd:
+        return (
+            f"Check the units first: the URDF's torque is more than ten times off for {joined(absurd)}. The fitted "
+            f"model has a mean nmse of {number(after)}."
+        )
+    return ""
 
 
 def suspicion_comments(result: Identification) -> list[str]:

@@ -15,6 +15,7 @@ import torch
 
 from torchrbd.effects import effect
 from torchrbd.errors import OptionError, RecordingError
+from torchrbd.inference.data.bodies import check_masses
 from torchrbd.inference.data.holdout import check_enough, held_out_recordings, held_out_runs
 from torchrbd.inference.input_noise import InputNoise
 from torchrbd.inference.preparation import Prepared, read
@@ -69,6 +70,7 @@ def prepare_moments(
     Raises:
         InputError: what cannot be used, or was made under other conditions.
     """
+    check_masses(robot)
     if settings.simulated:
         raise OptionError(f"simulated recordings need recordings of the robot and another estimator than '{MOMENTS}'")
     if any(map(is_statistics, sources)):
