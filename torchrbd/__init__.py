@@ -23,11 +23,13 @@ _NAMES = {
         "BaseRegression",
         "EstimatorComparison",
         "Identification",
+        "Replay",
         "Settings",
         "compare_estimators",
         "identify",
         "identify_many",
         "merge_statistics",
+        "replay",
         "write_statistics",
     ),
     "learning": (

@@ -1,16 +1,15 @@
 """Torque that is later, or earlier, than the motion in all joints alike: the offset of the clocks, as a finding.
 
-Every model has that offset, so that the search for effects never meets it. What it is worth is seen by moving the
-torque back to where it was recorded: tau(t) = tau'(t - d), tau' being read by d earlier; or by adding what the command
-of actuators that lag has beyond what they supply, T dtau'/dt.
+Every model has that offset, so that the search for effects never meets it. What it is worth is seen by predicting the
+recorded torque without it: the model's own torque, at the time of the motion.
 """
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.explain import LARGEST_PROBABILITY
@@ -21,9 +20,9 @@ from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Wher
 from torchrbd.diagnosis.words import finding_sentence
 from torchrbd.effects import effect
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.results import Identification, TorqueSeries
+from torchrbd.inference.results import Identification
+from torchrbd.inference.series import torque_series
 from torchrbd.likelihood.clocks import of_one_machine
-from torchrbd.likelihood.reading import Reading
 
 
 def clock_offset(ranked: Ranking, extended: Extended, identification: Identification) -> Finding | None:
@@ -82,27 +81,12 @@ def _worth(
     extended: Extended, identification: Identification
 ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
     """Return by joint the held-out nmse without the offset and with it, and the RMS of what it moves [N m or N]."""
-    series, after = identification.series, identification.fits["extended"].nmse
-    moved = series.measured - _as_recorded(series, extended.prepared.reading)
-    before, carried = dict[str, float](), dict[str, float]()
-    for j, joint in enumerate(series.joints):
-        error, more = series.residual("extended")[:, j], moved[:, j]
-        seen = np.isfinite(error) & np.isfinite(more)
-        held = seen & series.held_out
-        carried[joint] = float(np.sqrt(np.mean(more[seen] ** 2))) if seen.any() else 0.0
-        if joint in after and held.any():
-            before[joint] = after[joint] * float(np.sum((error - more)[held] ** 2) / np.sum(error[held] ** 2))
+    prepared, model = extended.prepared, copy(identification.model)
+    model.conditions = {name: one.without_clock() for name, one in model.conditions.items()}
+    without = torque_series(prepared.reading, {"extended": model}, prepared.kept_back)
+    before, after = without.fit("extended").nmse, identification.fits["extended"].nmse
+    moved, carried = identification.series.predicted["extended"] - without.predicted["extended"], dict[str, float]()
+    for j, joint in enumerate(without.joints):
+        seen = np.isfinite(without.measured[:, j])
+        carried[joint] = float(np.sqrt(np.mean(moved[seen, j] ** 2))) if seen.any() else 0.0
     return before, {joint: after[joint] for joint in before}, carried
-
-
-def _as_recorded(series: TorqueSeries, reading: Reading) -> np.ndarray:
-    """Return the measured torque (M, n) where its own clock has it, or as the command of actuators that lag."""
-    found = np.full_like(series.measured, np.nan)
-    for k, name in enumerate(series.recordings):
-        late, lag = reading.delay_s.get(name, 0.0), reading.lag_s.get(name, 0.0)
-        for j in range(len(series.joints)):
-            at = np.flatnonzero((series.recording == k) & np.isfinite(series.measured[:, j]))
-            if len(at) > 1:
-                spline, t = CubicSpline(series.t[at], series.measured[at, j]), series.t[at]
-                found[at, j] = spline(t - late) + lag * spline(t, 1)
-    return found

@@ -79,7 +79,7 @@ def check_file(
     """Replay the file that a model is written to in MuJoCo, and compare its torques with the model's.
 
     The motion is that of the recordings, low-passed as everywhere; their torques play no part. The model is that of
-    the recording, so that what acts in it alone counts as a difference.
+    the recording, so that what acts in it alone counts as a difference: known loads too, but not the recording's clock.
 
     Args:
         model: that is written.
@@ -96,7 +96,7 @@ def check_file(
     if not recordings:
         raise OptionError("no recording to check on; give at least one")
     file = written(model, to)
-    own, notes = _met_by_inverse_dynamics(model) if to == "mjcf" else (model, ())
+    own, notes = _met_by_inverse_dynamics(model, in_time=to == "mjcf")
     opened = _opened(model, recordings, mapping)
     surveys = [survey(one) for one in opened]
     filtering = Filtering(choose_cutoff(surveys) if cutoff_hz is None else cutoff_hz)
@@ -122,16 +122,21 @@ def _opened(
     ]
 
 
-def _met_by_inverse_dynamics(model: RigidBodyDynamics) -> tuple[RigidBodyDynamics, tuple[str, ...]]:
-    """Return a model without what the file holds in its actuators' course in time, and what that is."""
-    aside = {id(term) for term in gather(model).in_time}
+def _met_by_inverse_dynamics(model: RigidBodyDynamics, *, in_time: bool) -> tuple[RigidBodyDynamics, tuple[str, ...]]:
+    """Return a model without the clocks of recordings, and notes.
+
+    With ``in_time`` it is also without what the file holds in its actuators' course in time, and the notes say what
+    that is.
+    """
+    aside = {id(term) for term in gather(model).in_time} if in_time else set()
     notes = tuple(
         f"{named(term, model.robot)}: is in the file's actuators, whose course in time is not compared"
         for term in model.terms
         if id(term) in aside
     )
     kept = [term for term in model.terms if id(term) not in aside]
-    return RigidBodyDynamics(model.robot, model.pi, kept, model.rest_width), notes
+    conditions = {name: one.without_clock() for name, one in model.conditions.items()}
+    return RigidBodyDynamics(model.robot, model.pi, kept, model.rest_width, conditions), notes
 
 
 def _sampled(model: RigidBodyDynamics, states: States) -> list[np.ndarray]:

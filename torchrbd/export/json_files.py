@@ -12,6 +12,7 @@ from typing import Any
 from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranked, Ranking
 from torchrbd.diagnosis.fleet.results import FleetComparison
 from torchrbd.inference import EstimatorComparison, Identification
+from torchrbd.model.conditions import to_content
 from torchrbd.outputs import write_whole
 from torchrbd.robot import RobotModel
 from torchrbd.simulation import MotionError
@@ -187,6 +188,11 @@ def write_fleet(result: FleetComparison, path: Path) -> None:
 def _head(result: Identification) -> dict[str, Any]:
     """Return what both files begin with.
 
+    fit: by model nmse and rmse by joint on held-out rows, as ``torchrbd.replay`` has them.
+    conditions: how recordings were made, by name, and under "" those that are not among them: delay_s (how much later
+        the torque is than the motion), lag_s (of actuators that follow the torque as their command), load (inertial
+        parameters of a known load) or null, simulated (the simulator's recording that it was compared with), held_out_s
+        (spans of time, from and to, that no fit has seen).
     notes: holds the ``doubts`` too, and these the ``suspicions`` in words.
     suspicions: what the recordings seem to mean instead of what they say: list of kind, joints, log_odds, times (by
         which the squared error on time left out of the fit falls, or null), statement, remedy (option or mapping
@@ -205,6 +211,7 @@ def _head(result: Identification) -> dict[str, Any]:
         "joints": list(result.series.joints),
         "recordings": list(result.recordings),
         "held_out": result.held_out,
+        "conditions": to_content(result.model.conditions),
         "cutoff_hz": result.cutoff_hz,
         "fit": {name: asdict(fit) for name, fit in result.fits.items()},
         "doubts": list(result.doubts),

@@ -9,6 +9,7 @@ from lxml import etree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from torchrbd.export.conditions import conditions_unsaid
 from torchrbd.export.drive import Drive
 from torchrbd.export.gathered import Gathered, gather
 from torchrbd.export.inertials import inertial
@@ -60,7 +61,7 @@ def _write(model: RigidBodyDynamics) -> tuple[bytes, tuple[str, ...]]:
     upright = torch.eye(4, dtype=torch.float64)
     base = etree.SubElement(world, "body", {"name": _base_name(robot)} | _place(upright, found, None))
     _write_links(base, model, found, unsaid)
-    unsaid += _further(robot, found)
+    unsaid += [*_further(robot, found), *conditions_unsaid(model)]
     root.extend(comment(words) for words in ("torchrbd: what this file lacks, or has otherwise:", *unsaid))
     etree.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     etree.SubElement(root, "option", gravity=text(robot.gravity.tolist()))

@@ -4,6 +4,7 @@ from torchrbd.inference.base_regression import BaseEstimate, BaseRegression
 from torchrbd.inference.comparison import EstimatorComparison, compare_estimators
 from torchrbd.inference.identify import identify
 from torchrbd.inference.many import Outcome, identify_many
+from torchrbd.inference.replay import Replay, replay
 from torchrbd.inference.results import Identification, ParameterEstimate, TorqueSeries
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.statistics.folder import merge_statistics, write_statistics
@@ -19,11 +20,13 @@ __all__ = [
     "Outcome",
     "ParameterEstimate",
     "Payload",
+    "Replay",
     "Settings",
     "TorqueSeries",
     "compare_estimators",
     "identify",
     "identify_many",
     "merge_statistics",
+    "replay",
     "write_statistics",
 ]

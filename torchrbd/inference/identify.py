@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
@@ -17,20 +16,22 @@ from torchrbd.inference.data.bodies import fixed_base
 from torchrbd.inference.estimators import estimate
 from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.parameter_estimates import base_estimates, inertial_estimates, values_alone
-from torchrbd.inference.physical.fitting import FittedModel, judge, predict, term_candidates
+from torchrbd.inference.physical.fitting import FittedModel, judge, term_candidates
 from torchrbd.inference.physical.terms import term_estimates
 from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.results import Identification, JointNoise, TorqueSeries
+from torchrbd.inference.series import held_out_spans, torque_series
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.places import check_seen
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined
 from torchrbd.inference.statistics.preparing import MOMENTS, of_moments, prepare_moments
 from torchrbd.inference.suspicions import NO_SUSPICIONS, Suspicions, suspicions, with_late_torque
+from torchrbd.inference.torque_error import Fit
 from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, tells_nothing, verdict_of
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.simulated import motion_doubts
-from torchrbd.model import RigidBodyDynamics, described_terms
+from torchrbd.model import Reported, RigidBodyDynamics, described_terms
 from torchrbd.options import Names, Payload, given
 from torchrbd.parameters import base_parameters
 from torchrbd.recordings import NamedSource, Sources, listed_sources
@@ -200,9 +201,12 @@ def summarise(
     sure = bool(torch.isfinite(final.covariance).all())
     base = base_parameters(prepared.robot)
     covariance = final.inertial_covariance(final.covariance)
-    fits = {name: judge(prepared.judging, x) for name, x in coefficients.items()}
+    modules = _modules(prepared, models)
+    series = torque_series(prepared.reading, modules, prepared.kept_back, progress)
+    # Of moments alone there are no rows.
+    fits = {name: series.fit(name) if len(series.t) else judge(prepared.judging, x) for name, x in coefficients.items()}
     regime = regime_of(prepared, settings.estimator)
-    simulation = _simulation(prepared, models, final, progress)
+    simulation = _simulation(prepared, modules, progress)
     biased = prepared.input_noise.matters and prepared.states is None
     own, base_words = doubts_of(prepared, final, fits), fixed_base(prepared.robot)
     doubts = (
@@ -233,8 +237,8 @@ def summarise(
         noise=_noise(prepared, final),
         states="filtered" if prepared.states is None else "smoothed",
         regime=regime,
-        series=torque_series(prepared, coefficients, progress),
-        model=final.module(),
+        series=series,
+        model=_judged(list(modules.values())[-1], series, prepared.filtering.cutoff_hz, list(fits.values())[-1]),
         posterior=Posterior(prepared.prior, final) if sure else None,
         doubts=doubts,
         notes=(
@@ -248,16 +252,30 @@ def summarise(
     )
 
 
-def _simulation(
-    prepared: Prepared, models: Mapping[str, FittedModel], final: FittedModel, progress: Progress
-) -> MotionErrors:
+def _modules(prepared: Prepared, models: Mapping[str, FittedModel]) -> dict[str, RigidBodyDynamics]:
+    """Return the URDF and fitted models as modules that know how the recordings were made."""
+    modules = {name: model.module() for name, model in models.items()}
+    width = list(modules.values())[-1].rest_width
+    urdf = RigidBodyDynamics(prepared.robot, terms=described_terms(prepared.robot), rest_width=width)
+    modules = {"urdf": urdf, **modules}
+    for module in modules.values():
+        module.conditions = prepared.reading.conditions
+    return modules
+
+
+def _judged(model: RigidBodyDynamics, series: TorqueSeries, cutoff_hz: float, fit: Fit) -> RigidBodyDynamics:
+    """Return a model that knows which rows were held out, and what was reported of these."""
+    spans = held_out_spans(series)
+    model.conditions = {name: replace(one, held_out_s=spans.get(name, ())) for name, one in model.conditions.items()}
+    model.reported = Reported(cutoff_hz, dict(fit.nmse))
+    return model
+
+
+def _simulation(prepared: Prepared, modules: Mapping[str, RigidBodyDynamics], progress: Progress) -> MotionErrors:
     """Roll the URDF and fitted models forward on the blocks kept back, where recordings are at hand."""
     if not prepared.recordings:
         return MotionErrors((), ())
     progress("simulating motion", 0.0)
-    width = final.module().rest_width
-    modules = {"urdf": RigidBodyDynamics(prepared.robot, terms=described_terms(prepared.robot), rest_width=width)}
-    modules |= {name: model.module() for name, model in models.items()}
     return motion_errors(prepared.reading, prepared.statistics.blocks, prepared.held_out.tolist(), modules, progress)
 
 
@@ -269,34 +287,3 @@ def _noise(prepared: Prepared, model: FittedModel) -> dict[str, JointNoise]:
         for name, values in zip(prepared.robot.joint_names, columns, strict=True)
         if torch.isfinite(values[2])
     }
-
-
-def torque_series(prepared: Prepared, coefficients: dict[str, Tensor], progress: Progress) -> TorqueSeries:
-    """Stream the recordings once more and predict every torque with every model."""
-    # Of no recordings, where only their moments are at hand, there is nothing to show.
-    none = np.empty((0, prepared.robot.n_dof))
-    parts = {"recording": [np.empty(0, dtype=int)], "t": [np.empty(0)], "held_out": [np.empty(0, dtype=bool)]}
-    parts |= {key: [none] for key in ("q", "qd", "qdd", "measured")}
-    predicted = {name: [none] for name in coefficients}
-    for k, recording in enumerate(prepared.recordings):
-        progress("predicting torques", k / len(prepared.recordings))
-        for states in prepared.tiles(k):
-            known = 0.0 if states.known is None else states.decimate(states.known).T
-            measured = states.decimate(torch.nan_to_num(states.tau)).T + known
-            measured[:, ~prepared.measured(k)] = torch.nan
-            parts["recording"].append(np.full(len(states.t_out), k))
-            parts["t"].append(states.t_out.numpy())
-            parts["held_out"].append(prepared.kept_back(recording.name, states.t_out).numpy())
-            parts["measured"].append(measured.numpy())
-            for key, signal in (("q", states.q), ("qd", states.qd), ("qdd", states.qdd)):
-                parts[key].append(states.decimate(signal).T.numpy())
-            for name, x in coefficients.items():
-                own = states.decimate(predict(prepared.columns, x, states)).T
-                predicted[name].append((own + known).numpy())
-    joined = {key: np.concatenate(values) for key, values in parts.items()}
-    return TorqueSeries(
-        joints=tuple(prepared.robot.joint_names),
-        recordings=tuple(r.name for r in prepared.recordings),
-        predicted={name: np.concatenate(values) for name, values in predicted.items()},
-        **joined,
-    )

@@ -26,6 +26,7 @@ from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.rows import not_held_out
 from torchrbd.likelihood.urdf_prior import data_prior
+from torchrbd.model import OTHERS
 
 # Clocks that are apart by less than so many standard deviations are not.
 _TOLD = 3.0
@@ -59,7 +60,7 @@ def with_machine(
     held = frozenset(settings.held_bodies(prepared.robot))
     clocks = _learnt(prepared, held) if known is None else known
     found, wide = _told_by_what_is_fast(prepared, clocks)
-    late = {} if not found else of_one_machine(found, [r.name for r in prepared.recordings])
+    late = {} if not found else of_one_machine(found, [*(r.name for r in prepared.recordings), OTHERS])
     late = {name: (d, std) for name, (d, std) in late.items() if abs(d) > _TOLD * std}
     offsets = {name: d for name, (d, _) in late.items()}
     reading = prepared.reading if clocks is None else clocks.read_with(prepared.reading, offsets)

@@ -60,7 +60,7 @@ class Prepared:
             that their torque is no larger than the joint's.
         known_shapes: by effect and site, what is known of its shapes from elsewhere, mean and standard deviation.
         late: by recording, how much later its torque is than its motion and the standard deviation [s], where that is
-            told: it is read so much earlier. None if it was not asked.
+            told: it is read so much earlier. Under "" that of other recordings. None if it was not asked.
     """
 
     robot: RobotModel

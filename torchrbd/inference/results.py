@@ -10,7 +10,7 @@ import numpy as np
 from torchrbd.display import Displayed
 from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicions
-from torchrbd.inference.torque_error import Fit
+from torchrbd.inference.torque_error import Fit, torque_fit
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.robot import RobotModel
 from torchrbd.simulation import MotionError
@@ -21,6 +21,9 @@ Verdict = Literal["identified", "doubtful", "worse", "suspect"]
 @dataclass(frozen=True)
 class TorqueSeries:
     """Band-limited torques of all recordings on the decimated clock, and what each model predicts for them.
+
+    Torques are as they were recorded: late or early, commands, with known loads. Models predict them so, see
+    ``RigidBodyDynamics.conditions``. States are filtered, even where a fit has smoothed them.
 
     Attributes:
         joints: names of the n joints.
@@ -47,6 +50,10 @@ class TorqueSeries:
     def residual(self, model: str) -> np.ndarray:
         """Return measured minus predicted torque, (M, n)."""
         return self.measured - self.predicted[model]
+
+    def fit(self, model: str) -> Fit:
+        """Return how well a model predicts the held-out rows, every row counting alike."""
+        return torque_fit(self.joints, self.measured[self.held_out], self.predicted[model][self.held_out])
 
 
 @dataclass(frozen=True)

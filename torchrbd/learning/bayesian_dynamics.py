@@ -186,7 +186,8 @@ class BayesianDynamics(nn.Module):
         own = {k: v for k, v in self.state_dict().items() if not k.startswith("physics.")}
         own["kappa"] = torch.tensor(self.kappa, dtype=torch.float64)
         robot = self.robot()
-        write_model(path, robot.robot, robot.terms, robot.state_dict(), own)
+        about = {"conditions": robot.conditions, "reported": robot.reported}
+        write_model(path, robot.robot, robot.terms, robot.state_dict(), own, **about)
 
     @property
     def noise_std(self) -> Tensor:

@@ -19,6 +19,7 @@ from torchrbd.effects import Signals
 from torchrbd.effects.plain_friction import plain_friction
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.model import RigidBodyDynamics
+from torchrbd.model.conditions import interval
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky
 
 
@@ -76,13 +77,18 @@ def physics_columns(
     friction, Y = plain_friction(robot.n_dof, plain), robot.regressor(q, qd, qdd)
     q, qd, qdd = (x.movedim(-1, 0) for x in torch.broadcast_tensors(q, qd, qdd))
     warm = None if temperature is None else temperature.movedim(-1, 0)
-    signals = Signals(robot, q, qd, qdd, model.rest_width, pi, t, recording, warm, friction)
+    condition = model.condition(recording)
+    carried = pi if condition.load is None else pi + condition.load.to(pi)
+    signals = Signals(robot, q, qd, qdd, model.rest_width, carried, t, recording, warm, friction)
     columns = [Y]
     for term in model.terms:
         for phi in term.effect.features_at(signals, term.site, term.shape).values():
             own = phi if term.effect.whole_robot else _at(phi, term.site.joint, robot.n_dof)
             columns.append(own.movedim(0, -1).unsqueeze(-1))
-    return torch.cat(columns, -1)
+    A = torch.cat(columns, -1)
+    if not condition.moves_torque:
+        return A
+    return condition.recorded(A.movedim(-3, -1), interval(t, recording)).movedim(-1, -3)
 
 
 def felt(columns: Tensor, tau: Tensor) -> Tensor:

@@ -140,6 +140,7 @@ def residual_dataset(
     if history < 0:
         raise OptionError(f"history is {history}; expected 0 or more steps")
     reading, _ = read(physics.robot, listed_sources(recordings), settings)
+    reading = _taking_loads(physics, reading)
     rows = _read_rows(physics, reading, history)
     label = torch.zeros(len(rows.t), dtype=torch.long)
     if split is not None:
@@ -190,6 +191,15 @@ def _arguments(diagnosis: Any, options: dict[str, Any]) -> tuple[RigidBodyDynami
         noise = torch.tensor([known.get(joint, math.nan) for joint in model.robot.joint_names], dtype=torch.float64)
     physics = copy.deepcopy(model).requires_grad_(False)
     return physics, Settings.from_mapping(options, "residual_dataset"), noise
+
+
+def _taking_loads(physics: RigidBodyDynamics, reading: Reading) -> Reading:
+    """Have known loads taken off the recorded torque, those that the model knows too, and no longer predicted by it."""
+    known = {name: one.load for name, one in physics.conditions.items() if one.load is not None}
+    names = [r.name for r in reading.recordings]
+    loads = {name: load for name, load in known.items() if name in names} | reading.payload
+    physics.conditions = {name: replace(one, load=None) for name, one in physics.conditions.items()}
+    return replace(reading, payload=loads)
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from torchrbd.effects.actuator_lag import acting
-from torchrbd.effects.time_delay import delayed
 from torchrbd.likelihood.block_statistics import BlockStatistics, block_statistics
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.simulated import Simulated
+from torchrbd.model import OTHERS, Condition
 from torchrbd.recordings import TILE_ROWS, Filtering, Recording, States, Survey, tiles
 from torchrbd.robot import RobotModel
 
@@ -39,7 +38,9 @@ class Reading:
         smoothed: per recording, what replaces the filtered states; empty if they stay.
         delay_s: by recording, how much later its torque is than its motion [s]; it is read so much earlier.
         lag_s: by recording, time constant of the actuators that its torque is the command of [s]; what they supply is
-            read.
+            read. Both under "" for recordings that are not among these.
+        raw: whether torques are read as they were recorded, states filtered: only what a simulator has beyond the URDF
+            is taken off, and rotors and springs of the robot's description.
     """
 
     robot: RobotModel
@@ -52,6 +53,21 @@ class Reading:
     smoothed: tuple[StateEstimate, ...] = ()
     delay_s: Mapping[str, float] = field(default_factory=dict)
     lag_s: Mapping[str, float] = field(default_factory=dict)
+    raw: bool = False
+
+    @property
+    def conditions(self) -> dict[str, Condition]:
+        """How recordings were made, by name; under "" those that are not among these."""
+        simulated = {one.recording: one.name for one in self.simulated}
+        return {
+            name: Condition(
+                delay_s=self.delay_s.get(name, 0.0),
+                lag_s=self.lag_s.get(name, 0.0),
+                load=self.payload.get(name),
+                simulated=simulated.get(name, ""),
+            )
+            for name in (*(r.name for r in self.recordings), OTHERS)
+        }
 
     def measured(self, k: int) -> Tensor:
         """Return (n_dof,) bool, the joints whose torque in recording k counts; a constant one comes from no sensor."""
@@ -63,22 +79,28 @@ class Reading:
         """Stream the states of recording k in tiles of about so many samples; what is known is taken off: payloads,
         rotors and springs of the robot's description, a simulator's extra torque."""
         recording = self.recordings[k]
-        load, late = self.payload.get(recording.name), self.delay_s.get(recording.name, 0.0)
-        lag = self.lag_s.get(recording.name, 0.0)
+        condition = self.conditions[recording.name]
         for states in tiles(recording, self.surveys[k], self.filtering, rows):
-            if late:
-                states = replace(states, tau=delayed(states.tau, -late / states.dt))
-            if lag:
-                states = replace(states, tau=acting(states.tau, lag / states.dt))
-            if self.smoothed:
-                states = self.smoothed[k](states)
-            if load is not None:
-                known = self.robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, load).T
-                states = replace(states, tau=states.tau - known, loaded=load)
-            if self._has_known:
-                known = self.robot.known_torque(states.q.T, states.qdd.T).T
-                states = replace(states, tau=states.tau - known, known=known)
-            yield self.simulated[k].taken_off(states) if self.simulated else states
+            yield self._less_known(states if self.raw else self._at_the_motion(states, k, condition), k, condition)
+
+    def _at_the_motion(self, states: States, k: int, condition: Condition) -> States:
+        """Return a tile with the torque that acts at the time of the motion, states smoothed, a load taken off."""
+        states = replace(states, tau=condition.acting(states.tau, states.dt))
+        if self.smoothed:
+            states = self.smoothed[k](states)
+        if condition.load is None:
+            return states
+        known = self.robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, condition.load).T
+        return replace(states, tau=states.tau - known, loaded=condition.load)
+
+    def _less_known(self, states: States, k: int, condition: Condition) -> States:
+        """Return a tile less the torque of rotors and springs, and of what a simulator has beyond the URDF."""
+        known = self.robot.known_torque(states.q.T, states.qdd.T).T if self._has_known else None
+        if self.simulated:
+            less = self.simulated[k].taken_off(states)
+            extra = states.tau - less.tau
+            states = replace(less, tau=states.tau - condition.recorded(extra, states.dt)) if self.raw else less
+        return states if known is None else replace(states, tau=states.tau - known, known=known)
 
     @property
     def _has_known(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from torchrbd.model.conditions import OTHERS, Condition, Reported
 from torchrbd.model.rigid_body_dynamics import RigidBodyDynamics
 from torchrbd.model.starting import REST_WIDTH, described_terms, known_terms
 
@@ -19,4 +20,14 @@ def save_model(model: RigidBodyDynamics, path: str | Path) -> None:
     model.save(path)
 
 
-__all__ = ["REST_WIDTH", "RigidBodyDynamics", "described_terms", "known_terms", "load_model", "save_model"]
+__all__ = [
+    "OTHERS",
+    "REST_WIDTH",
+    "Condition",
+    "Reported",
+    "RigidBodyDynamics",
+    "described_terms",
+    "known_terms",
+    "load_model",
+    "save_model",
+]

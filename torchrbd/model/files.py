@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchrbd.effects import Site, Term, Window, effect
 from torchrbd.errors import InputError, RobotError
+from torchrbd.model.conditions import Condition, Reported, from_content, to_content
 from torchrbd.outputs import write_whole
 from torchrbd.parameters import from_log_cholesky
 from torchrbd.robot import RobotModel
@@ -34,6 +35,8 @@ class Parts(NamedTuple):
         pi: (n_params,) inertial parameters.
         state: of the module.
         posterior: how well it is known, tensors by name; empty where the file does not say.
+        conditions: how recordings were made, by name.
+        reported: the error that was reported of it, if any.
     """
 
     robot: RobotModel
@@ -41,6 +44,8 @@ class Parts(NamedTuple):
     terms: list[Term]
     state: dict[str, Tensor]
     posterior: dict[str, Tensor]
+    conditions: dict[str, Condition]
+    reported: Reported | None
 
 
 def write_model(
@@ -49,6 +54,9 @@ def write_model(
     terms: Sequence[Term],
     state: Mapping[str, Tensor],
     posterior: Mapping[str, Tensor] | None = None,
+    *,
+    conditions: Mapping[str, Condition],
+    reported: Reported | None,
 ) -> None:
     """Write a model to a safetensors file; arguments as of ``Parts``.
 
@@ -62,6 +70,8 @@ def write_model(
         "urdf": etree.tostring(etree.fromstring(robot.urdf), encoding="unicode"),
         "gravity": json.dumps(robot.gravity.tolist()),
         "terms": json.dumps([{"effect": t.effect.id, "site": asdict(t.site), "shape": t.shape} for t in terms]),
+        "conditions": json.dumps(to_content(conditions)),
+        "reported": json.dumps(None if reported is None else asdict(reported)),
     }
     tensors = {**state, **{_POSTERIOR + name: value for name, value in (posterior or {}).items()}}
     # By Python, whose files have the permissions that the user's others have; safetensors' own are for the owner alone.
@@ -110,7 +120,9 @@ def _parts(metadata: Mapping[str, str], tensors: dict[str, Tensor]) -> Parts:
     pi = state["constant_pi"].clone()
     pi[state["physical"]] += from_log_cholesky(state["raw_inertia"])
     posterior = {name.removeprefix(_POSTERIOR): tensors[name] for name in tensors.keys() - state.keys()}
-    return Parts(robot, pi.flatten().to(torch.float64), terms, state, posterior)
+    conditions, told = (json.loads(metadata.get(name, "{}")) for name in ("conditions", "reported"))
+    reported = Reported(**told) if told else None
+    return Parts(robot, pi.flatten().to(torch.float64), terms, state, posterior, from_content(conditions), reported)
 
 
 def _site(content: dict[str, Any]) -> Site:

@@ -8,7 +8,7 @@ It is what a fit returns, what findings extend, what is exported, and what a lea
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, Literal
@@ -19,11 +19,13 @@ from torch import Tensor, nn
 from torchrbd.effects import Signals, Term
 from torchrbd.effects.plain_friction import plain_friction
 from torchrbd.errors import InputError, OptionError
+from torchrbd.model.conditions import NO_CONDITION, Condition, Reported, condition_of, interval
 from torchrbd.model.files import read_model, write_model
 from torchrbd.model.plain_terms import is_plain, placing, plain_torque
 from torchrbd.model.starting import REST_WIDTH, described_terms, starting_terms
 from torchrbd.model.stepping import implicit_velocity, runge_kutta
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, is_physical, to_log_cholesky
+from torchrbd.recordings import States
 from torchrbd.robot import RobotModel
 
 METHODS = ("semi_implicit", "runge_kutta")
@@ -45,6 +47,9 @@ class RigidBodyDynamics(nn.Module):
         pi: (n_params,) inertial parameters; the robot's own by default.
         terms: what else adds to the torque.
         rest_width: (n_dof,) speed below which the direction of motion is not told; ``REST_WIDTH`` by default.
+        conditions: how recordings were made, by name: their clocks, known loads and held-out time. Under "" that of
+            recordings that are not named.
+        reported: the error that was reported of the model, see ``torchrbd.replay``.
 
     Attributes:
         raw_inertia: (n_physical, 10) log-Cholesky coordinates; any values give a physical robot.
@@ -64,6 +69,8 @@ class RigidBodyDynamics(nn.Module):
         pi: Tensor | None = None,
         terms: Iterable[Term] = (),
         rest_width: Tensor | None = None,
+        conditions: Mapping[str, Condition] | None = None,
+        reported: Reported | None = None,
     ) -> None:
         super().__init__()
         self.robot = robot
@@ -74,6 +81,7 @@ class RigidBodyDynamics(nn.Module):
         self.raw_inertia = nn.Parameter(to_log_cholesky(bodies[physical]))
         width = torch.full((robot.n_dof,), REST_WIDTH, dtype=torch.float64) if rest_width is None else rest_width
         self.register_buffer("rest_width", width.clone())
+        self.conditions, self.reported = dict(conditions or {}), reported
         self._terms = nn.ModuleList(terms)
         # Most terms are ordinary friction: they are evaluated together. Each is registered once, above.
         self._plain = tuple(term for term in self.terms if is_plain(term))
@@ -133,7 +141,7 @@ class RigidBodyDynamics(nn.Module):
             InputError: no such file, or none of ours.
         """
         found = read_model(path)
-        model = cls(found.robot, found.pi, found.terms)
+        model = cls(found.robot, found.pi, found.terms, conditions=found.conditions, reported=found.reported)
         model.load_state_dict(found.state)
         return model
 
@@ -143,7 +151,8 @@ class RigidBodyDynamics(nn.Module):
         Raises:
             RobotError: the robot was not made from a URDF.
         """
-        write_model(path, self.robot, self.terms, self.state_dict())
+        about = {"conditions": self.conditions, "reported": self.reported}
+        write_model(path, self.robot, self.terms, self.state_dict(), **about)
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -170,25 +179,83 @@ class RigidBodyDynamics(nn.Module):
         temperature: Tensor | None = None,
         recording: str | None = None,
     ) -> Tensor:
-        """Return the torque that the actuators must supply.
+        """Return the torque that the actuators must supply, or, with ``recording``, that this recording has.
+
+        A recording's torque may be late or early, the command of actuators that lag, and that of a known load, see
+        ``conditions``. One that the model does not know has the clock of the fitted ones, where these agree
+        (``conditions[""]``), and no load.
 
         Args:
             q, qd, qdd: (*batch, n_dof), [rad, m] and per second, per second squared.
             t: (N,) evenly spaced times of the last batch dimension [s], or one time; only effects with memory or that
-                depend on time need it.
+                depend on time, and recordings whose clocks are apart, need it.
             temperature: (*batch, n_dof) of the joints [deg C]; without it thermal effects are zero.
-            recording: the one in whose condition the robot is; without it, what acts in some only is zero.
+            recording: the one in whose condition the robot is; without it, what acts in some only is zero, and the
+                torque is that of the same instant.
 
         Returns:
             (*batch, n_dof), [N m] or [N].
         """
+        condition, torque = self.condition(recording), self._acting(q, qd, qdd, t, temperature, recording)
+        if not condition.moves_torque:
+            return torque
+        return condition.recorded(torque.movedim(-1, 0), interval(t, recording)).movedim(0, -1)
+
+    inverse_dynamics = forward
+
+    def condition(self, recording: str | None) -> Condition:
+        """Return how a recording was made: as ``conditions`` say, as other recordings were, or nothing without one."""
+        return condition_of(self.conditions, recording) if self.conditions else NO_CONDITION
+
+    def acting_torque(self, tau: Tensor, t: Tensor, recording: str | None) -> Tensor:
+        """Return which torque acts at the time of the motion where a recording has another one.
+
+        Where a recording's torque is late or early it is moved, where it is a command it is sent through actuators that
+        lag: what ``forward_dynamics`` and ``step`` take.
+
+        Args:
+            tau: (*batch, N, n_dof) as recorded [N m, N].
+            t: (N,) evenly spaced times [s].
+            recording: its name; without one, the torque is taken as it is.
+        """
+        condition = self.condition(recording)
+        if not condition.moves_torque:
+            return tau
+        return condition.acting(tau.movedim(-1, 0), interval(t, recording)).movedim(0, -1)
+
+    def along(self, states: States) -> Tensor:
+        """Return the torque that the recording of a tile has by the model, (n_dof, N), at the tile's full rate."""
+        warm = None if states.temperature is None else states.temperature.T
+        signals = states.q.T, states.qd.T, states.qdd.T, states.t, warm, states.recording
+        torque, condition = self._acting(*signals, states.turned).T, self.condition(states.recording)
+        return condition.recorded(torque, states.dt) if condition.moves_torque else torque
+
+    def _acting(
+        self,
+        q: Tensor,
+        qd: Tensor,
+        qdd: Tensor,
+        t: Tensor | None,
+        temperature: Tensor | None,
+        recording: str | None,
+        turned: tuple[Tensor, ...] = (),
+    ) -> Tensor:
+        """Return the torque that acts at the time of the motion; arguments as in ``forward``."""
         with _full_precision(q):
             rigid = self.robot.physical_torque(q, qd, qdd, self.raw_inertia) if self._all_trained else None
             if rigid is None:
                 rigid = self.robot.inverse_dynamics(q, qd, qdd, self.pi)
-            return rigid + self._term_torque(q, qd, qdd, t, temperature, recording) if self._has_terms else rigid
+            load = self.condition(recording).load
+            if load is not None:
+                rigid = rigid + self.robot.inverse_dynamics(q, qd, qdd, load.to(q))
+            if not self._has_terms:
+                return rigid
+            return rigid + self._term_torque(q, qd, qdd, t, temperature, recording, turned)
 
-    inverse_dynamics = forward
+    def _carried(self, recording: str | None) -> Tensor:
+        """Return the inertial parameters (n_params,) of the robot with its known load."""
+        load = self.condition(recording).load
+        return self.pi if load is None else self.pi + load.to(self.pi)
 
     def term_torque(
         self,
@@ -205,7 +272,14 @@ class RigidBodyDynamics(nn.Module):
             return self._term_torque(q, qd, qdd, t, temperature, recording)
 
     def _term_torque(
-        self, q: Tensor, qd: Tensor, qdd: Tensor, t: Tensor | None, temperature: Tensor | None, recording: str | None
+        self,
+        q: Tensor,
+        qd: Tensor,
+        qdd: Tensor,
+        t: Tensor | None,
+        temperature: Tensor | None,
+        recording: str | None,
+        turned: tuple[Tensor, ...] = (),
     ) -> Tensor:
         q, qd, qdd = torch.broadcast_tensors(q, qd, qdd)
         plain = plain_torque(self._plain, self._placing, qd, self.rest_width)
@@ -215,7 +289,7 @@ class RigidBodyDynamics(nn.Module):
         warm = None if temperature is None else temperature.movedim(-1, 0)
         constant = ((term.effect.id, term.site.joint, term.coefficients) for term in self.terms if term.site.always)
         friction = plain_friction(self.robot.n_dof, constant)
-        known = (self.rest_width, self.pi, t, recording, warm, friction)
+        known = (self.rest_width, self._carried(recording), t, recording, warm, friction, turned)
         signals = Signals(self.robot, q, qd, qdd, *known)
         torques = list(plain.unbind(-1))
         for term in self._others:
@@ -243,7 +317,7 @@ class RigidBodyDynamics(nn.Module):
         recording: str | None = None,
     ) -> Tensor:
         """Return the torque (*batch, n_dof) at no acceleration: gravity, Coriolis forces and terms."""
-        return self(q, qd, torch.zeros_like(qd), t, temperature, recording)
+        return self._acting(q, qd, torch.zeros_like(qd), t, temperature, recording)
 
     def gravity(self, q: Tensor) -> Tensor:
         """Return the torque (*batch, n_dof) that holds the rigid body against gravity."""
@@ -267,7 +341,7 @@ class RigidBodyDynamics(nn.Module):
         The terms are taken as linear in qdd.
 
         Args:
-            q, qd, tau: (*batch, n_dof).
+            q, qd, tau: (*batch, n_dof); the torque that acts, see ``acting_torque``.
             t: (N,) times of the last batch dimension, or one time [s]; only effects that depend on time need it.
             temperature, recording: as in ``forward``.
 
@@ -339,8 +413,9 @@ class RigidBodyDynamics(nn.Module):
             unit = torch.eye(self.robot.n_dof, dtype=q.dtype, device=q.device)
             tries = torch.cat((torch.zeros_like(unit[:1]), unit)).reshape(-1, *[1] * (q.ndim - 1), len(unit))
             still, *moved = self._term_torque(q, qd, tries, _instants(t), temperature, recording)
-            mass = self.robot.mass_matrix(q, self.pi) + torch.stack([one - still for one in moved], -1)
-            return mass, self.robot.inverse_dynamics(q, qd, torch.zeros_like(q), self.pi), still
+            pi = self._carried(recording)
+            mass = self.robot.mass_matrix(q, pi) + torch.stack([one - still for one in moved], -1)
+            return mass, self.robot.inverse_dynamics(q, qd, torch.zeros_like(q), pi), still
 
 
 def _full_precision(q: Tensor) -> AbstractContextManager[object]:

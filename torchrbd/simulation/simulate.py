@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.likelihood.reading import Progress
-from torchrbd.model import RigidBodyDynamics
+from torchrbd.model import Condition, RigidBodyDynamics
 from torchrbd.outputs import write_whole
 from torchrbd.recordings import (
     Data,
@@ -44,7 +44,7 @@ class SimulatedMotion:
         joints: names of the n joints.
         t: (N,) seconds from the recording's first row.
         q, qd: (N, n) simulated [rad, m] and per second; NaN once the motion is lost.
-        tau: (N, n) recorded torque that drove it [N m, N]; NaN where a joint was moved.
+        tau: (N, n) torque that drove it, at the time of the motion [N m, N]; NaN where a joint was moved.
         recorded: (N, n) positions as recorded, low-passed as everywhere.
         moved: joints whose torque is not recorded: they move as they did.
         notes: what else is to be known of it.
@@ -119,6 +119,10 @@ def simulate(
     robot is. Joint limits and contacts are left out. Joints whose torque is not recorded move as they did. The torque
     between two samples is linear; steps last 5 ms at most.
 
+    What the model knows of the recording counts: a torque that is late, early or a command is brought to the motion,
+    and the robot carries its known load. One that it does not know has the clock of those that the model was fitted
+    to, as in ``replay``.
+
     Args:
         model: what moves; ``RigidBodyDynamics.from_urdf``, ``load_model``, or ``Identification.model``.
         recording: whose first state and torque are taken.
@@ -152,8 +156,9 @@ def simulate(
     measured = torch.from_numpy(opened.measured)
     if not bool(measured.any()):
         raise RecordingError(f"{opened.path or opened.name}: no torque is recorded, so nothing drives the robot")
-    plant = Plant(model)
-    t, signals = _piece(opened, seen, plant, start, seconds, cutoff_hz)
+    condition = model.condition(opened.name)
+    plant = Plant(model, condition.load)
+    t, signals = _piece(opened, seen, plant, condition, start, seconds, cutoff_hz)
     dt = 1.0 / (rate_hz or seen.rate_hz)
     parts = max(1, math.ceil(dt / STEP_S - 1e-6))
     begin = max(start, float(t[0]))
@@ -200,7 +205,13 @@ def _notes(opened: Recording, start: float, begin: float) -> tuple[str, ...]:
 
 
 def _piece(
-    opened: Recording, seen: Survey, plant: Plant, start: float, seconds: float | None, cutoff_hz: float | None
+    opened: Recording,
+    seen: Survey,
+    plant: Plant,
+    condition: Condition,
+    start: float,
+    seconds: float | None,
+    cutoff_hz: float | None,
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return times (N,) and signals (N, n_dof) of the uninterrupted piece in which a motion begins.
 
@@ -210,7 +221,8 @@ def _piece(
     filtering = Filtering(choose_cutoff([seen]) if cutoff_hz is None else cutoff_hz)
     parts: list[tuple[np.ndarray, dict[str, np.ndarray]]] = []
     first, last = math.inf, -math.inf
-    for t, signals in pieces(tiles(opened, seen, filtering), {"along": plant}, 0.0):
+    acting = (replace(states, tau=condition.acting(states.tau, states.dt)) for states in tiles(opened, seen, filtering))
+    for t, signals in pieces(acting, {"along": plant}, 0.0):
         if parts and t[0] > last:
             break
         first, new = min(first, float(t[0])), (t > last) & (t > start - 2.0 * seen.clock.dt)

@@ -1,0 +1,125 @@
+"""What a recording's torque column has beyond the robot's own torque: its clock, its actuators' lag, a known load.
+
+    tau_recorded(t) = tau(t - delay) + lag d tau / dt (t - delay)
+
+None of it is a force on the robot, so that a model without a recording's name leaves it out. Models keep it by the name
+of the recording, because a fit, and the error that is reported of it, rest on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchrbd.effects.actuator_lag import acting
+from torchrbd.effects.time_delay import delayed
+from torchrbd.errors import InputError
+
+OTHERS = ""
+"""The name under which a model keeps the condition of all recordings that it does not know."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """How one recording was made.
+
+    Attributes:
+        delay_s: how much later its torque is than its motion [s]; negative if it is early.
+        lag_s: time constant of the actuators that its torque is the command of [s].
+        load: (n_params,) inertial parameters of the known load that the robot carried; None without one.
+        simulated: name of the simulator's recording whose torque beyond the URDF a model lacks; empty without one.
+        held_out_s: spans (from, to) of its time that no fit has seen [s].
+    """
+
+    delay_s: float = 0.0
+    lag_s: float = 0.0
+    load: Tensor | None = None
+    simulated: str = ""
+    held_out_s: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def moves_torque(self) -> bool:
+        """Whether its torque is not that of the same instant."""
+        return bool(self.delay_s or self.lag_s)
+
+    def recorded(self, torque: Tensor, dt: float) -> Tensor:
+        """Return what the torque column reads of a torque (..., N) that acts, at an interval dt [s]."""
+        if self.lag_s:
+            torque = torque + self.lag_s * torch.gradient(torque, spacing=dt, dim=-1)[0]
+        return delayed(torque, self.delay_s / dt) if self.delay_s else torque
+
+    def acting(self, torque: Tensor, dt: float) -> Tensor:
+        """Return what acts at the time of the motion of a torque column (..., N): the inverse of ``recorded``."""
+        torque = delayed(torque, -self.delay_s / dt) if self.delay_s else torque
+        return acting(torque, self.lag_s / dt) if self.lag_s else torque
+
+    def held_out(self, t: Tensor) -> Tensor:
+        """Say which times (N,) [s] no fit has seen."""
+        inside = torch.zeros(t.shape, dtype=torch.bool)
+        for first, last in self.held_out_s:
+            inside |= (t >= first) & (t <= last)
+        return inside
+
+    def without_clock(self) -> Condition:
+        """Return the same with torque at the time of the motion."""
+        return replace(self, delay_s=0.0, lag_s=0.0)
+
+
+NO_CONDITION = Condition()
+
+
+@dataclass(frozen=True)
+class Reported:
+    """The error that was reported of a model when it was fitted, see ``replay``.
+
+    Attributes:
+        cutoff_hz: band limit of the torques [Hz].
+        nmse: by joint, on held-out rows.
+    """
+
+    cutoff_hz: float
+    nmse: dict[str, float]
+
+
+def condition_of(conditions: Mapping[str, Condition], recording: str | None) -> Condition:
+    """Return the condition of a recording: its own, that of recordings not known, or nothing without a name."""
+    if recording is None:
+        return NO_CONDITION
+    return conditions.get(recording) or conditions.get(OTHERS, NO_CONDITION)
+
+
+def interval(t: Tensor | None, recording: str | None) -> float:
+    """Return the interval of a sequence of times [s].
+
+    Raises:
+        InputError: there is no sequence.
+    """
+    if t is None or t.ndim != 1 or len(t) < 2:
+        raise InputError(
+            f"the torque of recording '{recording}' is not that of the same instant: give t (N,), evenly spaced "
+            "seconds, with q, qd and qdd (*batch, N, n_dof); or leave out recording, for the torque that acts"
+        )
+    return float(t[1] - t[0])
+
+
+def to_content(conditions: Mapping[str, Condition]) -> dict[str, Any]:
+    """Return conditions as content for JSON, by recording."""
+    found = {}
+    for name, one in conditions.items():
+        load = None if one.load is None else one.load.tolist()
+        found[name] = asdict(replace(one, load=None)) | {"load": load}
+    return found
+
+
+def from_content(content: Mapping[str, Any]) -> dict[str, Condition]:
+    """Return what ``to_content`` was given."""
+    found = {}
+    for name, one in content.items():
+        load = None if one["load"] is None else torch.tensor(one["load"], dtype=torch.float64)
+        spans = tuple((float(first), float(last)) for first, last in one["held_out_s"])
+        found[name] = Condition(one["delay_s"], one["lag_s"], load, one["simulated"], spans)
+    return found
