@@ -28,7 +28,7 @@ lint: .venv/dev
 	$(BIN)/pyright
 
 docs: .venv/docs
-	OMP_NUM_THREADS=1 NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	OMP_NUM_THREADS=1 NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 .venv/python:
 	$(PYTHON) -m venv .venv

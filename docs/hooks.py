@@ -1,15 +1,17 @@
-"""What mkdocs does besides writing pages: pages of the API, formulas as MathML.
+"""What mkdocs does besides writing pages: pages of the API and of the effects, formulas as MathML.
 
 API: a page for each package of ``torchrbd`` that has public names, from their docstrings. Formulas: ``$...$`` and
-``$$...$$`` in a page become MathML, which browsers draw themselves.
+``$$...$$`` in a page become MathML, which browsers draw themselves. Effects: see ``gallery.py``.
 """
 
 from __future__ import annotations
 
 import inspect
 import re
+import sys
 from html import unescape
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
@@ -23,10 +25,13 @@ _FORMULA = re.compile(r'<(span|div) class="arithmatex">\s*\\([(\[])(.*?)\\[)\]]\
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages and their places in the navigation."""
-    pages = api_pages()
-    for address, text in pages.items():
-        files.append(File.generated(config, address, content=text))
-    _place(config.nav, "API", list(pages))
+    sys.path.insert(0, str(Path(__file__).parent))
+    gallery = import_module("gallery")
+    api = api_pages()
+    for address, content in (api | gallery.pages()).items():
+        files.append(File.generated(config, address, content=content))
+    _place(config.nav, "API", list(api))
+    _place(config.nav, "Effects", gallery.navigation())
     return files
 
 
@@ -63,7 +68,7 @@ def _summary(package: str) -> str:
     return (inspect.getdoc(import_module(f"torchrbd.{package}")) or "").partition("\n")[0]
 
 
-def _place(nav: Any, title: str, addresses: list[str]) -> None:
+def _place(nav: Any, title: str, addresses: list[Any]) -> None:
     """Replace the entries under a title of the navigation."""
     for entry in nav:
         if title in entry:

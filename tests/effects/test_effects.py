@@ -92,6 +92,8 @@ class TestEveryEffect:
         assert effect.id == effect.id.lower().replace(" ", "_")
         assert effect.words
         assert effect.equation
+        assert effect.shown_by.endswith(".")
+        assert len(effect.shown_by.split()) < 25
         assert effect.family in set(FAMILIES) - {"unknown"}
         assert effect.prevalence in ("ubiquitous", "common", "rare")
         assert effect.prevalence != "ubiquitous" or effect.id in PLAIN_OR_UNEVEN

@@ -35,6 +35,7 @@ class ActuatorLag(Effect):
     family = "actuator and sensor"
     words = "actuator lag"
     equation = "T dtau_s/dt"
+    shown_by = "Quick changes of torque: the command runs ahead of the motion, by a torque in proportion to its rate."
     units: ClassVar[Mapping[str, str]] = {"time_constant": "s", "bandwidth": "Hz"}
     whole_robot = True
     uses_load = True

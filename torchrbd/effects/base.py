@@ -98,6 +98,7 @@ class Effect(ABC):
         prevalence: "ubiquitous", "common" or "rare" among machines.
         words: the name in a sentence.
         equation: the torque added, in field symbols.
+        shown_by: the motion that shows it best, and what one sees, in one sentence.
         units: of the physical parameters, with ``{tau}`` and ``{q}`` for the joint's own (N m and rad, or N and m).
         dissipative: True if tau qd >= 0 for plausible parameters.
         whole_robot: True if one coefficient adds to the torque of several joints.
@@ -126,6 +127,7 @@ class Effect(ABC):
     prevalence: ClassVar[str] = "rare"
     words: ClassVar[str]
     equation: ClassVar[str]
+    shown_by: ClassVar[str] = ""
     units: ClassVar[Mapping[str, str]]
     dissipative: ClassVar[bool] = False
     whole_robot: ClassVar[bool] = False

@@ -31,6 +31,9 @@ class BaseTilt(ShowsBodies):
     prevalence = "common"
     words = "tilted base"
     equation = "dtau/dg (-theta x g)"
+    shown_by = (
+        "Slow motion with the first joint through a full turn: gravity torque changes with the first joint's angle."
+    )
     units: ClassVar[Mapping[str, str]] = {"tilt_x": "rad", "tilt_y": "rad"}
     comes_and_goes = True
     whole_robot = True

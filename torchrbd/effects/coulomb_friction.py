@@ -24,6 +24,7 @@ class CoulombFriction(JointEffect):
     prevalence = "ubiquitous"
     words = "Coulomb friction"
     equation = "c sign(qd)"
+    shown_by = "Slow motion with many reversals: torque jumps where the velocity changes sign."
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}"}
     comes_and_goes = True
     dissipative = True
@@ -60,6 +61,10 @@ class AsymmetricCoulombFriction(JointEffect):
     prevalence = "ubiquitous"
     words = "direction-dependent Coulomb friction"
     equation = "c_plus if qd > 0, -c_minus if qd < 0"
+    shown_by = (
+        "Slow motion in both directions, and rests: the friction of the two directions differs, and no "
+        "torque remains at rest."
+    )
     units: ClassVar[Mapping[str, str]] = {"coulomb_plus": "{tau}", "coulomb_minus": "{tau}"}
     comes_and_goes = True
     dissipative = True

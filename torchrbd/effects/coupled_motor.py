@@ -40,6 +40,9 @@ class CoupledMotor(Effect):
     family = "transmission"
     words = "friction and rotor of a motor that moves two joints"
     equation = "d omega + c sign(omega) + I_r domega/dt, omega = qd + r qd_other; r times that at the other"
+    shown_by = (
+        "Both joints move with equal and with opposite speeds: friction follows the speed of the motor, not of a joint."
+    )
     units: ClassVar[Mapping[str, str]] = {
         "viscous": "{tau} s/{q}",
         "coulomb": "{tau}",

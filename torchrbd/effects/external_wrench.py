@@ -25,6 +25,7 @@ class ExternalWrench(Effect):
     family = "external force"
     words = "external force or moment"
     equation = "-J(q)' [f, n]"
+    shown_by = "The same motion with and without the contact: all joints before the link change their torque together."
     units: ClassVar[Mapping[str, str]] = {
         **{f"force_{axis}": "N" for axis in "xyz"},
         **{f"moment_{axis}": "N m" for axis in "xyz"},

@@ -35,6 +35,10 @@ class GeometryError(Effect):
     family = "gravity and geometry"
     words = "wrong geometry (joint origin or axis)"
     equation = "dtau/d(x, y, z, rx, ry, rz)"
+    shown_by = (
+        "Slow and fast motion through many arm poses, best with a heavy load: no masses explain gravity and "
+        "inertia at once."
+    )
     units: ClassVar[Mapping[str, str]] = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
     whole_robot = True
     uses_load = True

@@ -23,6 +23,7 @@ class JointCoupling(Effect):
     family = "transmission"
     words = "coupling to another joint's position"
     equation = "k q_other + tau_0"
+    shown_by = "The other joint moves slowly while this one rests: this torque follows the other position."
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "offset": "{tau}"}
     export_note = "a fixed tendon over both joints with these coefficients; it acts on both, and adds abs(k) at each"
 

@@ -45,6 +45,9 @@ class JointElasticity(Effect):
     prevalence = "common"
     words = "joint elasticity"
     equation = "tau_load(q - tau_s/k) - tau_load(q)"
+    shown_by = (
+        "Fast oscillations under large loads: the link lags or leads the motor by an angle in proportion to torque."
+    )
     units: ClassVar[Mapping[str, str]] = {
         "stiffness": "{tau}/{q}",
         "bandwidth": "Hz",

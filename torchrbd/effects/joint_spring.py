@@ -23,6 +23,9 @@ class JointSpring(JointEffect):
     prevalence = "common"
     words = "joint spring"
     equation = "k (q - q0)"
+    shown_by = (
+        "Slow sweeps through the whole range in several arm poses: torque grows with the angle, whatever gravity does."
+    )
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
     comes_and_goes = True
     drawn_over = "q"

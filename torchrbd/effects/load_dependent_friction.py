@@ -27,6 +27,9 @@ class LoadDependentFriction(JointEffect):
     prevalence = "common"
     words = "load-dependent friction"
     equation = "k |load| sign(qd)"
+    shown_by = (
+        "Slow reversals in poses with small and with large gravity torque: the jump of friction grows with the load."
+    )
     units: ClassVar[Mapping[str, str]] = {"load_friction": "1"}
     dissipative = True
     uses_load = True

@@ -33,6 +33,7 @@ class Payload(Effect):
     lasts_s = 10.0
     words = "payload"
     equation = "Y_link [m, m c, I]"
+    shown_by = "The same motion with and without the load, slow and fast, in several poses of the wrist."
     units: ClassVar[Mapping[str, str]] = {
         "mass": "kg",
         **dict.fromkeys("xyz", "m"),

@@ -23,6 +23,7 @@ class PositionDependentFriction(JointEffect):
     family = "friction"
     words = "friction that depends on position"
     equation = "(c + (c_0 - c) exp(-((q - q_0)/w)^2)) sign(qd)"
+    shown_by = "Slow reversals through the whole range: friction is larger or smaller around one position."
     units: ClassVar[Mapping[str, str]] = {
         "centre": "{q}",
         "width": "{q}",

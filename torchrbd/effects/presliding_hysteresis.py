@@ -38,6 +38,7 @@ class PreslidingHysteresis(JointEffect):
     prevalence = "common"
     words = "presliding friction (Dahl, LuGre)"
     equation = "c z, dz/dt = qd/d (1 - z sign(qd))"
+    shown_by = "Oscillations of a few milliradians around rest: torque over position is a loop, not a jump."
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "distance": "{q}"}
     has_memory = True
     prior = RESISTS

@@ -21,6 +21,7 @@ class QuadraticDrag(JointEffect):
     family = "friction"
     words = "quadratic drag"
     equation = "k qd |qd|"
+    shown_by = "Constant speeds up to the largest: torque grows with the square of speed."
     units: ClassVar[Mapping[str, str]] = {"drag": "{tau} s^2/{q}^2"}
     dissipative = True
     prior = RESISTS

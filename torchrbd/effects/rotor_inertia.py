@@ -19,6 +19,9 @@ class RotorInertia(JointEffect):
     prevalence = "common"
     words = "rotor inertia (armature)"
     equation = "I_r qdd"
+    shown_by = (
+        "Fast oscillations of the joint in several arm poses: one part of the inertia is the same in all of them."
+    )
     units: ClassVar[Mapping[str, str]] = {"rotor_inertia": "{tau} s^2/{q}"}
     drawn_over = "qdd"
     prior = CoefficientPrior("An inertia is not negative.", positive=(0,), may_be_none=True)

@@ -24,6 +24,9 @@ class SpeedDependentLoss(JointEffect):
     family = "friction"
     words = "torque loss that grows with speed and load"
     equation = "k |load| qd"
+    shown_by = (
+        "Constant speeds in poses with small and with large load: the slope of torque over speed grows with the load."
+    )
     units: ClassVar[Mapping[str, str]] = {"loss": "s/{q}"}
     dissipative = True
     uses_load = True

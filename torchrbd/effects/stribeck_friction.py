@@ -26,6 +26,7 @@ class StribeckFriction(JointEffect):
     prevalence = "common"
     words = "Stribeck friction"
     equation = "sign(qd) (c + (s - c) exp(-(qd/v_s)^2))"
+    shown_by = "Constant speeds from very slow to fast: torque falls, then rises as speed grows."
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "static": "{tau}", "stribeck_speed": "{q}/s"}
     comes_and_goes = True
     dissipative = True

@@ -33,6 +33,9 @@ class ThermalViscosity(JointEffect):
     family = "friction"
     words = "viscous friction that falls with temperature"
     equation = "-s (T - 40 deg C) qd"
+    shown_by = (
+        "The same fast motion from cold to warm, with recorded temperature: the slope of torque over speed falls."
+    )
     units: ClassVar[Mapping[str, str]] = {"viscous_per_kelvin": "{tau} s/({q} K)"}
     drawn_over = "temperature"
     needs = "a channel temperature_<joint> that changes"

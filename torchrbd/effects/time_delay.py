@@ -31,6 +31,9 @@ class TimeDelay(Effect):
     family = "actuator and sensor"
     words = "time delay of the torque"
     equation = "delay (tau_s(t - step) - tau_s(t)) / step"
+    shown_by = (
+        "Fast motion with quick changes of torque: torque comes later than the motion, by one time at all frequencies."
+    )
     units: ClassVar[Mapping[str, str]] = {"delay": "s", "step": "s", "bandwidth": "Hz"}
     whole_robot = True
     uses_load = True

@@ -25,6 +25,9 @@ class TimeVaryingFriction(JointEffect):
     prevalence = "common"
     words = "friction that changes with time"
     equation = "(c_end + (c_start - c_end) exp(-t/T)) sign(qd)"
+    shown_by = (
+        "The same motion, repeated from a cold start for several time constants: friction changes from cycle to cycle."
+    )
     units: ClassVar[Mapping[str, str]] = {
         "coulomb_end": "{tau}",
         "coulomb_start": "{tau}",

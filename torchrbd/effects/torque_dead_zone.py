@@ -32,6 +32,7 @@ class TorqueDeadZone(JointEffect):
     family = "actuator and sensor"
     words = "dead zone of the drive"
     equation = "w sign(load)"
+    shown_by = "Motion in which the load crosses zero often: torque jumps there, by twice the half width."
     units: ClassVar[Mapping[str, str]] = {"half_width": "{tau}", "indistinct": "{tau}"}
     uses_load = True
     sees_friction = True

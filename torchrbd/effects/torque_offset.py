@@ -24,6 +24,7 @@ class TorqueOffset(JointEffect):
     prevalence = "common"
     words = "constant torque offset"
     equation = "tau_0"
+    shown_by = "Slow motion in both directions, with gravity torque of both signs: a constant torque remains."
     units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}
     comes_and_goes = True
     drawn_over = "q"

@@ -28,6 +28,7 @@ class TorqueSaturation(JointEffect):
     family = "actuator and sensor"
     words = "torque saturation"
     equation = "slope sign(load) max(0, |load| - limit)"
+    shown_by = "Fast motion with large loads: torque no longer follows the model beyond a limit."
     units: ClassVar[Mapping[str, str]] = {"limit": "{tau}", "slope": "1"}
     uses_load = True
     sees_friction = True

@@ -25,6 +25,9 @@ class TorqueScale(JointEffect):
     prevalence = "common"
     words = "gain error of the torque"
     equation = "(g - 1) load"
+    shown_by = (
+        "Motion with a known payload, or with masses that are trusted: gravity torque has the wrong size everywhere."
+    )
     units: ClassVar[Mapping[str, str]] = {"gain": "1"}
     comes_and_goes = True
     uses_load = True

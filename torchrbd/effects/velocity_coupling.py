@@ -25,6 +25,7 @@ class VelocityCoupling(Effect):
     family = "transmission"
     words = "coupling to another joint's velocity"
     equation = "d qd_other"
+    shown_by = "The other joint moves at several constant speeds: this torque follows the other velocity."
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}
     export_note = "a fixed tendon over both joints with these coefficients; it acts on both, and adds abs(d) at each"
 

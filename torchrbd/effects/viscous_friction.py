@@ -19,6 +19,7 @@ class ViscousFriction(JointEffect):
     prevalence = "ubiquitous"
     words = "viscous friction"
     equation = "d qd"
+    shown_by = "Constant speeds from slow to fast, in both directions: torque grows in proportion to speed."
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}
     comes_and_goes = True
     dissipative = True
