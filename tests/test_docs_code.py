@@ -1,7 +1,7 @@
 """Every block of code in the README and on the documentation site runs.
 
-A page is one test. Its blocks run in order, in one Python namespace, in one folder with recordings and the URDF of an arm,
-which are made from the bundled demo. A comment in the line above a block says how it is treated:
+A page is one test. Its blocks run in order, in one Python namespace, in one folder with recordings and the URDF of an
+arm, which are made from the bundled demo. A comment in the line above a block says how it is treated:
 
     <!-- no-run: why -->    needs hardware, other packages or the internet
     <!-- slow: why -->      runs with -m slow alone
