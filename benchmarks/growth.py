@@ -1,6 +1,6 @@
 """How the time of a diagnosis grows with the length, the joints and the number of its recordings.
 
-    OMP_NUM_THREADS=1 python benchmarks/growth.py [--picture docs/growth.svg]
+    OMP_NUM_THREADS=1 python benchmarks/growth.py [--picture growth.svg]
     OMP_NUM_THREADS=1 python benchmarks/growth.py --one 60 7 1 --rate 500
 
 Serial arms with friction at all joints and a spring at the second that their URDF lacks; noise of 2 % on the torques,

@@ -2,7 +2,7 @@
 
     python benchmarks/null_evidence.py -o null_evidence.json [--count 200] [--seconds 30] [--rate 125] [--seed 0] [-j 2]
     python benchmarks/null_evidence.py --only 35 39 [--seconds 30] [--rate 125] [--seed 0]
-    python benchmarks/null_evidence.py --plot docs/null_evidence.png FILE...
+    python benchmarks/null_evidence.py --plot docs/images/null_evidence.png FILE...
 
 Robots with ordinary friction, inertials off by 20 %, coloured torque noise, drift and 15-bit encoders move along
 set-points that never repeat, without any other effect; torques are Pinocchio's. Of a likelihood ratio B that is right,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import re
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
@@ -31,14 +32,23 @@ def update(name: str, command: str, results: Mapping[str, Mapping[str, Any]]) ->
         content["results"][key] = {**values, "measured": measured}
     FOLDER.mkdir(exist_ok=True)
     path = FOLDER / f"{name}.json"
-    path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    path.write_text(text(content), encoding="utf-8")
     return path
 
 
+def text(content: Mapping[str, Any]) -> str:
+    """Return JSON with the innermost lists on one line."""
+    lines = json.dumps(content, indent=1, ensure_ascii=False)
+    return re.sub(r"\[\s+([^\[\]{}]*?)\s+\]", lambda m: "[" + re.sub(r"\s*\n\s*", " ", m[1]) + "]", lines) + "\n"
+
+
 def commit() -> str:
-    """Return the commit that is checked out, with a plus where files differ from it."""
-    found = subprocess.run(
-        ["git", "describe", "--always", "--dirty=+", "--exclude=*"],
-        cwd=FOLDER.parent, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    return found.stdout.strip() or "unknown"
+    """Return the commit that is checked out, with a plus where the code differs from it."""
+    head = _git("rev-parse", "--short", "HEAD")
+    changed = _git("status", "--porcelain", "--", "torchrbd", "benchmarks/*.py", "examples")
+    return (head or "unknown") + "+" * bool(changed)
+
+
+def _git(*arguments: str) -> str:
+    found = subprocess.run(["git", *arguments], cwd=FOLDER.parents[1], capture_output=True, text=True, check=False)
+    return found.stdout.strip()

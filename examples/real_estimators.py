@@ -1,6 +1,6 @@
 """Every estimator on real robots: parameters of a URDF from some recordings, judged on the one left out.
 
-    TORCHRBD_DATA=/path/to/recordings python examples/real_estimators.py -o docs/real_estimators.md
+    TORCHRBD_DATA=/path/to/recordings python examples/real_estimators.py --store
 
 TORCHRBD_DATA names a folder with ``kuka_kr300``, ``dfki_double_pendulum`` and ``dfki_pendulum``; see real_recordings.py
 for the first two; the third is from
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from real_recordings import PENDULUM_CUTOFF_HZ, data_folder
+from real_robots import print_table
 from rich.console import Console
 from rich.progress import track
 
@@ -23,9 +24,12 @@ import torchrbd
 from torchrbd import EstimatorComparison
 from torchrbd.inference.results import Fit
 
+sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
+import results_file
+
 EFFECTS = ["viscous_friction", "coulomb_friction", "torque_offset"]
-CLASSICAL = ("ols", "wls", "irls", "svd", "ridge", "tls", "lasso", "stepwise", "pls", "pcr")
-OURS = ("physical", "smoother")
+COLUMNS = ["estimator", "as found", "physical", "physical as found, splits"]
+NAMES = ("kuka_kr300", "dfki_double_pendulum", "dfki_pendulum")
 
 
 def data_sets(folder: Path) -> dict[str, tuple[Path, list[Path], dict[str, float]]]:
@@ -57,57 +61,39 @@ def pooled(fits: list[Fit]) -> float:
     return float(np.mean(error / variance))
 
 
-def page(results: dict[str, list[EstimatorComparison]]) -> str:
-    """Return the tables as Markdown, with what they say of the paper's claim."""
-    lines = [
-        "# Every estimator on real robots",
-        "",
-        *(part.strip() for part in (__doc__ or "").split("\n\n")[2:]),
-        "",
-        "nmse of the torque of recordings left out in turn, squared error over variance, both averaged over the",
-        "recordings, mean over the joints. *As found*: parameters as they come out; *physical*: projected where they",
-        "are not. Splits: in how many the parameters as found were physical.",
-        "",
-        "```",
-        "TORCHRBD_DATA=/path/to/recordings python examples/real_estimators.py -o docs/real_estimators.md",
-        "```",
-    ]
-    for title, comparisons in results.items():
-        splits = len(comparisons)
-        lines += ["", f"## {title}, {splits} recordings, up to {comparisons[0].cutoff_hz:.2g} Hz", ""]
-        lines += ["| estimator | as found | physical | physical as found, splits |", "| --- | --- | --- | --- |"]
-        errors: dict[str, float] = {}
-        for k, row in enumerate(comparisons[0].rows):
-            rows = [c.rows[k] for c in comparisons]
-            raw, physical = ([r.raw for r in rows if r.raw], [r.physical for r in rows if r.physical])
-            if len(raw) < splits:
-                lines.append(
-                    f"| {row.name} | cannot be used: {next(r.note for r in rows if r.raw is None).split(',')[0]} | | |"
-                )
-                continue
-            errors[row.name] = pooled(physical)
-            count = sum(bool(r.was_physical) for r in rows)
-            said = "" if row.was_physical is None else f"{count} of {splits}"
-            lines.append(f"| {row.name} | {pooled(raw):.3g} | {pooled(physical):.3g} | {said} |")
-        best = min(CLASSICAL, key=lambda name: errors.get(name, np.inf))
-        for ours in (*OURS, "noisy-input"):
-            lines += ["", f"{ours} / best classical ({best}), both physical: {errors[ours] / errors[best]:.2f}."]
-    return "\n".join(lines) + "\n"
+def rows_of(comparisons: list[EstimatorComparison]) -> list[list[str]]:
+    """Return a row for each estimator: nmse as found, made physical, and how often it was physical as found."""
+    splits, found = len(comparisons), []
+    for k, row in enumerate(comparisons[0].rows):
+        rows = [c.rows[k] for c in comparisons]
+        raw, physical = ([r.raw for r in rows if r.raw], [r.physical for r in rows if r.physical])
+        if len(raw) < splits:
+            why = next(r.note for r in rows if r.raw is None).split(",")[0]
+            found.append([row.name, f"cannot be used: {why}", "", ""])
+            continue
+        count = sum(bool(r.was_physical) for r in rows)
+        often = "" if row.was_physical is None else f"{count} of {splits}"
+        found.append([row.name, f"{pooled(raw):.3g}", f"{pooled(physical):.3g}", often])
+    return found
 
 
 def main() -> int:
-    """Print the page, or write it."""
+    """Print the tables, and write them if asked to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, help="Markdown file to write")
+    parser.add_argument("--store", action="store_true", help="write benchmarks/results/real_estimators.json")
     chosen = parser.parse_args()
     folder = data_folder()
     if folder is None:
         print("Set TORCHRBD_DATA to the folder of the recordings; see the head of this file for their sources.")
         return 2
-    text = page({title: compared(*data) for title, data in data_sets(folder).items()})
-    if chosen.output:
-        chosen.output.write_text(text, encoding="utf-8")
-    print(text)
+    results = {}
+    for (title, data), name in zip(data_sets(folder).items(), NAMES, strict=True):
+        comparisons = compared(*data)
+        results[name] = {"columns": COLUMNS, "rows": rows_of(comparisons)}
+        print(f"{title}, {len(comparisons)} recordings, up to {comparisons[0].cutoff_hz:.2g} Hz")
+        print_table(COLUMNS, results[name]["rows"])
+    if chosen.store:
+        results_file.update("real_estimators", "python examples/real_estimators.py --store", results)
     return 0
 
 

@@ -1,4 +1,4 @@
-"""What torchrbd finds on real robots: the tables of docs/real_robots.md and of the README.
+"""What torchrbd finds on real robots, at length: tables of errors, findings and published values.
 
     TORCHRBD_DATA=/path/to/recordings python examples/real_robots.py kuka_kr300
     TORCHRBD_DATA=/path/to/recordings python examples/real_robots.py dfki_double_pendulum
@@ -170,7 +170,7 @@ def show_pendulum(folder: Path) -> None:
 
 
 def show_in_turn(folder: Path) -> None:
-    """Print the README's rows on the double pendulum: nine recordings left out in turn, twice."""
+    """Print rows on the double pendulum: nine recordings left out in turn, twice."""
     for design, words in (("A", "right lengths, wrong inertials"), ("C", "wrong lengths")):
         result = real.double_pendulum(folder, design)
         print_table([f"URDF with {words}", "mean nmse"], [[m, f"{result.nmse(m).mean():.4f}"] for m in MODELS])

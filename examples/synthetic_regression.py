@@ -4,7 +4,7 @@
 
 y = T b, T ~ N(0, I_10), b ~ N(0, I_10). The inputs are T, r redundant mixtures T R / sqrt(10) with R standard normal,
 and u irrelevant ones. Input noise has 1 / SNR of the variance of each column, output noise a fifth of that of y. The
-tables go to docs/synthetic_regression.md, between its marks; the rest of that page is text.
+tables go to benchmarks/results/synthetic_regression.json.
 
 Source: Ting, Mistry, Peters, Schaal, Nakanishi, "A Bayesian approach to nonlinear parameter identification for rigid
 body dynamics" (RSS 2006), section IV-A.
@@ -13,6 +13,7 @@ body dynamics" (RSS 2006), section IV-A.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -43,8 +44,9 @@ from torchrbd.inference.regression import (
     TruncatedSVD,
 )
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "synthetic_regression.md"
-BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
+sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
+import results_file
+
 RELEVANT, TEST_ROWS, OUTPUT_SNR = 10, 500, 5.0
 
 
@@ -169,22 +171,15 @@ def tables(results: dict[Setting, list[dict[str, float]]]) -> tuple[Table, Table
     return errors, ratios
 
 
-def markdown(table: Table) -> str:
-    """Return a rich table as Markdown."""
+def stored(table: Table) -> dict[str, list]:
+    """Return a rich table as columns and rows."""
     columns = [[str(column.header), *map(str, column.cells)] for column in table.columns]
-    rows = ["| " + " | ".join(row) + " |" for row in zip(*columns, strict=True)]
-    return "\n".join([f"**{table.title}**", "", rows[0], "| --- " * len(columns) + "|", *rows[1:]])
-
-
-def write(text: str) -> None:
-    """Put the tables between the page's marks."""
-    page = PAGE.read_text() if PAGE.exists() else f"# Synthetic regression\n\n{BEGIN}\n{END}\n"
-    before, after = page.split(BEGIN)[0], page.split(END)[1]
-    PAGE.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}")
+    head, *rows = map(list, zip(*columns, strict=True))
+    return {"columns": head, "rows": rows}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="The paper's synthetic regression; tables to docs/.")
+    parser = argparse.ArgumentParser(description="The paper's synthetic regression; tables to benchmarks/results/.")
     parser.add_argument("--seeds", type=int, default=10, help="problems of each setting")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--columns", type=int, default=100)
@@ -213,8 +208,11 @@ def main() -> None:
     note = f"{options.columns} columns, {options.rows} rows, {seeds}; {options.iterations} iterations of the paper's."
     console.print(f"{note} {time.process_time():.0f} s of processor time.")
     if not options.dry_run:
-        write(f"{note}\n\n{markdown(errors)}\n\n{markdown(ratios)}")
-        console.print(f"wrote {PAGE}")
+        command = " ".join(["python examples/synthetic_regression.py", *sys.argv[1:]])
+        path = results_file.update(
+            "synthetic_regression", command, {"errors": stored(errors), "ratios": stored(ratios)}
+        )
+        console.print(f"wrote {path}")
 
 
 if __name__ == "__main__":

@@ -16,9 +16,12 @@ from .methods import CLASSICAL, DEFAULT, methods
 from .motion import RECORDED_NECK_HZ
 from .robot import EFFECTS, Noise
 
+sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
+import results_file
+
 
 def main() -> int:
-    """Parse the command line, run, print, and write the page if asked to."""
+    """Parse the command line, run, print, and write the result file if asked to."""
     everything = methods()
     parser = argparse.ArgumentParser(prog="python -m examples.vision_head", description=__doc__)
     parser.add_argument("--seeds", type=int, default=20, help="how many robots (default: 20)")
@@ -32,7 +35,7 @@ def main() -> int:
     parser.add_argument("--encoder-noise", type=float, default=Noise.encoder, help="in the recording [rad]")
     parser.add_argument("--control-noise", type=float, default=0.0, help="of the encoders while controlling [rad]")
     parser.add_argument("--torque-noise", type=float, default=Noise.torque, help="part of each joint's RMS")
-    parser.add_argument("-o", "--output", type=Path, help="Markdown file to write, such as docs/vision_head.md")
+    parser.add_argument("--store", action="store_true", help="write benchmarks/results/vision_head.json")
     args = parser.parse_args()
     effects = tuple(filter(None, args.effects.split(",")))
     wanted = args.methods or list(everything)
@@ -58,8 +61,10 @@ def main() -> int:
             out.print(tables.rich_table(controller, tables.columns(), tables.rows(results, controller)))
         out.print(tables.rich_table("against the best classical", tables.RATIO_COLUMNS, tables.ratios(results)))
         out.print(tables.verdict(results))
-    if args.output:
-        args.output.write_text(tables.page(" ".join(["python -m examples.vision_head", *sys.argv[1:]]), runs))
+    if args.store:
+        results_file.update(
+            "vision_head", " ".join(["python -m examples.vision_head", *sys.argv[1:]]), tables.stored(runs)
+        )
     return 0
 
 

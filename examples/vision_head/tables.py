@@ -1,4 +1,4 @@
-"""The experiment's figures for a terminal and for ``docs/vision_head.md``."""
+"""The experiment's figures for a terminal and for ``benchmarks/results/vision_head.json``."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ from collections import Counter
 import numpy as np
 from rich.table import Table
 
-from .control import LOST
 from .experiment import MEASURES, TRUTH, Conditions, Results
-from .methods import CLASSICAL, DEFAULT
-from .motion import EYE_HZ, NECK_HZ, RECORDED_EYE_HZ
+from .methods import DEFAULT
 
 LIMIT = 0.8
 
@@ -84,69 +82,17 @@ def rich_table(title: str, heads: list[str], body: list[tuple[str, ...]]) -> Tab
     return table
 
 
-def page(command: str, runs: list[tuple[Conditions, Results]]) -> str:
-    """Return ``docs/vision_head.md``."""
-    conditions, results = runs[0]
-    n_seeds = len(next(iter(results.errors.values())))
-    introduction = _INTRODUCTION.format(
-        command=command,
-        seeds=n_seeds,
-        encoder=conditions.noise.encoder,
-        torque=100 * conditions.noise.torque,
-        control=conditions.control_noise,
-        recorded=conditions.recorded_s,
-        controlled=conditions.controlled_s,
-        eye=RECORDED_EYE_HZ,
-        neck_test=NECK_HZ,
-        eye_test=EYE_HZ,
-        lost=LOST,
-        classical=", ".join(CLASSICAL),
-        default=DEFAULT,
-    )
-    parts = [introduction.rstrip()]
-    for own, found in runs:
-        parts += [f"## {heading(own)}", verdict(found), _markdown(RATIO_COLUMNS, ratios(found))]
-        for controller in found.errors:
-            parts += [f"### {controller.capitalize()}", _markdown(columns(), rows(found, controller))]
-    return "\n\n".join(parts) + "\n"
-
-
-def _markdown(heads: list[str], body: list[tuple[str, ...]]) -> str:
-    lines = [heads, ["---"] * len(heads), *body]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+def stored(runs: list[tuple[Conditions, Results]]) -> dict[str, dict[str, list]]:
+    """Return the tables as columns and rows, by what they show and the speed of the recorded neck."""
+    found = {}
+    for conditions, results in runs:
+        hz = f"{conditions.neck_hz:g}_hz"
+        found[f"summary_{hz}"] = {"columns": RATIO_COLUMNS, "rows": [list(row) for row in ratios(results)]}
+        for controller in results.errors:
+            body = [list(row) for row in rows(results, controller)]
+            found[f"{controller.replace(' ', '_')}_{hz}"] = {"columns": columns(), "rows": body}
+    return found
 
 
 def _number(value: float) -> str:
     return f"{value:.2g}" if np.isfinite(value) else "failure"
-
-
-_INTRODUCTION = """# The vision head: parameters put to use
-
-The experiment of Ting, Mistry, Peters, Schaal, Nakanishi, "A Bayesian Approach to Nonlinear Parameter Identification
-for Rigid Body Dynamics" (RSS 2006), rebuilt: a head with seven joints, a neck of three and two eyes of two each, is
-identified with every method, and three controllers then use the parameters on motions that were not recorded.
-
-```
-{command}
-```
-
-- **Robot.** MuJoCo moves it (`examples/vision_head/robot.py`). On each of {seeds} seeds its inertials are drawn around
-  those of `head.urdf`, about 30 % off and physical. The methods get the URDF; its kinematics and viscous friction are
-  right.
-- **Recording.** {recorded:g} s at 500 Hz under a PD controller of low gain: encoder positions with {encoder:g} rad of
-  white noise, motor torques with {torque:g} % of each joint's RMS, and the set-points. No velocity is measured. The
-  eyes move at up to {eye:g} Hz, the neck calmly, as heads do: one cut-off has to suit all joints, so that what is
-  differentiated from the neck's positions is noisy against its motion.
-- **Methods.** The classical ones see the same filtered moments and are used as they come out, without regard to what is
-  physical: {classical}.
-  "{default}" is `torchrbd.identify` without any option.
-- **Control.** Two motions of {controlled:g} s, a sum of sines (neck up to {neck_test:g} Hz, eyes up to {eye_test:g} Hz)
-  and gaze shifts, with {control:g} rad of encoder noise: noise adds as much to the error of every method and hides what
-  the parameters cause. Gains were fixed before any method was compared (`examples/vision_head/control.py`). The URDF's
-  friction is compensated for all alike, concealed effects for none.
-- **Figures.** RMS over both motions, all joints and time; mean and standard deviation over the seeds without failure.
-  A failure is a mass matrix that is not positive definite (where the controller uses one), an error above {lost:g} rad,
-  or no estimate. *Excess* is the error beyond that of the same controller with the true parameters, paired by seed,
-  median over the seeds; a failure counts as infinite. The best classical method is chosen on the outcome, for each
-  controller and measure anew.
-"""

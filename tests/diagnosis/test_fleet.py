@@ -31,7 +31,7 @@ from torchrbd.report.fleet import write_fleet_report
 def test_fleets_of_equal_robots_raise_no_alarm(n: int, scatter: float, fewer: int) -> None:
     """Guard against regressions: the bound is what these seeds have had, and some more, not the rate.
 
-    How often fleets of equal robots raise an alarm, `benchmarks/fleet_alarms.py` tells (docs/performance.md).
+    How often fleets of equal robots raise an alarm, `benchmarks/fleet_alarms.py` measures (docs/guide/fleets.md).
     """
     assert sum(any(deviations(fleet(n, seed, scatter)).values()) for seed in range(100)) < fewer
 

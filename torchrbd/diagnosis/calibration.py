@@ -1,8 +1,8 @@
 """What log evidence is worth: one monotone function of it, fitted on development arms.
 
 A Gaussian likelihood with learnt noise is nearly right. On recordings that lack nothing the greatest log evidence plus
-log prior odds of any hypothesis exceeds x in a part e^-x of them (200 simulations, ``docs/evidence.md``): log odds are
-what exceeds the x that one in a hundred has.
+log prior odds of any hypothesis exceeds x in a part e^-x of them (200 simulations,
+``benchmarks/results/null_evidence.json``): log odds are what exceeds the x that one in a hundred has.
 """
 
 from __future__ import annotations

@@ -1,0 +1,276 @@
+"""Write the tables of the README and of the documentation from the result files.
+
+    python benchmarks/validation_page.py            # writes what differs
+    python benchmarks/validation_page.py --check    # exit code 1 if a table differs
+
+A table stands between ``<!-- table: NAME -->`` and ``<!-- end -->``; NAME is a function below. Figures come from
+``benchmarks/results/*.json``, which the benchmarks write.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import results_file
+
+ROOT = Path(__file__).resolve().parents[1]
+TABLE = re.compile(r"(?P<begin>^<!-- table: (?P<name>\w+) -->\n)(?P<text>.*?)(?P<end>^<!-- end -->$)", re.M | re.S)
+MODELS = ("urdf", "rigid_body", "baseline", "extended")
+PLAIN = ("viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction")
+
+Table = Callable[[], str]
+TABLES: dict[str, Table] = {}
+
+
+def table(function: Table) -> Table:
+    """Register a table by its function's name."""
+    TABLES[function.__name__] = function
+    return function
+
+
+def results(name: str) -> dict[str, Any]:
+    """Return the results of a file by their keys."""
+    return results_file.read(name)["results"]
+
+
+def markdown(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table in Markdown."""
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "".join(f"| {' | '.join(str(cell).replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+
+
+def stored(name: str, key: str, columns: Mapping[str, str] | None = None) -> str:
+    """Return a table as it stands in a result file; ``columns`` chooses and renames some."""
+    found = results(name)[key]
+    chosen = columns or {c: c for c in found["columns"]}
+    index = [found["columns"].index(c) for c in chosen]
+    return markdown(list(chosen.values()), [[row[k] for k in index] for row in found["rows"]])
+
+
+def short(value: float) -> str:
+    """Return two significant digits, without an exponent where it needs none."""
+    return f"{value:.2g}" if abs(value) < 1e-4 or abs(value) >= 100 else f"{float(f'{value:.2g}'):g}"
+
+
+def mean(values: Mapping[str, float]) -> float:
+    """Return the mean over the joints."""
+    return sum(values.values()) / len(values)
+
+
+def part(result: Mapping[str, Any]) -> str:
+    """Return "7 of 8" or a value with its interval."""
+    if "right" in result:
+        return f"{result['right']} of {result['of']}"
+    low_high = result.get("interval")
+    return f"{result['value']:g}" + (f" ({low_high[0]:g} to {low_high[1]:g})" if low_high else "")
+
+
+@table
+def real_robots_short() -> str:
+    rows = []
+    for one in results("real_robots").values():
+        nmse = {m: mean(one["nmse"][m]) for m in MODELS}
+        cells = {m: short(v) for m, v in nmse.items()}
+        best = min(("baseline", "extended"), key=lambda m: nmse[m])
+        cells[best] = f"**{cells[best]}**"
+        rows.append([one["robot"], cells["urdf"], cells["baseline"], cells["extended"]])
+    return markdown(["robot", "URDF", "least squares", "torchrbd"], rows)
+
+
+@table
+def real_robots() -> str:
+    rows = []
+    for one in results("real_robots").values():
+        held = one["held_out"] if isinstance(one["held_out"], str) else ", ".join(one["held_out"])
+        held = f"{len(one['held_out'])} recordings" if len(held) > 40 else held
+        cells = [short(mean(one["nmse"][m])) for m in MODELS]
+        rows.append([one["robot"], one["torque"], held, f"{one['cutoff_hz']:g} Hz", *cells])
+    head = ["robot", "torque", "held out", "band", "URDF", "re-fitted rigid body", "least squares", "torchrbd"]
+    return markdown(head, rows)
+
+
+@table
+def real_joints() -> str:
+    rows = []
+    for one in results("real_robots").values():
+        nmse = one["nmse"]
+        worse = [j for j in nmse["extended"] if nmse["extended"][j] > nmse["baseline"][j]]
+        pairs = [f"{j} {short(nmse['baseline'][j])} → {short(nmse['extended'][j])}" for j in worse]
+        rows.append([one["robot"], f"{len(worse)} of {len(nmse['extended'])}", "; ".join(pairs) or "–"])
+    return markdown(["robot", "joints predicted worse than by least squares", "NMSE, least squares → torchrbd"], rows)
+
+
+@table
+def real_findings() -> str:
+    rows = []
+    for one in results("real_robots").values():
+        friction = {j for f in one["findings"] if f["effect"] in PLAIN for j in f["joints"]}
+        others = Counter(
+            f"{f['effect'].replace('_', ' ')} at {', '.join((*f['joints'], *f['links'])) or 'the whole robot'}"
+            f" ({'> 0.99' if f['probability'] > 0.99 else format(f['probability'], '.2f')})"
+            for f in one["findings"]
+            if f["effect"] not in PLAIN
+        )
+        words = "; ".join(f"{k}, {n} times" if n > 1 else k for k, n in others.items())
+        rows.append([one["robot"], f"{len(friction)} of {len(one['nmse']['urdf'])} joints", words or "–"])
+    return markdown(["robot", "viscous or Coulomb friction", "other findings, with their probability"], rows)
+
+
+@table
+def summary() -> str:
+    c, i, r = results("concealed"), results("injected"), results("ranking")
+    rows = [
+        ["simulated, one effect of 8 or 16 % of the torque: named", c["clean_8_16"]],
+        ["simulated, one effect of 2 or 4 %: named", c["clean_2_4"]],
+        ["simulated, friction everywhere, one to four effects: named", c["field"]],
+        ["the same, effects of 8 % and more: named", c["field_8"]],
+        ["simulated, nothing hidden: robots with a false finding", c["null_false"]],
+        ["simulated, hidden effects: robots with a false finding", c["planted_false"]],
+        ["findings with a probability above 0.9 that are right", c["sure_right"]],
+        ["95 % intervals that contain the truth", c["coverage"]],
+        ["physics outside the list: reported as unexplained, right joint and signal", c["outside_unexplained"]],
+        ["physics outside the list: given a wrong name", c["outside_wrong_name"]],
+        ["relative error of parameters, median", c["parameter_error"]],
+        ["effect of 15 % added to a real recording: named, or its family", i["size_15"]],
+        ["effect of 8 % added to a real recording: named, or its family", i["size_8"]],
+        ["the same: false findings per recording", i["false_findings_a_case"]],
+        ["`torchrbd.rank`, effect of 8 %: first in the list, or its class", r["named"]],
+        ["`torchrbd.rank`, nothing hidden: greatest log evidence", r["greatest_null_evidence"]],
+    ]
+    return markdown(["question", "result", "required"], [[words, part(x), x.get("asked", "")] for words, x in rows])
+
+
+@table
+def calibration() -> str:
+    found = results("null_evidence")["calibration"]["rows"]
+    rows = [[x, f"{bound:.2g}", short_term, long_term] for x, bound, _, short_term, _, long_term in found if x % 2 == 0]
+    return markdown(["x", "bound", "ratio, 30 s at 125 Hz", "ratio, 60 s at 500 Hz"], rows)
+
+
+@table
+def input_noise() -> str:
+    return stored("input_noise", "nmse")
+
+
+@table
+def coverage() -> str:
+    return stored("input_noise", "coverage")
+
+
+@table
+def estimators() -> str:
+    names = {"kuka_kr300": "KUKA KR300", "dfki_double_pendulum": "double pendulum", "dfki_pendulum": "pendulum"}
+    found, wanted = (
+        results("real_estimators"),
+        ("urdf", "physical", "smoother", "ols", "irls", "ridge", "stepwise", "best"),
+    )
+    of = {k: {row[0]: row[2] for row in x["rows"]} for k, x in found.items()}
+    return markdown(["estimator", *names.values()], [[w, *(of[k][w] for k in names)] for w in wanted])
+
+
+@table
+def control() -> str:
+    slow, quick = (results("vision_head")[f"summary_{hz}"] for hz in ("0.4_hz", "1.5_hz"))
+    rows = zip(slow["rows"], quick["rows"], strict=True)
+    chosen = [[a[0], a[-1], b[-1]] for a, b in rows if a[1].startswith("position")]
+    return markdown(["controller, position error", "calm motion", "quick motion"], chosen)
+
+
+@table
+def unseen() -> str:
+    return stored("unseen_recordings", "nmse")
+
+
+@table
+def kernels() -> str:
+    chosen = ("inverse dynamics", "regressor", "mass matrix", "forward dynamics")
+    found = results("speed")["7_joints"]
+    return markdown([*found["columns"][:5]], [row[:5] for row in found["rows"] if row[0] in chosen])
+
+
+@table
+def gpu() -> str:
+    columns = {c: c for c in ("7 joints", "float64", "float32")}
+    return stored("speed", "gpu_7_joints", columns)
+
+
+@table
+def diagnosis_seconds() -> str:
+    return stored("speed", "diagnosis", {"recording": "recordings", "seconds": "seconds"})
+
+
+@table
+def long_recordings() -> str:
+    found = results("speed")["long_recordings"]
+    return markdown(
+        ["work", "rows", "seconds, of them of the processor", "memory [GB]"], [[*r[:3], r[4]] for r in found["rows"]]
+    )
+
+
+@table
+def many_joints() -> str:
+    return stored("speed", "many_joints")
+
+
+@table
+def fleet_alarms() -> str:
+    return stored("speed", "fleet_alarms")
+
+
+@table
+def condition_numbers() -> str:
+    return stored("next_recording", "condition_numbers")
+
+
+@table
+def training() -> str:
+    return stored("training", "passes")
+
+
+@table
+def residual() -> str:
+    return stored("residual", "nmse")
+
+
+def pages() -> list[Path]:
+    """Return the pages that may hold tables."""
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def filled(text: str) -> str:
+    """Return a page with its tables written anew."""
+
+    def written(found: re.Match[str]) -> str:
+        if found["name"] not in TABLES:
+            raise SystemExit(f"no table '{found['name']}'; there are {', '.join(TABLES)}")
+        return f"{found['begin']}\n{TABLES[found['name']]()}\n{found['end']}"
+
+    return TABLE.sub(written, text)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the pages, or check them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a table differs")
+    check, different = parser.parse_args(arguments).check, []
+    for page in pages():
+        text = page.read_text(encoding="utf-8")
+        new = filled(text)
+        if new != text:
+            different.append(page.relative_to(ROOT))
+            if not check:
+                page.write_text(new, encoding="utf-8")
+    words = "differs from the result files: run python benchmarks/validation_page.py" if check else "written"
+    for page in different:
+        print(f"{page}: {words}")
+    return 1 if check and different else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
