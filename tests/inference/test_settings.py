@@ -11,8 +11,8 @@ from inference.problems import urdf_of
 
 from torchrbd.effects import known_effects
 from torchrbd.errors import OptionError
-from torchrbd.options import Payload
 from torchrbd.inference.settings import Settings
+from torchrbd.options import Payload
 from torchrbd.robot import RobotModel
 
 
@@ -102,7 +102,8 @@ def test_effects_that_may_be_used() -> None:
         "rotor_inertia"
     ]
     for bad in (Settings(effects=("stiction",)), Settings(exclude=("stiction",))):
-        with pytest.raises(OptionError, match=r"unknown effect 'stiction'; did you mean 'stribeck_friction'\? known: actuator_lag, asym"):
+        remedy = r"unknown effect 'stiction'; did you mean 'stribeck_friction'\? known: actuator_lag, asym"
+        with pytest.raises(OptionError, match=remedy):
             bad.chosen_effects()
 
 

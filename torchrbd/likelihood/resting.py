@@ -3,8 +3,8 @@
     E[phi phi'] = phi0 phi0' + noise
 
 A joint rests in a block of time if the root mean square of its velocity there lies below the speed at which it has a
-direction. What its own motion makes, d qd or c sign(qd), is noise then, phi0 is zero, and the block has no such columns.
-Were they kept, they would draw friction to zero, or to whatever a drive makes of the noise.
+direction. What its own motion makes, d qd or c sign(qd), is noise then, phi0 is zero, and the block has none of
+these columns. Were they kept, they would draw friction to zero, or to whatever a drive makes of the noise.
 """
 
 from __future__ import annotations

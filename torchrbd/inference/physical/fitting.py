@@ -175,7 +175,7 @@ def _positive(columns: Columns, terms: Sequence[Candidate]) -> list[int]:
 
 
 def not_negative(columns: Columns, terms: Sequence[Candidate]) -> Tensor:
-    """Return the weights (K, n) of sums of coefficients that physics keeps from being negative, and that may be zero."""
+    """Return the weights (K, n) of sums of coefficients that physics keeps from being negative; zero is allowed."""
     found: dict[tuple[tuple[int, float], ...], None] = {}
     for c in terms:
         if not isinstance(c, ShapeSlope) and c.effect.prior.may_be_none:
