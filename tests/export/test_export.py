@@ -12,6 +12,7 @@ from torchrbd import RigidBodyDynamics, RobotModel
 from torchrbd.effects import Site, Term, effect
 from torchrbd.errors import InputError, PhysicalError, RobotError
 from torchrbd.export import load_model, save_model, to_urdf
+from torchrbd.export.simulators import written
 
 URDF = """<?xml version="1.0"?>
 <!-- kept -->
@@ -146,11 +147,25 @@ def test_friction_that_the_model_has_no_more_does_not_remain() -> None:
     assert dict(dry.find(swing).attrib) == {"spring_stiffness": "2", "friction": "0.2"}
 
 
-def test_dry_friction_that_is_negative_is_told_and_not_written() -> None:
-    terms = [told("coulomb_friction", {"coulomb": -0.2}), told("viscous_friction", {"viscous": 0.4})]
-    model = RigidBodyDynamics(RobotModel.from_urdf(URDF), terms=terms)
-    assert dict(etree.fromstring(to_urdf(model)).find("joint/dynamics").attrib) == {"damping": "0.4"}
-    assert torchrbd.unsaid(model, "urdf") == ("dry friction of swing is negative (-0.2), which simulators lack",)
+@pytest.mark.parametrize(
+    ("identifier", "parameter", "in_urdf", "in_mjcf"),
+    [
+        ("coulomb_friction", "coulomb", "friction", "frictionloss"),
+        ("viscous_friction", "viscous", "damping", "damping"),
+        ("rotor_inertia", "rotor_inertia", None, "armature"),
+    ],
+)
+def test_what_would_drive_a_joint_is_refused(
+    identifier: str, parameter: str, in_urdf: str | None, in_mjcf: str
+) -> None:
+    """A simulator gains energy by a negative coefficient; no file holds one."""
+    model = RigidBodyDynamics(RobotModel.from_urdf(URDF), terms=[told(identifier, {parameter: -0.2})])
+    for to, name in (("urdf", in_urdf), ("mjcf", in_mjcf)):
+        if name is not None:
+            with pytest.raises(PhysicalError, match=f"swing: {name} is -0.2.*Fit the term again"):
+                written(model, to)
+            with pytest.raises(PhysicalError, match=name):
+                torchrbd.unsaid(model, to)
 
 
 def test_friction_of_some_recordings_is_not_in_the_file() -> None:
@@ -217,12 +232,3 @@ def test_a_link_with_a_first_moment_and_no_mass_is_refused() -> None:
     pi[0] = 1.0 - 1.0
     with pytest.raises(PhysicalError, match="has no mass and a centre of mass"):
         to_urdf(RigidBodyDynamics(robot, pi))
-
-
-def test_damping_that_is_negative_is_told() -> None:
-    w, shape = effect("viscous_friction").coefficients({"viscous": -0.3})
-    robot = RobotModel.from_urdf(URDF)
-    term = Term(effect("viscous_friction"), Site(0), torch.tensor(w, dtype=torch.float64), shape)
-    model = RigidBodyDynamics(robot, terms=[term])
-    for to in ("urdf", "mjcf"):
-        assert any("damping of swing is negative (-0.3)" in one for one in torchrbd.export.unsaid(model, to))

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.effects import Mjcf, Term
+from torchrbd.errors import PhysicalError
 from torchrbd.export.drive import Drive
 from torchrbd.export.xml_text import Value, element_text
 from torchrbd.model import RigidBodyDynamics
@@ -59,7 +60,11 @@ class Gathered:
 
 
 def gather(model: RigidBodyDynamics) -> Gathered:
-    """Return what the terms of a model are in MJCF."""
+    """Return what the terms of a model are in MJCF.
+
+    Raises:
+        PhysicalError: a joint's damping, friction or rotor inertia is negative.
+    """
     robot = model.robot
     found = Gathered([Drive() for _ in range(robot.n_dof)])
     couplings: list[Tendon] = []
@@ -74,11 +79,11 @@ def gather(model: RigidBodyDynamics) -> Gathered:
     gains = [drive.gain for drive in found.drives]
     for drive, joint in zip(found.drives, robot.joint_names, strict=True):
         drive.act()
-        if drive.damping < 0:
-            found.unsaid.append(negative_damping(joint, drive.damping))
-        if drive.frictionloss < 0:
-            found.unsaid.append(f"dry friction of {joint} is negative ({drive.frictionloss:.4g}), which MuJoCo lacks")
-            drive.frictionloss = 0.0
+        for name in ("damping", "frictionloss", "armature", "drag"):
+            refuse_negative(joint, name, getattr(drive, name))
+    for one in found.tendons:
+        for name in ("damping", "frictionloss", "armature"):
+            refuse_negative(" and ".join(robot.joint_names[j] for j in one.joints), name, getattr(one, name))
     for one in (t for t in couplings if len(t.joints) == 1):
         found.tendons.append(Tendon(one.joints, one.coef, one.stiffness / gains[one.joints[0]], 0.0, one.springlength))
     _divide(found, gains, robot)
@@ -98,9 +103,17 @@ def named(term: Term, robot: RobotModel) -> str:
     return f"{term.effect.words} at {site.name(robot)}" + (f" ({told})" if len(values) <= _MOST_NUMBERS else "")
 
 
-def negative_damping(joint: str, damping: float) -> str:
-    """Say that a joint is driven by its own motion."""
-    return f"damping of {joint} is negative ({damping:.4g}): it is in the file, and a simulator gains energy by it"
+def refuse_negative(joint: str, name: str, value: float) -> None:
+    """Refuse a coefficient that would drive a joint.
+
+    Raises:
+        PhysicalError: it is negative.
+    """
+    if value < 0:
+        raise PhysicalError(
+            f"{joint}: {name} is {value:.4g}; a simulator would gain energy by a negative one, and no file holds it. "
+            "Fit the term again, as identify does, or set its coefficients to zero"
+        )
 
 
 def _finite(written: Mjcf) -> bool:
@@ -197,7 +210,8 @@ def _couple(found: Gathered, kind: str, couplings: list[Tendon], gains: list[flo
     """Write what couples pairs of joints as tendons.
 
     A tendon acts on both joints, and beside the coupling on each joint by its own motion: that is taken from the
-    joint's own stiffness or damping. Two terms that say the same from both sides are one tendon.
+    joint's own stiffness or damping. Two terms that say the same from both sides are one tendon. Joints that have less
+    damping than the coupling keep theirs, and no tendon couples them: one of negative damping would gain energy.
     """
     crossed: dict[tuple[int, int], float] = {}
     for one in couplings:
@@ -210,11 +224,17 @@ def _couple(found: Gathered, kind: str, couplings: list[Tendon], gains: list[flo
         if back is not None and other < joint:
             continue
         k = forth if back is None else 0.5 * (forth + back)
+        names = robot.joint_names[joint], robot.joint_names[other]
+        if kind == "damping" and min(found.drives[j].damping for j in (joint, other)) < abs(k):
+            found.unsaid.append(
+                f"coupling of {names[0]} and {names[1]} by their speeds ({k:.4g}): one of them has less damping than that, "
+                "and a negative one would gain energy"
+            )
+            continue
         for drive in (found.drives[joint], found.drives[other]):
             setattr(drive, kind, getattr(drive, kind) - abs(k))
         found.tendons.append(Tendon((joint, other), (1.0, math.copysign(1.0, k)), **{kind: abs(k)}))
         if back is None or abs(forth - back) > _SAME * abs(k):
-            names = robot.joint_names[joint], robot.joint_names[other]
             found.unsaid.append(
                 f"coupling of {names[0]} and {names[1]}: a tendon acts on both alike, with {kind} {k:.4g}; the model "
                 f"has {forth:.4g} at {names[0]} and {0.0 if back is None else back:.4g} at {names[1]}"

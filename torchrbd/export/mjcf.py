@@ -38,7 +38,7 @@ def to_mjcf(model: RigidBodyDynamics) -> bytes:
         the file, UTF-8.
 
     Raises:
-        PhysicalError: a link's inertial parameters are those of no rigid body.
+        PhysicalError: a link's inertial parameters are those of no rigid body, or a joint's friction is negative.
     """
     return _write(model)[0]
 
@@ -47,7 +47,7 @@ def mjcf_unsaid(model: RigidBodyDynamics) -> tuple[str, ...]:
     """Return what ``to_mjcf`` cannot write, in sentences.
 
     Raises:
-        PhysicalError: a link's inertial parameters are those of no rigid body.
+        PhysicalError: a link's inertial parameters are those of no rigid body, or a joint's friction is negative.
     """
     return _write(model)[1]
 

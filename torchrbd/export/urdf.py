@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrbd.effects import Term
 from torchrbd.errors import PhysicalError, RobotError
 from torchrbd.export.conditions import conditions_unsaid
-from torchrbd.export.gathered import named, negative_damping
+from torchrbd.export.gathered import named, refuse_negative
 from torchrbd.export.xml_text import comment, element_text
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
@@ -34,7 +34,7 @@ def to_urdf(model: RigidBodyDynamics, warnings: Iterable[str] = ()) -> bytes:
 
     Raises:
         RobotError: the robot was not made from a URDF.
-        PhysicalError: a link has a centre of mass and no mass.
+        PhysicalError: a link has a centre of mass and no mass, or a joint's friction is negative.
     """
     robot = model.robot
     if robot.urdf is None:
@@ -58,15 +58,15 @@ def to_urdf(model: RigidBodyDynamics, warnings: Iterable[str] = ()) -> bytes:
 
 
 def urdf_unsaid(model: RigidBodyDynamics) -> tuple[str, ...]:
-    """Return what ``to_urdf`` cannot write, in sentences."""
+    """Return what ``to_urdf`` cannot write, in sentences.
+
+    Raises:
+        PhysicalError: a joint's friction is negative.
+    """
     robot = model.robot
     sentences = [_sentence(term, robot) for term in _left_out(model)]
-    for index, joint in enumerate(robot.joint_names):
-        friction, damping = (_sums(model, index).get(name, 0.0) for name in ("friction", "damping"))
-        if damping < 0:
-            sentences.append(negative_damping(joint, damping))
-        if friction < 0:
-            sentences.append(f"dry friction of {joint} is negative ({friction:.4g}), which simulators lack")
+    for index in range(robot.n_dof):
+        _dynamics(model, index)
     if bool((robot.gravity != robot.gravity.new_tensor(STANDARD_GRAVITY)).any()):
         x, y, z = (f"{v:.4g}" for v in robot.gravity.tolist())
         sentences.append(f"gravity, which is {x} {y} {z} m/s^2 in the base's axes: tell the simulator")
@@ -116,8 +116,15 @@ def _sums(model: RigidBodyDynamics, joint: int) -> dict[str, float]:
 
 
 def _dynamics(model: RigidBodyDynamics, joint: int) -> dict[str, float]:
-    """Return the attributes of <dynamics>; dry friction that is negative is none."""
-    return {name: v for name, v in _sums(model, joint).items() if v and (name != "friction" or v > 0)}
+    """Return the attributes of <dynamics>.
+
+    Raises:
+        PhysicalError: one of them is negative.
+    """
+    found = {name: v for name, v in _sums(model, joint).items() if v}
+    for name, value in found.items():
+        refuse_negative(model.robot.joint_names[joint], name, value)
+    return found
 
 
 def _write_dynamics(joint: etree._Element, values: dict[str, float]) -> None:

@@ -130,7 +130,8 @@ def fit_model(
     columns = statistics.columns
     term_columns = torch.tensor(sorted({k for c in terms for k in columns.of(c)}), dtype=torch.long)
     statistics = told_by_motion(statistics)
-    totals, signs, positive = statistics.total(), not_negative(columns, terms), _positive(columns, terms)
+    totals, positive = statistics.total(), _positive(columns, terms)
+    signs, all_signs = not_negative(columns, _may_be_none(terms)), not_negative(columns, terms)
     variance = first_noise_variance(statistics) if noise is None else noise
     if states is not None and noise is None:
         variance = torch.where(torch.isfinite(variance), states.torque_variance, variance)
@@ -144,7 +145,7 @@ def fit_model(
         x, covariance = _told(prior, fit)
         bounded = _with_signs(prior, equations, x, covariance, positive)
         if bounded is not equations:
-            fit = fit_with_signs(prior, bounded, term_columns, signs)
+            fit = fit_with_signs(prior, bounded, term_columns, all_signs)
             x, covariance = _told(prior, fit)
         return (fit, equations), x, covariance
 
@@ -170,15 +171,19 @@ def _told(prior: Prior, fit: PhysicalFit) -> tuple[Tensor, Tensor]:
 
 def _positive(columns: Columns, terms: Sequence[Candidate]) -> list[int]:
     """Return the columns of coefficients that physics keeps above zero."""
-    own = [c for c in terms if not isinstance(c, ShapeSlope) and not c.effect.prior.may_be_none]
+    own = {c for c in terms if not isinstance(c, ShapeSlope)} - set(_may_be_none(terms))
     return sorted({columns.of(c)[i] for c in own for i in c.effect.prior.positive})
 
 
+def _may_be_none(terms: Sequence[Candidate]) -> list[Candidate]:
+    return [c for c in terms if not isinstance(c, ShapeSlope) and c.effect.prior.may_be_none]
+
+
 def not_negative(columns: Columns, terms: Sequence[Candidate]) -> Tensor:
-    """Return the weights (K, n) of sums of coefficients that physics keeps from being negative; zero is allowed."""
+    """Return the weights (K, n) of sums of coefficients that physics keeps from being negative."""
     found: dict[tuple[tuple[int, float], ...], None] = {}
     for c in terms:
-        if not isinstance(c, ShapeSlope) and c.effect.prior.may_be_none:
+        if not isinstance(c, ShapeSlope):
             index = columns.of(c)
             for weights in c.effect.prior.not_negative(len(index)):
                 found[tuple((k, w) for k, w in zip(index, weights, strict=True) if w)] = None
