@@ -14,7 +14,7 @@ import torchrbd
 
 PACKAGE = Path(__file__).parent.parent / "torchrbd"
 ROOMS = (
-    "errors", "estimators", "options", "threads", "processes", "engines", "ranks", "outputs", "display", "rebuilding", "compiling",
+    "errors", "estimators", "options", "deadline", "threads", "processes", "engines", "ranks", "outputs", "display", "rebuilding", "compiling",
     "filters", "robot", "recordings", "parameters", "effects", "model", "likelihood", "simulation", "inference",
     "diagnosis", "excitation", "learning", "export", "report", "cli",
 )  # fmt: skip
