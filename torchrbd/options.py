@@ -116,6 +116,9 @@ class Options:
             number or {joint: number}. Default: estimated.
         kappa: weight of the URDF's inertia against the data, above 0. Default: 3.
         seed: which blocks of time are held out, a whole number. Default: 0.
+        time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
+            fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
+            short. Default: none.
     """
 
     holdout: tuple[Source, ...] = field(default=(), metadata=_spelt("Data", "FILE", Path, many=True))
@@ -136,6 +139,7 @@ class Options:
     )
     kappa: float = field(default=3.0, metadata=_spelt("Model", "X", float))
     seed: int = field(default=0, metadata=_spelt("Model", "N", int))
+    time_limit: float | None = field(default=None, metadata=_spelt("Model", "SECONDS"))
 
     def __post_init__(self) -> None:
         if not 0.0 < self.holdout_fraction <= 0.5:

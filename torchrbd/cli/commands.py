@@ -18,6 +18,7 @@ from torchrbd.cli.exporting import export
 from torchrbd.cli.files import REPORT, write_results
 from torchrbd.cli.fleet import fleet
 from torchrbd.cli.inspecting import inspect
+from torchrbd.cli.interrupts import finishing_on_interrupt
 from torchrbd.cli.progress import progress_bar
 from torchrbd.cli.settings import settings_of
 from torchrbd.cli.simulating import simulate_recording
@@ -43,7 +44,7 @@ Result = TypeVar("Result", Identification, Diagnosis, EstimatorComparison)
 def _run(work: Callable[..., Result], show: Callable[[Result], None], options: argparse.Namespace) -> None:
     """Do the work on what the user gave, show the result and write it."""
     settings, into = settings_of(options), options.output
-    with nullcontext() if into is None else OutputFolder(into) as folder:
+    with finishing_on_interrupt(), nullcontext() if into is None else OutputFolder(into) as folder:
         with progress_bar(quiet=options.quiet) as progress:
             result = work(options.robot, options.recordings, progress=progress, **settings)
         names = () if folder is None else folder.fill(partial(write_results, result))

@@ -27,6 +27,12 @@ def add_shared(sub: argparse.ArgumentParser, effects_words: str, *, output_requi
     add_model(model, effects_words)
     model.add_argument("--trust", metavar="LINK", help="links whose inertia is not re-fitted", **_MANY)
     model.add_argument("--seed", type=int, metavar="N", help="of the choice of blocks kept back (default: 0)")
+    model.add_argument(
+        "--time-limit",
+        metavar="SECONDS",
+        help="end the search after so long (60, 90s, 2min) with the best model so far, marked as unfinished; so does "
+        "the first Ctrl-C (default: none)",
+    )
     add_config(sub)
 
 

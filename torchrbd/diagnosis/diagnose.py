@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from torchrbd.deadline import is_over, time_limited
 from torchrbd.diagnosis.clock_offset import clock_offset
 from torchrbd.diagnosis.deflection import deflections
 from torchrbd.diagnosis.explain import explain, likeliest_left
@@ -23,13 +24,13 @@ from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect
 from torchrbd.diagnosis.trifling import is_trifling
 from torchrbd.diagnosis.unexplained import only_where_fitted, tones, unexplained
-from torchrbd.diagnosis.verdict_words import REFUTED, ended_statement, verdict_statement
+from torchrbd.diagnosis.verdict_words import REFUTED, ended_statement, unfinished, verdict_statement
 from torchrbd.diagnosis.words import strongest_first
 from torchrbd.effects import Site, effect
 from torchrbd.effects.registry import PLAIN
 from torchrbd.errors import OptionError
 from torchrbd.estimators import OF_RECORDINGS
-from torchrbd.inference.identify import read_arguments, summarise
+from torchrbd.inference.identify import marked, read_arguments, summarise
 from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.suspicions import suspicions
@@ -41,6 +42,7 @@ from torchrbd.robot import RobotModel
 from torchrbd.threads import single_threaded
 
 
+@time_limited
 @single_threaded()
 def diagnose(
     robot: RobotModel | str | Path | bytes,
@@ -62,6 +64,7 @@ def diagnose(
     encoder_noise: float | Mapping[str, float] | None = None,
     kappa: float = 3.0,
     seed: int = 0,
+    time_limit: float | str | None = None,
     progress: Progress = lambda *_: None,
 ) -> Diagnosis:
     """Find the physics that a robot's URDF leaves out.
@@ -97,6 +100,9 @@ def diagnose(
             number or {joint: number}. Default: estimated.
         kappa: weight of the URDF's inertia against the data, above 0. Default: 3.
         seed: which blocks of time are held out, a whole number. Default: 0.
+        time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
+            fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
+            short. Default: none.
         progress: told how far the work is.
 
     Raises:
@@ -148,7 +154,8 @@ def diagnose(
         known = {joint for one in rest for joint in one.joints}
         rest = (*rest, *(one for one in only_where_fitted(full, model) if one.joints[0] not in known))
     progress("looking at what is left", 0.0)
-    locations, maps = _located(prepared, model)
+    locations, maps = ((), ()) if is_over() else _located(prepared, model)
+    identification = marked(identification)
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))
     simulations = tuple(one.name for one in prepared.reading.simulated)
     compared = "simulation" if simulations else "URDF"
@@ -156,7 +163,7 @@ def diagnose(
     statement = verdict_statement(verdict, findings, rest, identification.fits, compared, there)
     ended = ended_statement(len(found.terms), likeliest_left(found))
     refutes = REFUTED if plainly else ""
-    statement = " ".join(filter(None, (statement, refutes, ended, doubt(proof, findings, there))))
+    statement = " ".join(filter(None, (statement, refutes, ended, doubt(proof, findings, there), unfinished())))
     absent = limits(found)
     return Diagnosis(
         identification,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchrbd.deadline import time_limited
 from torchrbd.diagnosis.hypotheses import Hypothesis, carried, told, whole
 from torchrbd.diagnosis.screening import is_clocks
 from torchrbd.diagnosis.search import explained
@@ -128,6 +129,7 @@ class Ranking:
         return -math.inf if one is None else with_own_noise(base, rows, one).log_evidence
 
 
+@time_limited
 @single_threaded()
 def rank(
     robot: RobotModel | str | Path | bytes,
@@ -149,6 +151,7 @@ def rank(
     encoder_noise: float | Mapping[str, float] | None = None,
     kappa: float = 3.0,
     seed: int = 0,
+    time_limit: float | str | None = None,
     progress: Progress = lambda *_: None,
 ) -> Ranking:
     """Rank the effects that a URDF may leave out by their log evidence, without naming any.
@@ -184,6 +187,9 @@ def rank(
             number or {joint: number}. Default: estimated.
         kappa: weight of the URDF's inertia against the data, above 0. Default: 3.
         seed: which blocks of time are held out, a whole number. Default: 0.
+        time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
+            fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
+            short. Default: none.
         progress: told how far the work is.
 
     Raises:

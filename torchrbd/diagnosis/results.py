@@ -331,6 +331,11 @@ class Diagnosis(Displayed):
     trifling: tuple[Finding, ...] = field(default=())
     confirmed: Ratio | None = None
 
+    @property
+    def finished(self) -> bool:
+        """Whether the search came to its end; False if a time limit or the user ended it before."""
+        return self.identification.finished
+
     def __repr__(self) -> str:
         names = [f"{f.effect} at {', '.join((*f.joints, *f.links)) or 'whole robot'}" for f in self.findings]
         more = [f"{len(names) - _MOST_IN_REPR} more"] if len(names) > _MOST_IN_REPR else []

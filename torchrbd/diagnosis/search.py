@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from torchrbd.deadline import is_over
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried, meet
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
@@ -54,6 +55,8 @@ def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int
     first = search.leading(base)
     fit, terms, last = search.settled(base, *search.added(base, base, [], [], first))
     for _ in range(_LOADS):
+        if is_over():
+            break
         now, chosen = search.with_own_load(base, fit, [term.own for term in terms])
         if now is fit:
             break
@@ -107,7 +110,7 @@ class _Search:
         """
         first = {k for k, h in enumerate(found) if h.candidate in [one.candidate for one in hidden]}
         now, done = [at_a_glance(fit, self.rows, h) for h in found], set[int]()
-        while now:
+        while now and not is_over():
             odds = np.array([log_odds(h, self.rows) for h in now])
             lead = {int(odds.argmax()), int(np.argmax([h.log_evidence for h in now]))}
             near = [any(meet(h.candidate, now[k].candidate) for k in lead) for h in now]
@@ -149,6 +152,8 @@ class _Search:
 
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
+        if is_over():
+            return []
         known = _only_once(chosen, self.effects)
         likely, near, present = self.sought(fit, known), list[Hypothesis](), {h.candidate for h in chosen}
         while likely and len(near) < _LEADING:
@@ -292,6 +297,8 @@ class _Search:
         """
         seen = list(seen)
         for _ in range(len(chosen), MOST_TERMS):
+            if is_over():
+                break
             if not found or log_odds(found[0], self.rows) <= 0.0:
                 found = self.ordered((*self.curves(fit, chosen), *found))
                 if not found or log_odds(found[0], self.rows) <= 0.0:
@@ -340,6 +347,10 @@ class _Search:
         for _ in range(_SWEEPS):
             before, terms, changed_before, changed = terms, [], changed, []
             while (k := len(terms)) < len(chosen):
+                if is_over():
+                    # Beside the terms that were there when it was added.
+                    terms += [Term(h, tuple(rivals[:_JUDGED])) for h, rivals in zip(chosen[k:], seen[k:], strict=True)]
+                    break
                 now = chosen[k].candidate
                 stays = [t for t in before if t.own.candidate == now and not any(meet(now, c) for c in changed_before)]
                 if stays:
@@ -365,6 +376,8 @@ class _Search:
                 return fit, tuple(terms), last
             fit = self.with_terms(base, chosen)
             last = self.leading(fit, chosen)
+            if is_over():
+                break
         return fit, tuple(terms), last
 
     def _beside_a_curve(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from torchrbd.diagnosis.ranking import Ranking
 from torchrbd.diagnosis.results import Diagnosis
-from torchrbd.diagnosis.verdict_words import suspect_statement
-from torchrbd.inference.identify import summarise
+from torchrbd.diagnosis.verdict_words import suspect_statement, unfinished
+from torchrbd.inference.identify import marked, summarise
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
@@ -30,15 +30,14 @@ def suspect(
         ranked: what was considered, if it came to that.
     """
     identification = _plain(prepared, settings, progress, suspected)
-    return Diagnosis(
-        identification, "suspect", suspect_statement(suspected), (), simulated=_simulated(prepared), ranking=ranked
-    )
+    statement = " ".join(filter(None, (suspect_statement(suspected), unfinished())))
+    return Diagnosis(identification, "suspect", statement, (), simulated=_simulated(prepared), ranking=ranked)
 
 
 def _plain(prepared: Prepared, settings: Settings, progress: Progress, suspected: Suspicions) -> Identification:
     progress("fitting", 0.0)
     models = {"rigid_body": prepared.fit(), "extended": prepared.fit(prepared.columns.urdf_friction)}
-    return summarise(prepared, models, settings, progress, suspected)
+    return marked(summarise(prepared, models, settings, progress, suspected))
 
 
 def _simulated(prepared: Prepared) -> tuple[str, ...]:

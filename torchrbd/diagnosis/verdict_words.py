@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 
+from torchrbd.deadline import reason_words, stopped
 from torchrbd.diagnosis.numbers import as_large, joined, percent
 from torchrbd.diagnosis.posterior import LIKELY
 from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, Where
@@ -73,6 +74,11 @@ def ended_statement(terms: int, left: str) -> str:
         return ""
     count = f"{terms} term{'' if terms == 1 else 's'}"
     return f"The search ends with {count}, though more is likelier than not beside them: first of all {left}."
+
+
+def unfinished() -> str:
+    """Say that the search was ended early, if it was."""
+    return f"Unfinished: the search ended {reason_words()}, and more may be missing." if stopped() else ""
 
 
 def suspect_statement(suspected: Suspicions) -> str:

@@ -193,6 +193,7 @@ def _head(result: Identification) -> dict[str, Any]:
         the torque is than the motion), lag_s (of actuators that follow the torque as their command), load (inertial
         parameters of a known load) or null, simulated (the simulator's recording that it was compared with), held_out_s
         (spans of time, from and to, that no fit has seen).
+    finished: false if a time limit or the user ended the search: it holds the best model so far.
     notes: holds the ``doubts`` too, and these the ``suspicions`` in words.
     suspicions: what the recordings seem to mean instead of what they say: list of kind, joints, log_odds, times (by
         which the squared error on time left out of the fit falls, or null), statement, remedy (option or mapping
@@ -213,6 +214,7 @@ def _head(result: Identification) -> dict[str, Any]:
         "held_out": result.held_out,
         "conditions": to_content(result.model.conditions),
         "cutoff_hz": result.cutoff_hz,
+        "finished": result.finished,
         "fit": {name: asdict(fit) for name, fit in result.fits.items()},
         "doubts": list(result.doubts),
         "suspicions": [asdict(one) for one in result.suspicions.found],

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from torchrbd.deadline import is_over, reason_words, time_limited
 from torchrbd.effects import Effect
 from torchrbd.errors import OptionError, TorchRBDError
 from torchrbd.estimators import COMPARABLE, check_estimators
@@ -78,6 +79,7 @@ class EstimatorComparison:
     doubts: tuple[str, ...]
 
 
+@time_limited
 @single_threaded()
 def compare_estimators(
     robot: RobotModel | str | Path | bytes,
@@ -99,6 +101,7 @@ def compare_estimators(
     encoder_noise: float | Mapping[str, float] | None = None,
     kappa: float = 3.0,
     seed: int = 0,
+    time_limit: float | str | None = None,
     progress: Progress = lambda *_: None,
 ) -> EstimatorComparison:
     """Estimate a robot's parameters with many estimators and judge each on the same held-out, filtered torques.
@@ -134,6 +137,9 @@ def compare_estimators(
             number or {joint: number}. Default: estimated.
         kappa: weight of the URDF's inertia against the data, above 0. Default: 3.
         seed: which blocks of time are held out, a whole number. Default: 0.
+        time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
+            fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
+            short. Default: none.
         progress: told how far the work is.
 
     Raises:
@@ -151,6 +157,9 @@ def compare_estimators(
     rows = [EstimatorRow("urdf", urdf, urdf, None, 0.0, "")]
     for k, name in enumerate(names):
         progress(name, k / len(names))
+        if is_over():
+            rows.append(EstimatorRow(name, None, None, None, 0.0, f"not tried: the comparison ended {reason_words()}"))
+            continue
         # An estimator that breaks down, in whatever way, is a result of the comparison and not its end.
         try:
             if name == "smoother":

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchrbd.deadline import reason_words, stopped, time_limited
 from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.data.bodies import fixed_base
@@ -40,6 +41,7 @@ from torchrbd.simulation import MotionErrors, motion_errors
 from torchrbd.threads import single_threaded
 
 
+@time_limited
 @single_threaded()
 def identify(
     robot: RobotModel | str | Path | bytes,
@@ -61,6 +63,7 @@ def identify(
     encoder_noise: float | Mapping[str, float] | None = None,
     kappa: float = 3.0,
     seed: int = 0,
+    time_limit: float | str | None = None,
     progress: Progress = lambda *_: None,
 ) -> Identification:
     """Fit a robot's inertial parameters to recordings; the result is always physically valid.
@@ -98,6 +101,9 @@ def identify(
             number or {joint: number}. Default: estimated.
         kappa: weight of the URDF's inertia against the data, above 0. Default: 3.
         seed: which blocks of time are held out, a whole number. Default: 0.
+        time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
+            fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
+            short. Default: none.
         progress: told how far the work is.
 
     Raises:
@@ -129,7 +135,18 @@ def identify(
         models["extended"] = fit_with_shapes(prepared, terms) if sure else prepared.fit(terms)
     if settings.estimator not in WITH_INTERVALS:
         prepared, models = _estimated(prepared, settings.estimator, models)
-    return summarise(prepared, models, settings, progress, suspected)
+    return marked(summarise(prepared, models, settings, progress, suspected))
+
+
+def marked(found: Identification) -> Identification:
+    """Return an identification that says so if its search was ended early."""
+    if not stopped():
+        return found
+    note = (
+        f"unfinished: the search ended {reason_words()}; effects, better shapes and alternatives may be missing, and "
+        "probabilities may change: give it more time with time_limit"
+    )
+    return replace(found, finished=False, notes=(note, *found.notes))
 
 
 def _by_moments(

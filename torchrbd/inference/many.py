@@ -76,6 +76,7 @@ def identify_many(
     encoder_noise: float | Mapping[str, float] | None = None,
     kappa: float = 3.0,
     seed: int = 0,
+    time_limit: float | str | None = None,
     progress: Progress = lambda *_: None,
 ) -> list[Outcome]:
     """Identify many robots, or one robot many times, as ``identify(robot, recording, ...)`` does each.
@@ -121,6 +122,9 @@ def identify_many(
             number or {joint: number}. Default: estimated.
         kappa: weight of the URDF's inertia against the data, above 0. Default: 3.
         seed: which blocks of time are held out, a whole number. Default: 0.
+        time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
+            fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
+            short. Default: none.
         progress: told how many have been identified, in this thread; an error that it raises ends the work.
 
     Returns:

@@ -148,6 +148,7 @@ class Identification(Displayed):
         notes: what else the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
         suspicions: what the recordings may mean instead of what they say, and what was tested.
         simulation: by length of the window, how far models move from what was recorded; empty where that is not known.
+        finished: whether the search came to its end; False if a time limit or the user ended it before.
     """
 
     robot: RobotModel
@@ -172,6 +173,7 @@ class Identification(Displayed):
     notes: tuple[str, ...] = field(default=())
     suspicions: Suspicions = NO_SUSPICIONS
     simulation: tuple[MotionError, ...] = field(default=())
+    finished: bool = True
 
     def __repr__(self) -> str:
         errors = {name: float(f"{fit.mean_nmse:.3g}") for name, fit in self.fits.items()}

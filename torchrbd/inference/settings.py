@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchrbd.deadline import seconds_of
 from torchrbd.effects import Effect, effect, known_effects
 from torchrbd.effects.told import ToldEffect
 from torchrbd.errors import OptionError, closest
@@ -50,6 +51,7 @@ class Settings(Options):
             values["estimator"] = str(values["estimator"])
         if values.get("encoder_noise") is not None:
             values["encoder_noise"] = _noise(values["encoder_noise"], place)
+        values["time_limit"] = seconds_of(values.get("time_limit"))
         for key, kind in (("cutoff_hz", float), ("holdout_fraction", float), ("kappa", float), ("seed", int)):
             if values.get(key) is not None:
                 values[key] = _number(values[key], kind, key, place)

@@ -194,7 +194,7 @@ class Columns:
         found = torch.full((self.n,), torch.nan, dtype=torch.float64)
         for (place, _), c in self._maker.items():
             if place == joint and c.site.always:
-                features = torch.stack(list(c.effect.features(signals, c.site, c.shape).values()))
+                features = torch.stack(list(c.features(signals).values()))
                 found[self.of(c)] = features.square().mean(1)
         return found[self.of_joint[joint]]
 

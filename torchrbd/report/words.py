@@ -31,7 +31,8 @@ def model_words(result: Identification | Diagnosis) -> str:
 
 def badge(result: Identification | Diagnosis) -> str:
     """Return what a result's verdict is called."""
-    return VERDICTS[result.verdict].replace("URDF", model_words(result))
+    words = VERDICTS[result.verdict].replace("URDF", model_words(result))
+    return words if result.finished else f"{words} (unfinished)"
 
 
 def headline(result: Identification | Diagnosis) -> tuple[str, str]:

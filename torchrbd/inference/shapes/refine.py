@@ -21,6 +21,7 @@ import torch
 from scipy.optimize import lsq_linear
 from torch import Tensor
 
+from torchrbd.deadline import is_over
 from torchrbd.effects import Shape
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.scatter import block_scatter
@@ -152,6 +153,8 @@ def refined_from(prepared: Prepared, terms: Sequence[Candidate], progress: Progr
     now = _read(prepared, terms, _carried(prepared, terms, linear_fit_of(prepared, terms)[0]), progress)
     best = [(c.shape, now.loss_of(k)) for k, c in enumerate(now.terms)]
     for _ in range(_MOST_PASSES):
+        if is_over():
+            break
         shapes, settled = now.next_shapes()
         for k, term in enumerate(now.terms):
             if now.loss_of(k) > best[k][1] + _WORSE:

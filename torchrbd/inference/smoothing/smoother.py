@@ -27,6 +27,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
+from torchrbd.deadline import is_over
 from torchrbd.inference.smoothing.information import Information, distance, eliminate
 from torchrbd.inference.smoothing.linearisation import residual
 from torchrbd.inference.smoothing.stretch import Stretch
@@ -161,6 +162,8 @@ class StateSmoother(nn.Module):
             noise_change = self._update_noise(found, fit)
             moved = (fit.x - before)[self.free]
             if float(moved @ (found.gram - found.lost) @ moved) < _SETTLED * len(moved) and noise_change < _SETTLED:
+                break
+            if is_over():
                 break
         return fit
 

@@ -1,0 +1,114 @@
+"""When a search is to end before it is done: at a time limit, or because the user asks for it.
+
+Work that has rounds asks ``is_over`` between them, ends with what it has found, and marks it where ``stopped`` says so.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+from torchrbd.errors import OptionError
+
+Parameters, Result = ParamSpec("Parameters"), TypeVar("Result")
+_SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+_ASKED = threading.Event()
+
+
+@dataclass
+class _Limit:
+    """A limit [s] on work that began at ``start``; ``stopped`` once work was left out for it."""
+
+    seconds: float
+    start: float
+    stopped: bool = False
+
+
+_LIMIT: ContextVar[_Limit | None] = ContextVar("limit", default=None)
+
+
+def seconds_of(given: Any) -> float | None:
+    """Return a time limit [s]: a number, or text such as '90s', '2min' or '1h'.
+
+    Raises:
+        OptionError: it is neither.
+    """
+    if given is None:
+        return None
+    found = re.fullmatch(r"\s*([\d.]+(?:[eE][+-]?\d+)?)\s*(s|min|h|)\s*", str(given))
+    try:
+        seconds = math.nan if found is None else float(found[1]) * _SECONDS[found[2]]
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 < seconds < math.inf:
+        raise OptionError(
+            f"time_limit is {given!r}; expected seconds above 0, e.g. 90, or text such as '90s' or '2min'"
+        )
+    return seconds
+
+
+def time_limited(work: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """Limit a function to its argument ``time_limit``."""
+
+    @wraps(work)
+    def limited_work(*args: Parameters.args, **options: Parameters.kwargs) -> Result:
+        with limited(seconds_of(options.get("time_limit"))):
+            return work(*args, **options)
+
+    return limited_work
+
+
+@contextmanager
+def limited(seconds: float | None) -> Iterator[None]:
+    """Limit the work inside [s]; without a limit it can still be asked to end."""
+    token = _LIMIT.set(_Limit(math.inf if seconds is None else seconds, time.monotonic()))
+    try:
+        yield
+    finally:
+        _LIMIT.reset(token)
+
+
+@contextmanager
+def asked() -> Iterator[None]:
+    """Forget at the end that the work was asked to end."""
+    try:
+        yield
+    finally:
+        _ASKED.clear()
+
+
+def finish_soon() -> None:
+    """Ask the work to end with what it has found; may be called from a signal handler."""
+    _ASKED.set()
+
+
+def is_over() -> bool:
+    """Say whether work is to be left out now; whoever asks and is told so leaves it out."""
+    limit = _LIMIT.get()
+    if limit is None:
+        return False
+    if _ASKED.is_set() or time.monotonic() - limit.start > limit.seconds:
+        limit.stopped = True
+    return limit.stopped
+
+
+def stopped() -> bool:
+    """Say whether anything was left out."""
+    limit = _LIMIT.get()
+    return limit is not None and limit.stopped
+
+
+def reason_words() -> str:
+    """Return why work ended early: "at the time limit of 60 s"."""
+    limit = _LIMIT.get()
+    if limit is None or _ASKED.is_set():
+        return "because you asked for it"
+    return f"at the time limit of {limit.seconds:.6g} s"
