@@ -67,7 +67,7 @@ def model_of(effect: Effect) -> tuple[FittedModel, Candidate]:
     columns = columns.around(ROBOT.pi, columns.friction_of((*columns.urdf_friction, one), x))
     nothing = torch.zeros(0, 0, dtype=torch.float64)
     terms, free = (*columns.urdf_friction, one), torch.zeros(0, dtype=torch.long)
-    return FittedModel(columns, terms, x, free, nothing, nothing, torch.ones(3), True), one
+    return FittedModel(columns, terms, x, free, nothing, nothing, torch.ones(3), True, nothing), one
 
 
 @pytest.mark.parametrize("effect", EFFECTS)

@@ -102,7 +102,10 @@ def test_effects_that_may_be_used() -> None:
         "rotor_inertia"
     ]
     for bad in (Settings(effects=("stiction",)), Settings(exclude=("stiction",))):
-        with pytest.raises(OptionError, match=r"unknown effect 'stiction'; did you mean 'stribeck_friction'\? known: actuator_lag, asym"):
+        with pytest.raises(
+            OptionError,
+            match=r"unknown effect 'stiction'; did you mean 'stribeck_friction'\? known: actuator_lag, asym",
+        ):
             bad.chosen_effects()
 
 

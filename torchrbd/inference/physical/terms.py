@@ -86,9 +86,7 @@ def _prior_shares(model: FittedModel, candidate: Candidate) -> dict[str, float]:
         slope = torch.zeros_like(w)
         if value.requires_grad:
             (slope,) = torch.autograd.grad(value, w, retain_graph=True)
-        after, before = (
-            float(slope @ C[at.unsqueeze(1), at] @ slope) for C in (model.laplace, model.prior_covariance)
-        )
+        after, before = (float(slope @ C[at.unsqueeze(1), at] @ slope) for C in (model.laplace, model.prior_covariance))
         found[name] = min(after / before, 1.0) if before > 0.0 else 1.0
     return found
 
