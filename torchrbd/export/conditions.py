@@ -14,7 +14,7 @@ def conditions_unsaid(model: RigidBodyDynamics) -> tuple[str, ...]:
     names: dict[str, list[str]] = {}
     for name, condition in model.conditions.items():
         for words in _sentences(condition):
-            names.setdefault(words, []).append("others" if name == OTHERS else name)
+            names.setdefault(words, []).append("all others" if name == OTHERS else name)
     return tuple(f"recordings {', '.join(own)}: {words}; not in this file" for words, own in names.items())
 
 

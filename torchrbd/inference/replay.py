@@ -54,7 +54,8 @@ def replay(
 ) -> Replay:
     """Predict recorded torques with a model, and say how far off it is.
 
-    With the recordings of a fit this gives the reported nmse. The recipe, which any other code can follow:
+    With the recordings of a fit this gives the reported nmse. A model knows recordings by their files' names. The
+    recipe, which any other code can follow:
 
     1. ``model = torchrbd.load_model(folder)``.
     2. Read q and tau of a recording on an even clock t. Low-pass and differentiate q (state filter, twice the cut-off).
@@ -71,7 +72,7 @@ def replay(
         model: a model, its file, or the folder of results that holds it.
         recordings: as in ``identify``.
         held_out: count only rows that no fit has seen, of recordings that the model knows; all rows otherwise.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done (0 to 1).
         **options: cutoff_hz, time, joints, mapping, payload and simulated, as in ``torchrbd.Settings``. The cut-off is
             the reported one by default; a payload replaces what the model knows. Where a fit was compared with a
             simulator, its recordings are needed again: the model does not have its torque.

@@ -26,8 +26,8 @@ def torque_series(
     Args:
         reading: the recordings.
         models: by name; they know how the recordings were made.
-        held_out: tells of a recording's name and times (M,) which no fit has seen, bool.
-        progress: told how far the work is.
+        held_out: from a recording's name and times (M,) to which of these no fit has seen, bool.
+        progress: called with the stage and the part of it that is done (0 to 1).
     """
     # Of no recordings, where only their moments are at hand, there is nothing to show.
     none, raw = np.empty((0, reading.robot.n_dof)), replace(reading, raw=True)

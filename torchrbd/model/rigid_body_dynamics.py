@@ -47,7 +47,7 @@ class RigidBodyDynamics(nn.Module):
         pi: (n_params,) inertial parameters; the robot's own by default.
         terms: what else adds to the torque.
         rest_width: (n_dof,) speed below which the direction of motion is not told; ``REST_WIDTH`` by default.
-        conditions: how recordings were made, by name: their clocks, known loads and held-out time. Under "" that of
+        conditions: how recordings were made, by name: their clocks, known loads and held-out rows. Under "" that of
             recordings that are not named.
         reported: the error that was reported of the model, see ``torchrbd.replay``.
 

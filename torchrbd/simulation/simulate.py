@@ -187,7 +187,8 @@ def simulate(
     tau = np.where(opened.measured, make_interp_spline(t, signals["tau"], k=1)(at), np.nan)
     moved = tuple(name for name, known in zip(opened.joints, opened.measured, strict=True) if not known)
     q, qd, recorded = (one[0, ::parts].numpy() for one in (q, qd, drive.q))
-    return SimulatedMotion(opened.joints, at, q, qd, tau, recorded, moved, _notes(opened, start, begin))
+    notes = _notes(opened, condition, start, begin)
+    return SimulatedMotion(opened.joints, at, q, qd, tau, recorded, moved, notes)
 
 
 def _opened(
@@ -199,9 +200,16 @@ def _opened(
     return open_recording(recording, names, mapping=None if mapping is None else read_mapping(mapping))
 
 
-def _notes(opened: Recording, start: float, begin: float) -> tuple[str, ...]:
-    late = f"begins at {begin:.3g} s instead of {start:.3g} s: the filters need what lies before"
-    return (*opened.notes, late) if begin > start + 1e-6 else opened.notes
+def _notes(opened: Recording, condition: Condition, start: float, begin: float) -> tuple[str, ...]:
+    notes = list(opened.notes)
+    if begin > start + 1e-6:
+        notes.append(f"begins at {begin:.3g} s instead of {start:.3g} s: the filters need what lies before")
+    if condition.delay_s:
+        way = "late" if condition.delay_s > 0 else "early"
+        notes.append(f"the model has the recorded torque {abs(condition.delay_s):.3g} s {way}: it is moved by that")
+    if condition.lag_s:
+        notes.append(f"the recorded torque is a command: actuators follow it with a lag of {condition.lag_s:.3g} s")
+    return tuple(notes)
 
 
 def _piece(
