@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from functools import partial
 from math import nan
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from torchrbd.cli.files import IDENTIFIED, REPORT, write_results
 from torchrbd.cli.progress import progress_bar
-from torchrbd.cli.settings import settings_of
 from torchrbd.cli.tables import print_each
 from torchrbd.errors import InputError, OptionError, reason
 from torchrbd.inference import Identification
@@ -33,26 +32,32 @@ class Brief:
 _FAILED = Brief("failed", nan, nan)
 
 
-def identify_each(options: argparse.Namespace) -> None:
+def identify_each(
+    robot: Path,
+    recordings: Sequence[Path],
+    output: Path,
+    options: Mapping[str, Any],
+    *,
+    jobs: int | None,
+    quiet: bool,
+) -> None:
     """Identify each recording, write its results, and show all in a table.
 
     Raises:
         OptionError: two recordings for one folder, or one for none inside the output folder.
         InputError: some could not be identified; it says which and why, the others are done.
     """
-    _check_stems(options.recordings)
-    for file in options.recordings:
-        _folder_of(options.output, file)
-    into, settings = partial(_write_brief, options.output), settings_of(options)
-    with OutputFolder(options.output), progress_bar(quiet=options.quiet) as progress:
-        found = identify_and(
-            into, options.robot, options.recordings, "identify", jobs=options.jobs, progress=progress, **settings
-        )
-    pairs = list(zip(options.recordings, found, strict=True))
+    _check_stems(recordings)
+    for file in recordings:
+        _folder_of(output, file)
+    into = partial(_write_brief, output)
+    with OutputFolder(output), progress_bar(quiet=quiet) as progress:
+        found = identify_and(into, robot, recordings, "identify", options, jobs=jobs, progress=progress)
+    pairs = list(zip(recordings, found, strict=True))
     print_each((file.name, *astuple(one.value or _FAILED), one.seconds) for file, one in pairs)
     failed = [(file, one.error) for file, one in pairs if one.error is not None]
     if len(failed) < len(found):
-        words = f"wrote {', '.join(IDENTIFIED)} and {REPORT} to {options.output}/<recording>"
+        words = f"wrote {', '.join(IDENTIFIED)} and {REPORT} to {output}/<recording>"
         Console(highlight=False, soft_wrap=True).print(words, markup=False)
     if failed:
         reasons = "".join(f"\n  {_reason(file, error)}" for file, error in failed)

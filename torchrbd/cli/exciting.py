@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,34 +18,47 @@ from torchrbd.excitation import Excitation, excite
 from torchrbd.export.motion_files import check_rate, series_of, write_motion
 from torchrbd.outputs import check_file
 
-# Options that ``excite`` takes under the same names.
-_OPTIONS = ("frequency_hz", "harmonics", "periods", "joints", "margin", "speed", "starts", "seed", "gravity")
 
-
-def design(options: argparse.Namespace) -> None:
+def design(
+    robot: Path,
+    diagnosis: Path | None,
+    file: Path,
+    rate_hz: float,
+    limits: Mapping[str, Sequence[str]],
+    options: Mapping[str, Any],
+    quiet: bool,
+) -> None:
     """Design a motion, print and write it.
+
+    Args:
+        robot: its file.
+        diagnosis: folder of one.
+        file: CSV file to write.
+        rate_hz: of its samples.
+        limits: words such as "joint1=-1:1", by the argument of ``excite`` that they are for.
+        options: other arguments of ``excite``, None where one was not given.
+        quiet: do not say how far the work is.
 
     Raises:
         InputError: a robot, diagnosis or option that cannot be used.
     """
-    file: Path = options.output
     if file.is_dir() or file.suffix.lower() != ".csv":
         raise OptionError(f"output '{file}' is no CSV file; name one, e.g. {file.with_suffix('') / 'motion.csv'}")
     for path in (file, series_of(file)):
         check_file(path)
-    check_rate(options.rate_hz)
-    given: dict[str, Any] = {name: getattr(options, name) for name in _OPTIONS if getattr(options, name) is not None}
+    check_rate(rate_hz)
+    given: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
     given |= {
-        "ranges": dict(_range("--range", word) for word in options.ranges),
-        "box": dict(_range("--box", word, ends=True) for word in options.box),
-        "velocities": dict(_value("--velocity", word) for word in options.velocities),
-        "efforts": dict(_value("--effort", word) for word in options.efforts),
+        "ranges": dict(_range("--range", word) for word in limits["ranges"]),
+        "box": dict(_range("--box", word, ends=True) for word in limits["box"]),
+        "velocities": dict(_value("--velocity", word) for word in limits["velocities"]),
+        "efforts": dict(_value("--effort", word) for word in limits["efforts"]),
     }
-    with progress_bar(quiet=options.quiet) as progress:
-        result = excite(options.robot, options.diagnosis, progress=progress, **given)
-    asked = {"diagnosis": options.diagnosis, "rate_hz": options.rate_hz, **given}
-    series = write_motion(result, file, options.rate_hz, asked)
-    print_motion(result, options.rate_hz)
+    with progress_bar(quiet=quiet) as progress:
+        result = excite(robot, diagnosis, progress=progress, **given)
+    asked = {"diagnosis": diagnosis, "rate_hz": rate_hz, **given}
+    series = write_motion(result, file, rate_hz, asked)
+    print_motion(result, rate_hz)
     Console(highlight=False, soft_wrap=True).print(f"wrote {file} and {series}", markup=False)
 
 

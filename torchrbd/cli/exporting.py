@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from torchrbd.cli.tables import print_export
@@ -19,27 +19,29 @@ _SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml"}
 _ALLOWED = ("", ".mjcf", *_SUFFIXES.values())
 
 
-def export(options: argparse.Namespace) -> None:
+def export(
+    given: Path, to: str, output: Path | None, check: Sequence[Path], mapping: Path | None, cutoff_hz: float | None
+) -> None:
     """Write a model as a file for a simulator; with recordings to check on, compare the two before.
 
     Raises:
         InputError: no model there, or a recording or mapping that cannot be used.
         OptionError: a file that cannot be written, or options that are for the check without one.
     """
-    if not options.check and (options.mapping or options.cutoff_hz is not None):
+    if not check and (mapping or cutoff_hz is not None):
         raise OptionError("--mapping and --cutoff are of the recordings that --check names; name some")
-    source = _source(options.model)
-    file = options.file or source.with_suffix(_SUFFIXES[options.to])
+    source = _source(given)
+    file = output or source.with_suffix(_SUFFIXES[to])
     if file.is_dir():
-        raise OptionError(f"output '{file}' is a folder; name a file, e.g. {file / source.stem}{_SUFFIXES[options.to]}")
+        raise OptionError(f"output '{file}' is a folder; name a file, e.g. {file / source.stem}{_SUFFIXES[to]}")
     if file.suffix.lower() not in _ALLOWED:
-        raise OptionError(f"output '{file}': expected a file that ends in {_SUFFIXES[options.to]}")
+        raise OptionError(f"output '{file}': expected a file that ends in {_SUFFIXES[to]}")
     check_output(file)
     model = load_model(source)
-    content, lacking = written(model, options.to), unsaid(model, options.to)
+    content, lacking = written(model, to), unsaid(model, to)
     found = None
-    if options.check:
-        found = check_file(model, options.to, options.check, mapping=options.mapping, cutoff_hz=options.cutoff_hz)
+    if check:
+        found = check_file(model, to, check, mapping=mapping, cutoff_hz=cutoff_hz)
     write_whole(file, content)
     print_export(file, lacking, found)
 

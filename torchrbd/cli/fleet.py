@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -35,26 +34,25 @@ _MADE_FROM = "made_from.json"
 _MOST_ROBOTS = 40
 
 
-def fleet(options: argparse.Namespace) -> None:
+def fleet(robots_file: Path, output: Path, before: Path | None, engine: Engine, quiet: bool) -> None:
     """Identify what is not identified yet, compare all, and show who differs.
 
     Raises:
         InputError: some could not be identified; it says which and why, the others are done.
     """
-    robots = read_robots(options.robots)
-    engine = Engine(options.engine, options.jobs, options.scheduler, options.retries)
-    _check_before(options.before, options.output)
-    with OutputFolder(options.output) as folder, progress_bar(time_left=True, quiet=options.quiet) as progress:
-        failed = identify_fleet(robots, options.output, engine, progress)
+    robots = read_robots(robots_file)
+    _check_before(before, output)
+    with OutputFolder(output) as folder, progress_bar(time_left=True, quiet=quiet) as progress:
+        failed = identify_fleet(robots, output, engine, progress)
         if len(failed) == len(robots):
             raise InputError(f"no robot could be identified{_reasons(failed)}")
         progress("comparing", 1.0)
         names = [one.name for one in robots]
-        result = compare_fleet(options.output, names, before=options.before, failed=failed)
+        result = compare_fleet(output, names, before=before, failed=failed)
         folder.fill(partial(_write, result))
     failed = {one.name: one.error for one in result.members if one.error}
     _print(result)
-    words = f"wrote fleet.json and fleet.html to {options.output}, and what was identified to {options.output}/<robot>"
+    words = f"wrote fleet.json and fleet.html to {output}, and what was identified to {output}/<robot>"
     Console(highlight=False, soft_wrap=True).print(words, markup=False)
     if failed:
         raise InputError(f"{len(failed)} of {len(robots)} robots could not be identified{_reasons(failed)}")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from itertools import compress
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Column, Table
@@ -18,21 +18,20 @@ from torchrbd.recordings.mapping_text import mapping_text
 from torchrbd.robot import RobotModel
 
 
-def inspect(options: argparse.Namespace) -> None:
+def inspect(file: Path, urdf: Path | None, mapping_file: Path | None, into: Path | None) -> None:
     """Print what a file holds, and write a mapping if a file is named.
 
     Raises:
         InputError: a file that cannot be read.
         OptionError: the mapping is there already.
     """
-    into = options.output
     if into is not None and into.exists() and not into.is_symlink():
         raise OptionError(f"'{into}' exists, and may have been edited; name another file for the mapping")
     if into is not None:
         check_file(into)
-    robot = None if options.robot is None else RobotModel.from_urdf(options.robot)
-    mapping = Mapping() if options.mapping is None else read_mapping(options.mapping)
-    found = inspect_recording(options.file, robot, mapping)
+    robot = None if urdf is None else RobotModel.from_urdf(urdf)
+    mapping = Mapping() if mapping_file is None else read_mapping(mapping_file)
+    found = inspect_recording(file, robot, mapping)
     print_inspection(found)
     if into is not None:
         sliding = () if robot is None else tuple(compress(robot.joint_names, robot.prismatic.tolist()))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -17,33 +18,34 @@ from torchrbd.outputs import check_file
 from torchrbd.simulation import SimulatedMotion, check_suffix, simulate
 
 
-def simulate_recording(options: argparse.Namespace) -> None:
+def simulate_recording(
+    given: Path, recording: Path, file: Path, *, gravity: Sequence[float] | None, quiet: bool, **options: Any
+) -> None:
     """Simulate, print how far the motion is from the recorded one, and write it.
+
+    Args:
+        given: a model, or a robot.
+        recording: whose torque moves it.
+        file: for the motion.
+        gravity: of a robot [m/s^2].
+        quiet: do not say how far the work is.
+        **options: of ``simulate``.
 
     Raises:
         InputError: a model, recording or option that cannot be used.
     """
-    check_suffix(options.file)
-    check_file(options.file)
-    if options.file.exists() and options.recording.exists() and options.file.samefile(options.recording):
-        raise OptionError(f"output '{options.file}' is the recording; name another file for the motion")
-    model = _model(options.model, options.gravity)
-    with progress_bar(quiet=options.quiet) as progress:
-        found = simulate(
-            model,
-            options.recording,
-            start=options.start,
-            seconds=options.seconds,
-            rate_hz=options.rate,
-            mapping=options.mapping,
-            cutoff_hz=options.cutoff_hz,
-            progress=progress,
-        )
-    found.write(options.file)
-    _print(found, model, options.file)
+    check_suffix(file)
+    check_file(file)
+    if file.exists() and recording.exists() and file.samefile(recording):
+        raise OptionError(f"output '{file}' is the recording; name another file for the motion")
+    model = _model(given, gravity)
+    with progress_bar(quiet=quiet) as progress:
+        found = simulate(model, recording, progress=progress, **options)
+    found.write(file)
+    _print(found, model, file)
 
 
-def _model(given: Path, gravity: list[float] | None) -> RigidBodyDynamics:
+def _model(given: Path, gravity: Sequence[float] | None) -> RigidBodyDynamics:
     """Return the model of a result, or a robot with the friction that its description has."""
     if given.is_dir() or given.suffix == ".safetensors":
         if gravity is not None:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from torchrbd.cli.progress import progress_bar
-from torchrbd.cli.settings import settings_of
 from torchrbd.errors import OptionError
 from torchrbd.inference.statistics.folder import merge_statistics, write_statistics
 from torchrbd.outputs import OutputFolder
@@ -17,38 +17,36 @@ from torchrbd.ranks import Ranks, ranks
 from torchrbd.recordings.formats import STATISTICS
 
 
-def stats(options: argparse.Namespace) -> None:
+def stats(
+    robot: Path, recordings: Sequence[Path], output: Path, merged: Path | None, options: Mapping[str, Any], quiet: bool
+) -> None:
     """Make a statistics file of each recording."""
-    settings = settings_of(options)
-    _check_ending(options.merge)
+    _check_ending(merged)
     with (
         ranks() as own,
-        _folder(options, own),
-        progress_bar(time_left=True, shown=own.first, quiet=options.quiet) as progress,
+        _folder(output, own),
+        progress_bar(time_left=True, shown=own.first, quiet=quiet) as progress,
     ):
-        files = write_statistics(
-            options.robot, options.recordings, options.output, merged=options.merge, ranks=own, progress=progress,
-            **settings,
-        )  # fmt: skip
+        files = write_statistics(robot, recordings, output, merged=merged, ranks=own, progress=progress, **options)
         if own.first:
-            also = f", and their sum to {options.merge}" if options.merge else ""
+            also = f", and their sum to {merged}" if merged else ""
             written = "1 statistics file" if len(files) == 1 else f"{len(files)} statistics files"
-            _say(f"wrote {written} to {options.output}{also}")
+            _say(f"wrote {written} to {output}{also}")
 
 
-def merge(options: argparse.Namespace) -> None:
+def merge(files: Sequence[Path], output: Path) -> None:
     """Add statistics files."""
-    _check_ending(options.output)
-    found = merge_statistics(options.files, options.output)
+    _check_ending(output)
+    found = merge_statistics(files, output)
     hours = sum(one.duration_s for one in found.origins) / 3600
-    _say(f"wrote {options.output}: {len(found.origins)} recordings, {hours:.3g} hours, in {len(found.blocks)} blocks")
+    _say(f"wrote {output}: {len(found.origins)} recordings, {hours:.3g} hours, in {len(found.blocks)} blocks")
 
 
 @contextmanager
-def _folder(options: argparse.Namespace, own: Ranks) -> Iterator[None]:
+def _folder(output: Path, own: Ranks) -> Iterator[None]:
     """Hold the folder: one run at a time, whose first process stands for all."""
     if own.first:
-        with OutputFolder(options.output):
+        with OutputFolder(output):
             own.wait()
             yield
     else:

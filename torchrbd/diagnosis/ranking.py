@@ -17,6 +17,7 @@ from torchrbd.diagnosis.screening import is_clocks
 from torchrbd.diagnosis.search import explained
 from torchrbd.diagnosis.terms import Explanation
 from torchrbd.diagnosis.weighing import with_own_noise
+from torchrbd.display import brief, few
 from torchrbd.effects import Effect, Site, Window
 from torchrbd.effects.registry import effect
 from torchrbd.errors import RecordingError
@@ -92,6 +93,13 @@ class Ranking:
     misfit: dict[str, Misfit]
     clocks: Clocks = field(repr=False)
     explanation: Explanation = field(repr=False)
+
+    def __repr__(self) -> str:
+        best = [
+            f"{one.effect} at {', '.join((*one.joints, *one.links)) or 'whole robot'}: {one.log_evidence:.3g}"
+            for one in self.first
+        ]
+        return brief(self, considered=self.considered, adopted=len(self.adopted), band_hz=self.band_hz, first=few(best))
 
     def evidence_of(
         self,

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from torchrbd.diagnosis.ranking import Ranking
-from torchrbd.display import Displayed
+from torchrbd.diagnosis.reading import read_diagnosis
+from torchrbd.display import Displayed, brief, few
+from torchrbd.errors import InputError
 from torchrbd.inference.results import Identification
 
+if TYPE_CHECKING:
+    import pandas
+
 _MOST_IN_REPR = 5
+_COLUMNS = [
+    "effect", "joints", "links", "parameter", "value", "std", "unit", "probability", "log_evidence_gain", "statement",
+]  # fmt: skip
 HELD_OUT, OWN_TIME = "held-out time", "own time"
 
 
@@ -117,6 +127,11 @@ class Finding:
     torque_rms: dict[str, float] = field(default_factory=dict)
     judged_on: str = HELD_OUT
     confirmed: Ratio | None = None
+
+    def __repr__(self) -> str:
+        values = [f"{name}: {q.value:.3g} ± {q.std:.2g} {q.unit}" for name, q in self.parameters.items()]
+        place = ", ".join((*self.joints, *self.links)) or "whole robot"
+        return brief(self, effect=self.effect, at=place, probability=self.probability, parameters=few(values))
 
     @property
     def share(self) -> float:
@@ -335,6 +350,50 @@ class Diagnosis(Displayed):
     def finished(self) -> bool:
         """Whether the search came to its end; False if a time limit or the user ended it before."""
         return self.identification.finished
+    @classmethod
+    def load(cls, folder: str | Path) -> Diagnosis:
+        """Read what ``torchrbd diagnose -o`` wrote.
+
+        What the files do not hold is as ``Identification.load`` has it; ``ranking.evidence_of`` needs the recordings.
+
+        Raises:
+            InputError: a file is missing, or none of ours.
+        """
+        return cls(Identification.load(folder), **read_diagnosis(cls, folder))
+
+    def findings_frame(self) -> pandas.DataFrame:
+        """Return the findings as a table, a row for each parameter, in their order.
+
+        Columns: effect, joints and links (text, ", " between names; empty for the whole robot), parameter, value, std,
+        unit, probability, log_evidence_gain, statement. An effect without parameters has one row without values.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise InputError(
+                "findings_frame() takes the package pandas, which is not installed: pip install pandas (or torchrbd "
+                "with its extra, pandas)"
+            ) from None
+        rows = [
+            {
+                "effect": f.effect,
+                "joints": ", ".join(f.joints),
+                "links": ", ".join(f.links),
+                "parameter": name,
+                "value": quantity.value,
+                "std": quantity.std,
+                "unit": quantity.unit,
+                "probability": f.probability,
+                "log_evidence_gain": f.log_evidence_gain,
+                "statement": f.statement,
+            }
+            for f in self.findings
+            for name, quantity in (f.parameters or {"": Quantity(math.nan, math.nan, "")}).items()
+        ]
+        return pandas.DataFrame(rows, columns=_COLUMNS)
 
     def __repr__(self) -> str:
         names = [f"{f.effect} at {', '.join((*f.joints, *f.links)) or 'whole robot'}" for f in self.findings]

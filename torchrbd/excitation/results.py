@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from torchrbd.display import brief
 from torchrbd.excitation.conditioning import ConditionNumbers
 from torchrbd.excitation.constraints import Constraints
 from torchrbd.excitation.fourier import FourierMotion
@@ -93,9 +94,12 @@ class Excitation:
         return t, *self.motion.states(t.clamp_max(self.duration_s))
 
     def __repr__(self) -> str:
-        return (
-            f"Excitation(robot={self.robot.name!r}, duration_s={self.duration_s:g}, "
-            f"condition={self.condition.scaled:.3g}, separations={len(self.separations)})"
+        return brief(
+            self,
+            robot=self.robot.name,
+            duration_s=self.duration_s,
+            condition=float(self.condition.scaled),
+            separations=len(self.separations),
         )
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchrbd.display import brief
 from torchrbd.errors import InputError
 from torchrbd.inference.regression.square_root import SquareRoot
 from torchrbd.parameters import BaseParameters, base_parameters
@@ -110,6 +111,9 @@ class BaseRegression:
                 self._kept[j] = SquareRoot(self._kept[j]).with_rows(rows.T.cpu()).factor
             else:
                 self._kept[j] += (rows @ rows.T).cpu()
+
+    def __repr__(self) -> str:
+        return brief(self, robot=self.robot.name, samples=self.samples, base_parameters=len(self.base.independent))
 
     def __add__(self, other: BaseRegression) -> BaseRegression:
         """Return what has taken in the samples of both.

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from torchrbd.deadline import is_over, reason_words, time_limited
+from torchrbd.display import brief, few
 from torchrbd.effects import Effect
 from torchrbd.errors import OptionError, TorchRBDError
 from torchrbd.estimators import COMPARABLE, check_estimators
@@ -77,6 +78,12 @@ class EstimatorComparison:
     rows: tuple[EstimatorRow, ...]
     notes: tuple[str, ...]
     doubts: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        errors = {row.name: row.physical.mean_nmse for row in self.rows if row.physical is not None}
+        best = [f"{name}: {error:.3g}" for name, error in sorted(errors.items(), key=lambda one: one[1])]
+        failed = [row.name for row in self.rows if row.physical is None]
+        return brief(self, robot=self.robot, mean_nmse=few(best), failed=failed)
 
 
 @time_limited

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
+from torchrbd.display import brief
 from torchrbd.effects import Effect, known_effects, register
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference.data.bodies import check_masses
@@ -47,6 +48,9 @@ class Outcome:
     identification: Identification | None
     error: Exception | None
     seconds: float
+
+    def __repr__(self) -> str:
+        return brief(self, name=self.name, identification=self.identification, error=self.error, seconds=self.seconds)
 
     def result(self) -> Identification:
         """Return the identification, or raise the error."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from torchrbd.display import Displayed
+from torchrbd.display import Displayed, brief, few
 from torchrbd.inference.posterior.posterior import Posterior
+from torchrbd.inference.reading import read_identification
 from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicions
 from torchrbd.inference.torque_error import Fit, torque_fit
 from torchrbd.model import RigidBodyDynamics
@@ -46,6 +48,15 @@ class TorqueSeries:
     qdd: np.ndarray
     measured: np.ndarray
     predicted: dict[str, np.ndarray]
+
+    def __repr__(self) -> str:
+        return brief(
+            self,
+            joints=few(self.joints),
+            recordings=few(self.recordings),
+            samples=len(self.t),
+            models=list(self.predicted),
+        )
 
     def residual(self, model: str) -> np.ndarray:
         """Return measured minus predicted torque, (M, n)."""
@@ -174,6 +185,18 @@ class Identification(Displayed):
     suspicions: Suspicions = NO_SUSPICIONS
     simulation: tuple[MotionError, ...] = field(default=())
     finished: bool = True
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Identification:
+        """Read what ``torchrbd identify -o`` or ``diagnose -o`` wrote.
+
+        ``covariance`` and ``posterior`` are None, ``torchrbd.BayesianDynamics.load(folder)`` has the posterior as a
+        module. The files hold no torques against time: ``series`` raises an InputError that says so.
+
+        Raises:
+            InputError: a file is missing, or none of ours.
+        """
+        return cls(**read_identification(cls, folder))
 
     def __repr__(self) -> str:
         errors = {name: float(f"{fit.mean_nmse:.3g}") for name, fit in self.fits.items()}

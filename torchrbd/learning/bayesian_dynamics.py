@@ -29,6 +29,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchrbd.display import brief
 from torchrbd.errors import InputError
 from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.posterior.sampling import sample_around
@@ -176,6 +177,14 @@ class BayesianDynamics(nn.Module):
         bayes._start_from(own["whitening"], own["spread"])
         bayes.load_state_dict(own | {f"physics.{k}": v for k, v in physics.state_dict().items()})
         return bayes
+
+    def __repr__(self) -> str:
+        return brief(
+            self,
+            physics=self.physics,
+            free=len(self.free),
+            known_bodies=self.physics.robot.n_bodies - len(self.free_bodies),
+        )
 
     def save(self, path: str | Path) -> None:
         """Write model and posterior to one safetensors file, which ``RigidBodyDynamics.load`` reads too.

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchrbd.display import brief
 from torchrbd.model import RigidBodyDynamics
 
 
@@ -29,6 +30,9 @@ class ManyRobots(nn.Module):
         # Names of parameters have no dots.
         self._names = tuple(parameters)
         self._stacked = nn.ParameterList([nn.Parameter(v) for v in parameters.values()])
+
+    def __repr__(self) -> str:
+        return brief(self, robots=len(self), model=self._call.model)
 
     def __len__(self) -> int:
         return len(self._stacked[0])

@@ -19,6 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchrbd.display import brief
 from torchrbd.errors import OptionError
 from torchrbd.learning.body_prior import curvature
 from torchrbd.learning.coordinates import flatten, linear_entries, physics_columns, slopes, unflatten
@@ -56,6 +57,10 @@ class NaturalGradient(torch.optim.Optimizer):
         n = len(linear_entries(model))
         start = flatten(model).detach()
         self.state[model.raw_inertia] = {"sum": start.new_zeros(n, n), "samples": 0, "steps": 0}
+
+    def __repr__(self) -> str:
+        group = self.param_groups[0]
+        return brief(self, model=self._model[0], lr=group["lr"], damping=group["damping"])
 
     @torch.no_grad()
     def observe(

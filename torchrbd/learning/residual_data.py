@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
+from torchrbd.display import brief, few
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference import Identification, Settings
 from torchrbd.inference.preparation import read
@@ -64,6 +65,9 @@ class ResidualDataset(Dataset[tuple[Tensor, Tensor, Tensor]]):
     noise_std: Tensor
     sample: Tensor
     columns: Tensor
+
+    def __repr__(self) -> str:
+        return brief(self, samples=len(self), recordings=few(self.recordings), dt=self.dt, history=self.history)
 
     def __len__(self) -> int:
         return len(self.features)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import torch
 from torch import Tensor, nn
 
+from torchrbd.display import brief
 from torchrbd.errors import InputError, OptionError
 from torchrbd.learning.corrections import Kind, correction
 from torchrbd.learning.encoding import Encoder
@@ -124,6 +125,10 @@ class ResidualDynamics(nn.Module):
         self.region = Region(self.encoder.n_inputs)
         for name in ("left_std", "missing_std"):
             self.register_buffer(name, torch.zeros(physics.robot.n_dof, dtype=torch.float64))
+
+    def __repr__(self) -> str:
+        weights = sum(p.numel() for p in self.correction.parameters())
+        return brief(self, physics=self.physics, kind=self.kind, mode=self.mode, network_parameters=weights)
 
     @property
     def encoder(self) -> Encoder:

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
+from torchrbd.display import brief, few
 from torchrbd.effects import Signals, Term
 from torchrbd.effects.plain_friction import plain_friction
 from torchrbd.errors import InputError, OptionError
@@ -91,6 +92,10 @@ class RigidBodyDynamics(nn.Module):
         # As numbers: indexing by a tensor would neither batch nor trace.
         self._trained = physical.nonzero().flatten().tolist()
         self._all_trained = len(self._trained) == robot.n_bodies
+
+    def __repr__(self) -> str:
+        terms = [f"{term.effect.id} at {term.site.name(self.robot)}" for term in self.terms]
+        return brief(self, robot=self.robot.name, joints=few(self.robot.joint_names), terms=few(terms))
 
     @classmethod
     def from_urdf(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from torchrbd.display import brief, few
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.formats import ArrayTable, Table, open_table
 from torchrbd.recordings.layouts import with_layout
@@ -77,6 +78,17 @@ class Recording:
     _table: Table
     _sources: dict[str, tuple[Source, ...]]
     torque_delay_s: float = 0.0
+
+    def __repr__(self) -> str:
+        return brief(
+            self,
+            name=self.name,
+            joints=few(self.joints),
+            torques=int(self.measured.sum()),
+            velocity=self.has_velocity,
+            set_points=self.has_reference,
+            time=self.time,
+        )
 
     @staticmethod
     def from_arrays(

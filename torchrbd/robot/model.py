@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from torchrbd.display import brief, few
 from torchrbd.errors import InputError
 from torchrbd.robot import compiled, dynamics, eager, kinematics
 from torchrbd.robot.acceleration import accelerations
@@ -85,6 +86,9 @@ class RobotModel:
         self._geometries = {EXACT: geometry, single: geometry.to(*single)}
         self._tables = compiled.build_tables(geometry)
         self._chain: Chain | None = None
+
+    def __repr__(self) -> str:
+        return brief(self, name=self.name, joints=few(self.joint_names), mass=float(self.pi[:: len(PARAMETERS)].sum()))
 
     @classmethod
     def from_urdf(cls, source: str | Path | bytes, *, gravity: Sequence[float] | Tensor | None = None) -> RobotModel:

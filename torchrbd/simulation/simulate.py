@@ -12,6 +12,7 @@ import torch
 from pyarrow import csv, parquet
 from scipy.interpolate import make_interp_spline
 
+from torchrbd.display import brief, few
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.likelihood.reading import Progress
 from torchrbd.model import Condition, RigidBodyDynamics
@@ -58,6 +59,10 @@ class SimulatedMotion:
     recorded: np.ndarray
     moved: tuple[str, ...]
     notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        errors = [f"{name}: {x:.3g}" for name, x in self.distance.items() if name not in self.moved]
+        return brief(self, seconds=float(self.t[-1] - self.t[0]), samples=len(self.t), distance=few(errors))
 
     @property
     def distance(self) -> dict[str, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 
 from torchrbd.diagnosis.results import Diagnosis, Finding, Limit, Unexplained
 from torchrbd.errors import InputError
-from torchrbd.rebuilding import rebuilt
+from torchrbd.rebuilding import read_json, rebuilt
 
 _FILE, PARAMETERS = "diagnosis.json", "parameters.json"
 
@@ -118,7 +117,7 @@ def _of_diagnosis(result: Diagnosis, name: str) -> Side:
 
 def _of_file(path: Path) -> Side:
     file = path / _FILE if path.is_dir() else path
-    content = _read(file)
+    content = read_json(file, "diagnose")
     _check_verdict(str(path), content.get("verdict"), content.get("statement", ""))
     try:
         # Which an identification lacks.
@@ -151,7 +150,7 @@ def read_inertia(file: Path) -> tuple[Inertia | None, tuple[str, ...]]:
     """
     if not file.is_file():
         return None, ()
-    content = _read(file)
+    content = read_json(file, "diagnose")
     try:
         columns = tuple(content["base_combination"]["columns"])
         own = {p["name"]: p for p in content["parameters"]}
@@ -174,18 +173,3 @@ def read_inertia(file: Path) -> tuple[Inertia | None, tuple[str, ...]]:
             "diagnose the recordings again, or remove it to compare findings alone"
         ) from None
     return inertia, bodies
-
-
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"{file}: cannot be read ({error.strerror}); give the folder that 'torchrbd diagnose -o' wrote, "
-            f"or the {_FILE} in it"
-        ) from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{file}: is not JSON ({error}); diagnose the recordings again") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{file}: expected what 'torchrbd diagnose' writes, a mapping; got a {type(content).__name__}")
-    return content

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from torchrbd.diagnosis.results import Quantity
+from torchrbd.display import brief, few
 
 # Parts of a parameter's size: what is no change, and how large changes are.
 TRIFLE, CHANGE = 0.02, 0.3
@@ -106,6 +107,15 @@ class Comparison:
     statement: str
     changes: tuple[Change, ...]
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        changed = [
+            f"{one.effect or one.kind} at {', '.join((*one.joints, *one.links)) or 'whole robot'}"
+            for one in self.changes
+            if one.verdict == "changed"
+        ]
+        unsure = sum(one.verdict == "open" for one in self.changes)
+        return brief(self, robot=self.robot, before=self.before, after=self.after, changed=few(changed), open=unsure)
 
 
 def difference(

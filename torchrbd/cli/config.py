@@ -1,8 +1,8 @@
-"""The settings that the command line and its configuration file give."""
+"""The options that the command line and its configuration file give."""
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +10,25 @@ import yaml
 
 from torchrbd.errors import OptionError
 from torchrbd.inference import Settings
+from torchrbd.options import Options
 from torchrbd.recordings.strict_yaml import strict_yaml
 
 # Options that name files.
 _FILES = {"holdout", "simulated", "mapping"}
 
 
-def settings_of(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the options that were given: those of the configuration file, then those of the command line."""
-    chosen = _read_config(options.config) if options.config else {}
-    given = {name: value for name, value in vars(options).items() if name in Settings.names() and value is not None}
-    return chosen | given
+def chosen(config: Path | None, options: Mapping[str, Any], used: Sequence[str] = Options.names()) -> dict[str, Any]:
+    """Return the options that were given: those of the configuration file, then those of the command line.
+
+    Args:
+        config: the file; it may have options of other commands, too, so that one file does for several.
+        options: of the command line, None where one was not given.
+        used: the options that the command has.
+    """
+    read = _read_config(config) if config is not None else {}
+    return {name: value for name, value in read.items() if name in used} | {
+        name: value for name, value in options.items() if value is not None
+    }
 
 
 def _read_config(path: Path) -> dict[str, Any]:

@@ -1,0 +1,67 @@
+"""All commands as one application; building it imports nothing that computes."""
+
+from __future__ import annotations
+
+from cyclopts import App, Group
+
+from torchrbd import __version__
+from torchrbd.cli.commands import (
+    compare,
+    compare_estimators,
+    completion,
+    demo,
+    diagnose,
+    effects,
+    excite,
+    export,
+    fleet,
+    identify,
+    inspect,
+    merge,
+    simulate,
+    stats,
+)
+from torchrbd.cli.parameters import usage
+
+_COMMANDS = {
+    "Identify and diagnose": (
+        diagnose,
+        identify,
+        compare,
+        compare_estimators,
+        demo,
+    ),
+    "Record": (inspect, excite),
+    "Use": (export, simulate),
+    "Much data, many robots": (stats, merge, fleet),
+    "Reference": (effects, completion),
+}
+
+
+def app() -> App:
+    """Return the application."""
+    about = Group("Options", sort_key=2)
+    found = App(
+        "torchrbd",
+        help="Find, name and model the physics that a robot's URDF leaves out.",
+        help_epilogue="'torchrbd COMMAND --help' has the options of a command, with examples.",
+        help_format="plaintext",
+        version=f"torchrbd {__version__}\n",
+        group_parameters=about,
+        group_arguments=Group("Arguments", sort_key=1),
+    )
+    for k, (title, modules) in enumerate(_COMMANDS.items()):
+        group = Group(title, sort_key=k)
+        for j, module in enumerate(modules):
+            command = getattr(module, module.__name__.rpartition(".")[2])
+            name = command.__name__.replace("_", "-")
+            found.command(
+                command,
+                name=name,
+                group=group,
+                sort_key=j,
+                help_epilogue=f"{module.AFTER}\n",
+                usage=usage(name, command),
+            )
+    found["--help"].group = found["--version"].group = (Group("Options", sort_key=len(_COMMANDS)),)
+    return found
