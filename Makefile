@@ -6,25 +6,30 @@ OUT ?= demo-report
 TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 CONCEALED = concealed/dev $(if $(TORCHRBD_DATA),concealed/real)
 
-.PHONY: demo test lint docs slow check concealed-dev clean
+.PHONY: demo test pytest lint types docs slow check concealed-dev clean
 
 demo: .venv/base
 	$(BIN)/torchrbd demo -o $(OUT)
 
-# Lint and docs take a core each, then the tests take all.
+# Types and docs take a core each, then the tests take all.
 test: .venv/dev
-	$(MAKE) --jobs 2 --output-sync lint docs
+	$(MAKE) --jobs 2 --output-sync lint types docs
+	$(MAKE) pytest
+
+pytest: .venv/test
 	$(TESTS)
 
 slow: .venv/test
 	$(TESTS) -m slow
 
-check: lint
+check: lint types
 	$(BIN)/python -m pytest tests/test_architecture.py
 
 lint: .venv/dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: .venv/dev
 	$(BIN)/pyright
 
 docs: .venv/docs

@@ -11,8 +11,6 @@ from importlib import import_module
 
 from torchrbd.display import Displayed
 
-__version__ = "0.1.0"
-
 # Where the public names live; ``__init__.pyi`` says the same to type checkers, and a test compares the two.
 _NAMES = {
     "diagnosis": ("Comparison", "Diagnosis", "Finding", "Ranking", "compare", "diagnose", "rank"),
@@ -62,10 +60,22 @@ def _card(result: object) -> str:
 Displayed.card = staticmethod(_card)
 
 
+def _version() -> str:
+    """Return the installed version, which comes from the repository's tags; of a bare source tree none is known."""
+    metadata = import_module("importlib.metadata")
+    try:
+        return metadata.version("torchrbd")
+    except metadata.PackageNotFoundError:
+        return "0.0.0+source"
+
+
 def __getattr__(name: str) -> object:
     """Import a public name, or a room such as ``torchrbd.effects``, on first use (PEP 562)."""
     if name in _NAMES:
         return import_module(f"torchrbd.{name}")
+    if name == "__version__":
+        found = globals()[name] = _version()
+        return found
     if name not in _ROOM_OF:
         raise AttributeError(f"module 'torchrbd' has no attribute '{name}'")
     found = globals()[name] = getattr(import_module(f"torchrbd.{_ROOM_OF[name]}"), name)
@@ -73,4 +83,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_ROOM_OF, *_NAMES})
+    return sorted({*globals(), "__version__", *_ROOM_OF, *_NAMES})
