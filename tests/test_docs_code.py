@@ -236,6 +236,12 @@ def test_options_in_the_text_exist(capsys: pytest.CaptureFixture[str]) -> None:
         assert named <= known, f"{page.name}: {', '.join(sorted(named - known))}"
 
 
+def test_the_number_of_effects_is_that_of_the_registry() -> None:
+    words = f"{len(torchrbd.known_effects())} effects"
+    for page in (ROOT / "README.md", ROOT / "docs" / "images" / "overview.svg"):
+        assert re.findall(r"\d+\s+effects", page.read_text(encoding="utf-8")) == [words], page
+
+
 def test_the_page_of_mappings_has_every_key_and_unit() -> None:
     text = (ROOT / "docs" / "guide" / "recordings.md").read_text(encoding="utf-8")
     keys = {*mapping._TOP_KEYS, *mapping._SIGNAL_KEYS, *mapping._CURRENT_KEYS, *mapping.SIGNALS, *mapping.TIME_UNITS}
