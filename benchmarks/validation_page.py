@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -111,15 +110,19 @@ def real_findings() -> str:
     rows = []
     for one in results("real_robots").values():
         friction = {j for f in one["findings"] if f["effect"] in PLAIN for j in f["joints"]}
-        others = Counter(
-            f"{f['effect'].replace('_', ' ')} at {', '.join((*f['joints'], *f['links'])) or 'the whole robot'}"
-            f" ({'> 0.99' if f['probability'] > 0.99 else format(f['probability'], '.2f')})"
-            for f in one["findings"]
-            if f["effect"] not in PLAIN
-        )
-        words = "; ".join(f"{k}, {n} times" if n > 1 else k for k, n in others.items())
-        rows.append([one["robot"], f"{len(friction)} of {len(one['nmse']['urdf'])} joints", words or "–"])
+        places: dict[str, list[tuple[str, float]]] = {}
+        for f in one["findings"]:
+            if f["effect"] not in PLAIN:
+                place = ", ".join((*f["joints"], *f["links"])) or "the whole robot"
+                places.setdefault(f["effect"].replace("_", " "), []).append((place, f["probability"]))
+        words = [f"{effect} at {', '.join(f'{p} ({probability(x)})' for p, x in w)}" for effect, w in places.items()]
+        rows.append([one["robot"], f"{len(friction)} of {len(one['nmse']['urdf'])} joints", "; ".join(words) or "–"])
     return markdown(["robot", "viscous or Coulomb friction", "other findings, with their probability"], rows)
+
+
+def probability(value: float) -> str:
+    """Return two digits, or "> 0.99"."""
+    return "> 0.99" if value > 0.99 else f"{value:.2f}"
 
 
 @table

@@ -30,6 +30,7 @@ import yaml
 
 import torchrbd
 from torchrbd.cli import main
+from torchrbd.recordings import mapping
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted(p for p in (ROOT / "docs").rglob("*.md") if "adr" not in p.parts)]
@@ -215,6 +216,37 @@ def test_slow_blocks_of_a_page_run(page: Path, reader: Runner, monkeypatch: pyte
                 if entry.is_dir() and not link.exists():
                     link.symlink_to(entry)
         reader.run(block)
+
+
+def test_options_in_the_text_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    helps = ""
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    commands = re.findall(r"^    ([a-z-]+)", capsys.readouterr().out, re.MULTILINE)
+    assert {"diagnose", "identify", "excite"} <= set(commands)
+    for command in commands:
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        helps += capsys.readouterr().out
+    known = set(re.findall(r"--[a-z][a-z-]*", helps)) | {"--help", "--csv"}  # of `ros2 topic echo`
+    for page in PAGES:
+        text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        named = {m for code in re.findall(r"`([^`\n]+)`", text) for m in re.findall(r"(?<![\w-])--[a-z][a-z-]*", code)}
+        named -= {"--check"} if "python benchmarks" in text else set()
+        assert named <= known, f"{page.name}: {', '.join(sorted(named - known))}"
+
+
+def test_the_number_of_effects_is_that_of_the_registry() -> None:
+    words = f"{len(torchrbd.known_effects())} effects"
+    for page in (ROOT / "README.md", ROOT / "docs" / "images" / "overview.svg"):
+        assert re.findall(r"\d+\s+effects", page.read_text(encoding="utf-8")) == [words], page
+
+
+def test_the_page_of_mappings_has_every_key_and_unit() -> None:
+    text = (ROOT / "docs" / "guide" / "recordings.md").read_text(encoding="utf-8")
+    keys = {*mapping._TOP_KEYS, *mapping._SIGNAL_KEYS, *mapping._CURRENT_KEYS, *mapping.SIGNALS, *mapping.TIME_UNITS}
+    units = {unit for units in mapping.UNITS.values() for unit in units} | set(mapping.CURRENT_UNITS)
+    assert [word for word in sorted(keys | units) if f"`{word}`" not in text] == []
 
 
 def test_a_block_that_fails_is_seen(tmp_path: Path) -> None:
