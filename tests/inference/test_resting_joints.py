@@ -70,7 +70,7 @@ def test_friction_is_what_the_motion_tells(case: str) -> None:
 
 
 def test_two_seconds_are_too_few() -> None:
-    with pytest.raises(RecordingError, match="record about .* s more"):
+    with pytest.raises(RecordingError, match=r"record about .* s more"):
         torchrbd.identify(urdf(), recorded(sines(1, 2.0), 0))
 
 

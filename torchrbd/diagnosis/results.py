@@ -350,6 +350,7 @@ class Diagnosis(Displayed):
     def finished(self) -> bool:
         """Whether the search came to its end; False if a time limit or the user ended it before."""
         return self.identification.finished
+
     @classmethod
     def load(cls, folder: str | Path) -> Diagnosis:
         """Read what ``torchrbd diagnose -o`` wrote.

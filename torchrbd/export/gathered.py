@@ -227,8 +227,8 @@ def _couple(found: Gathered, kind: str, couplings: list[Tendon], gains: list[flo
         names = robot.joint_names[joint], robot.joint_names[other]
         if kind == "damping" and min(found.drives[j].damping for j in (joint, other)) < abs(k):
             found.unsaid.append(
-                f"coupling of {names[0]} and {names[1]} by their speeds ({k:.4g}): one of them has less damping than that, "
-                "and a negative one would gain energy"
+                f"coupling of {names[0]} and {names[1]} by their speeds ({k:.4g}): one of them has less damping, and "
+                "a negative damping would add energy"
             )
             continue
         for drive in (found.drives[joint], found.drives[other]):
