@@ -285,10 +285,10 @@ def test_options_that_do_not_fit_are_told(recording: Recording) -> None:
 def test_friction_that_the_urdf_lacks_is_fitted_unless_told_otherwise(recording: Recording) -> None:
     friction, rigid = identify(URDF, recording), identify(URDF, recording, effects=[])
     named = {p.name.split("_joint")[0] for p in friction.parameters if p.status == "term"}
-    assert named == {"viscous_friction", "asymmetric_coulomb_friction"}
+    assert named == {"viscous_friction", "coulomb_friction", "torque_offset"}
     assert "extended" in friction.fits
     assert set(rigid.fits) == {"urdf", "rigid_body"}
-    one = identify(URDF, recording, exclude=["asymmetric_coulomb_friction"])
+    one = identify(URDF, recording, exclude=["coulomb_friction", "torque_offset"])
     assert {p.name.split("_joint")[0] for p in one.parameters if p.status == "term"} == {"viscous_friction"}
 
 

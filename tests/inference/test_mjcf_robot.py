@@ -47,7 +47,7 @@ def test_what_the_file_tells_is_known(recording: torchrbd.Recording, tmp_path: P
     found = torchrbd.identify(tmp_path / "arm.xml", recording)
     assert found.fits["extended"].mean_nmse < 1e-3 < found.fits["rigid_body"].mean_nmse
     values = {p.name: p.value for p in found.parameters}
-    assert values["asymmetric_coulomb_friction_j1.coulomb_plus"] == pytest.approx(1.2, rel=0.05)
+    assert values["coulomb_friction_j1.coulomb"] == pytest.approx(1.2, rel=0.05)
     terms = {(t.effect.id, t.site.joint): t.parameters_by_name() for t in found.model.terms}
     assert terms["rotor_inertia", 1]["rotor_inertia"] == pytest.approx(0.4)
     assert terms["joint_spring", 0] == pytest.approx({"stiffness": 20.0, "rest_position": 0.3})
