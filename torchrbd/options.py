@@ -97,7 +97,7 @@ class Options:
         effects: effects to fit (``diagnose``: to search among), by id at all their places, or as EFFECT@PLACE. A place
             is a joint, a pair such as joint3_joint1, or a link. EFFECT@PLACE@RECORDING=FROM:TO [s] acts for a time
             only. In Python, ``torchrbd.known_effects()`` lists the ids, and [] is the rigid body alone. Default: of
-            ``diagnose`` all, of ``compare_estimators`` none, else viscous and Coulomb friction.
+            ``diagnose`` all, of ``compare_estimators`` none, else viscous and Coulomb friction and a torque offset.
         exclude: effects not to use, by id. Default: none.
         gravity: acceleration in the base's axes, X Y Z [m/s^2], e.g. 0 9.81 0 for an arm on a wall. In Python, only
             with a robot that is given by its URDF. Default: 0 0 -9.81.
