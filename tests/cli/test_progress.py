@@ -77,6 +77,5 @@ def test_stages_with_brackets_are_no_markup(stream: io.StringIO) -> None:
     "command", ["identify", "diagnose", "compare-estimators", "demo", "excite", "simulate", "stats", "fleet"]
 )
 def test_commands_that_take_long_can_be_quiet(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main([command, "--help"])
+    assert main([command, "--help"]) == 0
     assert "--quiet" in capsys.readouterr().out

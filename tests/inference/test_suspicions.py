@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import real_recordings as real
 import torch
+import yaml
 from robot.random_robots import random_urdf
 from shortened import slow_but
 from simulated import joint_names, record, with_wrong_inertials
@@ -81,6 +82,34 @@ def test_what_is_wrong_is_suspected(name: str) -> None:
     assert (one.kind, one.joints) == (kind, joints)
     assert remedy in one.remedy
     assert found.settles
+
+
+@pytest.mark.parametrize("constants", [(20.0, 20.0, 20.0), (8.0, 40.0, 5.0)], ids=["alike", "each its own"])
+@pytest.mark.parametrize(
+    "now", ["", 'joints: {"*": {tau: {current: "tau_{joint}", torque_constant: 1, gear_ratio: 2}}}']
+)
+def test_constants_of_currents_are_proposed(constants: tuple[float, ...], now: str, tmp_path: Path) -> None:
+    """The motor's constants are not known: the URDF's masses tell them well enough to begin with."""
+    current = arrays()["tau"] / np.array(constants)
+    (tmp_path / "now.yaml").write_text(now or "{}")
+    given = {"mapping": tmp_path / "now.yaml", "cutoff_hz": 4.0}
+    urdf, file = with_wrong_inertials(URDF, 21, 0.2), tmp_path / "day.csv"
+    columns = table({**arrays(), "tau": current})
+    np.savetxt(file, np.column_stack([*columns.values()]), "%.12g", ",", header=",".join(columns), comments="")
+    found = suspected(urdf, file, **given).found
+    assert found[-1].kind == "torque gain"
+    said = found[-1].remedy
+    proposed = yaml.safe_load(said.split("'")[1])["joints"]
+    (tmp_path / "then.yaml").write_text(said.split("'")[1])
+    mapping = read_mapping(tmp_path / "then.yaml")
+    for j, (name, constant) in enumerate(zip(NAMES, constants, strict=True)):
+        assert mapping.source(name, j, "tau").scale == pytest.approx(constant, rel=0.5)
+        assert mapping.source(name, j, "tau").column == f"tau_{name}"
+    assert ("*" in proposed) == (len(set(constants)) == 1)
+    assert "N m/A" in said
+    assert "torque_constant and gear_ratio of the data sheet" in said
+    given["mapping"] = tmp_path / "then.yaml"
+    assert suspected(urdf, file, **given).found == ()
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])

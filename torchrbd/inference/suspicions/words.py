@@ -112,12 +112,7 @@ def _remedy(h: Hypothesis, joints: Sequence[str], prepared: Prepared) -> str:
     if h.kind == "gravity":
         return f"if the robot is mounted so, or the URDF upside down, give '--gravity {_vector(h)}'"
     if h.kind == "torque gain":
-        current = _source(prepared, "tau", joints[0]).column
-        entry = {joints[0]: {"tau": {"current": current, "torque_constant": "K", "gear_ratio": "N"}}}
-        return (
-            "if they are currents or of another unit, say so in the mapping, e.g. "
-            f"'{_yaml({'joints': entry})}', or 'unit: mN m'; if not, check the URDF's masses"
-        )
+        return _currents(h, joints, prepared)
     if h.kind == "time unit":
         column = _source(prepared, "t", prepared.robot.joint_names[0]).column
         return f"if so, give --mapping a file with '{_yaml({'time': {'column': column, 'unit': h.unit}})}'"
@@ -134,6 +129,33 @@ def _remedy(h: Hypothesis, joints: Sequence[str], prepared: Prepared) -> str:
             if h.kind in kinds:
                 own[signal] = _entry(_source(prepared, signal, name), turned=True)
     return f"if so, give --mapping a file with '{_yaml({'joints': _general(entries, prepared)})}'"
+
+
+def _currents(h: Hypothesis, joints: Sequence[str], prepared: Prepared) -> str:
+    """Return what to do where torques may be currents: the constants with which they fit, as a mapping has them."""
+    names, prismatic = prepared.robot.joint_names, prepared.robot.prismatic.tolist()
+    seen = [prepared.measured(k) for k in range(len(prepared.recordings))]
+    measured = [name for j, name in enumerate(names) if any(bool(one[j]) for one in seen)]
+    joints = measured if h.unit == "all" else joints
+    entries, constants = {}, dict[str, list[str]]()
+    for joint in joints:
+        source, j = _source(prepared, "tau", joint), names.index(joint)
+        factor = h.writing.tau_scale[j]
+        constant = float(f"{abs(source.scale * factor):.3g}")
+        entry: dict[str, Any] = {"current": source.column, "torque_constant": constant}
+        entry |= {"sign": -1} if source.scale * factor < 0 else {}
+        entry |= {"offset": source.offset * factor} if source.offset else {}
+        entries[joint] = {"tau": entry}
+        constants.setdefault(f"{constant:g} {'N' if prismatic[j] else 'N m'}/A", []).append(joint)
+    told = ", ".join(f"{constant} at {', '.join(those)}" for constant, those in constants.items())
+    if others := [name for name in measured if name not in joints]:
+        told += f" (these recordings do not show that of {', '.join(others)})"
+    return (
+        f"if they are motor currents, the torques would fit with a constant, gear ratio included, of {told}: give "
+        f"--mapping a file with '{_yaml({'joints': _general(entries, prepared)})}'. That is a guess from the URDF's "
+        "masses: better write torque_constant and gear_ratio of the data sheet. If they are torques of another unit, "
+        "write e.g. 'unit: mN m'; if neither, check the masses of the URDF"
+    )
 
 
 def _entry(source: Source, *, unit: str = "", turned: bool = False) -> dict[str, Any] | str:
