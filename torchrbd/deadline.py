@@ -18,7 +18,8 @@ from typing import Any, ParamSpec, TypeVar
 
 from torchrbd.errors import OptionError
 
-Parameters, Result = ParamSpec("Parameters"), TypeVar("Result")
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _ASKED = threading.Event()
 

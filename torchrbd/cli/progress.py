@@ -62,7 +62,7 @@ class _Lines:
     """
 
     def __init__(self, console: Console) -> None:
-        self.now = "reading", 0.0
+        self.now: tuple[str, float] = ("reading", 0.0)
         self._console, self._start, self._ended = console, time.monotonic(), threading.Event()
         self._thread = threading.Thread(target=self._print, daemon=True)
 

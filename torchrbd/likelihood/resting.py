@@ -38,7 +38,7 @@ def moving(qd: np.ndarray, block: np.ndarray, slow: np.ndarray) -> np.ndarray:
     """
     rows = np.maximum(np.bincount(block), 1)
     power = np.stack([np.bincount(block, one**2) for one in qd]) / rows
-    return np.asarray((power >= slow[:, None] ** 2).any(1))
+    return np.any(power >= slow[:, None] ** 2, axis=1)
 
 
 def told_by_motion(statistics: BlockStatistics) -> BlockStatistics:
