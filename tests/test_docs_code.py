@@ -202,6 +202,7 @@ def test_blocks_of_a_page_run(page: Path, reader: Runner) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*treespec, LeafSpec:FutureWarning", "ignore::DeprecationWarning:onnx.*")  # PyTorch
 @pytest.mark.parametrize("page", [p for p in PAGES if any(b.mark in ("slow", "data") for b in blocks(p))], ids=named)
 def test_slow_blocks_of_a_page_run(page: Path, reader: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     data = os.environ.get("TORCHRBD_DATA", "")
