@@ -75,7 +75,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     into, demo = tmp_path_factory.mktemp("docs"), ROOT / "torchrbd" / "demo"
     fit, judge = (pd.read_parquet(demo / f"{name}.parquet") for name in ("fit", "holdout"))
     shutil.copy(demo / "arm.urdf", into / "robot.urdf")
-    days = {"monday": (fit, 0, 12), "tuesday": (fit, 20, 32), "wednesday": (judge, 0, 10)}
+    days = {"monday": (fit, 0, 12), "tuesday": (fit, 24, 40), "wednesday": (judge, 0, 10)}
     for name, (table, start, end) in days.items():
         part = table[(table.t >= start) & (table.t < end)].iloc[::3]
         part.assign(t=(part.t - part.t.iloc[0]).round(4)).to_csv(into / f"{name}.csv", index=False)
