@@ -98,7 +98,8 @@ class Recorded:
         state = np.zeros((3, model.nv))
         for k in range(len(q)):
             state[:, order] = q[k], qd[k], qdd[k]
-            body[k] = pin.computeJointTorqueRegressor(model, data, *state)[order]
+            turned = pin.integrate(model, pin.neutral(model), state[0])  # cosine and sine of continuous joints
+            body[k] = pin.computeJointTorqueRegressor(model, data, turned, *state[1:])[order]
         self.tau = lowpass(tau, cutoff_hz, dt)
         self.W = lowpass(np.concatenate((body, friction(qd)), axis=2), cutoff_hz, dt)
 
