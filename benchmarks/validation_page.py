@@ -100,7 +100,7 @@ def real_joints() -> str:
     for one in results("real_robots").values():
         nmse = one["nmse"]
         worse = [j for j in nmse["extended"] if nmse["extended"][j] > nmse["baseline"][j]]
-        pairs = [f"{j} {short(nmse['baseline'][j])} → {short(nmse['extended'][j])}" for j in worse]
+        pairs = [f"{j} {nmse['baseline'][j]:.3g} → {nmse['extended'][j]:.3g}" for j in worse]
         rows.append([one["robot"], f"{len(worse)} of {len(nmse['extended'])}", "; ".join(pairs) or "–"])
     return markdown(["robot", "joints predicted worse than by least squares", "NMSE, least squares → torchrbd"], rows)
 

@@ -1,6 +1,6 @@
 """How well real robots are predicted: the URDF, plain least squares, the re-fitted rigid body and the extended model.
 
-    TORCHRBD_DATA=/path/to/recordings python benchmarks/real_robots.py emps panda ur10 kuka_kr300
+    TORCHRBD_DATA=/path/to/recordings python benchmarks/against_least_squares.py emps panda ur10 kuka_kr300
 
 Writes ``benchmarks/results/real_robots.json``; the sets that are not named keep their figures. All four models are
 judged on the same held-out rows, and every row counts alike (rows near rest too).
@@ -65,7 +65,8 @@ def recordings_of(name: str, folder: Path) -> tuple[list[Path], list[Path]]:
 
 def table(path: Path) -> dict[str, np.ndarray]:
     """Return the columns of a CSV file."""
-    columns = path.open().readline().strip().split(",")
+    with path.open(encoding="utf-8") as stream:
+        columns = stream.readline().strip().split(",")
     return dict(zip(columns, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
 
 
@@ -98,7 +99,8 @@ class Recorded:
         state = np.zeros((3, model.nv))
         for k in range(len(q)):
             state[:, order] = q[k], qd[k], qdd[k]
-            body[k] = pin.computeJointTorqueRegressor(model, data, *state)[order]
+            turned = pin.integrate(model, pin.neutral(model), state[0])  # cosine and sine of continuous joints
+            body[k] = pin.computeJointTorqueRegressor(model, data, turned, *state[1:])[order]
         self.tau = lowpass(tau, cutoff_hz, dt)
         self.W = lowpass(np.concatenate((body, friction(qd)), axis=2), cutoff_hz, dt)
 
@@ -133,12 +135,18 @@ def baseline(diagnosis: Diagnosis, urdf: Path, paths: Sequence[Path]) -> np.ndar
         rows = series.recording == k
         parts.append((*recorded.at(series.t[rows]), series.held_out[rows]))
     tau, W, held_out = (np.concatenate(x) for x in zip(*parts, strict=True))
-    noise = np.ones(len(series.joints))
-    for _ in range(3):  # joints are weighted by their own noise
-        x = least_squares(W[~held_out] / noise[:, None], tau[~held_out] / noise)
-        noise = np.std(tau[~held_out] - W[~held_out] @ x, axis=0)
+    x = weighted(W[~held_out], tau[~held_out])
     error = tau[held_out] - W[held_out] @ x
     return nmse(error, tau[held_out])
+
+
+def weighted(W: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Return least squares of W (M, n, p) and tau (M, n) with each joint weighted by its own residual, (p,)."""
+    noise = np.ones(tau.shape[1])
+    for _ in range(3):
+        x = least_squares(W / noise[:, None], tau / noise)
+        noise = np.std(tau - W @ x, axis=0)
+    return x
 
 
 def least_squares(W: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -204,7 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     for name in chosen:
         results_file.update(
-            "real_robots", f"python benchmarks/real_robots.py {name}", {name: measure(name, Path(folder))}
+            "real_robots", f"python benchmarks/against_least_squares.py {name}", {name: measure(name, Path(folder))}
         )
         print(f"{name}: done")
     return 0
