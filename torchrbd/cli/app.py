@@ -53,8 +53,10 @@ def app() -> App:
     for k, (title, modules) in enumerate(_COMMANDS.items()):
         group = Group(title, sort_key=k)
         for j, module in enumerate(modules):
-            command = getattr(module, module.__name__.rpartition(".")[2])
-            name = command.__name__.replace("_", "-")
+            # The one that completes the others has to know them.
+            name = module.__name__.rpartition(".")[2]
+            command = module.of(found) if module is completion else getattr(module, name)
+            name = name.replace("_", "-")
             found.command(
                 command,
                 name=name,
