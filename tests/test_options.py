@@ -17,6 +17,7 @@ EVERY = set(Options.names())
 OF_MOMENTS = {
     "time", "joints", "effects", "exclude", "gravity", "payload", "mapping", "cutoff_hz", "encoder_noise",
 }  # fmt: skip
+OF_TORQUE = {"time", "joints", "payload", "mapping", "cutoff_hz"}
 FUNCTIONS: dict[Callable[..., Any], set[str]] = {
     torchrbd.identify: EVERY,
     torchrbd.diagnose: EVERY,
@@ -24,6 +25,8 @@ FUNCTIONS: dict[Callable[..., Any], set[str]] = {
     torchrbd.identify_many: EVERY,
     torchrbd.compare_estimators: EVERY - {"estimator"},
     torchrbd.write_statistics: OF_MOMENTS,
+    torchrbd.replay: OF_TORQUE | {"simulated"},
+    torchrbd.residual_dataset: OF_TORQUE,
 }
 
 
@@ -49,6 +52,14 @@ def test_every_option_is_named_typed_and_documented(function: Callable[..., Any]
         assert options[option.name].default == option.default
         assert hints[option.name] is not Any
         assert said[option.name] == words()[option.name]
+
+
+def test_no_public_function_hides_its_options() -> None:
+    public = (thing for thing in map(torchrbd.__getattr__, torchrbd.__all__) if inspect.isfunction(thing))
+    hiding = [
+        f.__name__ for f in public if any(p.kind is p.VAR_KEYWORD for p in inspect.signature(f).parameters.values())
+    ]
+    assert hiding == []
 
 
 def test_settings_are_the_options() -> None:
