@@ -18,6 +18,7 @@ from torchrbd.cli.commands import (
     identify,
     inspect,
     merge,
+    schema,
     simulate,
     stats,
 )
@@ -34,7 +35,7 @@ _COMMANDS = {
     "Record": (inspect, excite),
     "Use": (export, simulate),
     "Much data, many robots": (stats, merge, fleet),
-    "Reference": (effects, completion),
+    "Reference": (effects, schema, completion),
 }
 
 
