@@ -71,7 +71,10 @@ def test_results_are_objects_again(found: torchrbd.Diagnosis, folder: Path) -> N
     q, qd, qdd = torch.rand(3, 5, 2, dtype=torch.float64)
     torch.testing.assert_close(one.model(q, qd, qdd), other.model(q, qd, qdd))
     assert torchrbd.Identification.load(folder).verdict == other.verdict
-    assert torchrbd.compare(again, found).changes == torchrbd.compare(found, found).changes
+    # Not in all digits: how sums are rounded depends on where arrays lie in memory.
+    changes, expected = (torchrbd.compare(one, found).changes for one in (again, found))
+    assert [(c.kind, c.effect, c.verdict) for c in changes] == [(c.kind, c.effect, c.verdict) for c in expected]
+    assert [c.probability for c in changes] == pytest.approx([c.probability for c in expected])
 
 
 def test_what_the_files_lack_is_said(folder: Path) -> None:
