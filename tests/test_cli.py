@@ -150,7 +150,7 @@ def test_options_before_the_files_are_answered_with_what_to_do(capsys: pytest.Ca
 def test_help_explains_every_estimator(capsys: pytest.CaptureFixture[str]) -> None:
     for command in ("identify", "compare-estimators"):
         assert main([command, "--help"]) == 0
-        told = re.sub(r"\s+", " ", capsys.readouterr().out)
+        told = re.sub(r"[\s│]+", " ", capsys.readouterr().out)
         for name, meaning in ESTIMATORS.items():
             assert meaning in told or (name not in COMPARABLE and command == "compare-estimators")
     assert "auto, the default of identify, is smoother where" in told
@@ -321,9 +321,8 @@ def test_help_keeps_units(capsys: pytest.CaptureFixture[str]) -> None:
 def test_bundled_run_settings_are_read(
     path: Path, case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code = main(
-        ["identify", str(case / "arm.urdf"), str(case / "day.csv"), "-o", str(tmp_path / "o"), "--config", str(path)]
-    )
+    files = str(case / "arm.urdf"), str(case / "day.csv")
+    code = main(["identify", *files, "-q", "-o", str(tmp_path / "o"), "--config", str(path)])
     assert (code, capsys.readouterr().err) == (0, "")
 
 

@@ -13,8 +13,8 @@ import pytest
 import torchrbd
 
 HEAVY = {
-    "jinja2", "lxml", "matplotlib", "numpy", "pyarrow", "pytorch_kinematics", "scipy", "sklearn", "torch", "yaml",
-    "yourdfpy",
+    "jinja2", "lxml", "matplotlib", "numpy", "pyarrow", "pydantic", "pytorch_kinematics", "scipy", "sklearn", "torch",
+    "yaml", "yourdfpy",
 }  # fmt: skip
 HELP = "import contextlib\nfrom torchrbd.cli import main\nwith contextlib.suppress(SystemExit):\n    main({})"
 

@@ -6,17 +6,23 @@ import inspect
 import re
 from collections.abc import Callable
 from dataclasses import fields
+from pathlib import Path
 from typing import Any, get_type_hints
 
+import jsonschema
 import pytest
 
 import torchrbd
-from torchrbd.options import Options, given, plain_words, words
+from torchrbd.export.schemas import schema
+from torchrbd.inference.options_file import read_options
+from torchrbd.options import Options, given, plain_words, spelt, words
+from torchrbd.recordings.strict_yaml import strict_yaml
 
 EVERY = set(Options.names())
 OF_MOMENTS = {
     "time", "joints", "effects", "exclude", "gravity", "payload", "mapping", "cutoff_hz", "encoder_noise",
 }  # fmt: skip
+OF_TORQUE = {"time", "joints", "payload", "mapping", "cutoff_hz"}
 FUNCTIONS: dict[Callable[..., Any], set[str]] = {
     torchrbd.identify: EVERY,
     torchrbd.diagnose: EVERY,
@@ -24,6 +30,8 @@ FUNCTIONS: dict[Callable[..., Any], set[str]] = {
     torchrbd.identify_many: EVERY,
     torchrbd.compare_estimators: EVERY - {"estimator"},
     torchrbd.write_statistics: OF_MOMENTS,
+    torchrbd.replay: OF_TORQUE | {"simulated"},
+    torchrbd.residual_dataset: OF_TORQUE,
 }
 
 
@@ -51,6 +59,14 @@ def test_every_option_is_named_typed_and_documented(function: Callable[..., Any]
         assert said[option.name] == words()[option.name]
 
 
+def test_no_public_function_hides_its_options() -> None:
+    public = (thing for thing in map(torchrbd.__getattr__, torchrbd.__all__) if inspect.isfunction(thing))
+    hiding = [
+        f.__name__ for f in public if any(p.kind is p.VAR_KEYWORD for p in inspect.signature(f).parameters.values())
+    ]
+    assert hiding == []
+
+
 def test_settings_are_the_options() -> None:
     assert torchrbd.Settings.names() == Options.names()
     assert inspect.getdoc(torchrbd.Settings) == inspect.getdoc(Options)
@@ -75,6 +91,38 @@ def test_words_of_the_command_line_are_without_python() -> None:
         assert "``" not in plain_words(name)
         assert "Default: " in plain_words(name)
     assert "see --holdout-fraction." in plain_words("holdout")
+
+
+def test_schemas_have_what_files_may_say() -> None:
+    """Every option in the schema of --config, by its spelling; values are those that the reader takes."""
+    made = schema("config")
+    assert made["properties"].keys() == {spelt(name) for name in Options.names()}
+    assert all(
+        one["description"] == plain_words(name)
+        for name, one in zip(Options.names(), made["properties"].values(), strict=True)
+    )
+    for text in GOOD:
+        content = strict_yaml(text)
+        jsonschema.validate(content, made)
+        assert read_options(content, "run.yaml")
+    for text in BAD:
+        with pytest.raises(torchrbd.OptionError, match=r"run\.yaml: line 2: "):
+            read_options(strict_yaml(text), "run.yaml")
+    for path in Path(__file__).parent.parent.glob("configs/run_*.yaml"):
+        jsonschema.validate(strict_yaml(path.read_text()), made)
+
+
+GOOD = (
+    "cutoff: 5\nholdout: a.csv", "holdout: [a.csv, b.csv]\ngravity: [0, 0, -1]", "time: '2:30'", "time: [2, null]",
+    "encoder-noise: 1.0e-4", "encoder-noise: {j: 0.1}", "holdout-fraction: 0.3\nseed: 4\nestimator: wls",
+)  # fmt: skip
+BAD = (
+    "seed: 1\ncutof: 5",
+    "seed: 1\ncutoff: fast",
+    "seed: 1\ncutoff: -5",
+    "seed: 1\ntime: [3, 2]",
+    "cutoff: 1\ncutoff_hz: 2",
+)
 
 
 def test_options_are_picked_out_of_arguments() -> None:

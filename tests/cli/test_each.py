@@ -32,7 +32,7 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(case: Path, output: Path, *recordings: str, options: tuple[str, ...] = ()) -> int:
     files = [str(case / name) for name in ("arm.urdf", *recordings)]
-    return main(["identify", *files, "--each", "-o", str(output), "--cutoff", "5", *options])
+    return main(["identify", *files, "--each", "-q", "-o", str(output), "--cutoff", "5", *options])
 
 
 def test_each_recording_has_its_folder_and_its_row(

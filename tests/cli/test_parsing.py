@@ -74,7 +74,7 @@ def test_every_help_has_examples_that_are_understood(command: str, capsys: pytes
 
 def test_several_values_of_all_kinds_are_understood(monkeypatch: pytest.MonkeyPatch) -> None:
     given = {}
-    monkeypatch.setattr("torchrbd.cli.running.run", lambda *arguments: given.update(arguments[-1]))
+    monkeypatch.setattr("torchrbd.cli.running.run", lambda *arguments, quiet: given.update(arguments[-1]))
     options = "--holdout c.csv d.csv --time 2:30 --joints j1 j2 --payload c.csv=1,0,0,0 --cutoff 5 --gravity 0 9.81 -1"
     more = "--encoder-noise j1=1e-4 j2=2e-4 --holdout e.csv --seed 3 --kappa 2.5"
     assert main(["diagnose", "arm.urdf", "a.csv", *options.split(), "-o", "out", *more.split()]) == 0

@@ -145,7 +145,6 @@ def test_joints_without_torque_weigh_nothing() -> None:
         ({"split": "dev"}, OptionError, "split is 'dev'; expected one of train, validation, test"),
         ({"fractions": (0.5, 0.5)}, OptionError, "expected three of 0 or more that add to 1"),
         ({"fractions": (0.0, 0.5, 0.5)}, OptionError, "of which some is to train with"),
-        ({"estimator": "auto"}, OptionError, "unknown option 'estimator'; expected cutoff_hz, time"),
         ({"history": -1}, OptionError, "history is -1"),
         ({"history": 2}, RecordingError, "simulated: history needs set-points, columns q_ref_<joint>"),
         ({"split": "test", "time": (0.0, 3.0)}, RecordingError, "too little to split"),

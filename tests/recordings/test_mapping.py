@@ -3,11 +3,14 @@
 import textwrap
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
+import yaml
 
 from torchrbd.errors import RecordingError
 from torchrbd.recordings import open_recording, read_mapping
+from torchrbd.recordings.mapping_file import MappingFile
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -93,7 +96,7 @@ def test_delay_of_torques(tmp_path):
             "joints: {a: {q: {column: x, unit: grad}}}",
             "joints.a.q.unit: unknown unit 'grad'; valid units are rad, mrad, deg",
         ),
-        ("joints: {a: {q: {unit: deg}}}", "joints.a.q.column: expected a column's name, got None"),
+        ("joints: {a: {q: {unit: deg}}}", "line 1: joints.a.q: 'column' is missing"),
         ("joints: {a: {q: {column: x, sign: 2}}}", "joints.a.q.sign: expected 1 or -1, got 2"),
         ("joints: {a: {q: {column: x, gear_ratio: 0}}}", "joints.a.q.gear_ratio: zero would erase"),
         ("joints: {a: {q: {column: x, scale: big}}}", "joints.a.q.scale: expected a number, got 'big'"),
@@ -104,7 +107,15 @@ def test_delay_of_torques(tmp_path):
         ("joints: {1: {}}", "the key 1 must be text"),
         ("time: {column: t, unit: h}", "time.unit: unknown unit 'h'; valid units are s, ms, us, ns"),
         ("", "the file: expected time or joints or topic or episodes or torque_delay, got None"),
-        ("a: [", "not valid YAML"),
+        ("a: [", "is not YAML in UTF-8"),
+        (
+            "joints:\n  a:\n    q: {column: x}\n    tau: {column: y, unit: Nmm, ratio: 2}",
+            "line 4: joints.a.tau: unknown key 'ratio'",
+        ),
+        ("joints:\n  a:\n    q:\n      column: x\n      sign: 2", "line 5: joints.a.q.sign: expected 1"),
+        ("joints:\n  a: {}\n  b: {q: {unit: rad}}", "line 3: joints.b.q: 'column' is missing"),
+        ("topic: 3", "line 1: topic: expected a name"),
+        ("episodes: [-1]", "line 1: episodes: expected numbers from 0"),
     ],
 )
 def test_mistakes(tmp_path, text, message):
@@ -123,3 +134,20 @@ def test_mapping_that_does_not_fit(tmp_path):
     mapping = read_mapping(write(tmp_path, "joints: {elbow: {tau: {column: trq}}}"))
     with pytest.raises(RecordingError, match="missing columns: trq"):
         read_row(tmp_path, mapping, "t,q_elbow,tau_elbow", "0,1,2", ["elbow"])
+
+
+def test_the_schema_has_every_key_with_what_it_means():
+    schema = MappingFile.model_json_schema()
+    tables = [schema, *schema["$defs"].values()]
+    keys = {key: entry for table in tables for key, entry in table.get("properties", {}).items()}
+    assert {"time", "joints", "topic", "episodes", "torque_delay", "gear_ratio", "torque_constant"} <= keys.keys()
+    assert all(len(entry["description"]) > 5 for entry in keys.values())
+    assert all(table["additionalProperties"] is False for table in tables)
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("mapping_*.yaml")), ids=lambda path: path.name)
+def test_examples_fit_the_schema(path):
+    content = yaml.safe_load(path.read_text())
+    jsonschema.validate(content, MappingFile.model_json_schema())
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(content | {"jonts": {}}, MappingFile.model_json_schema())

@@ -18,6 +18,7 @@ from torchrbd.cli.commands import (
     identify,
     inspect,
     merge,
+    schema,
     simulate,
     stats,
 )
@@ -34,7 +35,7 @@ _COMMANDS = {
     "Record": (inspect, excite),
     "Use": (export, simulate),
     "Much data, many robots": (stats, merge, fleet),
-    "Reference": (effects, completion),
+    "Reference": (effects, schema, completion),
 }
 
 
@@ -53,8 +54,10 @@ def app() -> App:
     for k, (title, modules) in enumerate(_COMMANDS.items()):
         group = Group(title, sort_key=k)
         for j, module in enumerate(modules):
-            command = getattr(module, module.__name__.rpartition(".")[2])
-            name = command.__name__.replace("_", "-")
+            # The one that completes the others has to know them.
+            name = module.__name__.rpartition(".")[2]
+            command = module.of(found) if module is completion else getattr(module, name)
+            name = name.replace("_", "-")
             found.command(
                 command,
                 name=name,

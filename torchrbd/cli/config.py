@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from torchrbd.errors import OptionError
 from torchrbd.inference import Settings
+from torchrbd.inference.options_file import read_options
 from torchrbd.options import Options
-from torchrbd.recordings.strict_yaml import strict_yaml
+from torchrbd.recordings.checked_yaml import read_yaml
 
 # Options that name files.
 _FILES = {"holdout", "simulated", "mapping"}
@@ -32,19 +31,9 @@ def chosen(config: Path | None, options: Mapping[str, Any], used: Sequence[str] 
 
 
 def _read_config(path: Path) -> dict[str, Any]:
-    try:
-        content = strict_yaml(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise OptionError(f"{path}: is not YAML in UTF-8 ({' '.join(str(error).split())})") from None
-    except OSError as error:
-        raise OptionError(f"{path}: cannot be read ({error.strerror}); check --config") from None
-    if not isinstance(content, dict):
-        raise OptionError(f"{path}: expected 'option: value' lines, e.g. 'cutoff: 5'")
-    chosen = {str(key).replace("-", "_"): value for key, value in content.items()}
-    if "cutoff" in chosen:
-        chosen["cutoff_hz"] = chosen.pop("cutoff")
+    content = read_yaml(path, "cannot be read ({reason}); check --config", OptionError)
+    chosen, folder = read_options(content, str(path)), path.parent
     read = Settings.from_mapping(chosen, str(path))
-    folder = path.parent
     for key in _FILES & chosen.keys():
         files = getattr(read, key)
         chosen[key] = [folder / file for file in files] if isinstance(files, tuple) else files and folder / files

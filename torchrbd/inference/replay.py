@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchrbd.display import brief, few
 from torchrbd.errors import OptionError
 from torchrbd.inference.preparation import read
 from torchrbd.inference.results import TorqueSeries
@@ -17,10 +17,10 @@ from torchrbd.inference.series import torque_series
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.recordings import RecordingSource, listed_sources
+from torchrbd.options import Names, Payload, given
+from torchrbd.recordings import Sources, listed_sources
 from torchrbd.threads import single_threaded
 
-OPTIONS = ("cutoff_hz", "time", "joints", "mapping", "payload", "simulated")
 _MODEL = "model"
 
 
@@ -42,15 +42,24 @@ class Replay:
     cutoff_hz: float
     series: TorqueSeries
 
+    def __repr__(self) -> str:
+        errors = [f"{joint}: {x:.3g}" for joint, x in self.nmse.items()]
+        return brief(self, nmse=few(errors), cutoff_hz=self.cutoff_hz, recordings=few(self.series.recordings))
+
 
 @single_threaded()
 def replay(
     model: RigidBodyDynamics | str | Path,
-    recordings: Sequence[RecordingSource] | RecordingSource,
+    recordings: Sources,
     *,
     held_out: bool = True,
+    time: str | tuple[float, float] | None = None,
+    joints: Names | None = None,
+    payload: Sequence[Payload | str] | Payload | str = (),
+    simulated: Sources = (),
+    mapping: str | Path | None = None,
+    cutoff_hz: float | None = None,
     progress: Progress = lambda *_: None,
-    **options: Any,
 ) -> Replay:
     """Predict recorded torques with a model, and say how far off it is.
 
@@ -65,6 +74,9 @@ def replay(
     5. Keep the rows in ``model.conditions[name].held_out_s``. All of them count alike.
     6. ``nmse = mean((tau - tau_model)**2) / var(tau)`` by joint.
 
+    The cut-off is the reported one by default; a payload replaces what the model knows. Where a fit was compared with a
+    simulator, its recordings are needed again: the model does not have its torque.
+
     A recording that the model does not know counts as a whole. Its torque is taken to be as late as that of the fitted
     recordings where these agree (``model.conditions[""].delay_s`` and ``lag_s``), and without a load.
 
@@ -72,10 +84,18 @@ def replay(
         model: a model, its file, or the folder of results that holds it.
         recordings: as in ``identify``.
         held_out: count only rows that no fit has seen, of recordings that the model knows; all rows otherwise.
+        time: use only this part of each recording, FROM:TO [s] from its start, e.g. 2:30. In Python, text or a pair of
+            numbers. Default: all.
+        joints: joints whose torque counts, by name. Default: all.
+        payload: known loads, FILE=kg,x,y,z[@LINK]: mass [kg] and centre of mass [m] in the frame of a link. In Python,
+            text or ``torchrbd.inference.Payload``. Default: none; of a chain, the link is the last one.
+        simulated: recordings of a simulator with the same commands: one for each recording, then one for each of
+            ``holdout``, in their order. The robot is compared with them in place of the URDF. Where the simulator has
+            other inertials than the URDF, the difference is reported as inertial parameters. Default: none.
+        mapping: YAML file with other column names, units, signs, gear ratios or torque constants. Default: columns t,
+            q_<joint>, tau_<joint> in SI units.
+        cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
         progress: called with the stage and the part of it that is done (0 to 1).
-        **options: cutoff_hz, time, joints, mapping, payload and simulated, as in ``torchrbd.Settings``. The cut-off is
-            the reported one by default; a payload replaces what the model knows. Where a fit was compared with a
-            simulator, its recordings are needed again: the model does not have its torque.
 
     Raises:
         InputError: a model, recording or option that cannot be used.
@@ -87,12 +107,9 @@ def replay(
         ({'joint1': 0.0016, 'joint2': 0.0121}, {'joint1': 0.0016, 'joint2': 0.0121})
     """
     model = model if isinstance(model, RigidBodyDynamics) else RigidBodyDynamics.load(model)
-    unknown = [key for key in options if key not in OPTIONS]
-    if unknown:
-        raise OptionError(f"replay: unknown option '{unknown[0]}'; expected {', '.join(OPTIONS)}")
-    if model.reported is not None:
-        options = {"cutoff_hz": model.reported.cutoff_hz} | options
-    settings = Settings.from_mapping(options, "replay")
+    if cutoff_hz is None and model.reported is not None:
+        cutoff_hz = model.reported.cutoff_hz
+    settings = Settings.from_mapping(given(locals()), "replay")
     reading, _ = read(model.robot, listed_sources(recordings), settings, progress)
     _check_simulated(model, reading)
     model = _loaded(model, reading)

@@ -20,16 +20,17 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
-import yaml
+from pydantic import BeforeValidator, Field
 
-from torchrbd.errors import OptionError, closest
+from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
+from torchrbd.inference.options_file import read_options
 from torchrbd.inference.settings import Settings
-from torchrbd.recordings.strict_yaml import strict_yaml
+from torchrbd.recordings.checked_yaml import Keys, Loc, checked, read_yaml, wrong
+from torchrbd.recordings.strict_yaml import line_of
 
-_TOP, _OF_ROBOT, _NEEDED = ("options", "robots"), ("name", "urdf", "recordings", "mapping", "options"), 3
 # A robot takes some hundred letters.
 _LARGEST = 1 << 26
 # What is a folder's name everywhere.
@@ -46,81 +47,108 @@ class RobotEntry:
     options: Mapping[str, Any]
 
 
+def _file(value: Any) -> str:
+    if not isinstance(value, str):
+        raise wrong(f"expected the name of a file, got {value!r:.50}")
+    return value
+
+
+def _files(value: Any) -> list[str]:
+    return [_file(one) for one in (value if isinstance(value, list) else [value])]
+
+
+def _name(value: Any) -> str:
+    if not _NAME.fullmatch(str(value)):
+        raise wrong("the name is that of its folder of results; use letters, digits, '-', '_' and '.'")
+    return str(value)
+
+
+def _robots(value: Any) -> Any:
+    if not isinstance(value, list) or not value:
+        raise wrong("expected a list of robots, each with name, urdf and recordings")
+    return value
+
+
+def _options(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise wrong(f"expected 'option: value', e.g. {{cutoff: 5}}; got {value!r:.50}")
+    for key in ("holdout", "simulated", "mapping"):
+        if key in value:
+            raise wrong(f"'{key}' names files, which belong to a robot; leave it out", key)
+    return value
+
+
+Options = Annotated[dict[str, Any], BeforeValidator(_options)]
+
+
+class RobotInFile(Keys):
+    """One robot."""
+
+    missing: ClassVar[dict[str, str]] = {key: f"'{key}' is missing" for key in ("name", "urdf", "recordings")}
+    name: Annotated[str, BeforeValidator(_name)] = Field(description="of the robot and of its folder of results")
+    urdf: Annotated[str, BeforeValidator(_file)] = Field(description="file of the robot: URDF or MJCF")
+    recordings: Annotated[list[str] | str, BeforeValidator(_files)] = Field(description="file, or list of files")
+    mapping: Annotated[str, BeforeValidator(_file)] | None = Field(
+        None, description="YAML file with column names and units of these recordings"
+    )
+    options: Options | None = Field(
+        None, description="options of 'torchrbd identify' for this robot; they win over those of all"
+    )
+
+
+class RobotsFile(Keys):
+    """The robots of a fleet."""
+
+    missing: ClassVar[dict[str, str]] = {
+        "robots": "expected 'robots:' and a list of robots, each with name, urdf and recordings"
+    }
+    options: Options | None = Field(None, description="options of 'torchrbd identify' for all robots")
+    robots: Annotated[list[RobotInFile], BeforeValidator(_robots)] = Field(description="the robots")
+
+
 def read_robots(path: Path) -> tuple[RobotEntry, ...]:
     """Read a file of robots.
 
     Raises:
-        OptionError: it cannot be read, or says something else; the message has the robot and the key.
+        OptionError: it cannot be read, or says something else; the message has the line, the robot and the key.
     """
-    try:
-        content = strict_yaml(path.read_text(encoding="utf-8"), largest=_LARGEST)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise OptionError(f"{path}: is not YAML in UTF-8 ({' '.join(str(error).split())})") from None
-    except OSError as error:
-        raise OptionError(f"{path}: cannot be read ({error.strerror}); give a file that lists robots") from None
-    _check_keys(content, _TOP, str(path))
-    robots = content.get("robots")
-    if not isinstance(robots, list) or not robots:
-        raise OptionError(f"{path}: expected 'robots:' and a list of robots, each with name, urdf and recordings")
-    shared = _options(content.get("options"), str(path))
-    found = tuple(_entry(one, k, shared, path) for k, one in enumerate(robots, start=1))
+    content = read_yaml(path, "cannot be read ({reason}); give a file that lists robots", OptionError, largest=_LARGEST)
+    found = checked(RobotsFile, content, path, OptionError, lambda loc: _place(content, loc))
+    shared = {} if found.options is None else read_options(content["options"], str(path))
+    entries = tuple(_entry(one, k, shared, content, path) for k, one in enumerate(found.robots))
     seen: set[str] = set()
-    for one in found:
+    for k, one in enumerate(entries):
         if one.name.casefold() in seen:
-            raise OptionError(f"{path}: two robots are called '{one.name}'; results are named after them, rename one")
+            line = line_of(content, ("robots", k, "name"))
+            raise OptionError(
+                f"{path}: line {line}: two robots are called '{one.name}'; results are named after them, rename one"
+            )
         seen.add(one.name.casefold())
-    return found
+    return entries
 
 
-def _entry(content: Any, number: int, shared: Mapping[str, Any], path: Path) -> RobotEntry:
-    place = f"{path}: robot {number}"
-    _check_keys(content, _OF_ROBOT, place)
-    for key in _OF_ROBOT[:_NEEDED]:
-        if content.get(key) in (None, "", []):
-            raise OptionError(f"{place}: '{key}' is missing")
-    name = str(content["name"])
-    place = f"{place}, '{name}'"
-    if not _NAME.fullmatch(name):
-        raise OptionError(f"{place}: the name is that of its folder of results; use letters, digits, '-', '_' and '.'")
-    given = content["recordings"]
-    files = [_file(one, "recordings", place, path) for one in (given if isinstance(given, list) else [given])]
-    options = {**shared, **_options(content.get("options"), place)}
-    if content.get("mapping") is not None:
-        options["mapping"] = _file(content["mapping"], "mapping", place, path)
+def _place(content: Any, loc: Loc) -> str:
+    """Return words for where something is: the robot by number and name, then the key."""
+    if len(loc) < 2 or loc[0] != "robots":
+        return ".".join(map(str, loc))
+    robot = content["robots"][loc[1]]
+    named = isinstance(robot, dict) and robot.get("name")
+    words = f"robot {loc[1] + 1}" + (f", '{named}'" if named else "")
+    key = ".".join(map(str, loc[2:]))
+    return words if key in ("", "name") else f"{words}: {key}"
+
+
+def _entry(one: RobotInFile, k: int, shared: Mapping[str, Any], content: Any, path: Path) -> RobotEntry:
+    place, folder = f"{path}: {_place(content, ('robots', k))}", path.absolute().parent
+    options = dict(shared)
+    if one.options is not None:
+        options |= read_options(content["robots"][k]["options"], place)
+    if one.mapping is not None:
+        options["mapping"] = folder / one.mapping
     estimator = Settings.from_mapping(options, place).estimator
     if estimator not in WITH_INTERVALS:
         raise OptionError(
             f"{place}: estimator '{estimator}' tells no intervals, which a comparison of robots needs; take one of "
             f"{', '.join(WITH_INTERVALS)}"
         )
-    return RobotEntry(name, _file(content["urdf"], "urdf", place, path), tuple(files), options)
-
-
-def _file(value: Any, key: str, place: str, path: Path) -> Path:
-    if not isinstance(value, str):
-        raise OptionError(f"{place}: {key}: expected the name of a file, got {value!r:.50}")
-    return path.absolute().parent / value
-
-
-def _options(content: Any, place: str) -> dict[str, Any]:
-    if content is None:
-        return {}
-    if not isinstance(content, dict):
-        raise OptionError(f"{place}: options: expected 'option: value', e.g. {{cutoff: 5}}")
-    options = {str(key).replace("-", "_"): value for key, value in content.items()}
-    if "cutoff" in options:
-        options["cutoff_hz"] = options.pop("cutoff")
-    for key in ("holdout", "simulated", "mapping"):
-        if key in options:
-            raise OptionError(f"{place}: options: '{key}' names files, which belong to a robot; leave it out")
-    Settings.from_mapping(options, place)
-    return options
-
-
-def _check_keys(content: Any, known: tuple[str, ...], place: str) -> None:
-    if not isinstance(content, dict):
-        raise OptionError(f"{place}: expected keys {', '.join(known)}; got {content!r:.50}")
-    for key in content:
-        if key not in known:
-            hint = closest(str(key), known) or f"known: {', '.join(known)}"
-            raise OptionError(f"{place}: unknown key '{key}'; {hint}")
+    return RobotEntry(one.name, folder / one.urdf, tuple(folder / file for file in one.recordings), options)

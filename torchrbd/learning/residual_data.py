@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -21,10 +22,9 @@ from torchrbd.learning.physics_metric import PhysicsMetric
 from torchrbd.learning.splits import FRACTIONS, SPLITS, Split, check_fractions, split_rows
 from torchrbd.likelihood.reading import Reading
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.recordings import RecordingSource, States, listed_sources
+from torchrbd.options import Names, Payload, given
+from torchrbd.recordings import Sources, States, listed_sources
 from torchrbd.threads import single_threaded
-
-OPTIONS = ("cutoff_hz", "time", "joints", "mapping", "payload")
 
 # Samples at which the physics' columns are kept: some hundred times as many torques as parameters.
 _SAMPLE = 1024
@@ -99,13 +99,17 @@ _BY_SAMPLE = ("features", "residual", "weight", "physics_torque", "recording", "
 @single_threaded()
 def residual_dataset(
     diagnosis: Any,
-    recordings: Sequence[RecordingSource] | RecordingSource,
+    recordings: Sources,
     *,
     split: Split | None = None,
     fractions: Sequence[float] = FRACTIONS,
     history: int = 0,
     dtype: torch.dtype = torch.float32,
-    **options: Any,
+    time: str | tuple[float, float] | None = None,
+    joints: Names | None = None,
+    payload: Sequence[Payload | str] | Payload | str = (),
+    mapping: str | Path | None = None,
+    cutoff_hz: float | None = None,
 ) -> ResidualDataset:
     """Return what a model leaves of recorded torques, as samples for a ``torch.utils.data.DataLoader``.
 
@@ -125,7 +129,14 @@ def residual_dataset(
         history: steps of velocity and position error among the features, the present one among them; the recordings
             need set-points q_ref.
         dtype: of the samples.
-        **options: cutoff_hz, time, joints, mapping and payload, as in ``torchrbd.Settings``.
+        time: use only this part of each recording, FROM:TO [s] from its start, e.g. 2:30. In Python, text or a pair of
+            numbers. Default: all.
+        joints: joints whose torque counts, by name. Default: all.
+        payload: known loads, FILE=kg,x,y,z[@LINK]: mass [kg] and centre of mass [m] in the frame of a link. In Python,
+            text or ``torchrbd.inference.Payload``. Default: none; of a chain, the link is the last one.
+        mapping: YAML file with other column names, units, signs, gear ratios or torque constants. Default: columns t,
+            q_<joint>, tau_<joint> in SI units.
+        cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
 
     Raises:
         InputError: something that has no model, or recordings or options that cannot be used.
@@ -137,7 +148,7 @@ def residual_dataset(
         >>> loader = torch.utils.data.DataLoader(data, batch_size=256, shuffle=True)
         >>> features, residual, weight = next(iter(loader))
     """
-    physics, settings, noise = _arguments(diagnosis, options)
+    physics, settings, noise = _arguments(diagnosis, given(locals()))
     if split is not None and split not in SPLITS:
         raise OptionError(f"split is '{split}'; expected one of {', '.join(SPLITS)}, or None for all")
     check_fractions(fractions)
@@ -179,18 +190,14 @@ def _arguments(diagnosis: Any, options: dict[str, Any]) -> tuple[RigidBodyDynami
 
     Raises:
         InputError: there is no model.
-        OptionError: an unknown option.
     """
-    unknown = [key for key in options if key not in OPTIONS]
-    if unknown:
-        raise OptionError(f"residual_dataset: unknown option '{unknown[0]}'; expected {', '.join(OPTIONS)}")
     if isinstance(diagnosis, RigidBodyDynamics):
         model, found = diagnosis, None
     else:
         model, found = RigidBodyDynamics.from_diagnosis(diagnosis), getattr(diagnosis, "identification", diagnosis)
     noise = None
     if isinstance(found, Identification):
-        options = {"cutoff_hz": found.cutoff_hz} | options
+        options = {"cutoff_hz": found.cutoff_hz} | {k: v for k, v in options.items() if v is not None}
         known = {joint: one.torque for joint, one in found.noise.items()}
         noise = torch.tensor([known.get(joint, math.nan) for joint in model.robot.joint_names], dtype=torch.float64)
     physics = copy.deepcopy(model).requires_grad_(False)

@@ -3,7 +3,8 @@
 from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering
 from torchrbd.recordings.inspection import Inspection, inspect_recording
-from torchrbd.recordings.mapping import Mapping, read_mapping
+from torchrbd.recordings.mapping import Mapping
+from torchrbd.recordings.mapping_file import read_mapping
 from torchrbd.recordings.memory import Data, InMemory
 from torchrbd.recordings.recording import Chunk, Recording, open_recording
 from torchrbd.recordings.sources import NamedSource, RecordingSource, Sources, listed_sources

@@ -1,17 +1,12 @@
-"""Read the YAML file that says which columns of a recording hold what, in which units."""
+"""Which columns of a recording hold what, in which units; ``mapping_file`` reads it from YAML."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
-
-import yaml
 
 from torchrbd.errors import RecordingError, closest
-from torchrbd.recordings.strict_yaml import strict_yaml
 
 SIGNALS = ("q", "qd", "qdd", "tau", "q_ref", "q_link", "temperature")
 _EVERY_JOINT = "*"
@@ -27,10 +22,6 @@ UNITS = {
 }
 UNITS["q_ref"] = UNITS["q_link"] = UNITS["q"]
 UNITS["temperature"] = {"degC": 1.0}
-_TOP_KEYS = ("time", "joints", "topic", "episodes", "torque_delay")
-_LONGEST_DELAY_S = 1.0
-_SIGNAL_KEYS = ("column", "unit", "sign", "scale", "offset", "gear_ratio")
-_CURRENT_KEYS = ("current", "unit", "torque_constant", "sign", "scale", "offset", "gear_ratio")
 
 
 @dataclass(frozen=True)
@@ -86,40 +77,6 @@ class Mapping:
                 )
 
 
-def read_mapping(path: str | Path) -> Mapping:
-    """Read and check a mapping.
-
-    The file holds `time: {column, unit}` and `joints: {<joint>: {<signal>: {column, unit, sign, scale, offset,
-    gear_ratio}}}` with signals q, qd, qdd, tau, q_ref (set-point), q_link (encoder behind the gear), temperature. A
-    signal may be just the column's name. The joint "*" stands for every joint; `{joint}` and `{index}` (from 0) in a
-    column's name are filled in. With a gear ratio the column is the motor's: `q = motor / gear_ratio`,
-    `tau = motor * gear_ratio`. A torque may come from a current: `{current, torque_constant, unit, gear_ratio, sign,
-    offset}`, `tau = current * torque_constant * gear_ratio`. Offsets are added last, in SI units of the joint.
-    `topic` chooses among several of a ROS bag or PlotJuggler export, `episodes: [0, 3]` among those of a LeRobot set.
-    `torque_delay: 0.004` is how much later [s] torques are written than the positions that they belong to, less than
-    zero if earlier.
-
-    Raises: RecordingError naming the file, the key and the closest valid one.
-    """
-    path = Path(path)
-    try:
-        content = strict_yaml(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot read the mapping: {error.strerror}; name a YAML file") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
-    reader = _Reader(str(path))
-    top = reader.table(content, "the file", _TOP_KEYS)
-    time = reader.time(top["time"]) if "time" in top else Source("t")
-    joints = {}
-    for joint, signals in reader.table(top.get("joints", {}), "joints").items():
-        where = f"joints.{joint}"
-        table = reader.table(signals, where, SIGNALS)
-        joints[joint] = {name: reader.signal(entry, name, f"{where}.{name}") for name, entry in table.items()}
-    delay, topic, episodes = reader.delay(top), reader.topic(top.get("topic")), reader.episodes(top.get("episodes"))
-    return Mapping(str(path), time, joints, topic, episodes, delay)
-
-
 def meant(name: str, known: Iterable[str]) -> str:
     """Return `closest` in brackets, behind a space."""
     hint = closest(name, known)
@@ -150,100 +107,3 @@ def chosen_topic(topics: dict[str, str], mapping: Mapping, place: str) -> str:
             f"{place}: topic: no joint states in '{mapping.topic}'{meant(mapping.topic, topics)}; there are {listed}"
         )
     return mapping.topic
-
-
-@dataclass(frozen=True)
-class _Reader:
-    """Turn the YAML tree into sources, and every mistake into a message that names file and key."""
-
-    file: str
-
-    def fail(self, message: str) -> RecordingError:
-        return RecordingError(f"{self.file}: {message}")
-
-    def table(self, value: Any, where: str, keys: Sequence[str] | None = None) -> dict[str, Any]:
-        if not isinstance(value, dict):
-            expected = " or ".join(keys) if keys else "one key for each joint"
-            raise self.fail(f"{where}: expected {expected}, got {value!r:.80}")
-        for key in value:
-            if not isinstance(key, str):
-                raise self.fail(f"{where}: the key {key!r} must be text; put it in quotes")
-            if keys is not None and key not in keys:
-                hint = meant(key, keys)
-                raise self.fail(f"{where}: unknown key '{key}'{hint}; valid keys are {', '.join(keys)}")
-        return value
-
-    def text(self, table: dict[str, Any], key: str, where: str) -> str:
-        value = table.get(key)
-        if not isinstance(value, str) or not value:
-            raise self.fail(f"{where}.{key}: expected a column's name, got {value!r}")
-        return value
-
-    def topic(self, value: Any) -> str | None:
-        if value is not None and not (isinstance(value, str) and value):
-            raise self.fail(f"topic: expected a name such as /joint_states, got {value!r}")
-        return value
-
-    def episodes(self, value: Any) -> tuple[int, ...] | None:
-        if value is None:
-            return None
-        numbers = value if isinstance(value, list) else [value]
-        if not numbers or any(isinstance(one, bool) or not isinstance(one, int) or one < 0 for one in numbers):
-            raise self.fail(f"episodes: expected numbers from 0 such as [0, 3], got {value!r}")
-        return tuple(numbers)
-
-    def delay(self, top: dict[str, Any]) -> float:
-        found = self.number(top, "torque_delay", "", 0.0)
-        if abs(found) > _LONGEST_DELAY_S:
-            raise self.fail(f"torque_delay: expected seconds, at most {_LONGEST_DELAY_S:g} either way, got {found:g}")
-        return found
-
-    def number(self, table: dict[str, Any], key: str, where: str, default: float = 1.0) -> float:
-        value = table.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise self.fail(f"{'.'.join(filter(None, (where, key)))}: expected a number, got {value!r}")
-        return float(value)
-
-    def factor(self, table: dict[str, Any], key: str, where: str) -> float:
-        value = self.number(table, key, where)
-        if value == 0:
-            raise self.fail(f"{where}.{key}: zero would erase the signal")
-        return value
-
-    def unit(self, table: dict[str, Any], units: dict[str, float], default: str, where: str) -> float:
-        name = table.get("unit", default)
-        known = {_plain(key): value for key, value in units.items()}
-        if not isinstance(name, str) or _plain(name) not in known:
-            raise self.fail(f"{where}.unit: unknown unit {name!r}; valid units are {', '.join(units)}")
-        return known[_plain(name)]
-
-    def time(self, entry: Any) -> Source:
-        if isinstance(entry, str):
-            return Source(entry)
-        table = self.table(entry, "time", ("column", "unit"))
-        return Source(self.text(table, "column", "time"), self.unit(table, TIME_UNITS, "s", "time"))
-
-    def signal(self, entry: Any, signal: str, where: str) -> Source:
-        if isinstance(entry, str):
-            return Source(entry)
-        from_current = signal == "tau" and isinstance(entry, dict) and "current" in entry
-        table = self.table(entry, where, _CURRENT_KEYS if from_current else _SIGNAL_KEYS)
-        sign = self.number(table, "sign", where)
-        if abs(sign) != 1:
-            raise self.fail(f"{where}.sign: expected 1 or -1, got {sign:g}; use scale for other factors")
-        scale = sign * self.factor(table, "scale", where)
-        ratio = self.factor(table, "gear_ratio", where)
-        offset = self.number(table, "offset", where, 0.0)
-        if from_current:
-            if "torque_constant" not in table:
-                raise self.fail(f"{where}: a current needs its torque_constant [N m / A]")
-            scale *= self.factor(table, "torque_constant", where) * self.unit(table, CURRENT_UNITS, "A", where)
-            return Source(self.text(table, "current", where), scale * ratio, offset)
-        scale *= self.unit(table, UNITS[signal], next(iter(UNITS[signal])), where)
-        scale = scale * ratio if signal == "tau" else scale / ratio
-        return Source(self.text(table, "column", where), scale, offset)
-
-
-def _plain(unit: str) -> str:
-    """Make 'N m', 'N*m' and 'Nm' one."""
-    return unit.replace(" ", "").replace("*", "").replace("·", "")

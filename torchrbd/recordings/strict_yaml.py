@@ -1,7 +1,12 @@
-"""YAML of plain data alone, in which every key stands once."""
+"""YAML of plain data alone, in which every key stands once, and which remembers the line of every key.
+
+content = strict_yaml(text)
+content["joints"]["elbow"], line_of(content, ("joints", "elbow"))
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import yaml
@@ -12,16 +17,32 @@ from yaml.constructor import ConstructorError
 _LARGEST = 1 << 20
 
 
+class Table(dict[Any, Any]):
+    """A mapping that knows in which line each of its keys stands, from 1."""
+
+    lines: dict[Any, int]
+
+
+class Row(list[Any]):
+    """A list that knows in which line each of its entries begins, from 1."""
+
+    lines: dict[Any, int]
+
+
 class _Loader(yaml.SafeLoader):
     """Makes numbers, text, lists and mappings and nothing else."""
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Table:
         seen: set[str] = set()
         for key, _ in node.value:
             if key.value in seen:
                 raise ConstructorError(None, None, f"the key '{key.value}' stands twice; leave one out", key.start_mark)
             seen.add(str(key.value))
-        return super().construct_mapping(node, deep)
+        found = Table(super().construct_mapping(node, deep))
+        # Merge keys and the like have more nodes than keys; what is not found has no line.
+        marks = {self.construct_object(key, deep=True): key.start_mark.line + 1 for key, _ in node.value}
+        found.lines = {key: marks[key] for key in found if key in marks}
+        return found
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Refuse aliases: a few lines of them can stand for more than any memory holds."""
@@ -33,8 +54,22 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
+def _table(loader: _Loader, node: yaml.MappingNode) -> Table:
+    return loader.construct_mapping(node, deep=True)
+
+
+def _row(loader: _Loader, node: yaml.SequenceNode) -> Row:
+    found = Row(loader.construct_sequence(node, deep=True))
+    found.lines = {k: one.start_mark.line + 1 for k, one in enumerate(node.value)}
+    return found
+
+
+_Loader.add_constructor("tag:yaml.org,2002:map", _table)
+_Loader.add_constructor("tag:yaml.org,2002:seq", _row)
+
+
 def strict_yaml(text: str, *, largest: int = _LARGEST) -> Any:
-    """Return what YAML holds.
+    """Return what YAML holds: mappings are ``Table``, lists are ``Row``.
 
     Args:
         text: the YAML.
@@ -49,3 +84,15 @@ def strict_yaml(text: str, *, largest: int = _LARGEST) -> Any:
         return yaml.load(text, _Loader)
     except RecursionError:
         raise yaml.YAMLError("is nested too deeply") from None
+
+
+def line_of(content: Any, keys: Sequence[Any]) -> int | None:
+    """Return the line of the last of these keys that is there, one below the other; None if none is."""
+    found = None
+    for key in keys:
+        found = getattr(content, "lines", {}).get(key, found)
+        try:
+            content = content[key]
+        except (KeyError, IndexError, TypeError):
+            break
+    return found

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+from cyclopts import App
 
 from torchrbd.cli.parameters import examples, file
 
@@ -13,8 +16,11 @@ AFTER = examples(
 )
 
 
-def completion(shell: Annotated[Literal["bash", "zsh", "fish"], file("SHELL", "bash, zsh or fish")], /) -> None:
-    """Print a script with which a shell completes commands and options."""
-    from torchrbd.cli.app import app
+def of(app: App) -> Callable[[Any], None]:
+    """Return the command that completes what an application understands."""
 
-    print(app().generate_completion(prog_name="torchrbd", shell=shell))
+    def completion(shell: Annotated[Literal["bash", "zsh", "fish"], file("SHELL", "bash, zsh or fish")], /) -> None:
+        """Print a script with which a shell completes commands and options."""
+        print(app.generate_completion(prog_name="torchrbd", shell=shell))
+
+    return completion

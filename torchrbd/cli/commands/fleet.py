@@ -14,13 +14,13 @@ AFTER = "\n\n".join(
             "torchrbd fleet robots.yaml -o july --before june -j 8",
         ),
         """\
-ROBOTS.yaml, with files from its folder; 'torchrbd schema robots' has its keys:
+ROBOTS.yaml, files from its folder ('torchrbd schema robots' has its keys):
   options: {cutoff: 5}            # of 'torchrbd identify', for all; optional
   robots:
     - name: cell-1
       urdf: arm.urdf
       recordings: [cell-1/monday.parquet, cell-1/tuesday.parquet]
-      mapping: driver.yaml        # optional, as are options of this robot alone
+      mapping: driver.yaml       # optional, as are options of this robot alone
 DIR/<name> holds what 'identify' writes, without its report; DIR/fleet.html and
 fleet.json report who differs from its sisters, robots with the same
 kinematics, and what changed. What is there, made from the same files and

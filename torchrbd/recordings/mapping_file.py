@@ -1,0 +1,228 @@
+"""The YAML file of a mapping: its keys with what they mean, checked, as a ``Mapping``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
+
+from torchrbd.errors import RecordingError
+from torchrbd.recordings.checked_yaml import Keys, Number, check_key, checked, read_yaml, wrong
+from torchrbd.recordings.mapping import CURRENT_UNITS, SIGNALS, TIME_UNITS, UNITS, Mapping, Source
+
+_LONGEST_DELAY_S = 1.0
+
+
+def _plain(unit: str) -> str:
+    """Make 'N m', 'N*m' and 'Nm' one."""
+    return unit.replace(" ", "").replace("*", "").replace("·", "")
+
+
+def _unit(units: dict[str, float]) -> Any:
+    """Return the type of a unit, in whichever way it is written."""
+    known = {_plain(name): name for name in units}
+
+    def read(value: Any) -> str:
+        if not isinstance(value, str) or _plain(value) not in known:
+            raise wrong(f"unknown unit {value!r}; valid units are {', '.join(units)}")
+        return known[_plain(value)]
+
+    return Annotated[Literal[tuple(units)], BeforeValidator(read)]
+
+
+def _not_zero(value: float) -> float:
+    if value == 0:
+        raise wrong("zero would erase the signal; leave it out, or give another number")
+    return value
+
+
+def _sign(value: float) -> float:
+    if abs(value) != 1:
+        raise wrong(f"expected 1 or -1, got {value:g}; use scale for other factors")
+    return value
+
+
+def _column(value: Any) -> str:
+    if not isinstance(value, str) or not value:
+        raise wrong(f"expected a column's name, got {value!r}")
+    return value
+
+
+def _delay(value: float) -> float:
+    if abs(value) > _LONGEST_DELAY_S:
+        raise wrong(f"expected seconds, at most {_LONGEST_DELAY_S:g} either way, got {value:g}")
+    return value
+
+
+def _topic(value: Any) -> str:
+    if not isinstance(value, str) or not value:
+        raise wrong(f"expected a name such as /joint_states, got {value!r}")
+    return value
+
+
+def _episodes(value: Any) -> tuple[int, ...]:
+    numbers = value if isinstance(value, list) else [value]
+    if not numbers or any(isinstance(one, bool) or not isinstance(one, int) or one < 0 for one in numbers):
+        raise wrong(f"expected numbers from 0 such as [0, 3], got {value!r}")
+    return tuple(numbers)
+
+
+def _joints(value: Any) -> Any:
+    if not isinstance(value, dict):
+        raise wrong(f"expected one key for each joint, got {value!r:.80}")
+    for key in value:
+        check_key(key)
+    return value
+
+
+Column = Annotated[str, BeforeValidator(_column)]
+Factor = Annotated[Number, AfterValidator(_not_zero)]
+
+
+class Time(Keys):
+    """The column of time."""
+
+    missing: ClassVar[dict[str, str]] = {"column": "'column' is missing: the name of the column"}
+    column: Column = Field(description="name of the column of time")
+    unit: _unit(TIME_UNITS) = Field("s", description="its unit")  # type: ignore[valid-type]
+
+
+class Changes(Keys):
+    """What is done to the numbers of a column: signal = sign * scale * unit * column (by the gear) + offset."""
+
+    sign: Annotated[Number, AfterValidator(_sign)] = Field(1.0, description="1, or -1 for the other direction")
+    scale: Factor = Field(1.0, description="any other factor")
+    offset: Number = Field(0.0, description="added last, in SI units of the joint")
+    gear_ratio: Factor = Field(
+        1.0, description="motor turns for one turn of the joint, where the column is the motor's: q = motor / ratio, "
+        "tau = motor * ratio",
+    )  # fmt: skip
+
+    def factor(self) -> float:
+        """Return sign and scale together."""
+        return self.sign * self.scale
+
+
+class Signal(Changes):
+    """A column that holds a signal."""
+
+    missing: ClassVar[dict[str, str]] = {"column": "'column' is missing: the name of the column"}
+    column: Column = Field(description="name of the column; {joint} and {index} (from 0) are filled in")
+
+
+def _signal(kind: str, words: str) -> type[Signal]:
+    """Return the model of one kind of signal: its units."""
+    units = UNITS[kind]
+    fields: dict[str, Any] = {
+        "__annotations__": {"unit": _unit(units)},
+        "unit": Field(next(iter(units)), description=f"unit of the column: {', '.join(units)}"),
+        "__doc__": f"A column that holds {words}.",
+        "__module__": __name__,
+    }
+    return type(words.title().replace(" ", ""), (Signal,), fields)
+
+
+class Current(Changes):
+    """A motor's current, of which a torque is made: tau = current * torque_constant * gear_ratio."""
+
+    missing: ClassVar[dict[str, str]] = {
+        "torque_constant": "a current needs its torque_constant [N m / A]",
+        "current": "'current' is missing: the name of its column",
+    }
+    current: Column = Field(description="name of the column of the current; {joint} and {index} are filled in")
+    torque_constant: Factor = Field(description="torque of the motor for one ampere [N m / A]")
+    unit: _unit(CURRENT_UNITS) = Field("A", description="unit of the current: A, mA")  # type: ignore[valid-type]
+
+
+def _form(value: Any) -> str:
+    """Say in which of its forms a signal is written; no key of a file has such a name."""
+    if isinstance(value, str):
+        return "by name"
+    return "by current" if isinstance(value, dict) and "current" in value else "by column"
+
+
+def _one_of(kind: str, words: str) -> Any:
+    forms: Any = Annotated[Column, Tag("by name")] | Annotated[_signal(kind, words), Tag("by column")]
+    if kind == "tau":
+        forms = forms | Annotated[Current, Tag("by current")]
+        return Annotated[forms, Discriminator(_form)]
+    return Annotated[forms, Discriminator(lambda value: "by name" if isinstance(value, str) else "by column")]
+
+
+class Joint(Keys):
+    """The signals of one joint; what is not named is looked for as <signal>_<joint>."""
+
+    q: _one_of("q", "a position") | None = Field(None, description="position")  # type: ignore[valid-type]
+    qd: _one_of("qd", "a velocity") | None = Field(None, description="velocity")  # type: ignore[valid-type]
+    qdd: _one_of("qdd", "an acceleration") | None = Field(None, description="acceleration")  # type: ignore[valid-type]
+    tau: _one_of("tau", "a torque") | None = Field(  # type: ignore[valid-type]
+        None, description="torque or force of the joint, measured or from a motor's current"
+    )
+    q_ref: _one_of("q_ref", "a set point") | None = Field(None, description="set-point")  # type: ignore[valid-type]
+    q_link: _one_of("q_link", "a link position") | None = Field(  # type: ignore[valid-type]
+        None, description="position from an encoder behind the gear"
+    )
+    temperature: _one_of("temperature", "a temperature") | None = Field(  # type: ignore[valid-type]
+        None, description="temperature of the joint"
+    )
+
+
+class MappingFile(Keys):
+    """Which columns of a recording hold what, in which units."""
+
+    time: Annotated[Annotated[Column, Tag("by name")] | Annotated[Time, Tag("by column")], Discriminator(_form)] = (
+        Field("t", description="column of time, or its name alone")
+    )
+    joints: Annotated[dict[str, Joint], BeforeValidator(_joints)] = Field(
+        default_factory=dict, description="by joint its signals; the joint '*' is every joint that has none of its own"
+    )
+    topic: Annotated[str, BeforeValidator(_topic)] | None = Field(
+        None, description="topic of a ROS bag or of a PlotJuggler export, where there are several"
+    )
+    episodes: Annotated[tuple[int, ...], BeforeValidator(_episodes)] | None = Field(
+        None, description="episodes of a LeRobot data set, numbered from 0; all by default"
+    )
+    torque_delay: Annotated[Number, AfterValidator(_delay)] = Field(
+        0.0,
+        description="how much later torques are written than the positions that they belong to [s]; below 0: earlier",
+    )
+
+
+def read_mapping(path: str | Path) -> Mapping:
+    """Read and check a mapping; ``torchrbd schema mapping`` prints its keys with what they mean.
+
+    The file holds `time: {column, unit}` and `joints: {<joint>: {<signal>: {column, unit, sign, scale, offset,
+    gear_ratio}}}` with signals q, qd, qdd, tau, q_ref (set-point), q_link (encoder behind the gear), temperature. A
+    signal may be just the column's name. The joint "*" is every joint; `{joint}` and `{index}` (from 0) in a column's
+    name are filled in. With a gear ratio the column is the motor's: `q = motor / gear_ratio`,
+    `tau = motor * gear_ratio`. A torque may come from a current: `{current, torque_constant, unit, gear_ratio, sign,
+    offset}`, `tau = current * torque_constant * gear_ratio`. Offsets are added last, in SI units of the joint.
+    `topic` chooses among several of a ROS bag or PlotJuggler export, `episodes: [0, 3]` among those of a LeRobot set.
+    `torque_delay: 0.004` is how much later [s] torques are written than the positions that they belong to, less than
+    zero if earlier.
+
+    Raises:
+        RecordingError: names the file, the line, the key and the closest valid one.
+    """
+    path = Path(path)
+    content = read_yaml(path, "cannot read the mapping: {reason}; name a YAML file", RecordingError)
+    found = checked(MappingFile, content, path, RecordingError)
+    joints = {
+        name: {signal: _source(getattr(one, signal), signal) for signal in SIGNALS if getattr(one, signal) is not None}
+        for name, one in found.joints.items()
+    }
+    time = Source(found.time) if isinstance(found.time, str) else Source(found.time.column, TIME_UNITS[found.time.unit])
+    return Mapping(str(path), time, joints, found.topic, found.episodes, found.torque_delay)
+
+
+def _source(entry: Any, signal: str) -> Source:
+    """Return where a signal is found, with all factors as one."""
+    if isinstance(entry, str):
+        return Source(entry)
+    if isinstance(entry, Current):
+        scale = entry.factor() * entry.torque_constant * CURRENT_UNITS[entry.unit]
+        return Source(entry.current, scale * entry.gear_ratio, entry.offset)
+    scale = entry.factor() * UNITS[signal][entry.unit]  # type: ignore[attr-defined]
+    scale = scale * entry.gear_ratio if signal == "tau" else scale / entry.gear_ratio
+    return Source(entry.column, scale, entry.offset)
