@@ -10,7 +10,7 @@
           + t0 d(tau_s)/dt + (t1 + t_j b) F d(tau_load)/dt  one offset t0 between the clocks of torque and motion; F is
                                                             what is fast, which tells less of it if it is noise, and b
                                                             is 1 where any joint breaks away
-          + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
+          + sum_k dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s'',  s = a_k d^2q_k/dt^2 + b_k d^4q_k/dt^4
                                                             what the fastest part of each joint's motion is worth
           + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
           + drift(t)                                        a random walk's lowest frequencies, and its level, which is
@@ -56,6 +56,8 @@ from torchrbd.likelihood.sizes import inertial_scale
 OFFSET_HZ = 6.0
 # Clocks are off by some samples; a position may be an average over so many.
 _TIMING_SAMPLES, _AVERAGE_SAMPLES = 3.0, 2.0
+# Coefficients of a joint's fastest motion, and rows in a period of the band's edge.
+_FASTEST, _EDGE_ROWS = 2, 2.5
 _ROUNDING = 2
 # A sign change may last longer, or shorter, by about as much as the band tells, in rows.
 _LASTING_ROWS = 0.5
@@ -115,7 +117,7 @@ class Machine:
         self._resting = [self._rests(j) for j in range(rows.n_dof)]
         rest = np.any(self._undirected[_REST_STICK] > _RESTS, axis=0)
         self._breaking = maximum_filter1d(rest.astype(float), 2 * _FELT_ROWS + 1)
-        ends = len(self.inertial) + rows.n_dof * (self._local + 1) + 2 * len(self._inside)
+        ends = len(self.inertial) + rows.n_dof * (self._local + _FASTEST) + 2 * len(self._inside)
         self._around = [_near(rest) for rest in self._resting]
         self._holding = [self._holds(rest) for rest in self._resting]
         both = zip(self._holding, self._around, strict=True)
@@ -288,14 +290,25 @@ class Machine:
 
     @property
     def averaging(self) -> np.ndarray:
-        """Where the coefficients of the joints' fastest motion stand, (n_dof,)."""
-        return self._first(self.rows.n_dof) + np.arange(self.rows.n_dof)
+        """Where the coefficients of the joints' fastest motion stand, (2 n_dof,): a of each joint, then b."""
+        return self._first(self.rows.n_dof) + np.arange(_FASTEST * self.rows.n_dof)
+
+    @property
+    def _averaging_std(self) -> np.ndarray:
+        """Prior standard deviations of the same, (2 n_dof,) [s^2], then [s^4].
+
+        As far as the band's edge is noise, W may be off there by all of the motion. Two rows and a half are a period
+        of the edge.
+        """
+        edge = (_EDGE_ROWS * self.rows.dt_out / (2.0 * math.pi)) ** 2
+        first = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2
+        return np.outer((first, edge**2), self.rows.noise_share).ravel()
 
     def slopes(self, hyper: Hyper) -> np.ndarray:
-        """Return the columns (2 + n + 2 + 2, n, M) that follow the load.
+        """Return the columns (2 + 2 n + 2 + 2, n, M) that follow the load.
 
-        d(tau_s)/dt of all that is supplied, and what of the load's is fast; each joint's fastest motion; d/dt and
-        d^2/dt^2 of the direction of Coulomb friction; and rounding.
+        d(tau_s)/dt of all that is supplied, and what of the load's is fast; each joint's fastest motion, d^2q/dt^2 and
+        then d^4q/dt^4 of each; d/dt and d^2/dt^2 of the direction of Coulomb friction; and rounding.
         """
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
@@ -304,7 +317,8 @@ class Machine:
             signals = replace(signals)
             turns = 2.0 * math.pi * signals.supplied / step
             amplitude = torch.where(step.isinf(), 0.0, step / math.pi)
-            fastest = [signals.deviating(k, signals.qdd[k]) for k in range(self.rows.n_dof)]
+            jounce = signals.rate(signals.rate(signals.qdd))
+            fastest = [signals.deviating(k, x[k]) for x in (signals.qdd, jounce) for k in range(self.rows.n_dof)]
             turns_at = signals.rate(signals.directions)
             rounding = amplitude * turns.sin(), amplitude * turns.cos()
             t, rate = signals.sequence(), signals.rate(signals.supplied)
@@ -343,10 +357,9 @@ class Machine:
             own = coulomb * lasting * long, self._breaking * fast, *slopes[-_ROUNDING:, joint]
             parts.append(np.stack((coulomb * self.rows.dt * late, *own)))
             places.append(local[-1] + 1 + np.arange(3 + _ROUNDING))
-            average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
             fastest = slopes[2 : -_ROUNDING - 2, joint]
             felt = np.flatnonzero(fastest.any(axis=1))
-            parts.append(fastest[felt] * average[felt, None])
+            parts.append(fastest[felt] * self._averaging_std[felt, None])
             places.append(self.averaging[felt])
             inside = np.array(self._inside)
             parts += [self.timing_std * slopes[0, joint] * inside, fast * inside]
