@@ -17,8 +17,15 @@
                                                             no larger: a larger one is an offset
 
 The fastest part of the differentiated positions is encoder noise as well as motion. As far as there is noise within the
-band, the torques of all joints tell how much of it is motion, joint by joint: q + a d^2q/dt^2 is q with its highest
-frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4).
+band, the torques of all joints tell how much of it is motion, joint by joint: what is fast of q + a d^2q/dt^2 is that
+of q with its highest frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear
+Models", 2006, ch. 4). The filter of the states has one gain W(f) for all time and for each joint alone, the motion's
+mean share of the power. But near the band's edge motion comes in bursts: where dry friction turns, at a reversal, it
+accelerates all joints at once for some hundredths of a second; between, there is noise alone. The gain that the rows
+ask for differs from W by an even function of the frequency, whose first two terms are a and b. With a alone, what W
+errs by was taken for a spring in the transmission, which amplifies what is fast and has both terms: 156 nats for one
+that was not there. There were none without friction, and none without noise in the positions. Of slow motion W takes
+nothing, and neither do a and b: there a series in the frequency would only be in the way.
 What is fast of a load is such noise, too. As a joint breaks away, which smoothed positions pass over, what is fast of
 all loads seems to come at a time of each joint's own (t_j), which is none of the clocks'.
 Friction keeps its sharp edges, but for this: at a reversal a joint rests while its friction turns from one side to the
@@ -33,7 +40,7 @@ that noise smooths to its first harmonic (Widrow and Kollar, "Quantization Noise
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
@@ -45,7 +52,7 @@ from scipy.special import ndtri
 from torch import Tensor
 
 from torchrbd.effects import Signals
-from torchrbd.effects.band_limits import below
+from torchrbd.effects.band_limits import below, flat_below
 from torchrbd.likelihood.hyper import Hyper
 from torchrbd.likelihood.noise import drift_basis, predicted
 from torchrbd.likelihood.resting import moving
@@ -54,10 +61,11 @@ from torchrbd.likelihood.sizes import inertial_scale
 
 # Slopes of the load are slow below this: above, they are those of the positions' noise more than of the motion.
 OFFSET_HZ = 6.0
-# Clocks are off by some samples; a position may be an average over so many.
-_TIMING_SAMPLES, _AVERAGE_SAMPLES = 3.0, 2.0
-# Coefficients of a joint's fastest motion, and rows in a period of the band's edge.
-_FASTEST, _EDGE_ROWS = 2, 2.5
+# Clocks are off by some samples.
+_TIMING_SAMPLES = 3.0
+# Rows in a period of the band's edge; part of that edge above which motion is fast; terms of the gain that this needs;
+# and the least gain of the states' filter that counts.
+_EDGE_ROWS, _FAST, _FASTEST, _LEAST_GAIN = 2.5, 0.25, 2, 0.1
 _ROUNDING = 2
 # A sign change may last longer, or shorter, by about as much as the band tells, in rows.
 _LASTING_ROWS = 0.5
@@ -295,14 +303,17 @@ class Machine:
 
     @property
     def _averaging_std(self) -> np.ndarray:
-        """Prior standard deviations of the same, (2 n_dof,) [s^2], then [s^4].
+        """Prior standard deviations of the same, (2 n_dof,): 1 / W - 1, with W at the band's edge, see ``_fastest``."""
+        noise = np.tile(self.rows.noise_share, _FASTEST)
+        return noise / np.maximum(1.0 - noise, _LEAST_GAIN)
 
-        As far as the band's edge is noise, W may be off there by all of the motion. Two rows and a half are a period
-        of the edge.
-        """
-        edge = (_EDGE_ROWS * self.rows.dt_out / (2.0 * math.pi)) ** 2
-        first = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2
-        return np.outer((first, edge**2), self.rows.noise_share).ravel()
+    def _fastest(self, signals: Signals) -> Iterator[Tensor]:
+        """Yield d^2q/dt^2 and d^4q/dt^4 (n, N) of the joints' fast motion, with the band's edge as unit [rad or m]."""
+        t, edge_hz = signals.sequence(), 1.0 / (_EDGE_ROWS * self.rows.dt_out)
+        x = signals.q - flat_below(signals.q, float(t[1] - t[0]), _FAST * edge_hz)
+        for _ in range(_FASTEST):
+            x = signals.rate(signals.rate(x)) / (2.0 * math.pi * edge_hz) ** 2
+            yield x
 
     def slopes(self, hyper: Hyper) -> np.ndarray:
         """Return the columns (2 + 2 n + 2 + 2, n, M) that follow the load.
@@ -317,8 +328,7 @@ class Machine:
             signals = replace(signals)
             turns = 2.0 * math.pi * signals.supplied / step
             amplitude = torch.where(step.isinf(), 0.0, step / math.pi)
-            jounce = signals.rate(signals.rate(signals.qdd))
-            fastest = [signals.deviating(k, x[k]) for x in (signals.qdd, jounce) for k in range(self.rows.n_dof)]
+            fastest = [signals.deviating(k, x[k]) for x in self._fastest(signals) for k in range(self.rows.n_dof)]
             turns_at = signals.rate(signals.directions)
             rounding = amplitude * turns.sin(), amplitude * turns.cos()
             t, rate = signals.sequence(), signals.rate(signals.supplied)
