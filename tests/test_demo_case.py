@@ -12,6 +12,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from torchrbd import diagnose
+from torchrbd.cli.tables import print_diagnosis
+from torchrbd.effects import known_effects
+from torchrbd.export.json_files import write_diagnosis
+from torchrbd.report import write_report
+
 ROOT = Path(__file__).resolve().parents[1]
 DEMO = ROOT / "torchrbd" / "demo"
 JOINTS = [f"joint{i}" for i in range(1, 7)]
@@ -105,3 +111,29 @@ def test_same_seed_records_the_same(tmp_path):
             assert off.max() < 1.1e-3, column  # one quantum, where another machine rounds the other way ...
             assert np.mean(off > 1e-6) < 1e-3, column  # ... which is rare
     assert json.loads((tmp_path / "truth.json").read_text())["value"] == 2.4
+
+
+def first_screen(page: str) -> str:
+    return page.partition("<h2>Held-out torque error</h2>")[0]
+
+
+@pytest.mark.slow
+def test_the_demo_has_one_finding_and_says_one_thing(tmp_path, capsys):
+    diagnosed = diagnose(DEMO / "arm.urdf", [DEMO / "fit.parquet"], holdout=[DEMO / "holdout.parquet"])
+    print_diagnosis(diagnosed)
+    write_report(diagnosed, tmp_path / "report.html")
+    write_diagnosis(diagnosed, tmp_path / "diagnosis.json")
+    saved = json.loads((tmp_path / "diagnosis.json").read_text())
+    (finding,) = saved["findings"]
+    assert (finding["effect"], finding["joints"]) == ("coulomb_friction", ["joint3"])
+    assert (saved["trifling"], saved["ranking"]["adopted"]) == ([], [])
+    coulomb = finding["parameters"]["coulomb"]
+    assert coulomb["value"] == pytest.approx(2.4, abs=2 * coulomb["std"])
+    console, page = capsys.readouterr().out, (tmp_path / "report.html").read_text()
+    others = [one.words for name, one in known_effects().items() if name != "coulomb_friction"]
+    for shown in (console, first_screen(page)):
+        assert [words for words in others if words in " ".join(shown.split())] == []
+    # The only finding: without it there is the re-fitted rigid body.
+    fits = saved["fit"]
+    assert finding["nmse_before"]["joint3"] == pytest.approx(fits["rigid_body"]["nmse"]["joint3"], rel=1e-3)
+    assert finding["nmse_after"]["joint3"] == pytest.approx(fits["extended"]["nmse"]["joint3"], rel=1e-3)

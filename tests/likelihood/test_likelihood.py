@@ -270,7 +270,7 @@ def test_machine_of_trusted_bodies_has_friction_alone() -> None:
     assert len(A) == len(own)
     assert own.min() == 0
     rests = sum(len(machine.resting(j)) for j in range(2))
-    assert machine.n == 2 * (10 + 2 + len(machine.drifting(0)) + 1) + 2 + rests
+    assert machine.n == 2 * (10 + 2 + len(machine.drifting(0)) + 2) + 2 + rests
     assert isinstance(rows.columns, Columns)
 
 

@@ -166,6 +166,7 @@ def test_what_is_certain_and_trifling_stands_apart(tmp_path):
     part = page.partition('id="trifling"')[2].partition("</section>")[0]
     assert "joint1 hums a little." in " ".join(Text(f"<body>{part}</body>").words)
     assert "Torque ripple at" not in page
+    assert page.index("<h2>Held-out torque error</h2>") < page.index('id="trifling"'), "first what was found"
     alone = render(replace(result, findings=(), unexplained=(), trifling=(small,)), tmp_path)
     assert "joint1 hums a little." in alone
     assert 'id="trifling"' not in render(result, tmp_path)

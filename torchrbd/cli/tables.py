@@ -23,7 +23,6 @@ from torchrbd.inference import Identification
 from torchrbd.inference.comparison import EstimatorComparison
 from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
 from torchrbd.report.changes import shown, title
-from torchrbd.report.considered import leading
 from torchrbd.report.words import badge, headline, model_words, percent, worth
 
 _COMPARISON_WORDS = (
@@ -56,8 +55,6 @@ def print_diagnosis(result: Diagnosis) -> None:
         _print_plain(folded, out)
     for statement in (*(d.statement for d in result.deflections), *(rest.statement for rest in result.unexplained)):
         out.print(statement, markup=False)
-    if line := leading(result.ranking):
-        out.print(line, markup=False)
     _print_fits(result.identification, out, model_words(result), worth(result))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from torchrbd.deadline import is_over, time_limited
 from torchrbd.diagnosis.clock_offset import clock_offset
 from torchrbd.diagnosis.deflection import deflections
-from torchrbd.diagnosis.explain import explain, likeliest_left
+from torchrbd.diagnosis.explain import explain, likeliest_left, reported
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
@@ -177,7 +177,7 @@ def diagnose(
         springs,
         simulations,
         proof,
-        ranking=ranked,
+        ranking=reported(ranked, model),
         trifling=trifling,
         confirmed=there,
     )

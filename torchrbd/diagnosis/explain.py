@@ -15,6 +15,7 @@ from torchrbd.diagnosis.friction import COULOMB, UNEVEN, Friction
 from torchrbd.diagnosis.hypotheses import Hypothesis, whole
 from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds
 from torchrbd.diagnosis.proof import confirmed
+from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import OWN_TIME, Alternative, Finding, Law, Quantity, Ratio, Region, Where
 from torchrbd.diagnosis.terms import Explanation
@@ -32,6 +33,8 @@ from torchrbd.robot import RobotModel
 _LEAST_LAW = 0.05
 LARGEST_PROBABILITY = 0.999
 _FRICTION = "friction"
+# Standard deviations of intervals of 95 %, and of a bound.
+_TWO_SIDED, _ONE_SIDED = 1.96, 1.645
 
 
 @dataclass(frozen=True)
@@ -138,13 +141,14 @@ class _Fits:
         self._fitted = {frozenset[Candidate](): self.first}
 
     def without(self, gone: Sequence[Candidate]) -> FittedModel:
-        """Return the model without some terms, and what is nothing without them.
+        """Return the model without some terms, and what is nothing without them, in the noise that it has itself.
 
+        Without the only finding this is the re-fitted rigid body, whose errors stand in the same report.
         Laws that refine ordinary friction go with it; curves that could pass for it are not in this model.
         """
         key = frozenset(gone)
         if key not in self._fitted:
-            self._fitted[key] = self.prepared.fit(self._rest(key), self._noise)
+            self._fitted[key] = self.prepared.fit(self._rest(key))
         return self._fitted[key]
 
     def _rest(self, gone: Collection[Candidate]) -> list[Candidate]:
@@ -274,7 +278,9 @@ def _finding(
             value, max(std, wide.get(name, 0.0)), term.effect.unit(name, prismatic=prismatic), columns.urdf_value(term)
         )
         for name, (value, std) in told_parameters(model, term).items()
+        if name not in term.effect.follows
     }
+    quantities |= {name: reciprocal(quantities[name]) for name in term.effect.reciprocals}
     return Finding(
         effect=term.effect.id,
         joints=joints,
@@ -294,6 +300,36 @@ def _finding(
         laws=tuple(Law(h.candidate.effect.id, p) for h, p in sure.laws if p > _LEAST_LAW),
         torque_rms=torque_rms(term, extended),
     )
+
+
+def reciprocal(q: Quantity) -> Quantity:
+    """Return a quantity that is one over a coefficient, such as a stiffness; a bound where that may be zero.
+
+    The coefficient c = 1 / value is what the data know, and its interval. Where that holds zero the quantity has no
+    upper end: it is at least 1 / (c + 1.645 std c), or infinite.
+    """
+    c, std = 1.0 / q.value, q.std / q.value**2
+    if not math.isfinite(c) or abs(c) > _TWO_SIDED * std:
+        return q
+    return replace(q, value=math.nan, std=math.nan, at_least=1.0 / (max(c, 0.0) + _ONE_SIDED * std))
+
+
+def reported(ranked: Ranking, extended: Extended) -> Ranking:
+    """Return a ranking whose adopted hypotheses have the parameters of the model that is reported."""
+    final = {(c.effect.id, c.site): c for c in extended.terms}
+    known = dict[tuple[object, ...], dict[str, float]]()
+    for one, term in zip(ranked.adopted, ranked.explanation.terms, strict=True):
+        c = term.own.candidate
+        now = final.get((c.effect.id, c.site))
+        if now is not None:
+            values = {n: Quantity(v, s, "") for n, (v, s) in told_parameters(extended.model, now).items()}
+            values |= {name: reciprocal(values[name]) for name in c.effect.reciprocals}
+            known[one.place] = {n: q.value for n, q in values.items() if n not in c.effect.follows}
+
+    def of(several: Sequence[Ranked]) -> tuple[Ranked, ...]:
+        return tuple(replace(one, parameters=known.get(one.place, one.parameters)) for one in several)
+
+    return replace(ranked, first=of(ranked.first), adopted=of(ranked.adopted), last=of(ranked.last))
 
 
 def _std_left_open(term: Candidate, extended: Extended) -> dict[str, float]:

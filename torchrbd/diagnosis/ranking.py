@@ -63,6 +63,11 @@ class Ranked:
     window: tuple[str, float, float] | None = None
     shape: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def place(self) -> tuple[object, ...]:
+        """Effect and place, and when it acts."""
+        return self.effect, self.joints, self.links, self.other, self.window
+
 
 @dataclass(frozen=True)
 class Ranking:
@@ -307,7 +312,7 @@ def _ranked(h: Hypothesis, fit: Likelihood, robot: RobotModel) -> Ranked:
         joints=() if site.joint is None else (robot.joint_names[site.joint],),
         links=() if site.body is None else (robot.body_names[site.body],),
         log_evidence=h.log_evidence,
-        parameters={k: float(v) for k, v in c.effect.parameters(w, c.shape).items()},
+        parameters={k: float(v) for k, v in c.effect.parameters(w, c.shape).items() if k not in c.effect.follows},
         other=None if site.other is None else robot.joint_names[site.other],
         window=window,
         shape=dict(c.shape),

@@ -25,12 +25,17 @@ HELD_OUT, OWN_TIME = "held-out time", "own time"
 
 @dataclass(frozen=True)
 class Quantity:
-    """A parameter of a finding with its posterior standard deviation; ``urdf`` is what the URDF says of it."""
+    """A parameter of a finding with its posterior standard deviation; ``urdf`` is what the URDF says of it.
+
+    ``at_least`` is what it is larger than (95 %) where the data know no more of it, such as of a spring that may be
+    rigid: value and standard deviation are NaN then.
+    """
 
     value: float
     std: float
     unit: str
     urdf: float = 0.0
+    at_least: float | None = None
 
 
 @dataclass(frozen=True)

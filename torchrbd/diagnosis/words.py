@@ -104,6 +104,8 @@ def _span(low: float, high: float) -> str:
 
 def value(q: Quantity) -> str:
     """Return a quantity with its 95 % interval and unit, and what the URDF says of it: "1.635 ± 0.016 N m s/rad"."""
+    if q.at_least is not None:
+        return with_unit(f"above {number(q.at_least)}", q.unit)
     words = with_unit(measure(q.value, 1.96 * q.std), q.unit)
     return words + (f" (the URDF says {number(q.urdf)})" if q.urdf else "")
 
@@ -130,7 +132,7 @@ def _properties(finding: Finding) -> dict[str, Quantity]:
 
 def _known(finding: Finding) -> dict[str, Quantity]:
     """Return those that have a value."""
-    return {name: q for name, q in _properties(finding).items() if not math.isnan(q.value)}
+    return {name: q for name, q in _properties(finding).items() if q.at_least is not None or not math.isnan(q.value)}
 
 
 def more_values(finding: Finding) -> int:

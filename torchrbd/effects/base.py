@@ -115,6 +115,7 @@ class Effect(ABC):
             with words for values that a number does not tell as well.
         several: True if a joint may have more than one of them, such as two stops.
         follows: shape parameters that follow from the coefficients, see ``agreeing``.
+        reciprocals: parameters that are one over a coefficient, which may be zero: a stiffness.
         of_the_data: shape parameters that say which part of it recordings tell, no property of a robot.
         needs: what a recording must hold beside positions and torques, in words.
         export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
@@ -142,6 +143,7 @@ class Effect(ABC):
     kinds: ClassVar[Mapping[str, Mapping[float, str]]] = MappingProxyType({})
     several: ClassVar[bool] = False
     follows: ClassVar[tuple[str, ...]] = ()
+    reciprocals: ClassVar[tuple[str, ...]] = ()
     of_the_data: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[str] = ""
     export_note: ClassVar[str] = ""

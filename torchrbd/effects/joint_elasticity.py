@@ -60,6 +60,7 @@ class JointElasticity(Effect):
     has_memory = True
     sees_friction = True
     follows = ("compliance",)
+    reciprocals = ("stiffness",)
     of_the_data = ("bandwidth",)
     prior = CoefficientPrior("A spring yields in the direction that it is loaded in.", positive=(0,))
     export_note = "a second joint on the axis, with this stiffness, between the rotor (a body of its own) and the link"

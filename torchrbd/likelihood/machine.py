@@ -10,15 +10,22 @@
           + t0 d(tau_s)/dt + (t1 + t_j b) F d(tau_load)/dt  one offset t0 between the clocks of torque and motion; F is
                                                             what is fast, which tells less of it if it is noise, and b
                                                             is 1 where any joint breaks away
-          + sum_k a_k (dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s''),  s = qdd_k
+          + sum_k dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s'',  s = a_k d^2q_k/dt^2 + b_k d^4q_k/dt^4
                                                             what the fastest part of each joint's motion is worth
           + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
           + drift(t)                                        a random walk's lowest frequencies, and its level, which is
                                                             no larger: a larger one is an offset
 
 The fastest part of the differentiated positions is encoder noise as well as motion. As far as there is noise within the
-band, the torques of all joints tell how much of it is motion, joint by joint: q + a d^2q/dt^2 is q with its highest
-frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4).
+band, the torques of all joints tell how much of it is motion, joint by joint: what is fast of q + a d^2q/dt^2 is that
+of q with its highest frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear
+Models", 2006, ch. 4). The filter of the states has one gain W(f) for all time and for each joint alone, the motion's
+mean share of the power. But near the band's edge motion comes in bursts: where dry friction turns, at a reversal, it
+accelerates all joints at once for some hundredths of a second; between, there is noise alone. The gain that the rows
+ask for differs from W by an even function of the frequency, whose first two terms are a and b. With a alone, what W
+errs by was taken for a spring in the transmission, which amplifies what is fast and has both terms: 156 nats for one
+that was not there. There were none without friction, and none without noise in the positions. Of slow motion W takes
+nothing, and neither do a and b: there a series in the frequency would only be in the way.
 What is fast of a load is such noise, too. As a joint breaks away, which smoothed positions pass over, what is fast of
 all loads seems to come at a time of each joint's own (t_j), which is none of the clocks'.
 Friction keeps its sharp edges, but for this: at a reversal a joint rests while its friction turns from one side to the
@@ -33,7 +40,7 @@ that noise smooths to its first harmonic (Widrow and Kollar, "Quantization Noise
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
@@ -45,7 +52,7 @@ from scipy.special import ndtri
 from torch import Tensor
 
 from torchrbd.effects import Signals
-from torchrbd.effects.band_limits import below
+from torchrbd.effects.band_limits import below, flat_below
 from torchrbd.likelihood.hyper import Hyper
 from torchrbd.likelihood.noise import drift_basis, predicted
 from torchrbd.likelihood.resting import moving
@@ -54,8 +61,11 @@ from torchrbd.likelihood.sizes import inertial_scale
 
 # Slopes of the load are slow below this: above, they are those of the positions' noise more than of the motion.
 OFFSET_HZ = 6.0
-# Clocks are off by some samples; a position may be an average over so many.
-_TIMING_SAMPLES, _AVERAGE_SAMPLES = 3.0, 2.0
+# Clocks are off by some samples.
+_TIMING_SAMPLES = 3.0
+# Rows in a period of the band's edge; part of that edge above which motion is fast; terms of the gain that this needs;
+# and the least gain of the states' filter that counts.
+_EDGE_ROWS, _FAST, _FASTEST, _LEAST_GAIN = 2.5, 0.25, 2, 0.1
 _ROUNDING = 2
 # A sign change may last longer, or shorter, by about as much as the band tells, in rows.
 _LASTING_ROWS = 0.5
@@ -115,7 +125,7 @@ class Machine:
         self._resting = [self._rests(j) for j in range(rows.n_dof)]
         rest = np.any(self._undirected[_REST_STICK] > _RESTS, axis=0)
         self._breaking = maximum_filter1d(rest.astype(float), 2 * _FELT_ROWS + 1)
-        ends = len(self.inertial) + rows.n_dof * (self._local + 1) + 2 * len(self._inside)
+        ends = len(self.inertial) + rows.n_dof * (self._local + _FASTEST) + 2 * len(self._inside)
         self._around = [_near(rest) for rest in self._resting]
         self._holding = [self._holds(rest) for rest in self._resting]
         both = zip(self._holding, self._around, strict=True)
@@ -288,14 +298,28 @@ class Machine:
 
     @property
     def averaging(self) -> np.ndarray:
-        """Where the coefficients of the joints' fastest motion stand, (n_dof,)."""
-        return self._first(self.rows.n_dof) + np.arange(self.rows.n_dof)
+        """Where the coefficients of the joints' fastest motion stand, (2 n_dof,): a of each joint, then b."""
+        return self._first(self.rows.n_dof) + np.arange(_FASTEST * self.rows.n_dof)
+
+    @property
+    def _averaging_std(self) -> np.ndarray:
+        """Prior standard deviations of the same, (2 n_dof,): 1 / W - 1, with W at the band's edge, see ``_fastest``."""
+        noise = np.tile(self.rows.noise_share, _FASTEST)
+        return noise / np.maximum(1.0 - noise, _LEAST_GAIN)
+
+    def _fastest(self, signals: Signals) -> Iterator[Tensor]:
+        """Yield d^2q/dt^2 and d^4q/dt^4 (n, N) of the joints' fast motion, with the band's edge as unit [rad or m]."""
+        t, edge_hz = signals.sequence(), 1.0 / (_EDGE_ROWS * self.rows.dt_out)
+        x = signals.q - flat_below(signals.q, float(t[1] - t[0]), _FAST * edge_hz)
+        for _ in range(_FASTEST):
+            x = signals.rate(signals.rate(x)) / (2.0 * math.pi * edge_hz) ** 2
+            yield x
 
     def slopes(self, hyper: Hyper) -> np.ndarray:
-        """Return the columns (2 + n + 2 + 2, n, M) that follow the load.
+        """Return the columns (2 + 2 n + 2 + 2, n, M) that follow the load.
 
-        d(tau_s)/dt of all that is supplied, and what of the load's is fast; each joint's fastest motion; d/dt and
-        d^2/dt^2 of the direction of Coulomb friction; and rounding.
+        d(tau_s)/dt of all that is supplied, and what of the load's is fast; each joint's fastest motion, d^2q/dt^2 and
+        then d^4q/dt^4 of each; d/dt and d^2/dt^2 of the direction of Coulomb friction; and rounding.
         """
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
@@ -304,7 +328,7 @@ class Machine:
             signals = replace(signals)
             turns = 2.0 * math.pi * signals.supplied / step
             amplitude = torch.where(step.isinf(), 0.0, step / math.pi)
-            fastest = [signals.deviating(k, signals.qdd[k]) for k in range(self.rows.n_dof)]
+            fastest = [signals.deviating(k, x[k]) for x in self._fastest(signals) for k in range(self.rows.n_dof)]
             turns_at = signals.rate(signals.directions)
             rounding = amplitude * turns.sin(), amplitude * turns.cos()
             t, rate = signals.sequence(), signals.rate(signals.supplied)
@@ -343,10 +367,9 @@ class Machine:
             own = coulomb * lasting * long, self._breaking * fast, *slopes[-_ROUNDING:, joint]
             parts.append(np.stack((coulomb * self.rows.dt * late, *own)))
             places.append(local[-1] + 1 + np.arange(3 + _ROUNDING))
-            average = 0.5 * (_AVERAGE_SAMPLES * self.rows.dt) ** 2 * self.rows.noise_share
             fastest = slopes[2 : -_ROUNDING - 2, joint]
             felt = np.flatnonzero(fastest.any(axis=1))
-            parts.append(fastest[felt] * average[felt, None])
+            parts.append(fastest[felt] * self._averaging_std[felt, None])
             places.append(self.averaging[felt])
             inside = np.array(self._inside)
             parts += [self.timing_std * slopes[0, joint] * inside, fast * inside]

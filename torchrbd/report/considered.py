@@ -114,15 +114,6 @@ def considered(found: Ranking, robot: RobotModel) -> Considered:
     )
 
 
-def leading(found: Ranking | None) -> str:
-    """Say in one line which hypothesis has the greatest evidence; nothing where there is none."""
-    if found is None or not found.first:
-        return ""
-    best = found.first[0]
-    words = f"Likeliest of {found.considered} effects considered beside ordinary friction: {title(best)}, log evidence "
-    return words + nats(best.log_evidence) + (", no more than chance." if not _beats_chance(best, found) else ".")
-
-
 def misfit_sentence(found: Mapping[str, Misfit]) -> str:
     """Say at which joints whitened rows and least squares disagree on friction; nothing where that was not tested."""
     wrong = [f"{joint} (p = {number(m.p_value)})" for joint, m in found.items() if m.p_value < MISFIT]
