@@ -16,6 +16,7 @@ Source: Wakefield, "Bayes factors for genome-wide association studies: compariso
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 import torch
@@ -49,6 +50,7 @@ def estimate_evidence(
     prior_std: np.ndarray,
     wide_band: np.ndarray | None,
     none: np.ndarray | float = 0.0,
+    labels: Collection[str] | None = None,
 ) -> float:
     """Return the log evidence that a fitted term's estimate gives for it; infinite if nothing of it is estimated.
 
@@ -61,12 +63,12 @@ def estimate_evidence(
         prior_std: (K,) of its coefficients.
         wide_band: (K, K) their covariance in the likelihood of the search, or None.
         none: (K,) coefficients without the effect.
+        labels: of the columns that count. Default: all but those that joint friction has as well, if there are others.
     """
     w, C = (x.numpy() for x in model.coefficients(term))
-    own = np.array([term.site.joint is None or label not in SHARED for label in term.labels])
+    counted = [label in labels if labels is not None else label not in SHARED for label in term.labels]
     live = (C.diagonal() > 0.0) & (prior_std > 0.0)
-    # Columns that joint friction has as well are evidence for friction.
-    used = np.flatnonzero(live & own if (live & own).any() else live)
+    used = np.flatnonzero(live & counted if labels is not None or (live & counted).any() else live)
     if not len(used):
         return math.inf
     d, C, D = (w - none)[used], C[np.ix_(used, used)], prior_std[used]
