@@ -20,6 +20,7 @@ from torchrbd.diagnosis.results import Diagnosis, Finding, LeftoverMap, Location
 from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
+from torchrbd.diagnosis.simplifying import simplified
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect
 from torchrbd.diagnosis.trifling import is_trifling
@@ -123,7 +124,8 @@ def diagnose(
     found, may = ranked.explanation, [e.id for e in settings.chosen_effects()]
     asked, prepared = prepared, with_machine(prepared, settings, with_friction(settings), progress, ranked.clocks)
     progress("fitting what was found", 0.0)
-    model = extended(prepared, found, may, progress)
+    model = simplified(extended(prepared, found, may, progress), prepared, may, progress)
+    found = model.found
     worthless = tells_nothing(model.prepared, model.model)
     if worthless and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
         return suspect(asked, settings, progress, suspected, ranked)

@@ -10,10 +10,11 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
+from torchrbd.diagnosis.estimate_evidence import estimate_evidence
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.friction import COULOMB, UNEVEN, Friction
-from torchrbd.diagnosis.hypotheses import Hypothesis, whole
-from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds
+from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, whole
+from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds, probability_of
 from torchrbd.diagnosis.proof import confirmed
 from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.residual import is_curve
@@ -204,13 +205,29 @@ def _acts_in(block: Block, site: Site) -> bool:
 
 def _sure(extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:
     """Yield the terms of a model that may be findings, their log evidence, and how sure they are."""
-    terms = extended.model.proper_terms
+    model, found, terms = extended.model, extended.found, extended.model.proper_terms
     for friction, candidate in zip(extended.friction, terms, strict=False):
+        friction = _as_estimated(friction, candidate, extended)
         if (p := friction.probability) > LIKELY:
             yield candidate, friction.log_evidence, Inclusion(p * friction.law, p, _laws(friction, candidate, extended))
-    for term, candidate in zip(extended.found.terms, extended.terms, strict=True):
-        if not is_curve(candidate):
-            yield candidate, term.own.log_evidence, inclusion(term.own, term.rivals, extended.found.rows)
+    for term, candidate, covariance in zip(found.terms, extended.terms, extended.open, strict=True):
+        if is_curve(candidate):
+            continue
+        std = believed(found.fit, found.rows, term.own.candidate)[0] * term.own.scale
+        less = min(0.0, estimate_evidence(model, candidate, std, covariance) - term.own.log_evidence)
+        own, *rivals = (replace(h, log_evidence=h.log_evidence + less) for h in (term.own, *term.rivals))
+        yield candidate, own.log_evidence, inclusion(own, rivals, found.rows)
+
+
+def _as_estimated(friction: Friction, term: Candidate, extended: Extended) -> Friction:
+    """Return ordinary friction no surer than its estimate; without the effect it is the URDF's."""
+    model, found = extended.model, extended.found
+    std, scales = believed(found.fit, found.rows, term)
+    none = extended.prepared.prior.reference[model.columns.of(term)].numpy()
+    evidence = mean_of(np.array([estimate_evidence(model, term, std * scale, None, none) for scale in scales]))
+    if evidence >= friction.log_evidence:
+        return friction
+    return replace(friction, log_evidence=evidence, probability=probability_of(evidence))
 
 
 def _laws(friction: Friction, term: Candidate, extended: Extended) -> tuple[tuple[Hypothesis, float], ...]:
