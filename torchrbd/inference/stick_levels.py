@@ -13,6 +13,8 @@ from torchrbd.inference.physical.fitting import fit_model
 from torchrbd.likelihood.block_statistics import BlockStatistics
 from torchrbd.likelihood.urdf_prior import Prior
 
+# Friction that a first fit is not sure of is none.
+_SURE = 3.0
 # Friction of a joint that never moves, in parts of its torque: what gears have.
 _HELD = 0.1
 # Sticks and effects that nobody has named yet spoil some blocks; the better ones show the noise.
@@ -22,8 +24,8 @@ _QUIET_PART = 0.25
 def stick_levels(training: BlockStatistics, prior: Prior) -> Tensor:
     """Return Coulomb friction over the standard deviation of the torque's noise, (n_dof,); 0 where there is none.
 
-    Both are from a fit of the rigid body with viscous and Coulomb friction at all joints that move. Friction that the
-    fit does not know well may be as large as its standard deviation. Of joints that rest it is assumed.
+    Both are from a fit of the rigid body with viscous and Coulomb friction at all joints that move. Of the others the
+    friction is assumed.
 
     Args:
         training: blocks to fit, all samples with their full weight.
@@ -42,7 +44,7 @@ def stick_levels(training: BlockStatistics, prior: Prior) -> Tensor:
             continue
         if c in terms:
             (coulomb,), ((variance,),) = fitted.coefficients(c)
-            coulomb = (coulomb.square() + variance).sqrt()
+            coulomb = coulomb if coulomb > _SURE * variance.sqrt() else torch.zeros_like(coulomb)
         else:
             coulomb = _HELD * (squares[:, j].sum() / weight[:, j].sum()).sqrt()
         noise = (error[seen, j] / weight[seen, j]).quantile(_QUIET_PART).sqrt()
