@@ -50,7 +50,7 @@ def test_limits_that_are_understood(given: object, seconds: float | None) -> Non
 
 
 @pytest.mark.parametrize("given", [0, -1, "soon", "5 parsecs", float("nan"), True, "1min30s", [3]])
-def test_limits_that_are_not(given: object, case: Path) -> None:
+def test_limits_that_are_not(given: Any, case: Path) -> None:
     for call in (torchrbd.identify, torchrbd.diagnose):
         with pytest.raises(torchrbd.OptionError, match=r"time_limit.*expected seconds.*'90s'"):
             call(case / "arm.urdf", case / "day.npz", time_limit=given)
