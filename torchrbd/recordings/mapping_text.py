@@ -46,7 +46,10 @@ _KEYS = f"""\
 #   current       name of the column, in place of 'column'; unit: {", ".join(CURRENT_UNITS)}
 #   torque_constant  of the motor [N m/A], or [N/A] of a linear motor
 """
-_CURRENT = "{{current: {column}, unit: A, torque_constant: 1.0, gear_ratio: 1.0}}  # guessed: put in the motor's; identify proposes one"
+_CURRENT = (
+    "{{current: {column}, unit: A, torque_constant: 1.0, gear_ratio: 1.0}}"
+    "  # guessed: put in the motor's; identify proposes one"
+)
 
 
 def mapping_text(found: Inspection, mapping: Mapping, sliding: tuple[str, ...] = ()) -> str:
