@@ -42,7 +42,7 @@ def value(metavar: str, words: str, *, short: str = "", name: str = "", group: s
         more["alias"] = f"-{short}"
     if group:
         more["group"] = _GROUPS[group]
-    return Parameter(help=shown, metavar=metavar, negative=(), show_default=False, show_choices=False, **more)
+    return Parameter(help=shown, negative=(), **_metavar(metavar), show_default=False, show_choices=False, **more)
 
 
 def values(metavar: str, words: str, *, name: str = "", group: str = "") -> Any:
@@ -50,7 +50,14 @@ def values(metavar: str, words: str, *, name: str = "", group: str = "") -> Any:
     more: dict[str, Any] = {"name": f"--{name}"} if name else {}
     if group:
         more["group"] = _GROUPS[group]
-    return Parameter(help=words, metavar=metavar, negative=(), show_default=False, consume_multiple=(1, None), **more)
+    return Parameter(
+        help=words, negative=(), **_metavar(metavar), show_default=False, consume_multiple=(1, None), **more
+    )
+
+
+def _metavar(word: str) -> dict[str, Any]:
+    """Return what an option is followed by; cyclopts 4, the last for Python 3.10, cannot show it."""
+    return {"metavar": word} if "metavar" in inspect.signature(Parameter).parameters else {}
 
 
 def flag(words: str, *, short: str = "") -> Any:
@@ -138,7 +145,7 @@ def usage(name: str, command: Callable[..., Any]) -> str:
             word = how.name[0] + ("..." if get_origin(kind) is list else "")
             parts.append(word if parameter.default is parameter.empty else f"[{word}]")
         elif parameter.default is parameter.empty:
-            parts.append(f"{(how.alias or (f'--{one[0]}',))[0]} {how.metavar}")
+            parts.append(f"{(how.alias or (f'--{one[0]}',))[0]} {getattr(how, 'metavar', 'VALUE')}")
         else:
             options = True
     return " ".join((*parts, *(["[OPTIONS]"] if options else [])))

@@ -63,7 +63,8 @@ def _diagnosis() -> dict[str, Any]:
     head = {"fit": other["fits"], **{name: other[name] for name in ("recordings", "held_out", "cutoff_hz", "doubts")}}
     head |= {"robot": str, "joints": tuple[str, ...], "notes": tuple[str, ...], "suspicions_tested": tuple[str, ...]}
     head |= {"suspicions": get_type_hints(other["suspicions"])["found"], "simulation": other["simulation"]}
-    adapter = TypeAdapter(create_model("Diagnosis", **{name: (kind, ...) for name, kind in (head | parts).items()}))
+    keys: dict[str, Any] = {name: (kind, ...) for name, kind in (head | parts).items()}
+    adapter = TypeAdapter(create_model("Diagnosis", **keys))
     made = adapter.json_schema(mode="serialization")
     made["properties"] |= {"schema": {"const": SCHEMA}, "ranking": {"anyOf": [{"type": "object"}, {"type": "null"}]}}
     made["description"] = "What 'torchrbd diagnose' finds. Keys may be added, and are never renamed."

@@ -143,7 +143,9 @@ def _form(value: Any) -> str:
 
 
 def _one_of(kind: str, words: str) -> Any:
-    forms: Any = Annotated[Column, Tag("by name")] | Annotated[_signal(kind, words), Tag("by column")]
+    by_name: Any = Annotated[Column, Tag("by name")]
+    by_column: Any = Annotated[_signal(kind, words), Tag("by column")]
+    forms = by_name | by_column
     if kind == "tau":
         forms = forms | Annotated[Current, Tag("by current")]
         return Annotated[forms, Discriminator(_form)]
