@@ -6,13 +6,17 @@ from dataclasses import replace
 from report.fabricated import curve, diagnosis, with_friction
 from report.rendered import Text, render, tidy
 
+from torchrbd.diagnosis.numbers import number
 from torchrbd.diagnosis.results import Alternative, Law, Location, Quantity, Region, Where
+from torchrbd.report.words import change
 
 
 def test_finding_says_what_where_and_how_sure(tmp_path):
-    text = " ".join(Text(render(diagnosis(("joint1", "joint2", "joint3")), tmp_path)).words)
-    parts = """
-        Coulomb friction at joint2 | 1.000 ± 0.024 N m | 98 % | c sign(qd) | 0.0200 → 5.00·10⁻⁵ | in hold.csv |
+    result = diagnosis(("joint1", "joint2", "joint3"))
+    text = " ".join(Text(render(result, tmp_path)).words)
+    before, after = (number(result.identification.fits[m].nmse["joint2"]) for m in ("rigid_body", "extended"))
+    parts = f"""
+        Coulomb friction at joint2 | 1.000 ± 0.024 N m | 98 % | c sign(qd) | {before} → {after} | in hold.csv |
         4.0 to 7.0 s | Stribeck friction | joint2 resists motion with 1.0 N m. | Unexplained at joint2 | 42 % |
         q_joint1 from −0.1 to 0.3 | where a finding holds | position of joint1 [rad]
     """
@@ -125,7 +129,9 @@ def test_tilted_base_names_the_joints_that_change(tmp_path):
     tilt = replace(result.findings[0], effect="base_tilt", joints=(), where=Where(), **worth)
     text = " ".join(Text(render(replace(result, findings=(tilt,), unexplained=()), tmp_path)).words)
     assert "Tilted base (whole robot)" in text
-    assert "nmse, joint2 0.500 → 0.100 (−80 %)" in text
+    fits = result.identification.fits
+    before, after = (fits[model].nmse["joint2"] for model in ("rigid_body", "extended"))
+    assert f"nmse, joint2 {number(before)} → {number(after)} ({change(before, after)}) re-fitted → extended" in text
     assert "nmse, joint1" not in text
 
 

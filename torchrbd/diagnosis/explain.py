@@ -142,14 +142,13 @@ class _Fits:
         self._fitted = {frozenset[Candidate](): self.first}
 
     def without(self, gone: Sequence[Candidate]) -> FittedModel:
-        """Return the model without some terms, and what is nothing without them, in the noise that it has itself.
+        """Return the model without some terms, and what is nothing without them.
 
-        Without the only finding this is the re-fitted rigid body, whose errors stand in the same report.
         Laws that refine ordinary friction go with it; curves that could pass for it are not in this model.
         """
         key = frozenset(gone)
         if key not in self._fitted:
-            self._fitted[key] = self.prepared.fit(self._rest(key))
+            self._fitted[key] = self.prepared.fit(self._rest(key), self._noise)
         return self._fitted[key]
 
     def _rest(self, gone: Collection[Candidate]) -> list[Candidate]:

@@ -68,7 +68,8 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
 
     findings: strongest first (those likelier than not, then the others, by gain in both): list of effect, joints and
         links (none of either: the whole robot), probability, log_evidence_gain, parameters by name (value, std, unit,
-        urdf), where (recordings, time_s, region: null for everywhere), indistinguishable_from (effect, joints, links,
+        urdf, and at_least where the data give only a lower bound (95 %): value and std are null then), where
+        (recordings, time_s, region: null for everywhere), indistinguishable_from (effect, joints, links,
         depends_on, parameters by name that it would have there [SI], probability given that one of those that explain
         the same is there; the likeliest first), nmse_before and nmse_after by joint, statement, depends_on (signals of
         other joints), curve: the function that shows it best, or null, family, family_probability, laws (effect and
