@@ -30,7 +30,7 @@ import yaml
 
 import torchrbd
 from torchrbd.cli import main
-from torchrbd.recordings import mapping
+from torchrbd.recordings import mapping, mapping_file
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted(p for p in (ROOT / "docs").rglob("*.md") if "adr" not in p.parts)]
@@ -247,7 +247,7 @@ def test_the_number_of_effects_is_that_of_the_registry() -> None:
 
 def test_the_page_of_mappings_has_every_key_and_unit() -> None:
     text = (ROOT / "docs" / "guide" / "recordings.md").read_text(encoding="utf-8")
-    keys = {*mapping._TOP_KEYS, *mapping._SIGNAL_KEYS, *mapping._CURRENT_KEYS, *mapping.SIGNALS, *mapping.TIME_UNITS}
+    keys = {*mapping_file.KEYS, *mapping.TIME_UNITS}
     units = {unit for units in mapping.UNITS.values() for unit in units} | set(mapping.CURRENT_UNITS)
     assert [word for word in sorted(keys | units) if f"`{word}`" not in text] == []
 

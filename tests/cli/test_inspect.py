@@ -11,14 +11,11 @@ from rosbags import rosbag2
 from torchrbd.cli import main
 from torchrbd.recordings import inspect_recording, open_recording, read_mapping
 from torchrbd.recordings.mapping import (
-    _CURRENT_KEYS,
-    _SIGNAL_KEYS,
-    _TOP_KEYS,
     CURRENT_UNITS,
-    SIGNALS,
     TIME_UNITS,
     UNITS,
 )
+from torchrbd.recordings.mapping_file import KEYS
 
 CLOCK = np.arange(0, 20, 0.01)
 JOINTS = ("lift", "turn")
@@ -145,7 +142,7 @@ def test_the_head_of_a_mapping_explains_every_key_and_unit(tmp_path, look):
     assert "docs/guide/recordings.md" in head[1]
     assert "README" not in text
     words = {line[1:].split()[0] for line in head}
-    assert {*_TOP_KEYS, *_SIGNAL_KEYS, *_CURRENT_KEYS, *SIGNALS} - {"joints"} <= words
+    assert KEYS - {"joints"} <= words
     for units in (TIME_UNITS, CURRENT_UNITS, *UNITS.values()):
         assert any(", ".join(units) in line for line in head)
     assert max(map(len, text.splitlines())) <= 120

@@ -191,6 +191,10 @@ class MappingFile(Keys):
     )
 
 
+KEYS = frozenset(key for model in (MappingFile, Time, Signal, Current, Joint) for key in (*model.model_fields, "unit"))
+"""Every key that a mapping can have."""
+
+
 def read_mapping(path: str | Path) -> Mapping:
     """Read and check a mapping; ``torchrbd schema mapping`` prints its keys with what they mean.
 
