@@ -136,7 +136,6 @@ def test_the_demo_has_one_finding_and_says_one_thing(tmp_path, capsys):
         assert [words for words in others if words in " ".join(shown.split())] == []
     # One error, once: the card has that of the table.
     nmse = {model: fit["nmse"]["joint3"] for model, fit in saved["fit"].items()}
-    assert finding["nmse_after"]["joint3"] == pytest.approx(nmse["extended"], rel=1e-3)
     card = first_screen(page)
     assert all(number(nmse[model]) in card for model in ("rigid_body", "extended"))
-    assert number(finding["nmse_before"]["joint3"]) not in card
+    assert number(finding["nmse_before"]["joint3"]) not in card, "that of another fit"
