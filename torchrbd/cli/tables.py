@@ -12,18 +12,18 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from torchrbd.diagnosis import Comparison, Diagnosis
-from torchrbd.diagnosis.changes.words import certainty, signed
-from torchrbd.diagnosis.numbers import number, unit
-from torchrbd.diagnosis.numbers import percent as exact_percent
-from torchrbd.diagnosis.results import Where
-from torchrbd.diagnosis.words import guessed, more_values, place, values, when
+from torchrbd.diagnosis.results import Finding, Where
 from torchrbd.effects import Effect
 from torchrbd.export.check import FileCheck
 from torchrbd.inference import Identification
 from torchrbd.inference.comparison import EstimatorComparison
 from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
 from torchrbd.report.changes import shown, title
-from torchrbd.report.words import badge, headline, model_words, percent, worth
+from torchrbd.report.text.comparison import certainty, signed
+from torchrbd.report.text.names import guessed, more_values, place, values, when
+from torchrbd.report.text.numbers import number, probability, unit
+from torchrbd.report.text.numbers import percent as exact_percent
+from torchrbd.report.text.verdict import badge, headline, model_words, worth
 
 _COMPARISON_WORDS = (
     "physical? says whether every link has a mass and an inertia that a real body can have; where one has not, the "
@@ -43,19 +43,27 @@ def print_diagnosis(result: Diagnosis) -> None:
     folded = plain_rows(result.findings, result.identification.series.joints)
     in_table = {id(f) for row in folded for f in row.findings}
     special = [f for f in result.findings if id(f) not in in_table]
-    if special:
-        table = Table(_whole("where"), Column("missing", overflow="fold"), "value ± 95 %", _right("probability"))
-        for f in special:
-            more = more_values(f)
-            quantities = "\n".join([*values(f), *([f"{more} more in diagnosis.json"] if more else [])])
-            inside = "\n".join((place(f), *_times(f.where, len(result.identification.recordings))))
-            table.add_row(Text(inside), Text(guessed(f)), Text(quantities), percent(f.probability))
-        out.print(table)
+    recordings = len(result.identification.recordings)
+    _print_findings([f for f in special if f.held_out], recordings, "missing", out)
     if folded:
         _print_plain(folded, out)
+    _print_findings([f for f in special if not f.held_out], recordings, "not confirmed on held-out data", out)
     for statement in (*(d.statement for d in result.deflections), *(rest.statement for rest in result.unexplained)):
         out.print(statement, markup=False)
     _print_fits(result.identification, out, model_words(result), worth(result))
+
+
+def _print_findings(findings: Sequence[Finding], recordings: int, heading: str, out: Console) -> None:
+    """Print a table of findings, if there are any."""
+    if not findings:
+        return
+    table = Table(_whole("where"), Column(heading, overflow="fold"), "value ± 95 %", _right("probability"))
+    for f in findings:
+        more = more_values(f)
+        quantities = "\n".join([*values(f), *([f"{more} more in diagnosis.json"] if more else [])])
+        inside = "\n".join((place(f), *_times(f.where, recordings)))
+        table.add_row(Text(inside), Text(guessed(f)), Text(quantities), probability(f.probability))
+    out.print(table)
 
 
 def _times(where: Where, recordings: int) -> list[str]:
@@ -73,7 +81,7 @@ def _print_plain(rows: Sequence[PlainRow], out: Console) -> None:
     table = Table(_whole("± 95 %"), *(_right(title.replace(" [", "\n[")) for title in plain_titles(rows)))
     for row in rows:
         cells = (
-            words + (f" ({percent(f.probability)})" if f is not None and f.probability < SURE else "")
+            words + (f" ({probability(f.probability)})" if f is not None and f.probability < SURE else "")
             for words, f in zip(row.values, row.findings, strict=True)
         )
         table.add_row(Text(row.joint), *cells)
@@ -152,7 +160,7 @@ def _print_doubts(doubts: Iterable[str], out: Console) -> None:
         out.print(Text.assemble(("warning:", "bold yellow"), " ", doubt))
 
 
-def _print_notes(notes: Iterable[str], out: Console) -> None:
+def _print_notes(notes: Iterable[object], out: Console) -> None:
     for note in notes:
         out.print(f"note: {note}", markup=False)
 

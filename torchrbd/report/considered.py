@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from torchrbd.diagnosis.numbers import MINUS, joined, measure, number, with_unit
 from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Finding, Where
-from torchrbd.diagnosis.words import at, named, when
 from torchrbd.effects import known_effects
 from torchrbd.likelihood.misspecification import MISFIT, Misfit
+from torchrbd.report.text.names import at, named, when
+from torchrbd.report.text.numbers import MINUS, joined, measure, number, with_unit
 from torchrbd.robot import RobotModel
 
 # Evidence at which a bar ends [nats], rows of a table, and parameters that one row names.
