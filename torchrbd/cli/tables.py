@@ -26,9 +26,8 @@ from torchrbd.report.text.numbers import percent as exact_percent
 from torchrbd.report.text.verdict import badge, headline, model_words, worth
 
 _COMPARISON_WORDS = (
-    "physical? says whether every link has a mass and an inertia that a real body can have; where one has not, the "
-    "physical parameters with the nearest torques are taken, which 'identify --estimator' writes. * is within 1 % of "
-    "the least error."
+    "physical? says whether every link has a mass and an inertia that a real body can have. If not, the nearest "
+    "physical parameters are used; 'identify --estimator' writes these. * is within 1 % of the least error."
 )
 # A probability from which on the table of plain friction says none.
 SURE = 0.95
@@ -119,7 +118,7 @@ def _print_fits(result: Identification, out: Console, model: str = "URDF", remar
     words = {"urdf": model, **_MODEL_WORDS}
     errors = Table(_whole("joint"), *(_right(words[name]) for name in result.fits))
     filtered = result.states == "filtered"
-    titles = "position noise", f"torque from position noise{'' if filtered else ', if filtered'}", "torque left over"
+    titles = "position noise", f"torque from position noise{'' if filtered else ', if filtered'}", "residual torque"
     noise = Table(_whole("standard deviation"), *map(_right, titles))
     prismatic = dict(zip(result.robot.joint_names, result.robot.prismatic.tolist(), strict=True))
     for joint in result.fits["urdf"].nmse:
@@ -149,8 +148,8 @@ def _whole(title: str) -> Column:
 
 def _print_measure(held_out: str, cutoff_hz: float, out: Console) -> None:
     out.print(
-        f"nmse, the unpredicted part of the torque variance on held-out data ({held_out}), torque and features "
-        f"band-limited at {cutoff_hz:.3g} Hz; 0 is perfect, 1 no better than a constant:",
+        f"NMSE on held-out data ({held_out}), torque and features band-limited at {cutoff_hz:.3g} Hz; 0 is perfect, 1 "
+        "is no better than a constant:",
         markup=False,
     )
 
@@ -205,14 +204,14 @@ def print_comparison(result: EstimatorComparison) -> None:
         out.print(joints)
     out.print(_COMPARISON_WORDS)
     out.print(
-        f"The data tells {result.base_parameters} combinations of parameters; the worst told has "
-        f"{result.condition:.3g} times the noise of the best (condition number)."
+        f"The data identifies {result.base_parameters} combinations of parameters; the noise of the worst is "
+        f"{result.condition:.3g} times that of the best (condition number)."
     )
     out.print(result.regime[0].upper() + result.regime[1:] + ".", markup=False)
     if result.noise_matters:
         out.print(
-            "All are judged on torques predicted from filtered, noisy positions, which favours estimates that this "
-            "noise biases: parameters of 'smoother' may be better than they look here."
+            "All are judged on torques predicted from filtered, noisy positions. This favours estimates that the noise "
+            "biases: 'smoother' may be better than it looks here."
         )
     for row in result.rows:
         if row.note:
@@ -225,7 +224,7 @@ def print_export(file: Path, lacking: Sequence[str], found: FileCheck | None) ->
     out = Console(highlight=False)
     if found is not None:
         out.print(
-            f"The file in MuJoCo beside the model, RMS torque over {found.samples} states, motion band-limited at "
+            f"The file in MuJoCo against the model, RMS torque over {found.samples} states, motion band-limited at "
             f"{found.cutoff_hz:.3g} Hz:",
             markup=False,
         )

@@ -110,7 +110,7 @@ def diagnose(
     robot, sources, settings = read_arguments(robot, recordings, given(locals()), "diagnose")
     if settings.estimator not in OF_RECORDINGS:
         raise OptionError(
-            f"diagnose: estimator '{settings.estimator}' does not tell how sure it is, which the search must know; "
+            f"diagnose: estimator '{settings.estimator}' has no intervals, which the search must know; "
             f"use {', '.join(OF_RECORDINGS)}, or identify"
         )
     prepared = prepare(robot, sources, settings, (), progress)
@@ -153,7 +153,7 @@ def diagnose(
     if plainly:
         known = {joint for one in rest for joint in one.joints}
         rest = (*rest, *(one for one in only_where_fitted(full, model) if one.joints[0] not in known))
-    progress("looking at what is left", 0.0)
+    progress("locating residuals", 0.0)
     locations, maps = ((), ()) if is_over() else _located(prepared, model)
     identification = marked(identification)
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))

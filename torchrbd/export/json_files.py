@@ -227,7 +227,7 @@ def _head(result: Identification) -> dict[str, Any]:
         "finished": result.finished,
         "fit": {name: asdict(fit) for name, fit in result.fits.items()},
         "doubts": list(result.doubts),
-        "suspicions": [asdict(one) for one in result.suspicions.found],
+        "suspicions": [_stated(one) | {"remedy": one.remedy} for one in result.suspicions.found],
         "suspicions_tested": list(result.suspicions.tested),
         "notes": [*result.doubts, *result.notes],
         "simulation": [_motion(one, result.robot) for one in result.simulation],

@@ -184,5 +184,5 @@ class Pictures:
     def map(self, one: LeftoverMap, locations: list[Location]) -> tuple[str, Markup]:
         """Draw how large the leftover is where, named by its recording."""
         units = [u.q if one.signal == "t" else u.of(one.signal) for u in self.units]
-        label = f"leftover of each joint over {one.signal} {one.recording}".strip()
+        label = f"residual of each joint over {one.signal} {one.recording}".strip()
         return one.recording, self.inline(map_figure(one, self.joints, locations, units), label)

@@ -13,7 +13,8 @@ from torchrbd.effects.registry import PLAIN
 from torchrbd.inference.results import Identification
 from torchrbd.report.text.findings import NOT_CONFIRMED
 from torchrbd.report.text.names import all_or_some, alternatives, at, named, placed, when, words_of
-from torchrbd.report.text.numbers import as_many_as_fit, joined, number, percent, ratio_with_interval
+from torchrbd.report.text.numbers import as_many_as_fit, joined, number, percent, ratio_with_interval, sentence
+from torchrbd.report.text.suspicions import tested_words
 
 VERDICTS = {
     "consistent": "✓ URDF consistent",
@@ -76,7 +77,7 @@ def _worst(result: Identification, after: float) -> tuple[str, str] | None:
         after: mean NMSE of its last model on held-out data.
     """
     if any(one.settles for one in result.suspicions.found):
-        return CHECK_INPUT, " ".join(f"{one.statement}." for one in result.suspicions.found if one.settles)
+        return CHECK_INPUT, " ".join(sentence(one.statement) for one in result.suspicions.found if one.settles)
     nmse = f"a mean NMSE of {number(after)} on held-out data"
     if result.verdict == "suspect" or after >= 1.0:
         return f"The fitted model of {result.robot.name} predicts torque no better than a constant.", f"It has {nmse}."
@@ -275,13 +276,13 @@ def _suspect_reasons(result: Diagnosis) -> Iterable[str]:
     """Yield why the input is suspect, and what was tested."""
     suspected = result.identification.suspicions
     found = [one for one in suspected.found if one.settles]
-    yield from (f"{one.statement}." for one in found)
+    yield from (sentence(one.statement) for one in found)
     if found:
         yield "No findings are reported until this is corrected."
     else:
         yield "The columns, units or robot may be wrong, or the robot moves too little."
     if suspected.tested:
-        yield f"Tested: {joined(suspected.tested)}."
+        yield f"Tested: {joined(tested_words(suspected.tested))}."
 
 
 def suspicion_comments(result: Identification) -> list[str]:
