@@ -19,10 +19,10 @@ import real_recordings as real
 
 import torchrbd
 from torchrbd import Diagnosis
-from torchrbd.diagnosis.numbers import measure, number, percent, with_unit
 from torchrbd.diagnosis.results import Finding, Quantity
-from torchrbd.diagnosis.words import alternatives, named, place, value, when
 from torchrbd.errors import RecordingError
+from torchrbd.report.text.names import alternatives, named, place, value, when
+from torchrbd.report.text.numbers import measure, number, percent, with_unit
 
 FRICTION = ("viscous_friction", "coulomb_friction")
 GRAVITY = 9.81

@@ -121,7 +121,7 @@ def test_identify_says_the_same_on_the_screen_in_the_report_and_in_the_file(
     for doubt in content["doubts"]:
         assert f"warning: {doubt}" in told
     assert set(content["doubts"]) <= set(content["notes"])
-    for title in ("position noise", "torque left over", "standard deviation"):
+    for title in ("position noise", "residual torque", "standard deviation"):
         assert title in told
     assert ("without intervals, which come with auto, physical, smoother" in told) != sure
     fitted = [p for p in content["parameters"] if p["status"] != "held"]
@@ -298,7 +298,7 @@ def test_diagnose_needs_an_estimator_with_intervals(
     (case / "plain.yaml").write_text("estimator: wls\n")
     assert run(case, "diagnose", "arm.urdf", "day.csv", "-o", str(tmp_path / "o"), "--config", "plain.yaml") == 2
     told = re.sub(r"\s+", " ", capsys.readouterr().err)
-    assert "diagnose: estimator 'wls' does not tell how sure it is" in told
+    assert "diagnose: estimator 'wls' has no intervals" in told
     assert "use auto, physical, smoother, or identify" in told
 
 

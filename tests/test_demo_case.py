@@ -14,10 +14,10 @@ import pytest
 
 from torchrbd import diagnose
 from torchrbd.cli.tables import print_diagnosis
-from torchrbd.diagnosis.numbers import number
 from torchrbd.effects import known_effects
 from torchrbd.export.json_files import write_diagnosis
 from torchrbd.report import write_report
+from torchrbd.report.text.numbers import number
 
 ROOT = Path(__file__).resolve().parents[1]
 DEMO = ROOT / "torchrbd" / "demo"

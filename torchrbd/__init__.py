@@ -9,7 +9,7 @@ Importing torchrbd costs nothing: what stands here is imported when it is first 
 
 from importlib import import_module
 
-from torchrbd.display import Displayed
+from torchrbd.display import Displayed, Stated
 
 # Where the public names live; ``__init__.pyi`` says the same to type checkers, and a test compares the two.
 _NAMES = {
@@ -56,8 +56,12 @@ def _card(result: object) -> str:
     return import_module("torchrbd.report.notebook").card(result)
 
 
-# Results come before the report in the order of imports, so that they are told here who draws them.
-Displayed.card = staticmethod(_card)
+def _in_words(result: object) -> str:
+    return import_module("torchrbd.report.text").in_words(result)
+
+
+# Results come before the report in the order of imports: who draws and says them is set here.
+Displayed.card, Stated.in_words = staticmethod(_card), staticmethod(_in_words)
 
 
 def _version() -> str:

@@ -6,7 +6,8 @@ The rooms that hold results come before the one that has the words of the cards.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 # Names that a line shows, and letters of one value.
 _MOST_NAMES, _MOST_LETTERS = 5, 60
@@ -44,3 +45,34 @@ class Displayed:
 
     def _repr_html_(self) -> str:
         return type(self).card(self)
+
+
+class Stated:
+    """A result that a sentence or two can say.
+
+    Class attributes:
+        in_words: returns the sentences of a result. ``torchrbd/__init__.py``, which knows all rooms, sets it.
+    """
+
+    in_words: ClassVar[Callable[[object], str]]
+
+    @property
+    def statement(self) -> str:
+        """What the result says, in sentences for a person."""
+        return type(self).in_words(self)
+
+
+@dataclass(frozen=True)
+class Remark(Stated):
+    """Something that a user should know of the input or of a result.
+
+    Attributes:
+        kind: which remark; ``report/text/remarks.py`` has its words.
+        values: what it is about: names, numbers in SI units.
+    """
+
+    kind: str
+    values: dict[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return self.statement

@@ -40,6 +40,8 @@ def rebuilt(kind: Any, value: Any) -> Any:
         return tuple(rebuilt(one, v) for one, v in zip(each, value, strict=True))
     if origin is dict:
         return {str(key): rebuilt(inner[1], v) for key, v in value.items()}
+    if kind is typing.Any:
+        return value
     if kind is float:
         return math.nan if value is None else float(value)
     return kind(value)

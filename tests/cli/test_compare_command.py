@@ -15,7 +15,7 @@ from torchrbd.diagnosis.results import Finding, Quantity, Where
 
 def diagnosed(folder: Path, coulomb: float, robot: str = "arm") -> Path:
     quantities = {"coulomb": Quantity(coulomb, 0.01, "N m")}
-    found = Finding("coulomb_friction", ("joint[1]",), (), 0.999, 90.0, quantities, Where(), (), {}, {}, "There.")
+    found = Finding("coulomb_friction", ("joint[1]",), (), 0.999, 90.0, quantities, Where(), (), {}, {})
     content = {"robot": robot, "joints": ["joint[1]"], "recordings": [folder.name], "cutoff_hz": 5.0}
     folder.mkdir()
     (folder / "diagnosis.json").write_text(json.dumps(content | {"findings": [asdict(found)]}))

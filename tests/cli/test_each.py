@@ -54,7 +54,7 @@ def test_each_recording_has_its_folder_and_its_row(
         assert written["recordings"] == [f"{name}.npz"]
         assert [p["value"] for p in written["parameters"]] == [p.value for p in alone.parameters]
         fits = [alone.fits[key].mean_nmse for key in ("urdf", "extended")]
-        assert rows[f"{name}.npz"] == (alone.verdict, *map(torchrbd.diagnosis.numbers.number, fits))
+        assert rows[f"{name}.npz"] == (alone.verdict, *map(number, fits))
     assert f"to {output}/<recording>" in told.out
 
 

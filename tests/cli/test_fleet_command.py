@@ -135,7 +135,7 @@ def test_estimators_without_intervals_are_refused_before_any_work(
         listed.write_text(content)
         assert main(["fleet", str(listed), "-o", str(tmp_path / "out"), "-j", "1"]) == 2
         told = capsys.readouterr().err
-        assert f"ridge.yaml: {robot}: estimator 'ridge' tells no intervals, which a comparison" in told
+        assert f"ridge.yaml: {robot}: estimator 'ridge' has no intervals, which a comparison" in told
         assert "take one of auto, physical, smoother, moments" in told
         assert not (tmp_path / "out").exists()
 

@@ -18,8 +18,9 @@ def shown(result: Diagnosis, capsys: pytest.CaptureFixture[str]) -> list[str]:
 
 def test_friction_has_its_table_behind_the_special_findings(capsys: pytest.CaptureFixture[str]) -> None:
     lines = shown(with_friction(diagnosis(("joint1", "joint2", "joint3"))), capsys)
-    assert next(i for i, x in enumerate(lines) if "torque ripple" in x) < lines.index(
-        next(x for x in lines if "Coulomb" in x and "viscous" in x)
+    rows = [line for line in lines if "│" in line or "┃" in line]
+    assert next(i for i, x in enumerate(rows) if "torque ripple" in x) < next(
+        i for i, x in enumerate(rows) if "Coulomb" in x and "viscous" in x
     )
     assert "joint1 │ 0.50 ± 0.04 │ 0.50 ± 0.04" in lines
     assert "joint3 │ 0.50 ± 0.04 (90 %) │ 0.50 ± 0.04 (90 %)" in lines

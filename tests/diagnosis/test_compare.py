@@ -28,7 +28,7 @@ JOINTS = ("joint1", "joint2")
 
 def finding(effect: str, joint: str = "joint2", /, **parameters: tuple[float, float]) -> Finding:
     quantities = {name: Quantity(value, std, "N m") for name, (value, std) in parameters.items()}
-    return Finding(effect, (joint,), (), 0.999, 90.0, quantities, Where(), (), {joint: 0.1}, {joint: 0.01}, "There.")
+    return Finding(effect, (joint,), (), 0.999, 90.0, quantities, Where(), (), {joint: 0.1}, {joint: 0.01})
 
 
 def limit(effect: str, parameter: str, value: float, std: float, joint: str = "joint2", none: float = 0.0) -> Limit:
@@ -102,7 +102,7 @@ def test_grown_friction_is_said_with_units_and_certainty(tmp_path: Path) -> None
     change = only(result)
     assert (change.kind, change.verdict, change.found) == ("finding", "changed", "both")
     assert change.statement == (
-        "Coulomb friction of joint2 grew from 1.20 to 1.90 N m (+0.70 ± 0.06); certainty > 0.99."
+        "Coulomb friction of joint2 grew from 1.20 to 1.90 N m (+0.70 ± 0.06); probability > 0.99."
     )
     assert change.parameters["coulomb"].difference == pytest.approx(0.7)
     assert change.parameters["coulomb"].std == pytest.approx(math.hypot(0.02, 0.02))
@@ -116,7 +116,7 @@ def test_what_is_as_it_was_and_what_nobody_can_tell(tmp_path: Path) -> None:
     result = compared(tmp_path, {"findings": (near, far)}, {"findings": moved})
     assert {c.effect: c.verdict for c in result.changes} == {"torque_offset": "unchanged", "coulomb_friction": "open"}
     assert "No change is certain" in result.statement
-    assert any("as it was" in c.statement for c in result.changes)
+    assert any("unchanged" in c.statement for c in result.changes)
 
 
 def test_an_unsure_name_makes_no_sure_change(tmp_path: Path) -> None:
@@ -145,10 +145,10 @@ def test_new_and_gone_are_certain_if_the_other_data_would_have_shown_them(
 @pytest.mark.parametrize(
     ("limits", "words"),
     [
-        ((), "does not say how large it could have been unseen"),
-        ((limit("coulomb_friction", "coulomb", 0.1, 2.0),), "the other data could not have told"),
-        ((limit("coulomb_friction", "coulomb", 1.1, 0.2),), "the other data"),
-        ((limit("coulomb_friction", "coulomb", 3.0, 0.1),), "the other data"),
+        ((), "does not say which size it could have detected"),
+        ((limit("coulomb_friction", "coulomb", 0.1, 2.0),), "The other data could not detect it"),
+        ((limit("coulomb_friction", "coulomb", 1.1, 0.2),), "other data"),
+        ((limit("coulomb_friction", "coulomb", 3.0, 0.1),), "other data"),
     ],
     ids=["no limit", "loose", "about as large", "larger than what was found"],
 )
@@ -172,7 +172,7 @@ def test_what_acts_for_a_time_is_of_its_recording(tmp_path: Path) -> None:
     load = replace(finding("payload", mass=(2.0, 0.1)), where=Where(("after.csv",), ((3.0, 8.0),)))
     change = only(compared(tmp_path, {"limits": (limit("payload", "mass", 0.0, 0.1),)}, {"findings": (load,)}))
     assert change.verdict == "open"
-    assert "for a time only" in change.statement
+    assert "in a window of time" in change.statement
 
 
 def test_another_name_is_no_change(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_another_name_is_no_change(tmp_path: Path) -> None:
     )
     result = compared(tmp_path, {"findings": (spring,)}, {"findings": (balance,)})
     assert [c.verdict for c in result.changes] == ["open", "open"]
-    assert all("another name for the same" in c.statement for c in result.changes)
+    assert all("may be another name for it" in c.statement for c in result.changes)
 
 
 def test_friction_in_motion_is_compared_where_more_of_it_is_seen(tmp_path: Path) -> None:
@@ -208,7 +208,7 @@ def test_a_neighbour_that_one_lacks_widens_the_std(tmp_path: Path) -> None:
 
 
 def test_what_has_no_name_is_told_without_certainty(tmp_path: Path) -> None:
-    one = Unexplained(("joint1",), ("q_joint1",), Where(), 0.4, "It depends.")
+    one = Unexplained(("joint1",), ("q_joint1",), Where(), 0.4)
     change = only(compared(tmp_path, {}, {"unexplained": (one,)}))
     assert (change.kind, change.found, change.verdict) == ("unexplained", "after", "open")
     assert math.isnan(change.probability)

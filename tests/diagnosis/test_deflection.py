@@ -121,7 +121,7 @@ def test_none_on_stiff_gears():
             assert d.stiffness is None
             assert d.nmse_after == d.nmse_before
             assert abs(d.delay.value - delay) < 5 * d.delay.std
-            assert "shows no elasticity" in d.statement
+            assert "No elasticity at" in d.statement
 
 
 def test_only_where_there_are_encoders(elastic):
@@ -172,7 +172,7 @@ def test_a_spring_that_the_torque_shows_too_keeps_its_place(elastic):
     measured = tuple(found(URDF, [recorded(elastic, elastic[2])]).values())
     alone = with_springs((), measured)
     assert len(alone) == 2
-    assert all("torque alone does not show it" in f.statement for f in alone)
+    assert all("The torque does not show it." in f.statement for f in alone)
     torque = replace(alone[0], nmse_before={alone[0].joints[0]: 0.2}, nmse_after={alone[0].joints[0]: 0.1})
     other = replace(torque, effect="backlash")
     both = with_springs((torque, other), measured)

@@ -13,18 +13,15 @@ from scipy.stats import t as student
 from simulated_fleet import ACCURACY, PI, K, fleet, member
 
 from torchrbd import InputError
-from torchrbd.diagnosis.changes import words as change_words
-from torchrbd.diagnosis.changes.inertia import Load
-from torchrbd.diagnosis.changes.results import difference
-from torchrbd.diagnosis.fleet import words as fleet_words
+from torchrbd.diagnosis.changes.results import Change, Load, difference
 from torchrbd.diagnosis.fleet.compare import compare_fleet
 from torchrbd.diagnosis.fleet.reading import read_member
-from torchrbd.diagnosis.fleet.results import Deviation, Member
+from torchrbd.diagnosis.fleet.results import Deviation, Member, MemberResult
 from torchrbd.diagnosis.fleet.sisters import LEAST_SISTERS, deviations, median_inertia, sisters
-from torchrbd.diagnosis.fleet.words import name
 from torchrbd.diagnosis.results import Quantity
 from torchrbd.export.json_files import write_fleet
 from torchrbd.report.fleet import write_fleet_report
+from torchrbd.report.text.fleet import parameter_name
 
 
 @pytest.mark.parametrize(("n", "scatter", "fewer"), [(6, 0.0, 4), (30, 0.0, 4), (6, 0.1, 9), (8, 0.1, 4), (30, 0.1, 4)])
@@ -172,7 +169,7 @@ def test_a_page_says_who_differs_what_changed_and_escapes_every_name(tmp_path: P
     assert set(found["arm7"].changes or ()) == {f"{key}_friction_joint2.{key}" for key in ("viscous", "coulomb")}
     assert found["arm1"].changes == {}
     assert found["arm<0>"].changes is None
-    assert "of the earlier time nothing is known" in found["arm<0>"].statement
+    assert "no earlier results of it exist" in found["arm<0>"].statement
     assert found[bad].verdict == "failed"
     assert result.statement.startswith("2 of 9 robots differ from their sisters, 2 changed, 1 could not be identified")
     write_fleet_report(result, tmp_path / "fleet.html")
@@ -187,37 +184,33 @@ def test_a_page_says_who_differs_what_changed_and_escapes_every_name(tmp_path: P
     assert read["members"][7]["deviations"][0]["chance"] < 0.01
 
 
-@pytest.mark.parametrize("module", [fleet_words, change_words])
-def test_a_link_has_more_or_less_but_never_minus_more(module) -> None:
-    for mass, words in ((0.5, "had 0.50 ± 0.04 kg more"), (-0.5, "had 0.50 ± 0.04 kg less")):
-        load = Load(("link2", "link3"), mass, 0.02)
-        if module is fleet_words:
-            off = [Deviation("m_link2", "inertia", Quantity(1.0, 0.1, "kg"), 1.5, 0.1, -5.0, 1e-6)]
-            said = fleet_words.of_sisters(off, load, 8, 6)
-        else:
-            one = Quantity(1.0, 0.1, "kg")
-            said = change_words.of_inertia("changed", 0.99, {"m_link2": difference(one, one, 1.0, among=1)}, load)
+@pytest.mark.parametrize(("mass", "words"), [(0.5, "had 0.50 ± 0.04 kg more"), (-0.5, "had 0.50 ± 0.04 kg less")])
+def test_a_link_has_more_or_less_but_never_minus_more(mass: float, words: str) -> None:
+    load, one = Load(("link2", "link3"), mass, 0.02), Quantity(1.0, 0.1, "kg")
+    off = (Deviation("m_link2", "inertia", one, 1.5, 0.1, -5.0, 1e-6),)
+    member = MemberResult("arm", "identified", 0.1, "", 8, off, load, None, ())
+    parameters = {"m_link2": difference(one, one, 1.0, among=1)}
+    change = Change("inertia", "", (), (), (), "both", "changed", 0.99, parameters, load=load)
+    for said in (member.statement, change.statement):
         assert f"as if link2 or link3 {words}" in said
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"robot": "other"}, "not compared with the earlier time: it was of robot 'other'"),
+        ({"robot": "other"}, "not compared with the earlier time: it was robot 'other' then"),
         (
             {"inertia": {"K": 2.0 * K}},
-            "nothing that was compared has changed; inertial parameters are not compared, they were of other bodies or "
-            "kinematics",
+            "nothing that was compared has changed; inertial parameters are not compared, as bodies or kinematics "
+            "differ",
         ),
         (
             {"inertia": {"K": 2.0 * K}, "terms": {}},
-            "not compared with the earlier time: inertial parameters are not compared, they were of other bodies or "
-            "kinematics, and no term is in both",
+            "not compared with the earlier time: bodies or kinematics differ, and the two have no term in common",
         ),
         (
             {"inertia": {"share": np.ones(len(K))}, "terms": {}},
-            "not compared with the earlier time: no combination of inertial parameters is told by the data of both, "
-            "and no term is in both",
+            "not compared with the earlier time: the two data sets identify no parameter in common",
         ),
         ({}, "nothing has changed"),
     ],
@@ -273,4 +266,4 @@ def test_members_without_intervals_are_refused(tmp_path: Path) -> None:
     ],
 )
 def test_parameters_are_named_for_people(parameter: str, words: str) -> None:
-    assert name(parameter) == words
+    assert parameter_name(parameter) == words

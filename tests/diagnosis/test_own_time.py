@@ -12,13 +12,13 @@ from likelihood.arms import recorded
 from likelihood.fits import BEGIN_S, MASS, OPTIONS, URDF, candidate, payload, with_friction
 from simulated import with_wrong_inertials
 
+from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.explain import _Fits
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.results import OWN_TIME, Finding, Where
 from torchrbd.diagnosis.search import Explanation, Term
-from torchrbd.diagnosis.words import NO_CHANGE
 from torchrbd.effects import Site, Window
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
@@ -27,7 +27,7 @@ from torchrbd.inference.settings import Settings
 from torchrbd.robot import RobotModel
 
 MAY = ("viscous_friction", "coulomb_friction", "payload")
-LOAD = Finding("payload", (), ("link",), 0.99, 30.0, {}, Where(("first",)), (), {}, {}, "")
+LOAD = Finding("payload", (), ("link",), 0.99, 30.0, {}, Where(("first",)), (), {}, {})
 
 
 def quiet(*_: object) -> None:

@@ -21,7 +21,7 @@ from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.simulated import Simulated
 from torchrbd.recordings import Recording
 from torchrbd.report.page import Page
-from torchrbd.report.words import badge
+from torchrbd.report.text.verdict import badge
 from torchrbd.robot import RobotModel
 
 EFFECTS = ("viscous_friction", "coulomb_friction", "stribeck_friction", "torque_offset")
@@ -144,7 +144,7 @@ def test_only_what_differs_is_named(found: torchrbd.Diagnosis) -> None:
 
 def test_the_simulation_is_named_as_what_is_compared_with(found: torchrbd.Diagnosis, tmp_path: Path) -> None:
     assert found.simulated == ("sim",)
-    assert found.statement.startswith("The simulation leaves out Stribeck friction at joint2.")
+    assert found.statement.startswith("The simulation lacks Stribeck friction at joint2.")
     assert "URDF" not in found.statement
     assert "compared with the simulation sim (for real)" in found.identification.notes[0]
     write_diagnosis(found, tmp_path / "d.json")

@@ -9,19 +9,13 @@ import pytest
 import torch
 from inference.problems import columns_of, dense, prior_of, recorded, statistics_of
 
-from torchrbd.diagnosis.proof import confirmed, doubt, proofs
-from torchrbd.diagnosis.results import Finding, Ratio, Where
+from torchrbd.diagnosis.proof import confirmed, proofs
 from torchrbd.effects import Site, effect
 from torchrbd.inference.physical.fitting import fit_model
 from torchrbd.inference.results import TorqueSeries
 from torchrbd.recordings import Recording
 
 STEP_S = 0.05
-
-
-def finding(effect: str, *joints: str) -> Finding:
-    """Return a finding of which nothing but the place is told."""
-    return Finding(effect, joints, (), 0.99, 50.0, {}, Where(), (), {}, {}, "")
 
 
 def series(errors: dict[str, np.ndarray], held_out: np.ndarray | None = None) -> TorqueSeries:
@@ -83,21 +77,6 @@ def test_memory_is_the_integral_of_the_autocorrelation(time_s: float) -> None:
     assert proof.memory_s["rigid_body"] == pytest.approx(2 * time_s, rel=0.15)
     assert proof.memory_s["extended"] == pytest.approx(STEP_S, rel=0.1)
     assert proof.white_s == 0.05
-
-
-def test_a_model_that_does_worse_where_something_was_found_is_told_of() -> None:
-    rng = np.random.default_rng(3)
-    error = rng.standard_normal(1000)
-    better = proofs(series({"rigid_body": error, "extended": 0.9 * error}), 10.0)
-    worse = proofs(series({"rigid_body": error, "extended": 1.2 * error}), 10.0)
-    here, elsewhere = finding("backlash", "hinge"), finding("backlash", "slide")
-    assert doubt(better, [here], None) == doubt(worse, [elsewhere], None) == doubt((), [here], None) == ""
-    assert "at hinge (1.44 times, 1.44 to 1.44): what was found there does not carry over." in doubt(
-        worse, [here], None
-    )
-    assert doubt(worse, [finding("base_tilt")], None)
-    assert doubt(better, [here], Ratio(0.9, 0.8, 1.01)) == ""
-    assert doubt(better, [here], Ratio(0.5, 0.3, 0.7)).startswith("Held-out time has less of it")
 
 
 def test_what_is_added_is_regressed_on_what_others_leave() -> None:

@@ -120,7 +120,9 @@ def check(seed: int, count: int, name: str, size: float, where: tuple[int, ...],
     assert names is None or f"(only in {' and '.join(names)})" in one.statement
     everywhere = {f.joints for f in found.findings if f.effect == "coulomb_friction" and f.where.recordings is None}
     assert one.joints in everywhere
-    assert (name == "coulomb_friction" and names is not None) == ("on top of that of all recordings" in one.statement)
+    assert (name == "coulomb_friction" and names is not None) == (
+        "adds to the same effect in all recordings" in one.statement
+    )
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import pytest
 
 from torchrbd.diagnosis.explain import reciprocal
 from torchrbd.diagnosis.results import Quantity
-from torchrbd.diagnosis.words import value
+from torchrbd.report.text.names import value
 
 UNIT = "N m/rad"
 

@@ -19,8 +19,8 @@ from torchrbd.diagnosis.friction import COULOMB as EVEN
 from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import is_curve
-from torchrbd.diagnosis.results import Proof, Unexplained
-from torchrbd.diagnosis.unexplained import _drifting, _left, _loud, _silent, unexplained
+from torchrbd.diagnosis.results import Proof, Unexplained, Where
+from torchrbd.diagnosis.unexplained import _drifting, _loud, _silent, unexplained
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
@@ -94,7 +94,7 @@ def test_curves_leave_ordinary_friction_its_place(bumped: Extended) -> None:
 def test_torque_without_a_law_is_told_with_its_place_signal_and_shape(told: Unexplained) -> None:
     assert (told.joints, told.depends_on) == ((FIRST,), (f"q_{FIRST}",))
     assert told.share > 0.5
-    assert told.statement.startswith(f"{FIRST}: a torque of ")
+    assert f" RMS at {FIRST} is unexplained" in told.statement
     assert told.where.recordings is None
     assert told.where.region is not None
     (region,) = told.where.region
@@ -112,10 +112,15 @@ def test_torque_without_a_law_is_told_with_its_place_signal_and_shape(told: Unex
     assert (np.array(told.curve.std) > 0).all()
 
 
-def test_held_out_time_is_told_of_what_it_shows() -> None:
-    everywhere = _left("3 N m", 0.25, None)
-    assert everywhere == "a torque of 3 N m RMS that no known effect explains, 25 % of what is left on held-out time"
-    assert _left("3 N m", 0.0, "B.csv") == "a torque of 3 N m RMS in B.csv that no known effect explains"
+def test_a_share_of_the_error_is_said_where_held_out_data_has_one() -> None:
+    sizes = {"torque_rms": 3.0}
+    everywhere = Unexplained((FIRST,), (f"q_{FIRST}",), Where(), 0.25, sizes=sizes)
+    assert everywhere.statement == (
+        f"A torque of 3.00 N m RMS at {FIRST} is unexplained. It is 25 % of the residual on held-out data. "
+        f"It depends on q_{FIRST}."
+    )
+    one = Unexplained((FIRST,), (), Where(("B.csv",)), 0.0, sizes=sizes)
+    assert one.statement == f"A torque of 3.00 N m RMS at {FIRST} is unexplained in B.csv."
 
 
 @pytest.mark.parametrize("seconds", [(30.0,), (15.0, 20.0)])
@@ -228,8 +233,8 @@ def test_drift_is_as_large_as_where_it_is_measured(level: float, told: bool) -> 
 @pytest.mark.parametrize(
     ("nmse", "times", "lasts", "named", "says"),
     [
-        (0.02, 1.0, True, True, "2 % of the torque variance on held-out time stays unpredicted, by errors that last"),
-        (0.005, 2.0, True, False, "missed by 2.00 times what the fit misses elsewhere"),
+        (0.02, 1.0, True, True, "on held-out data is 0.0200 (2 % of the torque variance), with correlated errors"),
+        (0.005, 2.0, True, False, "on held-out data is 2.00 times that of the fitted data"),
         (0.005, 2.0, True, True, ""),
         (0.005, 1.2, True, False, ""),
         (0.02, 2.0, False, False, ""),

@@ -253,7 +253,7 @@ def test_a_folder_tells_what_the_object_tells(diagnosis: Diagnosis, tmp_path: Pa
 def test_a_diagnosis_that_leaves_nothing_open_says_so(diagnosis: Diagnosis) -> None:
     sure = replace(diagnosis, findings=())
     assert torchrbd.excite(URDF, sure, harmonics=2, starts=1).notes == (
-        "the diagnosis leaves nothing open that a motion could tell; this one tells the parameters",
+        "the diagnosis leaves nothing open that a motion could decide; this one identifies the parameters",
     )
 
 
@@ -300,7 +300,7 @@ def test_input_that_cannot_be_used_is_refused(diagnosis: Diagnosis, tmp_path: Pa
         torchrbd.excite(URDF.replace("joint3", "elbow"), diagnosis)
     with pytest.raises(torchrbd.OptionError, match="gravity is known"):
         torchrbd.excite(URDF, diagnosis, gravity=(0.0, 0.0, 0.0))
-    with pytest.raises(torchrbd.InputError, match="its input is suspect, it tells nothing of the robot"):
+    with pytest.raises(torchrbd.InputError, match="its input is suspect, so that nothing can be compared"):
         torchrbd.excite(URDF, replace(diagnosis, verdict="suspect"))
     with pytest.raises(torchrbd.InputError, match="cannot be read"):
         torchrbd.excite(URDF, tmp_path)

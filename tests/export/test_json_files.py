@@ -75,7 +75,7 @@ def test_a_ranking_keeps_its_numbers_and_its_gaps(found: Identification, tmp_pat
     load, coupling, *_ = ranked.first
     odd = replace(load, log_evidence=-np.inf, window=("x.csv", -np.inf, 3.0))
     ranked = replace(ranked, adopted=(load,), last=(odd, coupling))
-    result = Diagnosis(found, "missing_physics", "z", (), ranking=ranked)
+    result = Diagnosis(found, "missing_physics", (), ranking=ranked)
     write_diagnosis(result, tmp_path / "d")
     content = read(tmp_path / "d")["ranking"]
     assert content.keys() == {"band_hz", "considered", "delay_s", "misfit", "ordinary", "first", "adopted", "last"}
@@ -111,10 +111,10 @@ def test_diagnosis_keeps_its_keys_and_adds_curves(found: Identification, tmp_pat
     one = Finding(
         "joint_coupling", ("a",), (), 0.9, 4.0, {"stiffness": Quantity(1.0, 0.1, "N m/rad")},
         Where(None, ((0.0, 1.0),)),
-        (Alternative("payload", (), ("hand",), (), {"mass": 0.5}, 0.2),), {"a": 0.2}, {"a": 0.1}, "x", ("q_b",), curve,
+        (Alternative("payload", (), ("hand",), (), {"mass": 0.5}, 0.2),), {"a": 0.2}, {"a": 0.1}, ("q_b",), curve,
     )  # fmt: skip
-    left = Unexplained(("a",), ("q_a",), Where(region=(Region("q_a", 0.0, 1.0),)), 0.4, "y", curve)
-    write_diagnosis(Diagnosis(found, "missing_physics", "z", (one, replace(one, curve=None)), (left,)), tmp_path / "d")
+    left = Unexplained(("a",), ("q_a",), Where(region=(Region("q_a", 0.0, 1.0),)), 0.4, curve)
+    write_diagnosis(Diagnosis(found, "missing_physics", (one, replace(one, curve=None)), (left,)), tmp_path / "d")
     content = read(tmp_path / "d")
     first, second = content["findings"]
     assert first.keys() >= {
@@ -139,12 +139,12 @@ def test_diagnosis_keeps_its_keys_and_adds_curves(found: Identification, tmp_pat
 
 def test_a_finding_says_its_family_its_laws_and_what_it_carries(found: Identification, tmp_path: Path) -> None:
     one = Finding(
-        "stribeck_friction", ("a",), (), 0.6, 40.0, {}, Where(), (), {"a": 0.4, "b": 0.2}, {"a": 0.1, "b": 0.2}, "x",
+        "stribeck_friction", ("a",), (), 0.6, 40.0, {}, Where(), (), {"a": 0.4, "b": 0.2}, {"a": 0.1, "b": 0.2},
         family="friction", family_probability=0.98, laws=(Law("stribeck_friction", 0.7), Law("quadratic_drag", 0.3)),
         torque_rms={"a": 1.5}, confirmed=Ratio(0.9, 0.8, 1.0),
     )  # fmt: skip
     small = replace(one, effect="torque_ripple", nmse_before={"a": 0.0}, laws=())
-    write_diagnosis(Diagnosis(found, "missing_physics", "z", (one,), trifling=(small,)), tmp_path / "d")
+    write_diagnosis(Diagnosis(found, "missing_physics", (one,), trifling=(small,)), tmp_path / "d")
     content = read(tmp_path / "d")
     (told,), (trifling,) = content["findings"], content["trifling"]
     assert (told["family"], told["family_probability"]) == ("friction", 0.98)

@@ -21,7 +21,7 @@ from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.verdict import verdict_of
 from torchrbd.recordings import Recording
-from torchrbd.report.words import headline
+from torchrbd.report.text.verdict import headline
 from torchrbd.robot import RobotModel
 
 BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'

@@ -71,7 +71,7 @@ def test_with_much_data_only_structure_is_left() -> None:
         if k in base.invisible:
             assert found.status == "not identifiable"
             assert found.prior_share == 1.0
-            assert found.statement == f"no motion of this robot with its base fixed tells {found.name}"
+            assert found.statement == f"no motion of this robot with its base fixed identifies {found.name}"
         else:
             assert found.status == ("identified" if k in base.alone else "combination")
             assert found.prior_share == pytest.approx(left[k], abs=2e-3)

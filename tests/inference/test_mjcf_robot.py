@@ -138,7 +138,7 @@ def test_a_diagnosis_against_a_simulation_of_it(recording: torchrbd.Recording) -
     found = torchrbd.diagnose(arm(0.4, 20.0, 4.0).encode(), recording, simulated=simulated, effects=FRICTION)
     assert found.simulated == ("mujoco",)
     assert {(f.effect, f.joints) for f in found.findings} == {("coulomb_friction", (j,)) for j in ("j1", "j2")}
-    assert found.statement.startswith("The simulation leaves out Coulomb friction at all joints.")
+    assert found.statement.startswith("The simulation lacks Coulomb friction at all joints.")
     errors = found.identification.simulation[0].errors
     for joint in ("j1", "j2"):
         assert errors["extended"][joint].median < 0.02 * errors["urdf"][joint].median

@@ -215,7 +215,7 @@ def test_what_moments_cannot_do_is_said(case: Path, made: list[Path], tmp_path: 
     urdf, (monday, *_) = case / "arm.urdf", recordings(case)
     with pytest.raises(InputError, match=r"holds second moments, not rows; only 'torchrbd identify' takes them"):
         torchrbd.diagnose(urdf, made)
-    with pytest.raises(OptionError, match=r"diagnose: estimator 'moments' does not tell"):
+    with pytest.raises(OptionError, match=r"diagnose: estimator 'moments' has no intervals"):
         torchrbd.diagnose(urdf, monday, estimator="moments")
     with pytest.raises(OptionError, match=r"holds statistics, .*monday.npz does not; give either"):
         torchrbd.identify(urdf, [made[1], monday])

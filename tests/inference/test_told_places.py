@@ -51,7 +51,7 @@ BAD = {
     "stribeck_friction@joint22": r"did you mean 'joint2'\?",
     "stribek@joint2": r"unknown effect 'stribek'; known: ",
     "stribeck_friction@": r"effect 'stribeck_friction@': expected EFFECT, EFFECT@PLACE or EFFECT@PLACE@RECORDING",
-    "stribeck_friction@joint1@simulated=2:8": r"acts all the time; tell it as stribeck_friction@joint1",
+    "stribeck_friction@joint1@simulated=2:8": r"acts all the time; give it as stribeck_friction@joint1",
     "stribeck_friction@joint1@other.csv": r"recording 'other.csv', which is none here; there are: simulated",
     "stribeck_friction@joint1@simulated=8:2": r"the end must come after the start",
     "stribeck_friction@joint1@simulated=a:b": r"expected FROM:TO in seconds after 'simulated='",
@@ -88,7 +88,7 @@ def test_places_of_pairs_and_of_windows() -> None:
     assert sites["torque_offset"] == (Site(1),)
     sites, _ = told_sites([offset, pulled, timed], robot, ["a.csv"])
     assert sites["torque_offset"] == (Site(1), Site(1, window=windows[0]))
-    with pytest.raises(OptionError, match=r"'test_ripple' acts for a time only; tell it as .*@RECORDING="):
+    with pytest.raises(OptionError, match=r"'test_ripple' acts for a time only; give it as .*@RECORDING="):
         told_sites([ToldEffect(Timed(), "joint2_joint1")], robot, ["a.csv"])
     assert ToldEffect.parse("rotor_inertia@joint3@a.csv=2:").window == Window("a.csv", 2.0)
     assert ToldEffect.parse("rotor_inertia@joint3@a.csv").window == Window("a.csv")

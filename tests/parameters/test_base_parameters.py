@@ -115,7 +115,7 @@ def test_planar_two_link_arm() -> None:
     assert "only Iyy_l1 + 0.25 m_l2 is identified" in said
     assert base.sentences_with(base.names.index("m_l2")) == said[:2]
     assert base.sentences_with(base.names.index("mcz_l1")) == ()
-    assert said[-1].startswith("no motion of this robot tells m_l1, mcy_l1, Ixx_l1")
+    assert said[-1].startswith("no motion of this robot identifies m_l1, mcy_l1, Ixx_l1")
     assert len(said) == 3
 
 

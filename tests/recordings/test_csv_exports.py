@@ -147,7 +147,7 @@ def test_echo_without_efforts(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (echo(arrays=(Q, TAU)), "two arrays for 2 joints; whether the latter is velocity or effort cannot be told"),
+        (echo(arrays=(Q, TAU)), "two arrays for 2 joints; whether the latter is velocity or effort is unknown"),
         (echo(arrays=(Q, QD, TAU, TAU)), "8 numbers for 2 joint names in row 1; its columns are header.stamp.sec"),
         (echo() + echo(("a", "b")), "data row 201 is of joint 'a' where row 1 is of 'b'"),
         (echo() + "1700000003,5,,b", "data row 201 has 4 cells"),

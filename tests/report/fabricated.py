@@ -19,7 +19,7 @@ from torchrbd.inference.results import (
 from torchrbd.inference.verdict import verdict_of
 from torchrbd.likelihood.misspecification import Misfit
 
-STATEMENT = "This arm has Coulomb friction at joint2 that its URDF leaves out."
+HEADLINE = "The URDF lacks Coulomb friction at joint2 (in hold.csv, 4.0 to 7.0 s)."
 
 
 def identification(
@@ -89,11 +89,11 @@ def diagnosis(joints: tuple[str, ...], **options: Any) -> Diagnosis:
     finding = Finding(
         "coulomb_friction", (joint,), (), 0.983, 41.2, {"coulomb": Quantity(1.0, 0.0123, "N m")},
         Where(("hold.csv",), ((4.0, 7.0),), None), (Alternative("stribeck_friction", (joint,)),),
-        {joint: 0.02}, {joint: 5e-5}, f"{joint} resists motion with 1.0 N m.",
+        {joint: 0.02}, {joint: 5e-5},
     )  # fmt: skip
     region = Where(region=(Region(f"q_{joints[0]}", -0.1, 0.3),))
-    left = Unexplained((joint,), (f"q_{joints[0]}",), region, 0.42, "Something depends on a position.")
-    return Diagnosis(result, "missing_physics", STATEMENT, (finding,), (left,))
+    left = Unexplained((joint,), (f"q_{joints[0]}",), region, 0.42)
+    return Diagnosis(result, "missing_physics", (finding,), (left,))
 
 
 def with_friction(result: Diagnosis) -> Diagnosis:

@@ -10,9 +10,9 @@ from report.rendered import Text, render, tidy
 from torchrbd.cli.tables import print_diagnosis
 from torchrbd.diagnosis.ranking import Ranked
 from torchrbd.diagnosis.results import Diagnosis
-from torchrbd.diagnosis.words import words_of
 from torchrbd.likelihood.misspecification import Misfit
 from torchrbd.report.considered import misfit_sentence, nats
+from torchrbd.report.text.names import words_of
 
 JOINTS = ("joint1", "joint2", "slide")
 RIPPLE = Ranked("torque_ripple", ("joint1",), (), 33.0, {"amplitude": 1.0})
@@ -56,8 +56,8 @@ def test_what_is_adopted_is_marked_beside_the_last_step(tmp_path):
     load = ranking(JOINTS).first[0]
     part = section(render(ranked(load), tmp_path))
     assert part.count(">adopted<") == 2
-    assert "beside payload on hand" in part
-    assert "beside the 2 adopted effects" in section(render(ranked(load, RIPPLE), tmp_path))
+    assert "given payload on hand" in part
+    assert "given the 2 adopted effects" in section(render(ranked(load, RIPPLE), tmp_path))
 
 
 def test_nothing_to_consider_and_no_ranking_are_shown_as_such(tmp_path):

@@ -6,12 +6,11 @@ import matplotlib
 import numpy as np
 import pytest
 
-from torchrbd.diagnosis.numbers import measure, number, unit
 from torchrbd.inference.results import TorqueSeries
 from torchrbd.report.excerpt import binned_mean, informative_stretch, telling_signal
 from torchrbd.report.figures import Units, decades, dependence_figure, error_figure
 from torchrbd.report.inline import canvas, inline, page_style
-from torchrbd.report.words import change, percent
+from torchrbd.report.text.numbers import change, measure, number, probability, unit
 
 
 def series(residual: np.ndarray, held_out: np.ndarray, signal: np.ndarray | None = None) -> TorqueSeries:
@@ -122,7 +121,7 @@ def test_numbers_are_short_and_honest():
         "0", "0.110", "12.3", "1234", "−3.21·10⁻⁶", "–",
     ]  # fmt: skip
     assert [measure(2.41, 0.021), measure(-150.4, 12.0), measure(1.0, 0.0)] == ["2.410 ± 0.021", "−150 ± 12", "1.00"]
-    assert [percent(x) for x in (1.0, 0.999, 0.5, 0.001, 0.0)] == ["100 %", "> 99 %", "50 %", "< 1 %", "0 %"]
+    assert [probability(x) for x in (1.0, 0.999, 0.5, 0.001, 0.0)] == ["100 %", "> 99 %", "50 %", "< 1 %", "0 %"]
     assert [change(1.0, 0.5), change(1.0, 1.2), change(1.0, 1e-3), change(0.0, 1.0)] == [
         "−50 %",
         "+20 %",

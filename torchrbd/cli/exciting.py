@@ -12,11 +12,11 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from torchrbd.cli.progress import progress_bar
-from torchrbd.diagnosis.numbers import number
 from torchrbd.errors import OptionError
 from torchrbd.excitation import Excitation, excite
 from torchrbd.export.motion_files import check_rate, series_of, write_motion
 from torchrbd.outputs import check_file
+from torchrbd.report.text.numbers import number
 
 
 def design(

@@ -11,7 +11,7 @@ from torchrbd.inference import EstimatorComparison, Identification
 from torchrbd.learning import BayesianDynamics
 from torchrbd.outputs import write_whole
 from torchrbd.report import write_report
-from torchrbd.report.words import suspicion_comments
+from torchrbd.report.text.verdict import suspicion_comments
 
 REPORT = "report.html"
 IDENTIFIED = ("parameters.json", "identified.urdf", "model.safetensors")

@@ -16,7 +16,6 @@ from torchrbd.cli.files import IDENTIFIED, write_identified
 from torchrbd.cli.progress import progress_bar
 from torchrbd.diagnosis.fleet.compare import compare_fleet
 from torchrbd.diagnosis.fleet.results import FleetComparison
-from torchrbd.diagnosis.numbers import number
 from torchrbd.engines import Engine
 from torchrbd.errors import InputError, OptionError, reason
 from torchrbd.export.json_files import write_fleet
@@ -27,6 +26,7 @@ from torchrbd.likelihood.reading import Progress
 from torchrbd.outputs import OutputFolder, inside, write_whole
 from torchrbd.recordings.contents import digest
 from torchrbd.report.fleet import write_fleet_report
+from torchrbd.report.text.numbers import number
 
 # What a robot's files were made from, beside them; the last that is written.
 _MADE_FROM = "made_from.json"

@@ -11,10 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from torchrbd.cli.progress import progress_bar
-from torchrbd.diagnosis.numbers import number
 from torchrbd.errors import OptionError
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.outputs import check_file
+from torchrbd.report.text.numbers import number
 from torchrbd.simulation import SimulatedMotion, check_suffix, simulate
 
 

@@ -12,23 +12,22 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from torchrbd.diagnosis import Comparison, Diagnosis
-from torchrbd.diagnosis.changes.words import certainty, signed
-from torchrbd.diagnosis.numbers import number, unit
-from torchrbd.diagnosis.numbers import percent as exact_percent
-from torchrbd.diagnosis.results import Where
-from torchrbd.diagnosis.words import guessed, more_values, place, values, when
+from torchrbd.diagnosis.results import Finding, Where
 from torchrbd.effects import Effect
 from torchrbd.export.check import FileCheck
 from torchrbd.inference import Identification
 from torchrbd.inference.comparison import EstimatorComparison
 from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
 from torchrbd.report.changes import shown, title
-from torchrbd.report.words import badge, headline, model_words, percent, worth
+from torchrbd.report.text.comparison import certainty, signed
+from torchrbd.report.text.names import guessed, more_values, place, values, when
+from torchrbd.report.text.numbers import number, probability, unit
+from torchrbd.report.text.numbers import percent as exact_percent
+from torchrbd.report.text.verdict import badge, headline, model_words, worth
 
 _COMPARISON_WORDS = (
-    "physical? says whether every link has a mass and an inertia that a real body can have; where one has not, the "
-    "physical parameters with the nearest torques are taken, which 'identify --estimator' writes. * is within 1 % of "
-    "the least error."
+    "physical? says whether every link has a mass and an inertia that a real body can have. If not, the nearest "
+    "physical parameters are used; 'identify --estimator' writes these. * is within 1 % of the least error."
 )
 # A probability from which on the table of plain friction says none.
 SURE = 0.95
@@ -43,19 +42,27 @@ def print_diagnosis(result: Diagnosis) -> None:
     folded = plain_rows(result.findings, result.identification.series.joints)
     in_table = {id(f) for row in folded for f in row.findings}
     special = [f for f in result.findings if id(f) not in in_table]
-    if special:
-        table = Table(_whole("where"), Column("missing", overflow="fold"), "value ± 95 %", _right("probability"))
-        for f in special:
-            more = more_values(f)
-            quantities = "\n".join([*values(f), *([f"{more} more in diagnosis.json"] if more else [])])
-            inside = "\n".join((place(f), *_times(f.where, len(result.identification.recordings))))
-            table.add_row(Text(inside), Text(guessed(f)), Text(quantities), percent(f.probability))
-        out.print(table)
+    recordings = len(result.identification.recordings)
+    _print_findings([f for f in special if f.held_out], recordings, "missing", out)
     if folded:
         _print_plain(folded, out)
+    _print_findings([f for f in special if not f.held_out], recordings, "not confirmed on held-out data", out)
     for statement in (*(d.statement for d in result.deflections), *(rest.statement for rest in result.unexplained)):
         out.print(statement, markup=False)
     _print_fits(result.identification, out, model_words(result), worth(result))
+
+
+def _print_findings(findings: Sequence[Finding], recordings: int, heading: str, out: Console) -> None:
+    """Print a table of findings, if there are any."""
+    if not findings:
+        return
+    table = Table(_whole("where"), Column(heading, overflow="fold"), "value ± 95 %", _right("probability"))
+    for f in findings:
+        more = more_values(f)
+        quantities = "\n".join([*values(f), *([f"{more} more in diagnosis.json"] if more else [])])
+        inside = "\n".join((place(f), *_times(f.where, recordings)))
+        table.add_row(Text(inside), Text(guessed(f)), Text(quantities), probability(f.probability))
+    out.print(table)
 
 
 def _times(where: Where, recordings: int) -> list[str]:
@@ -73,7 +80,7 @@ def _print_plain(rows: Sequence[PlainRow], out: Console) -> None:
     table = Table(_whole("± 95 %"), *(_right(title.replace(" [", "\n[")) for title in plain_titles(rows)))
     for row in rows:
         cells = (
-            words + (f" ({percent(f.probability)})" if f is not None and f.probability < SURE else "")
+            words + (f" ({probability(f.probability)})" if f is not None and f.probability < SURE else "")
             for words, f in zip(row.values, row.findings, strict=True)
         )
         table.add_row(Text(row.joint), *cells)
@@ -111,7 +118,7 @@ def _print_fits(result: Identification, out: Console, model: str = "URDF", remar
     words = {"urdf": model, **_MODEL_WORDS}
     errors = Table(_whole("joint"), *(_right(words[name]) for name in result.fits))
     filtered = result.states == "filtered"
-    titles = "position noise", f"torque from position noise{'' if filtered else ', if filtered'}", "torque left over"
+    titles = "position noise", f"torque from position noise{'' if filtered else ', if filtered'}", "residual torque"
     noise = Table(_whole("standard deviation"), *map(_right, titles))
     prismatic = dict(zip(result.robot.joint_names, result.robot.prismatic.tolist(), strict=True))
     for joint in result.fits["urdf"].nmse:
@@ -141,8 +148,8 @@ def _whole(title: str) -> Column:
 
 def _print_measure(held_out: str, cutoff_hz: float, out: Console) -> None:
     out.print(
-        f"nmse, the unpredicted part of the torque variance on held-out data ({held_out}), torque and features "
-        f"band-limited at {cutoff_hz:.3g} Hz; 0 is perfect, 1 no better than a constant:",
+        f"NMSE on held-out data ({held_out}), torque and features band-limited at {cutoff_hz:.3g} Hz; 0 is perfect, 1 "
+        "is no better than a constant:",
         markup=False,
     )
 
@@ -152,7 +159,7 @@ def _print_doubts(doubts: Iterable[str], out: Console) -> None:
         out.print(Text.assemble(("warning:", "bold yellow"), " ", doubt))
 
 
-def _print_notes(notes: Iterable[str], out: Console) -> None:
+def _print_notes(notes: Iterable[object], out: Console) -> None:
     for note in notes:
         out.print(f"note: {note}", markup=False)
 
@@ -197,14 +204,14 @@ def print_comparison(result: EstimatorComparison) -> None:
         out.print(joints)
     out.print(_COMPARISON_WORDS)
     out.print(
-        f"The data tells {result.base_parameters} combinations of parameters; the worst told has "
-        f"{result.condition:.3g} times the noise of the best (condition number)."
+        f"The data identifies {result.base_parameters} combinations of parameters; the noise of the worst is "
+        f"{result.condition:.3g} times that of the best (condition number)."
     )
     out.print(result.regime[0].upper() + result.regime[1:] + ".", markup=False)
     if result.noise_matters:
         out.print(
-            "All are judged on torques predicted from filtered, noisy positions, which favours estimates that this "
-            "noise biases: parameters of 'smoother' may be better than they look here."
+            "All are judged on torques predicted from filtered, noisy positions. This favours estimates that the noise "
+            "biases: 'smoother' may be better than it looks here."
         )
     for row in result.rows:
         if row.note:
@@ -217,7 +224,7 @@ def print_export(file: Path, lacking: Sequence[str], found: FileCheck | None) ->
     out = Console(highlight=False)
     if found is not None:
         out.print(
-            f"The file in MuJoCo beside the model, RMS torque over {found.samples} states, motion band-limited at "
+            f"The file in MuJoCo against the model, RMS torque over {found.samples} states, motion band-limited at "
             f"{found.cutoff_hz:.3g} Hz:",
             markup=False,
         )

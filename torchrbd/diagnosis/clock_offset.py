@@ -7,7 +7,6 @@ recorded torque without it: the model's own torque, at the time of the motion.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.posterior import LIKELY, prior_log_odds, probabilities
 from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Where
-from torchrbd.diagnosis.words import finding_sentence
 from torchrbd.effects import effect
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.results import Identification
@@ -44,7 +42,7 @@ def clock_offset(ranked: Ranking, extended: Extended, identification: Identifica
     own = effect(best.effect)
     (name,) = best.parameters
     before, after, carried = _worth(extended, identification)
-    one = Finding(
+    return Finding(
         effect=best.effect,
         joints=(),
         links=(),
@@ -58,13 +56,11 @@ def clock_offset(ranked: Ranking, extended: Extended, identification: Identifica
         ),
         nmse_before=before,
         nmse_after=after,
-        statement="",
         family=own.family,
         family_probability=min(float(sure.sum()), LARGEST_PROBABILITY),
         laws=tuple(Law(found[k].effect, float(sure[k] / sure.sum())) for k in order),
         torque_rms=carried,
     )
-    return replace(one, statement=finding_sentence(one))
 
 
 def _offset(ranked: Ranking, prepared: Prepared) -> tuple[float, float]:

@@ -21,7 +21,7 @@ that the rigid body has absorbed, as it does at the first joint, counts as load 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -29,7 +29,6 @@ import torch
 from torchrbd.diagnosis.explain import LARGEST_PROBABILITY
 from torchrbd.diagnosis.results import Deflection, Quantity
 from torchrbd.diagnosis.rows.gain import accepted, gain, odds
-from torchrbd.diagnosis.springs import spring_sentence
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
 from torchrbd.likelihood.gaussian import Posterior
@@ -161,7 +160,7 @@ def _deflection(rows: _Rows, model: FittedModel, joint: int) -> Deflection:
     load = rows.A[~rows.held, _LOAD]
     order = np.array_split(np.argsort(load), min(_POINTS, len(load)))
     yields = (rows.e - rows.A @ B[:, 1:] @ w[1:])[~rows.held]
-    found = Deflection(
+    return Deflection(
         joint=model.columns.robot.joint_names[joint],
         stiffness=Quantity(float(1 / w[_LOAD]), float(std[_LOAD] / w[_LOAD] ** 2), stiffness) if seen else None,
         stiffness_at_least=float(1 / (max(w[_LOAD], 0.0) + _ONE_SIDED * std[_LOAD])),
@@ -176,9 +175,7 @@ def _deflection(rows: _Rows, model: FittedModel, joint: int) -> Deflection:
         load=tuple(float(load[i].mean()) for i in order),
         deflection=tuple(float(yields[i].mean()) for i in order),
         deflection_std=tuple(float(yields[i].std()) for i in order),
-        statement="",
     )
-    return replace(found, statement=spring_sentence(found))
 
 
 def _left_out(parts: np.ndarray) -> np.ndarray:

@@ -13,10 +13,10 @@ from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.limits import limits
 from torchrbd.diagnosis.locate import locate
 from torchrbd.diagnosis.posterior import refit_matters
-from torchrbd.diagnosis.proof import doubt, proofs
+from torchrbd.diagnosis.proof import proofs
 from torchrbd.diagnosis.ranking import ranking, without_terms
 from torchrbd.diagnosis.refuting import friction_alone, functions_alone, is_refuted, shown_of, what_counts
-from torchrbd.diagnosis.results import Diagnosis, Finding, LeftoverMap, Location, Unexplained
+from torchrbd.diagnosis.results import Diagnosis, Finding, LeftoverMap, Location, Unexplained, strongest_first
 from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
@@ -25,8 +25,6 @@ from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect
 from torchrbd.diagnosis.trifling import is_trifling
 from torchrbd.diagnosis.unexplained import only_where_fitted, tones, unexplained
-from torchrbd.diagnosis.verdict_words import REFUTED, ended_statement, unfinished, verdict_statement
-from torchrbd.diagnosis.words import strongest_first
 from torchrbd.effects import Site, effect
 from torchrbd.effects.registry import PLAIN
 from torchrbd.errors import OptionError
@@ -112,7 +110,7 @@ def diagnose(
     robot, sources, settings = read_arguments(robot, recordings, given(locals()), "diagnose")
     if settings.estimator not in OF_RECORDINGS:
         raise OptionError(
-            f"diagnose: estimator '{settings.estimator}' does not tell how sure it is, which the search must know; "
+            f"diagnose: estimator '{settings.estimator}' has no intervals, which the search must know; "
             f"use {', '.join(OF_RECORDINGS)}, or identify"
         )
     prepared = prepare(robot, sources, settings, (), progress)
@@ -155,22 +153,15 @@ def diagnose(
     if plainly:
         known = {joint for one in rest for joint in one.joints}
         rest = (*rest, *(one for one in only_where_fitted(full, model) if one.joints[0] not in known))
-    progress("looking at what is left", 0.0)
+    progress("locating residuals", 0.0)
     locations, maps = ((), ()) if is_over() else _located(prepared, model)
     identification = marked(identification)
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))
     simulations = tuple(one.name for one in prepared.reading.simulated)
-    compared = "simulation" if simulations else "URDF"
-    there = there if findings else None
-    statement = verdict_statement(verdict, findings, rest, identification.fits, compared, there)
-    ended = ended_statement(len(found.terms), likeliest_left(found))
-    refutes = REFUTED if plainly else ""
-    statement = " ".join(filter(None, (statement, refutes, ended, doubt(proof, findings, there), unfinished())))
     absent = limits(found)
     return Diagnosis(
         identification,
         verdict,
-        statement,
         findings,
         rest,
         locations,
@@ -181,7 +172,9 @@ def diagnose(
         proof,
         ranking=reported(ranked, model),
         trifling=trifling,
-        confirmed=there,
+        confirmed=there if findings else None,
+        refuted=plainly,
+        next_effect=likeliest_left(found),
     )
 
 

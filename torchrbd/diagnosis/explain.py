@@ -1,4 +1,4 @@
-"""Turn what was found into findings: how sure, what else it could be, what it is worth, and a sentence for a person."""
+"""Turn what was found into findings: how sure, what else it could be, and what it is worth on held-out data."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
+from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.estimate_evidence import estimate_evidence
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.friction import COULOMB, UNEVEN, Friction
@@ -18,11 +19,21 @@ from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds,
 from torchrbd.diagnosis.proof import confirmed
 from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.residual import is_curve
-from torchrbd.diagnosis.results import OWN_TIME, Alternative, Finding, Law, Quantity, Ratio, Region, Where
+from torchrbd.diagnosis.results import (
+    OWN_TIME,
+    Alternative,
+    Finding,
+    Law,
+    NextEffect,
+    Quantity,
+    Ratio,
+    Region,
+    Where,
+    strongest_first,
+)
 from torchrbd.diagnosis.terms import Explanation
 from torchrbd.diagnosis.trifling import contradicted, is_trifling, set_apart
 from torchrbd.diagnosis.variant import another_variant
-from torchrbd.diagnosis.words import NO_CHANGE, at, finding_sentence, named, strongest_first
 from torchrbd.effects import Site, effect
 from torchrbd.inference.physical.fitting import FittedModel, judge, nmse_weights
 from torchrbd.inference.physical.terms import told_parameters
@@ -61,13 +72,12 @@ def explain(extended: Extended) -> Explained:
     robot = extended.prepared.robot
     everywhere = {(c.effect, c.site) for c, _, _ in _sure(extended)}
 
-    def worded(chosen: Sequence[tuple[Candidate, Finding]]) -> tuple[Finding, ...]:
-        sentences = []
+    def completed(chosen: Sequence[tuple[Candidate, Finding]]) -> tuple[Finding, ...]:
+        found = []
         for term, one in chosen:
             more = term.site.recordings is not None and (term.effect, replace(term.site, recordings=None)) in everywhere
-            statement = " ".join(filter(None, (finding_sentence(one, more=more), another_variant(one, robot))))
-            sentences.append(replace(one, statement=statement))
-        return strongest_first(sentences)
+            found.append(replace(one, adds_to_all=more, variant=another_variant(one, robot)))
+        return strongest_first(found)
 
     fits, every = _Fits(extended), _told(extended)
     own_time = {term: fits.in_its_time(term, one) for term, one in every if not fits.held_out_sees(term)}
@@ -86,7 +96,7 @@ def explain(extended: Extended) -> Explained:
     stand_ins = [(term, one) for term, one in kept if term in extended.terms and contradicted(one)]
     kept = [(term, one) for term, one in kept if term not in dict(stand_ins)]
     # What its own time shows is set apart where held-out time is told worse with it.
-    trifling = worded([*((term, proven(term, one, [], unseen)) for term, one in apart), *stand_ins])
+    trifling = completed([*((term, proven(term, one, [], unseen)) for term, one in apart), *stand_ins])
     others += [term for term, _ in stand_ins]
     # What laws of friction take is ordinary friction's; what held-out time contradicts is nobody's.
     leave = {term for term, one in apart if term.effect.family == _FRICTION or contradicted(one)}
@@ -98,12 +108,12 @@ def explain(extended: Extended) -> Explained:
         # Friction that these laws stood in for was not told before.
         new = [pair for pair in left if pair[0] not in judged]
         new, more = set_apart(new, fits.error_without, lambda _, one: is_trifling(one, extended))
-        trifling += worded([(term, proven(term, one, [], unseen)) for term, one in more])
+        trifling += completed([(term, proven(term, one, [], unseen)) for term, one in more])
         kept = [(term, _judged_as(judged[term], one)) for term, one in left if term in judged]
         kept += [(term, proven(term, one, [t for t, _ in more], unseen)) for term, one in new]
         others += [term for term, _ in more]
     still = tuple(term for term in extended.terms if term in others)
-    return Explained(worded(_once(kept, extended.model.columns)), trifling, extended, still)
+    return Explained(completed(_once(kept, extended.model.columns)), trifling, extended, still)
 
 
 def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[tuple[Candidate, Finding]]:
@@ -252,14 +262,14 @@ def places(robot: RobotModel, term: Candidate) -> tuple[tuple[str, ...], tuple[s
     return joints, () if site.body is None else (robot.body_names[site.body],)
 
 
-def likeliest_left(found: Explanation) -> str:
-    """Return in words what is likeliest beside what was found, if it is likelier than not: the search ended before."""
+def likeliest_left(found: Explanation) -> NextEffect | None:
+    """Return what is likeliest given what was found, if it is likelier than not: the search ended before."""
     if not found.last or log_odds(found.last[0], found.rows) <= 0.0:
-        return ""
+        return None
     robot, c = found.rows.columns.robot, found.last[0].candidate
     joints, links = places(robot, c)
-    only = "" if c.site.window is None else f" for a time in {c.site.window.recording}"
-    return named(Alternative(c.effect.id, joints, links, driven_by(c, robot))) + at(joints, links) + only
+    recording = "" if c.site.window is None else c.site.window.recording
+    return NextEffect(len(found.terms), c.effect.id, joints, links, driven_by(c, robot), recording)
 
 
 def where(term: Candidate, columns: Columns, quantities: Mapping[str, Quantity], ends_s: Mapping[str, float]) -> Where:
@@ -308,7 +318,6 @@ def _finding(
         indistinguishable_from=alike,
         nmse_before={},
         nmse_after={},
-        statement="",
         depends_on=driven_by(term, robot),
         curve=fitted_curve(model, term),
         family=term.effect.family,

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import expit, softmax
 
 from torchrbd.diagnosis.calibration import calibrated
+from torchrbd.diagnosis.decisions import LIKELY
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.effects import Effect, Window
 from torchrbd.likelihood.columns import Candidate
@@ -27,8 +28,6 @@ from torchrbd.robot import RobotModel
 
 # At such a precision of the prior, inertial parameters are the URDF's.
 _CERTAIN = 1e8
-# What is less probable is one of several guesses.
-LIKELY = 0.5
 # Standard deviation of the logarithm of how long something is there.
 _TIMES_STD = math.log(3.0)
 # How many of an effect are expected on a machine beside its ordinary friction.

@@ -17,9 +17,8 @@ import torch
 from scipy.stats import bootstrap
 from torch import Tensor
 
-from torchrbd.diagnosis.numbers import number
-from torchrbd.diagnosis.results import Finding, Proof, Ratio
-from torchrbd.diagnosis.words import NO_CHANGE
+from torchrbd.diagnosis.decisions import NO_CHANGE
+from torchrbd.diagnosis.results import Proof, Ratio
 from torchrbd.inference.physical.fitting import FittedModel, nmse_weights
 from torchrbd.inference.results import TorqueSeries
 from torchrbd.likelihood.block_statistics import BlockStatistics
@@ -53,34 +52,6 @@ def proofs(series: TorqueSeries, cutoff_hz: float, seed: int = 0) -> tuple[Proof
         over = {m: over_blocks(sums[EXTENDED], s, seed) for m, s in sums.items() if m != EXTENDED}
         found.append(Proof(joint, over, memory, 0.5 / cutoff_hz))
     return tuple(found)
-
-
-def doubt(proofs: Sequence[Proof], findings: Sequence[Finding], there: Ratio | None) -> str:
-    """Say what of the findings unseen torque does not show; nothing if it shows all.
-
-    Args:
-        proofs: of the joints.
-        findings: what is told.
-        there: the part of what they add that it shows, see ``confirmed``.
-    """
-    everywhere = any(not f.joints for f in findings)
-    joints = {joint for f in findings for joint in f.joints}
-    asked = [p for p in proofs if everywhere or p.joint in joints]
-    worse = {p.joint: p.over["rigid_body"] for p in asked if p.over["rigid_body"].low > 1.0}
-    if worse:
-        told = ", ".join(
-            f"{joint} ({number(r.value)} times, {number(r.low)} to {number(r.high)})" for joint, r in worse.items()
-        )
-        return (
-            f"The extended model's squared error on held-out torque is larger than the re-fitted rigid body's at "
-            f"{told}: what was found there does not carry over."
-        )
-    if there is not None and there.high < 1.0:
-        return (
-            "Held-out time has less of it than was found: the robot or its motion was another there, or a part of what "
-            "was found stands for something else."
-        )
-    return ""
 
 
 def confirmed(

@@ -232,7 +232,7 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
     band = settings.cutoff_hz or band_hz(surveys)
 
     def report(terms: int) -> None:
-        progress("ranking beside what was found", min(terms / 4, 0.9))
+        progress("ranking given the findings", min(terms / 4, 0.9))
 
     try:
         clocks = in_band(reading, band, kept_back, frozenset(settings.held_bodies(robot)), progress)

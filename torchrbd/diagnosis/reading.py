@@ -27,7 +27,7 @@ def read_diagnosis(kind: type, folder: str | Path) -> dict[str, Any]:
     """
     folder = Path(folder)
     content, types = read_json(folder / _FILE, "diagnose"), get_type_hints(kind)
-    names = [name for name in types if name not in ("identification", "ranking", "card")]
+    names = [name for name in types if name not in ("identification", "ranking", "card", "in_words")]
     try:
         found = {name: rebuilt(types[name], content[_KEYS.get(name, name)]) for name in names}
         ranking = content["ranking"]

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from torchrbd.deadline import is_over
+from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.explain import Explained, explain
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.proof import confirmed, over_blocks
 from torchrbd.diagnosis.ranking import Ranking
-from torchrbd.diagnosis.results import Finding, Ratio, Unexplained
+from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, strongest_first
 from torchrbd.diagnosis.search import explained
 from torchrbd.diagnosis.unexplained import functions
-from torchrbd.diagnosis.words import NO_CHANGE, strongest_first
 from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.physical.fitting import FittedModel, nmse_of_blocks
 from torchrbd.inference.preparation import Prepared

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from torchrbd.diagnosis.decisions import LIKELY, NO_CHANGE, SPRING_HELPS
 from torchrbd.diagnosis.ranking import Ranking
 from torchrbd.diagnosis.reading import read_diagnosis
-from torchrbd.display import Displayed, brief, few
+from torchrbd.display import Displayed, Stated, brief, few
 from torchrbd.errors import InputError
 from torchrbd.inference.results import Identification
 
@@ -20,7 +22,7 @@ _MOST_IN_REPR = 5
 _COLUMNS = [
     "effect", "joints", "links", "parameter", "value", "std", "unit", "probability", "log_evidence_gain", "statement",
 ]  # fmt: skip
-HELD_OUT, OWN_TIME = "held-out time", "own time"
+HELD_OUT, OWN_TIME = "held-out data", "own window"
 
 
 @dataclass(frozen=True)
@@ -100,17 +102,83 @@ class Law:
 
 
 @dataclass(frozen=True)
-class Finding:
+class Deflection(Stated):
+    """What the encoder behind one joint's gear shows.
+
+    Attributes:
+        joint: which.
+        stiffness: of the spring between motor and link, None if none is seen.
+        stiffness_at_least: lower end of its one-sided interval.
+        lost_motion: by what the link stays behind when the motor turns back.
+        delay: how much later than the motor's the link's encoder is read.
+        inertial_share: part of the load, as far as nothing else imitates it, that follows the joint's own acceleration
+            while the model has no rotor inertia there: what of it is the rotor's winds no spring.
+        rms: of the deflection, less its mean in each recording.
+        probability, log_evidence_gain: of the spring, from left-out blocks of the deflection.
+        nmse_before, nmse_after: NMSE of the deflection on held-out data without the spring and with it; NaN if nothing
+            is held out.
+        load, deflection, deflection_std: means over parts of the range of the load [N m, N], and of the deflection
+            there [rad, m], without delay, lost motion and errors of the encoders, with its scatter.
+    """
+
+    joint: str
+    stiffness: Quantity | None
+    stiffness_at_least: float
+    lost_motion: Quantity
+    delay: Quantity
+    inertial_share: float
+    rms: float
+    probability: float
+    log_evidence_gain: float
+    nmse_before: float
+    nmse_after: float
+    load: tuple[float, ...]
+    deflection: tuple[float, ...]
+    deflection_std: tuple[float, ...]
+
+    @property
+    def held_out(self) -> bool:
+        """Whether the spring lowers the error of the deflection on held-out data."""
+        return self.nmse_after < SPRING_HELPS * self.nmse_before
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A joint origin that is farther off than a description's mistakes are: the URDF may be another variant's.
+
+    Attributes:
+        parent: the link to whose origin distances are.
+        distance, given: as fitted and by the URDF [m].
+    """
+
+    parent: str
+    distance: float
+    given: float
+
+
+@dataclass(frozen=True)
+class Finding(Stated):
     """One named effect; at no joint and no link if it acts on the whole robot.
 
-    ``probability`` is against none and its rivals in its place, ``family_probability`` that of some effect of its
-    ``family`` there; ``laws`` are the effects that explain the same. ``depends_on`` are signals of other joints that it
-    depends on, e.g. "q_joint2", ``curve`` is the function that shows it best, ``torque_rms`` what it carries by joint
-    [N m or N]. ``nmse_before`` and ``nmse_after`` are parts of the torque variance that stay unpredicted without it and
-    with it, ``judged_on`` held-out time; or on its own time, each half of it predicted by a fit to the other, where
-    held-out time sees nothing of it; or on nothing, where its own is short, too. ``confirmed`` is the part of what it
-    adds that held-out time shows (one: all of it; None where that holds too little of it), ``statement`` a sentence for
-    a person.
+    Attributes:
+        effect, joints, links: what, and where.
+        probability: against none and its rivals in its place.
+        log_evidence_gain: against leaving it out [nats].
+        parameters: by name, with units.
+        where: recordings, times and region in which it acts.
+        indistinguishable_from: effects that this data cannot distinguish from it.
+        nmse_before, nmse_after: by joint, NMSE without it and with it on the data that ``judged_on`` names.
+        depends_on: signals of other joints that it depends on, e.g. "q_joint2".
+        curve: the function that shows it best.
+        family, family_probability: kind of effect, and the probability of some effect of that kind there.
+        laws: the effects that explain the same.
+        torque_rms: RMS of the torque that it carries, by joint [N m or N].
+        judged_on: "held-out data"; "own window": cross-validated between two halves of the time in which it acts, as
+            held-out data has none of it; or "", where that time is too short.
+        confirmed: its torque on held-out data over that fitted (1: the same); None where too little of it is there.
+        adds_to_all: whether it adds to the same effect in all recordings.
+        variant: set where a joint origin is so far off that the URDF may be another variant's.
+        deflection: what the encoder behind the gear shows of it, for a spring.
     """
 
     effect: str
@@ -123,7 +191,6 @@ class Finding:
     indistinguishable_from: tuple[Alternative, ...]
     nmse_before: dict[str, float]
     nmse_after: dict[str, float]
-    statement: str
     depends_on: tuple[str, ...] = ()
     curve: Curve | None = None
     family: str = ""
@@ -132,6 +199,9 @@ class Finding:
     torque_rms: dict[str, float] = field(default_factory=dict)
     judged_on: str = HELD_OUT
     confirmed: Ratio | None = None
+    adds_to_all: bool = False
+    variant: Variant | None = None
+    deflection: Deflection | None = None
 
     def __repr__(self) -> str:
         values = [f"{name}: {q.value:.3g} ± {q.std:.2g} {q.unit}" for name, q in self.parameters.items()]
@@ -151,20 +221,66 @@ class Finding:
         before, after = (math.fsum(each) for each in zip(*both, strict=True)) if both else (0.0, 0.0)
         return 1.0 - after / before if before > 0 else 0.0
 
+    @property
+    def error_removed(self) -> float:
+        """NMSE on held-out data that it removes, summed over the joints; zero where that has none of it."""
+        if self.judged_on != HELD_OUT:
+            return 0.0
+        removed = (b - self.nmse_after[j] for j, b in self.nmse_before.items() if j in self.nmse_after)
+        return math.fsum(x for x in removed if math.isfinite(x))
+
+    @property
+    def held_out(self) -> bool:
+        """Whether held-out data confirm it: a joint's NMSE falls, and the interval of ``confirmed`` is above zero."""
+        if self.deflection is not None and not self.nmse_before:
+            return self.deflection.held_out
+        seen = self.judged_on == HELD_OUT and self.share >= NO_CHANGE
+        return seen and (self.confirmed is None or self.confirmed.low > 0.0)
+
+
+def strongest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings that are likelier than not, then the others; what removes most held-out error first in both."""
+    return tuple(sorted(findings, key=lambda f: (f.probability <= LIKELY, -f.error_removed, -f.log_evidence_gain)))
+
 
 @dataclass(frozen=True)
-class Unexplained:
-    """What is left at a joint and depends on something, nameless.
+class Unexplained(Stated):
+    """A residual that no known effect explains.
 
-    ``share`` is its part of what the named terms leave there, ``curve`` how it depends on the first signal.
+    Attributes:
+        joints: where.
+        depends_on: signals that it follows; "t" if time alone matters, none if no signal explains it.
+        where: recordings, times and region.
+        share: its part of what the named terms do not explain there.
+        curve: how it depends on the first signal.
+        kind: "curve", a smooth function of a signal; "tone", one frequency; "drift", slow change with time;
+            "error", a large error on held-out data; "larger error", errors on held-out data above those of the fit; or
+            "not confirmed", explained where it was fitted alone.
+        sizes: numbers of that kind, by name: torque_rms [``unit``], low and high amplitude [``unit``], frequency [Hz],
+            nmse on held-out data, and ratio of the errors there to those of the fit.
+        unit: of torques.
     """
 
     joints: tuple[str, ...]
     depends_on: tuple[str, ...]
     where: Where
     share: float
-    statement: str
     curve: Curve | None = None
+    kind: str = "curve"
+    sizes: dict[str, float] = field(default_factory=dict)
+    unit: str = "N m"
+
+
+@dataclass(frozen=True)
+class NextEffect:
+    """What is likelier than not given the findings, where a search has ended: ``terms`` were in the model then."""
+
+    terms: int
+    effect: str
+    joints: tuple[str, ...] = ()
+    links: tuple[str, ...] = ()
+    depends_on: tuple[str, ...] = ()
+    recording: str = ""
 
 
 @dataclass(frozen=True)
@@ -181,7 +297,7 @@ class Attack:
 
 
 @dataclass(frozen=True)
-class Location:
+class Location(Stated):
     """A place where a model and the robot differ, found without a name for what is there.
 
     Attributes:
@@ -199,7 +315,7 @@ class Location:
         share: per joint, part of the leftover's power that it is.
         curve: how it depends on the first signal, if it does.
         attack: force and point of attack, if it is on a link.
-        statement: a sentence for a person.
+        unit: of its torque.
     """
 
     model: str
@@ -214,7 +330,7 @@ class Location:
     share: dict[str, float]
     curve: Curve | None
     attack: Attack | None
-    statement: str
+    unit: str = "N m"
 
 
 @dataclass(frozen=True)
@@ -262,44 +378,6 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Deflection:
-    """What the encoder behind one joint's gear shows.
-
-    Attributes:
-        joint: which.
-        stiffness: of the spring between motor and link, None if none is seen.
-        stiffness_at_least: lower end of its one-sided interval.
-        lost_motion: by what the link stays behind when the motor turns back.
-        delay: how much later than the motor's the link's encoder is read.
-        inertial_share: part of the load, as far as nothing else imitates it, that follows the joint's own acceleration
-            while the model has no rotor inertia there: what of it is the rotor's winds no spring.
-        rms: of the deflection, less its mean in each recording.
-        probability, log_evidence_gain: of the spring, from left-out blocks of the deflection.
-        nmse_before, nmse_after: part of the deflection's variance that stays unpredicted on held-out time, without and
-            with the spring; NaN if nothing is held out.
-        load, deflection, deflection_std: means over parts of the range of the load [N m, N], and of the deflection
-            there [rad, m], without delay, lost motion and errors of the encoders, with its scatter.
-        statement: a sentence for a person.
-    """
-
-    joint: str
-    stiffness: Quantity | None
-    stiffness_at_least: float
-    lost_motion: Quantity
-    delay: Quantity
-    inertial_share: float
-    rms: float
-    probability: float
-    log_evidence_gain: float
-    nmse_before: float
-    nmse_after: float
-    load: tuple[float, ...]
-    deflection: tuple[float, ...]
-    deflection_std: tuple[float, ...]
-    statement: str
-
-
-@dataclass(frozen=True)
 class Proof:
     """What the extended model is worth at one joint, on torque that no fit has seen.
 
@@ -317,10 +395,10 @@ class Proof:
 
 
 @dataclass(frozen=True, repr=False)
-class Diagnosis(Displayed):
+class Diagnosis(Displayed, Stated):
     """Verdict, findings, and the identification they belong to; a notebook shows it as a card.
 
-    ``findings`` come strongest first: those that are likelier than not, then the others, by gain in both.
+    ``findings`` that are likelier than not come first, then the others; in both, what removes most held-out error.
 
     ``verdict`` is "consistent" (the URDF as given explains the data), "parameters" (a rigid body with other
     parameters does), "missing_physics" (named effects are needed), "unexplained" (something is left that no known
@@ -332,13 +410,13 @@ class Diagnosis(Displayed):
     recordings of a simulator that stood for the URDF. ``proofs`` say what the extended model is worth on torque
     that was held out. ``trifling`` are effects that are as likely as findings and that held-out time does not show:
     they carry next to no torque, or other inertial parameters than the URDF's do as well. ``confirmed`` is the part of
-    the torque that the extended model adds to a rigid body with plain friction that held-out time shows: one if it is
-    right, None where that cannot be told. ``ranking`` has all that was considered, by its evidence.
+    the torque that the extended model adds to a rigid body with plain friction that held-out data shows: one if it is
+    right, None where that is not known. ``refuted`` says that held-out data is predicted better without what was found,
+    ``next_effect`` what else is likelier than not. ``ranking`` has all that was considered, by its evidence.
     """
 
     identification: Identification
     verdict: str
-    statement: str
     findings: tuple[Finding, ...]
     unexplained: tuple[Unexplained, ...] = field(default=())
     locations: tuple[Location, ...] = field(default=())
@@ -350,6 +428,8 @@ class Diagnosis(Displayed):
     ranking: Ranking | None = None
     trifling: tuple[Finding, ...] = field(default=())
     confirmed: Ratio | None = None
+    refuted: bool = False
+    next_effect: NextEffect | None = None
 
     @property
     def finished(self) -> bool:

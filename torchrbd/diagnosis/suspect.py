@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from torchrbd.diagnosis.ranking import Ranking
 from torchrbd.diagnosis.results import Diagnosis
-from torchrbd.diagnosis.verdict_words import suspect_statement, unfinished
 from torchrbd.inference.identify import marked, summarise
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.results import Identification
@@ -30,8 +29,7 @@ def suspect(
         ranked: what was considered, if it came to that.
     """
     identification = _plain(prepared, settings, progress, suspected)
-    statement = " ".join(filter(None, (suspect_statement(suspected), unfinished())))
-    return Diagnosis(identification, "suspect", statement, (), simulated=_simulated(prepared), ranking=ranked)
+    return Diagnosis(identification, "suspect", (), simulated=_simulated(prepared), ranking=ranked)
 
 
 def _plain(prepared: Prepared, settings: Settings, progress: Progress, suspected: Suspicions) -> Identification:

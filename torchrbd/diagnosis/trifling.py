@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.results import Finding
-from torchrbd.diagnosis.words import NO_CHANGE
 from torchrbd.likelihood.columns import Candidate
 
 # Parts of a joint's torque, and of its held-out error, that are nobody's business.

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.curves import fitted_curve
+from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.explain import torque_rms
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.hypotheses import Hypothesis
@@ -16,10 +17,10 @@ from torchrbd.diagnosis.residual import depends_on, is_curve
 from torchrbd.diagnosis.results import Finding, Proof, Region, Unexplained, Where
 from torchrbd.diagnosis.terms import Explanation
 from torchrbd.diagnosis.trifling import LEAST_TORQUE
-from torchrbd.diagnosis.words import NO_CHANGE, joined, number, percent, torque_unit
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.likelihood.columns import Candidate
+from torchrbd.robot.units import torque_unit
 
 # A function acts where it is above this part of its largest departure from its middle.
 _ACTS = 0.5
@@ -65,11 +66,8 @@ def _drifting(found: Explanation) -> Iterator[Unexplained]:
         wandering = fit.part(j, fit.machine.wandering(j))[found.rows.measured[j]]
         drift, noise, name = float(np.sqrt(np.mean(wandering**2))), fit.hyper.noise[j].std, robot.joint_names[j]
         if math.hypot(drift, noise) > _LARGER * noise and drift > LEAST_TORQUE * fit.machine.torque_rms[j]:
-            words = (
-                f"{name}: a torque of {number(drift)} {torque_unit(robot, j)} RMS changes slowly with time; no known "
-                "effect explains it."
-            )
-            yield Unexplained((name,), ("t",), Where(), drift**2 / (drift**2 + noise**2), words)
+            share, sizes, unit = drift**2 / (drift**2 + noise**2), {"torque_rms": drift}, torque_unit(robot, j)
+            yield Unexplained((name,), ("t",), Where(), share, kind="drift", sizes=sizes, unit=unit)
 
 
 def _tone(found: Explanation, h: Hypothesis) -> Unexplained:
@@ -81,12 +79,12 @@ def _tone(found: Explanation, h: Hypothesis) -> Unexplained:
     amplitudes = np.hypot(h.coefficients[::2], h.coefficients[1::2])
     left = found.base.residual(joint)[inside]
     share = min(1.0, 0.5 * float(np.mean(amplitudes**2)) / max(float(np.mean(left**2)), 1e-300))
-    where = "" if len(names) == len(rows.seen_recordings) else f" in {joined(names)}"
-    between = dict.fromkeys(number(float(x)) for x in (amplitudes.min(), amplitudes.max()))
-    sizes = f"{' to '.join(between)} {torque_unit(robot, joint)}"
-    words = f"{robot.joint_names[joint]}: a tonal disturbance of {f:.2f} Hz, {sizes} high{where}, is not explained."
     region = (Region("frequency", f - width, f + width),)
-    return Unexplained((robot.joint_names[joint],), ("t",), Where(names, None, region), share, words)
+    everywhere = len(names) == len(rows.seen_recordings)
+    where = Where(None if everywhere else names, None, region)
+    sizes = {"low": float(amplitudes.min()), "high": float(amplitudes.max()), "frequency": float(f)}
+    unit = torque_unit(robot, joint)
+    return Unexplained((robot.joint_names[joint],), ("t",), where, share, kind="tone", sizes=sizes, unit=unit)
 
 
 def _curve(extended: Extended, term: Candidate) -> Unexplained:
@@ -99,19 +97,10 @@ def _curve(extended: Extended, term: Candidate) -> Unexplained:
     signals, region, curve = depends_on(term, robot.joint_names), None, fitted_curve(model, term)
     carried = torque_rms(term, extended).get(name, 0.0)
     recording = None if term.site.window is None else term.site.window.recording
-    statement = f"{name}: {_left(f'{number(carried)} {unit}', share, recording)}. It depends on {joined(signals)}"
     if curve is not None and signals[0] != "t":
         region = Region(signals[0], *_loud(np.array(curve.at), np.array(curve.torque)))
-        statement += f", most of it where {signals[0]} is between {number(region.low)} and {number(region.high)}"
     where = Where(None if recording is None else (recording,), None, None if region is None else (region,))
-    return Unexplained((name,), signals, where, share, statement + ".", curve)
-
-
-def _left(torque: str, share: float, recording: str | None) -> str:
-    """Say how large a torque is, and its share of the error on held-out time, which shows none of other recordings."""
-    only = "" if recording is None else f" in {recording}"
-    shown = f", {percent(share)} of what is left on held-out time" if share >= NO_CHANGE else ""
-    return f"a torque of {torque} RMS{only} that no known effect explains{shown}"
+    return Unexplained((name,), signals, where, share, curve, sizes={"torque_rms": carried}, unit=unit)
 
 
 def _silent(extended: Extended, proofs: Sequence[Proof], told: Collection[str]) -> Iterator[Unexplained]:
@@ -123,19 +112,16 @@ def _silent(extended: Extended, proofs: Sequence[Proof], told: Collection[str]) 
     prepared, x = extended.prepared, extended.model.x
     lasting = {p.joint for p in proofs if p.memory_s["extended"] > _LASTS * p.white_s}
     seen, unseen = judge(prepared.training, x).rmse, judge(prepared.judging, x)
-    nothing_else = "; no known effect and no function of one signal explains it."
     for name, rmse in unseen.rmse.items():
         if name not in lasting:
             continue
         if unseen.nmse[name] > _MUCH:
-            left = f"{percent(unseen.nmse[name])} of the torque variance on held-out time stays unpredicted"
-            words = f"{name}: {left}, by errors that last"
-            yield Unexplained((name,), (), Where(), 1.0, words + nothing_else)
+            sizes = {"nmse": unseen.nmse[name]}
+            yield Unexplained((name,), (), Where(), 1.0, kind="error", sizes=sizes)
         elif name in seen and name not in told and rmse > _LARGER * seen[name]:
             share = 1.0 - (seen[name] / rmse) ** 2
-            times = number(rmse / seen[name])
-            words = f"{name}: the torque on held-out time is missed by {times} times what the fit misses elsewhere"
-            yield Unexplained((name,), (), Where(), share, words + nothing_else)
+            sizes = {"ratio": rmse / seen[name]}
+            yield Unexplained((name,), (), Where(), share, kind="larger error", sizes=sizes)
 
 
 def only_where_fitted(full: Extended, plain: Extended) -> Iterator[Unexplained]:
@@ -149,11 +135,7 @@ def only_where_fitted(full: Extended, plain: Extended) -> Iterator[Unexplained]:
     for name, rmse in without.items():
         if rmse > _LARGER * with_it.get(name, math.inf):
             share = 1.0 - (with_it[name] / rmse) ** 2
-            words = (
-                f"{name}: {percent(share)} of what ordinary friction leaves of the torque is explained where it was "
-                "fitted, but not by anything that held-out time has."
-            )
-            yield Unexplained((name,), (), Where(), share, words)
+            yield Unexplained((name,), (), Where(), share, kind="not confirmed")
 
 
 def _loud(at: np.ndarray, torque: np.ndarray) -> tuple[float, float]:

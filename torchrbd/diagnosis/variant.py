@@ -6,15 +6,15 @@ import math
 
 import torch
 
-from torchrbd.diagnosis.results import Finding
+from torchrbd.diagnosis.results import Finding, Variant
 from torchrbd.effects import effect
 from torchrbd.robot import RobotModel, joint_origins
 
 _CERTAIN = 3.0
 
 
-def another_variant(finding: Finding, robot: RobotModel) -> str:
-    """Say that the description may be another variant's, if a joint is certainly farther off than descriptions are.
+def another_variant(finding: Finding, robot: RobotModel) -> Variant | None:
+    """Return how far a joint's origin is off, if it is certainly farther off than descriptions are.
 
     That is by three times the prior standard deviation of its origin, nearer to its parent link or farther from it.
 
@@ -23,11 +23,11 @@ def another_variant(finding: Finding, robot: RobotModel) -> str:
         robot: as described.
 
     Returns:
-        A sentence; nothing otherwise.
+        None otherwise.
     """
     geometry = effect("geometry_error")
     if finding.effect != geometry.id:
-        return ""
+        return None
     (name,) = finding.joints
     origin = joint_origins(robot)[robot.joint_names.index(name)]
     numbers = [finding.parameters[axis] for axis in "xyz"]
@@ -36,9 +36,6 @@ def another_variant(finding: Finding, robot: RobotModel) -> str:
     given, found = float(origin.norm()), float((origin + shift).norm())
     error = math.sqrt(float(((origin + shift) / max(found, 1e-300) * std).square().sum()))
     if abs(found - given) <= _CERTAIN * max(error, *geometry.prior.std[:3]):
-        return ""
+        return None
     parent = next(joint.parent for joint in robot.description.joints if joint.name == name)
-    return (
-        f"It would be {found:.2g} m from the origin of {parent} instead of {given:.2g} m: is this the URDF of another "
-        "variant of the robot?"
-    )
+    return Variant(parent, found, given)

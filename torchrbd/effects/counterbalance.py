@@ -44,7 +44,7 @@ class Counterbalance(JointEffect):
     drawn_over = "q"
     prior = CoefficientPrior("The spring's stiffness is not negative; its preload may push or pull.", positive=(0,))
     export_note = (
-        "a spatial tendon between a site on the crank and one at the cylinder's foot; where, motion cannot tell"
+        "a spatial tendon between a site on the crank and one at the cylinder's foot; motion does not identify where"
     )
     # Centres lie closer where the cylinder passes them in motion: the nearer the crank ratio is to one, the sharper the
     # bend there.

@@ -57,7 +57,7 @@ class ToldEffect:
         if self.place is None:
             return sites
         if not sites:
-            raise OptionError(f"'{name}' acts for a time only; tell it as {name}@{self.place}@RECORDING=FROM:TO")
+            raise OptionError(f"'{name}' acts for a time only; give it as {name}@{self.place}@RECORDING=FROM:TO")
         places = tuple(dict.fromkeys(site.name(robot) for site in sites))
         if self.place not in places:
             hints = closest(self.place, places), f"its places are: {', '.join(places) or 'none'}"
@@ -66,7 +66,7 @@ class ToldEffect:
             )
         found = tuple(s for s in sites if s.name(robot) == self.place and self.window in (None, s.window))
         if not found:
-            raise OptionError(f"'{name}' acts all the time; tell it as {name}@{self.place}")
+            raise OptionError(f"'{name}' acts all the time; give it as {name}@{self.place}")
         return found
 
 

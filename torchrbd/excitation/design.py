@@ -159,7 +159,7 @@ def _samples(basis: Basis, cutoff_hz: float) -> int:
 def _notes(separations: Sequence[Separation]) -> list[str]:
     """Say what stays open, and what the motion is for if nothing is."""
     if not separations:
-        return ["the diagnosis leaves nothing open that a motion could tell; this one tells the parameters"]
+        return ["the diagnosis leaves nothing open that a motion could decide; this one identifies the parameters"]
     return [
         f"{one.one} and {one.other} may stay open: the expected log Bayes factor is {one.log_bayes_factor:.1f}; "
         "they are the same on any such motion, or other limits are needed"

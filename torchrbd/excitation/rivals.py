@@ -14,7 +14,6 @@ from torch import Tensor
 from torchrbd.diagnosis import Alternative, Diagnosis, Finding
 from torchrbd.diagnosis.changes.reading import side_of
 from torchrbd.diagnosis.screening import ORDINARY
-from torchrbd.diagnosis.words import joined, named
 from torchrbd.effects import Effect, Shape, Site, Term, effect
 from torchrbd.errors import InputError
 from torchrbd.model import RigidBodyDynamics
@@ -152,8 +151,12 @@ def _rival(robot: RobotModel, one: Alternative) -> Rival:
 
 
 def _words(one: Finding | Alternative) -> str:
-    place = joined((*one.joints, *one.links))
-    return named(one) + (f" at {place}" if place else "")
+    """Return an effect's name and place."""
+    words, others = effect(one.effect).words, [s.partition("_")[2] for s in one.depends_on]
+    if others:
+        words = words.replace("another joint's", f"{others[0]}'s")
+    place = " and ".join((*one.joints, *one.links))
+    return words + (f" at {place}" if place else "")
 
 
 def _everywhere(site: Site) -> Site:

@@ -120,20 +120,27 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
             "findings": [_finding(f) for f in result.findings],
             "confirmed": None if result.confirmed is None else asdict(result.confirmed),
             "trifling": [_finding(f) for f in result.trifling],
-            "unexplained": [asdict(u) for u in result.unexplained],
-            "locations": [asdict(x) for x in result.locations],
+            "unexplained": [_stated(u) for u in result.unexplained],
+            "locations": [_stated(x) for x in result.locations],
             "leftover_maps": [asdict(m) for m in result.maps],
             "limits": [asdict(x) for x in result.limits],
-            "deflections": [asdict(x) for x in result.deflections],
+            "deflections": [_stated(x) for x in result.deflections],
             "simulated": list(result.simulated),
             "proofs": [asdict(x) for x in result.proofs],
+            "refuted": result.refuted,
+            "next_effect": None if result.next_effect is None else asdict(result.next_effect),
             "ranking": None if result.ranking is None else _ranking(result.ranking),
         },
     )
 
 
 def _finding(found: Finding) -> dict[str, Any]:
-    return {**asdict(found), "share": found.share}
+    return {**_stated(found), "share": found.share, "confirmed_on_held_out": found.held_out}
+
+
+def _stated(result: Any) -> dict[str, Any]:
+    """Return a result's data and its sentence."""
+    return {**asdict(result), "statement": result.statement}
 
 
 def _ranking(found: Ranking) -> dict[str, Any]:
@@ -168,7 +175,8 @@ def write_changes(result: Comparison, path: Path) -> None:
         difference, std, probability), statement.
     notes: what else to know of the two.
     """
-    _write(path, {"schema": SCHEMA, **asdict(result)})
+    content = _stated(result) | {"changes": [_stated(one) for one in result.changes]}
+    _write(path, {"schema": SCHEMA, **content, "notes": [str(note) for note in result.notes]})
 
 
 def write_fleet(result: FleetComparison, path: Path) -> None:
@@ -183,7 +191,8 @@ def write_fleet(result: FleetComparison, path: Path) -> None:
         null, changes by parameter (before, after, difference, std, probability; null without an earlier time),
         statement, doubts.
     """
-    _write(path, {"schema": SCHEMA, **asdict(result)})
+    content = _stated(result) | {"members": [_stated(one) for one in result.members]}
+    _write(path, {"schema": SCHEMA, **content})
 
 
 def _head(result: Identification) -> dict[str, Any]:
@@ -218,7 +227,7 @@ def _head(result: Identification) -> dict[str, Any]:
         "finished": result.finished,
         "fit": {name: asdict(fit) for name, fit in result.fits.items()},
         "doubts": list(result.doubts),
-        "suspicions": [asdict(one) for one in result.suspicions.found],
+        "suspicions": [_stated(one) | {"remedy": one.remedy} for one in result.suspicions.found],
         "suspicions_tested": list(result.suspicions.tested),
         "notes": [*result.doubts, *result.notes],
         "simulation": [_motion(one, result.robot) for one in result.simulation],

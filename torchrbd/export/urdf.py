@@ -69,7 +69,7 @@ def urdf_unsaid(model: RigidBodyDynamics) -> tuple[str, ...]:
         _dynamics(model, index)
     if bool((robot.gravity != robot.gravity.new_tensor(STANDARD_GRAVITY)).any()):
         x, y, z = (f"{v:.4g}" for v in robot.gravity.tolist())
-        sentences.append(f"gravity, which is {x} {y} {z} m/s^2 in the base's axes: tell the simulator")
+        sentences.append(f"gravity, which is {x} {y} {z} m/s^2 in the base's axes: set it in the simulator")
     return (*sentences, *conditions_unsaid(model))
 
 

@@ -148,7 +148,7 @@ def _entry(one: RobotInFile, k: int, shared: Mapping[str, Any], content: Any, pa
     estimator = Settings.from_mapping(options, place).estimator
     if estimator not in WITH_INTERVALS:
         raise OptionError(
-            f"{place}: estimator '{estimator}' tells no intervals, which a comparison of robots needs; take one of "
+            f"{place}: estimator '{estimator}' has no intervals, which a comparison of robots needs; take one of "
             f"{', '.join(WITH_INTERVALS)}"
         )
     return RobotEntry(one.name, folder / one.urdf, tuple(folder / file for file in one.recordings), options)

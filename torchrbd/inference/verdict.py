@@ -87,7 +87,7 @@ def doubts_of(prepared: Prepared, model: FittedModel, fits: Mapping[str, Fit]) -
     if masses:
         doubts.append(
             f"masses come out far from the URDF's, {', '.join(masses)}: a load, missing physics, or a motion that "
-            "tells them too little"
+            "hardly identifies them"
             + ("; or is this the URDF of another variant of the robot?" if len(masses) > 1 else "")
         )
     if not model.converged:
@@ -156,7 +156,7 @@ def regime_of(prepared: Prepared, estimator: str) -> str:
     done = "states are filtered"
     if smoothed:
         done = (
-            "states and parameters are smoothed together, held-out states without their torque: what is left of the "
+            "states and parameters are smoothed together, held-out states without their torque; remaining "
             "position noise there adds to every model's error"
         )
     if noise.matters and estimator not in ("auto", "smoother"):

@@ -269,7 +269,7 @@ def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int]
     spread = std * np.sqrt(np.maximum(np.diagonal(inverse, axis1=-2, axis2=-1), 0.0))
     sign, log_det = np.linalg.slogdet(A)
     if not (sign > 0).all():
-        raise np.linalg.LinAlgError("columns beside a posterior have no positive definite precision")
+        raise np.linalg.LinAlgError("columns given a posterior have no positive definite precision")
     log_evidence = 0.5 * (mean * r).sum(-1) - 0.5 * log_det
     return Addition(log_evidence + truncated(mean, spread, positive), mean, spread)
 

@@ -250,4 +250,4 @@ def not_held_out(reading: Reading, kept_back: KeptBack) -> list[int]:
 
 def _nothing_left(reading: Reading) -> NoReturn:
     names = ", ".join(r.name for r in reading.recordings)
-    raise RecordingError(f"nothing of {names} is left beside what is held out; hold out less")
+    raise RecordingError(f"nothing of {names} remains outside the held-out data; hold out less")

@@ -176,7 +176,7 @@ def simulation_notes(found: Sequence[Simulated]) -> tuple[str, ...]:
     )
     return (
         f"compared with the simulation {names}: its torque, moved to the recorded states by the URDF's rigid body, "
-        "stands for the URDF's. Torques are shown less what the simulator has beyond the URDF; identified inertials "
+        "replaces the URDF's. Torques are shown less what the simulator has beyond the URDF; identified inertials "
         "are the URDF's plus the difference between robot and simulator; the model written lacks what the simulator "
         "has beyond the URDF",
         *shifts,

@@ -52,7 +52,7 @@ class BaseParameters:
         """Say in one sentence each which combinations are identified where their parts are not."""
         said = [self._sentence(row) for row in range(len(self.independent)) if self._partners(row)]
         if self.invisible:
-            said.append("no motion of this robot tells " + ", ".join(self.names[k] for k in self.invisible))
+            said.append("no motion of this robot identifies " + ", ".join(self.names[k] for k in self.invisible))
         return tuple(said)
 
     def sentences_with(self, k: int) -> tuple[str, ...]:

@@ -123,7 +123,7 @@ def _guessed(found: Inspection) -> list[str]:
     numbers = [name for name in found.columns if found.ranges[name][0] <= found.ranges[name][1]]
     time, joints = guess(numbers, found.joints)
     lines = [f"time: {{column: {json.dumps(time or 't')}, unit: s}}  # {'guessed' if time else 'name the column'}"]
-    lines.append("joints:" if joints else "joints: {}  # no names of columns that tell a joint and a signal")
+    lines.append("joints:" if joints else "joints: {}  # no column names show a joint and a signal")
     used = {time}
     for joint, signals in joints.items():
         lines.append(f"  {json.dumps(joint)}:")

@@ -65,7 +65,7 @@ class EchoTable:
             rest = rest[count if full else 1 :] if full or rest[:1] == [""] else ["missing"]
         if len(cells) == 2 * count and all(cells):
             raise RecordingError(
-                f"{self.path}: two arrays for {count} joints; whether the latter is velocity or effort cannot be told: "
+                f"{self.path}: two arrays for {count} joints; whether the latter is velocity or effort is unknown: "
                 "record a bag with 'ros2 bag record', or put a header above rows of t, positions and efforts"
             )
         if rest:

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from torchrbd.diagnosis.numbers import measure, unit
 from torchrbd.diagnosis.posterior import LIKELY
 from torchrbd.diagnosis.results import Curve, Diagnosis, Finding, Unexplained
-from torchrbd.diagnosis.words import alternatives, at, guessed, most_changed, when, words_of
 from torchrbd.effects import known_effects
 from torchrbd.effects.registry import PLAIN
 from torchrbd.report.excerpt import telling_signal
 from torchrbd.report.inline import COLOURS, UNKNOWN
 from torchrbd.report.pictures import Pictures, Sense
+from torchrbd.report.text.names import alternatives, at, guessed, most_changed, when, words_of
+from torchrbd.report.text.numbers import measure, unit
 
 # Log-evidence gain of what is surely there, probability that needs a word.
 CERTAIN, DOUBTFUL = 20.0, 0.9
@@ -47,8 +47,13 @@ class Card:
 
     @property
     def alternatives(self) -> list[str]:
-        """The effects that this data cannot tell from the finding."""
+        """The effects that this data cannot distinguish from the finding."""
         return alternatives(self.item) if isinstance(self.item, Finding) else []
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether held-out data confirms the finding."""
+        return isinstance(self.item, Finding) and self.item.held_out
 
     @property
     def laws(self) -> list[tuple[str, float]]:
@@ -79,8 +84,9 @@ def finding_cards(findings: Sequence[Finding], pictures: Pictures) -> list[Card]
 
 
 def plain_rows(findings: Sequence[Finding], joints: Sequence[str]) -> list[PlainRow]:
-    """Return plain friction that is likelier than not, a row per joint, if there is much of it."""
+    """Return plain friction that is likely and confirmed on held-out data, a row per joint, if there is much of it."""
     plain = [f for f in findings if f.effect in PLAIN and f.where.recordings is None and f.probability > LIKELY]
+    plain = [f for f in plain if f.held_out]
     here = [f for f in plain if len(f.joints) == 1 and f.joints[0] in joints]
     if len(here) < FOLDED:
         return []
@@ -105,11 +111,10 @@ def plain_titles(rows: Sequence[PlainRow]) -> list[str]:
 
 def unexplained_cards(diagnosis: Diagnosis, pictures: Pictures) -> list[Card]:
     """Return a card for each thing that depends on something and has no name."""
-    cards, located = [], {x.statement for x in diagnosis.locations}
+    cards = []
     for item in diagnosis.unexplained:
         joint = next((j for j in item.joints if j in pictures.joints), None)
-        # What was located in the leftover of the last model is not in it: nothing to compare.
-        shown = _pictures(item, joint, item.depends_on, pictures, alone=item.statement in located)
+        shown = _pictures(item, joint, item.depends_on, pictures)
         where = when(item.where, pictures.unit_of)
         cards.append(Card(item, f"Unexplained{at(item.joints, ())}", "", where, [], "", shown))
     return cards
@@ -153,13 +158,10 @@ def _pictures(
     name: str | None,
     signals: Sequence[str],
     pictures: Pictures,
-    *,
-    alone: bool = False,
 ) -> list[Picture]:
     """Draw the curve of an item, and the residual at a joint: in its stretch of time, or against a state.
 
-    The state is the first of ``signals`` that is one, or the most telling if there is no curve. ``alone``: of the last
-    model, not of two.
+    The state is the first of ``signals`` that is one, or the most telling if there is no curve.
     """
     if name is None or not pictures.drawn:
         return []
@@ -172,15 +174,13 @@ def _pictures(
         found.append(Picture(f"{name}: what it adds ± 95 %{', dots: data' if with_data else ''}", [], image))
     if not pictures.measured[joint]:
         return found
-    models = pictures.drawn[-1:] if alone else pictures.compared(name)
+    models = pictures.compared(name)
     stretch = None
     if item.where.time_s or curve is None:
         stretch = pictures.around(joint, item.where, models, whole=item.depends_on == ("t",))
     if stretch is not None:
         return [*found, Picture(f"{name}, {stretch[0]}", models, stretch[1])]
     signal = next((pictures.states[s] for s in signals if s in pictures.states), None)
-    if signal is None and curve is not None and alone:
-        return found
     signal = signal or (telling_signal(pictures.series, joint, models[0]), joint)
     return [*found, Picture(f"{name}, held out", models, pictures.over_state(joint, signal, models))]
 

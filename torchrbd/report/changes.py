@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from torchrbd.diagnosis.changes.results import Change, Comparison, Difference
-from torchrbd.diagnosis.changes.words import certainty, signed
-from torchrbd.diagnosis.words import at, words_of
 from torchrbd.outputs import write_whole
 from torchrbd.report.templates import environment
+from torchrbd.report.text.comparison import certainty, signed
+from torchrbd.report.text.names import at, words_of
 
-VERDICTS = {"changed": "≠ changed", "unchanged": "= as it was", "open": "? cannot tell"}
+VERDICTS = {"changed": "≠ changed", "unchanged": "= unchanged", "open": "? undecided"}
 # Inertial parameters that are shown; comparison.json has all.
 MOST_INERTIAL, LIKELY = 8, 0.5
 

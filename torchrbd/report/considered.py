@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from torchrbd.diagnosis.numbers import MINUS, joined, measure, number, with_unit
 from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Finding, Where
-from torchrbd.diagnosis.words import at, named, when
 from torchrbd.effects import known_effects
 from torchrbd.likelihood.misspecification import MISFIT, Misfit
+from torchrbd.report.text.names import at, named, when
+from torchrbd.report.text.numbers import MINUS, joined, measure, number, with_unit
 from torchrbd.robot import RobotModel
 
 # Evidence at which a bar ends [nats], rows of a table, and parameters that one row names.
@@ -97,10 +97,10 @@ def considered(found: Ranking, robot: RobotModel) -> Considered:
         rows = [_row(one, found, prismatic, adopted=_key(one) in known) for one in ranked[:MOST_ROWS]]
         return Step(title, beside, rows, max(found.considered, len(ranked)) - len(rows))
 
-    steps = [step("First step", "beside a rigid body with ordinary friction", found.first, adopted)]
+    steps = [step("First step", "given a rigid body with baseline friction", found.first, adopted)]
     if adopted:
         first, *others = found.adopted
-        beside = f"beside the {len(found.adopted)} adopted effects" if others else f"beside {title(first)}"
+        beside = f"given the {len(found.adopted)} adopted effects" if others else f"given {title(first)}"
         steps.append(step("Last step", beside, found.last, adopted))
     return Considered(
         number=found.considered,
@@ -122,7 +122,7 @@ def misfit_sentence(found: Mapping[str, Misfit]) -> str:
         return agree if any(m.dof for m in found.values()) else ""
     return (
         f"Whitened rows and plain least squares disagree on the friction of {joined(wrong)}: its law is not quite "
-        "that, and the coefficients shown are those of least squares, which predict better."
+        "that. The coefficients shown are those of least squares, which predict better."
     )
 
 

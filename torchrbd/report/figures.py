@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torchrbd.diagnosis.numbers import power_of_ten
 from torchrbd.diagnosis.results import Curve
 from torchrbd.inference.results import TorqueSeries
 from torchrbd.report.excerpt import Stretch, binned_mean, shown_rows, signal_words
 from torchrbd.report.inline import COLOURS, HELD_OUT, MARK, MEASURED, SOFT, canvas
+from torchrbd.report.text.numbers import power_of_ten
 
 MAX_LINE, MAX_DOTS = 1500, 1500  # points of one line, of one cloud
 

@@ -10,11 +10,11 @@ from markupsafe import Markup
 from matplotlib.ticker import NullFormatter
 
 from torchrbd.diagnosis.fleet.results import Deviation, FleetComparison, MemberResult
-from torchrbd.diagnosis.fleet.words import name
-from torchrbd.diagnosis.numbers import power_of_ten
 from torchrbd.outputs import write_whole
 from torchrbd.report.inline import SOFT, canvas, inline, page_style
 from torchrbd.report.templates import environment
+from torchrbd.report.text.fleet import parameter_name
+from torchrbd.report.text.numbers import power_of_ten
 
 # Robots that are listed one by one where nothing is to be said of them; fleet.json has all.
 MOST_ALIKE = 200
@@ -26,7 +26,7 @@ _OFF = "#c24f00"
 def write_fleet_report(result: FleetComparison, path: Path) -> None:
     """Write one HTML file that needs nothing else: no scripts, no external style, font or picture."""
     templates = environment()
-    templates.filters |= {"parameter_name": name, "bar": bar}
+    templates.filters |= {"parameter_name": parameter_name, "bar": bar}
     told = sorted(filter(_is_told, result.members), key=_first)
     alike = [one for one in result.members if not _is_told(one)]
     with page_style():

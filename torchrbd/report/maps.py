@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from torchrbd.diagnosis.results import LeftoverMap, Location
-from torchrbd.diagnosis.words import number
 from torchrbd.report.inline import INK, canvas
+from torchrbd.report.text.numbers import number
 
 LOUDEST, FOUND, EMPTY = 10.0, "#d55e00", "#e4e7ea"
 # Pixels of a letter of a joint's name, of the ranges beside the rows; the most of the width that names may take.

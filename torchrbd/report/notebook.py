@@ -1,16 +1,16 @@
-"""A result as a card in a notebook: verdict, errors joint by joint, what was found and what was not explained."""
+"""A result as a card in a notebook: verdict, errors joint by joint, findings and unexplained residuals."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torchrbd.diagnosis.numbers import measure, unit
 from torchrbd.diagnosis.results import Diagnosis, Finding
-from torchrbd.diagnosis.words import at, guessed, more_values, place, values, when
 from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
 from torchrbd.report.templates import environment
-from torchrbd.report.words import badge, headline, model_words
+from torchrbd.report.text.names import at, guessed, more_values, place, values, when
+from torchrbd.report.text.numbers import measure, unit
+from torchrbd.report.text.verdict import badge, headline, model_words
 
 # White on these is readable, and they are on white and on black.
 TONES = {
@@ -76,7 +76,7 @@ class Card:
         """The named effects, strongest first, without plain friction that has its table."""
         folded = {id(f) for row in self.friction for f in row.findings}
         found = self.diagnosis.findings if self.diagnosis else ()
-        return [_row(f) for f in found if id(f) not in folded]
+        return [_row(f) for f in found if id(f) not in folded and f.held_out]
 
     @property
     def friction(self) -> list[PlainRow]:
@@ -90,14 +90,15 @@ class Card:
 
     @property
     def unexplained(self) -> list[str]:
-        """What depends on something and has no name, in sentences."""
+        """Residuals that no known effect explains, in sentences."""
         return [item.statement for item in self.diagnosis.unexplained] if self.diagnosis else []
 
     @property
     def trifling(self) -> list[str]:
-        """Effects that are likely and that held-out time does not show, with their places."""
-        found = self.diagnosis.trifling if self.diagnosis else ()
-        return [guessed(f) + (at(f.joints, f.links) or " on the whole robot") for f in found]
+        """Likely effects that held-out data does not confirm, with their places."""
+        found = self.diagnosis
+        every = () if found is None else (*(f for f in found.findings if not f.held_out), *found.trifling)
+        return [guessed(f) + (at(f.joints, f.links) or " on the whole robot") for f in every]
 
     @property
     def terms(self) -> list[tuple[ParameterEstimate, str]]:

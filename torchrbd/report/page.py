@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from torchrbd.diagnosis.numbers import plain
 from torchrbd.diagnosis.results import Diagnosis, Finding, Proof
 from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.outputs import write_whole
@@ -21,12 +20,13 @@ from torchrbd.report.inline import page_style
 from torchrbd.report.pictures import Pictures
 from torchrbd.report.springs import spring_figure
 from torchrbd.report.templates import environment
-from torchrbd.report.words import badge, headline, model_words, part_left
+from torchrbd.report.text.numbers import plain
+from torchrbd.report.text.verdict import badge, headline, model_words, part_left
 from torchrbd.simulation import COASTING, MotionError
 
 LEFTOVERS = {
-    "rigid_body": "What the re-fitted rigid body with friction leaves",
-    "extended": "What the extended model leaves",
+    "rigid_body": "Residual of the re-fitted rigid body with friction",
+    "extended": "Residual of the extended model",
 }
 MOST_TIME_MAPS = 4
 
@@ -99,6 +99,16 @@ class Page:
         """The named effects, strongest first, without plain friction that has its table."""
         return finding_cards(self.diagnosis.findings, self.pictures) if self.diagnosis else []
 
+    @property
+    def confirmed(self) -> list[Card]:
+        """The findings that held-out data confirms."""
+        return [card for card in self.findings if card.confirmed]
+
+    @property
+    def not_confirmed(self) -> list[Card]:
+        """Those that it does not confirm."""
+        return [card for card in self.findings if not card.confirmed]
+
     @cached_property
     def friction(self) -> list[PlainRow]:
         """Viscous and Coulomb friction and offsets, a row per joint, if there are many."""
@@ -133,7 +143,7 @@ class Page:
 
     @property
     def trifling(self) -> tuple[Finding, ...]:
-        """Effects that are likely and that held-out time does not show."""
+        """Effects that are likely and negligible, or not confirmed on held-out data."""
         return self.diagnosis.trifling if self.diagnosis else ()
 
     @property

@@ -12,7 +12,6 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from torchrbd.diagnosis.results import Curve, LeftoverMap, Location, Where
-from torchrbd.diagnosis.words import number
 from torchrbd.inference.results import Identification
 from torchrbd.report.excerpt import SIGNALS, Stretch, signal_words
 from torchrbd.report.figures import (
@@ -26,6 +25,7 @@ from torchrbd.report.figures import (
 )
 from torchrbd.report.inline import inline
 from torchrbd.report.maps import map_figure
+from torchrbd.report.text.numbers import number
 
 MODELS = {"urdf": "URDF", "rigid_body": "re-fitted rigid body", "extended": "extended model"}
 OTHER_SIGNALS = {
@@ -184,5 +184,5 @@ class Pictures:
     def map(self, one: LeftoverMap, locations: list[Location]) -> tuple[str, Markup]:
         """Draw how large the leftover is where, named by its recording."""
         units = [u.q if one.signal == "t" else u.of(one.signal) for u in self.units]
-        label = f"leftover of each joint over {one.signal} {one.recording}".strip()
+        label = f"residual of each joint over {one.signal} {one.recording}".strip()
         return one.recording, self.inline(map_figure(one, self.joints, locations, units), label)

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from torchrbd.diagnosis.numbers import measure, number, plain, unit, with_unit
-from torchrbd.report.words import change, percent, sentence, tied
+from torchrbd.report.text.numbers import change, measure, number, plain, probability, sentence, tied, unit, with_unit
 
 
 def environment() -> Environment:
@@ -19,6 +18,6 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    found.filters |= {"number": number, "measure": measure, "percent": percent, "change": change}
+    found.filters |= {"number": number, "measure": measure, "percent": probability, "change": change}
     found.filters |= {"plain": plain, "unit": unit, "with_unit": with_unit, "tied": tied, "sentence": sentence}
     return found

@@ -140,7 +140,7 @@ def test_torques_of_loads_and_forces_are_those_of_the_jacobian(scene: Scene) -> 
 def test_a_map_is_drawn_with_a_row_per_joint_and_a_frame(fit: Fit, scene: Scene) -> None:
     joints = scene.robot.joint_names
     where = Where(time_s=((10.0, 14.0),))
-    here = Location("m", joints[:1], (), where, ("t",), "level", "abrupt", 20.0, {}, {}, None, None, "x")
+    here = Location("m", joints[:1], (), where, ("t",), "level", "abrupt", 20.0, {}, {}, None, None)
     left = fit.leftover()
     for one in leftover_maps(scene, left, left.std(1), "m"):
         with page_style():

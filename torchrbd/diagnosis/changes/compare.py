@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from torchrbd.diagnosis.changes import words
 from torchrbd.diagnosis.changes.findings import changed_findings
 from torchrbd.diagnosis.changes.inertia import inertial_differences, load_like
 from torchrbd.diagnosis.changes.reading import Side, side_of
 from torchrbd.diagnosis.changes.results import CERTAIN, LEAST_CHANGED, Change, Comparison, Found, most, verdict_of
 from torchrbd.diagnosis.results import Diagnosis
+from torchrbd.display import Remark
 from torchrbd.errors import InputError
 
 _ORDER = {"changed": 0, "open": 1, "unchanged": 2}
@@ -38,8 +38,7 @@ def compare(before: Diagnosis | str | Path, after: Diagnosis | str | Path) -> Co
     findings = [*changed_findings(one, other)]
     changes = [*findings, *_inertia(one, other), *_unexplained(one, other)]
     changes.sort(key=lambda c: (_ORDER[c.verdict], -c.probability if c.probability == c.probability else 0.0))
-    statement = words.overall(changes)
-    return Comparison(one.robot, one.joints, one.name, other.name, statement, tuple(changes), tuple(_notes(one, other)))
+    return Comparison(one.robot, one.joints, one.name, other.name, tuple(changes), tuple(_notes(one, other)))
 
 
 def _check(before: Side, after: Side) -> None:
@@ -61,10 +60,8 @@ def _inertia(before: Side, after: Side) -> Iterator[Change]:
         load = load_like(before.inertia, after.inertia, before.bodies) if verdict == "changed" else None
         if load is None and sum(d.probability >= CERTAIN for d in parameters.values()) < LEAST_CHANGED:
             verdict = "unchanged" if verdict == "unchanged" else "open"
-        statement = words.of_inertia(verdict, probability, parameters, load)
-        yield Change(
-            "inertia", "", (), load.links if load else (), (), "both", verdict, probability, parameters, statement
-        )
+        links = load.links if load else ()
+        yield Change("inertia", "", (), links, (), "both", verdict, probability, parameters, load=load)
 
 
 def _unexplained(before: Side, after: Side) -> Iterator[Change]:
@@ -76,22 +73,18 @@ def _unexplained(before: Side, after: Side) -> Iterator[Change]:
             if shared and found == "after":
                 continue
             where: Found = "both" if shared else found  # type: ignore[assignment]
-            statement = words.of_unexplained(one, where)
-            yield Change("unexplained", "", one.joints, (), one.depends_on, where, "open", math.nan, {}, statement)
+            yield Change("unexplained", "", one.joints, (), one.depends_on, where, "open", math.nan, {})
 
 
-def _notes(before: Side, after: Side) -> Iterator[str]:
+def _notes(before: Side, after: Side) -> Iterator[Remark]:
     shared = sorted(set(before.recordings) & set(after.recordings))
     if shared:
-        yield f"both were made from recordings called {', '.join(shared)}: if they are the same, nothing has changed"
+        yield Remark("same recordings", {"recordings": shared})
     if before.cutoff_hz != after.cutoff_hz:
-        yield (
-            f"the band limits differ, {before.cutoff_hz:g} and {after.cutoff_hz:g} Hz; what acts between them may show "
-            "in one only: diagnose both with one --cutoff"
-        )
+        yield Remark("other cutoff", {"before_hz": before.cutoff_hz, "after_hz": after.cutoff_hz})
     if bool(before.simulated) != bool(after.simulated):
-        yield "one was compared with a simulation, the other with the URDF: what the simulator has is a difference too"
+        yield Remark("one simulated")
     if inertial_differences(before.inertia, after.inertia) is None:
-        yield "inertial parameters are not compared: parameters.json is missing, without intervals, or of other bodies"
+        yield Remark("inertia not compared")
     if not all(side.limits for side in (before, after)):
-        yield "one of the two does not say how large what it has not found could be; diagnose the recordings again"
+        yield Remark("no detection limits")

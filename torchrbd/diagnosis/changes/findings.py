@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import torch
 
-from torchrbd.diagnosis.changes import words
 from torchrbd.diagnosis.changes.reading import Side
 from torchrbd.diagnosis.changes.results import (
     LOOSER,
@@ -94,8 +93,7 @@ def _of_both(one: Finding, other: Finding, wider: float) -> Change:
     }
     probability = most(parameters.values())
     verdict = verdict_of(probability)
-    statement = words.of_both(one, verdict, probability, parameters)
-    return _change(one, "both", verdict, probability, parameters, statement)
+    return _change(one, "both", verdict, probability, parameters)
 
 
 def _of_one(finding: Finding, found: Found, other: Side, rivals: Sequence[Finding]) -> Change:
@@ -103,18 +101,18 @@ def _of_one(finding: Finding, found: Found, other: Side, rivals: Sequence[Findin
     others = [r for r in rivals if _may_be(finding, r) or _may_be(r, finding)]
     others = others or [r for r in rivals if set(r.joints) & set(finding.joints)]
     if others:
-        return _change(finding, found, "open", math.nan, {}, words.renamed(finding, others, found))
+        names = tuple(Alternative(r.effect, r.joints, r.links, r.depends_on) for r in others)
+        return replace(_change(finding, found, "open", math.nan, {}), rivals=names)
     limit = next((x for x in other.limits if _place(x) == _place(finding)), None)
     why = ""
     if _timed(finding):
-        why = "it acts for a time only, in recordings that the other diagnosis has not seen"
+        why = "window"
     elif limit is None or limit.parameter not in finding.parameters:
-        why = "the other diagnosis does not say how large it could have been unseen"
+        why = "no limit"
     elif not _alike_in_shape(finding, limit):
-        why = "how large it could have been unseen in the other data is known for another shape of it only"
+        why = "other shape"
     if why or limit is None:
-        statement = words.of_one(finding, "open", str(found), {}, why)
-        return _change(finding, found, "open", math.nan, {}, statement)
+        return replace(_change(finding, found, "open", math.nan, {}), reason=why)
     here, there = finding.parameters[limit.parameter], Quantity(limit.value, limit.std, limit.unit)
     size = max(_size(finding, limit.parameter, here), abs(limit.value - limit.none))
     pair = (there, here) if found == "after" else (here, there)
@@ -123,8 +121,7 @@ def _of_one(finding: Finding, found: Found, other: Side, rivals: Sequence[Findin
     verdict = verdict_of(probability)
     if verdict == "changed" and not _departs(finding, limit):
         verdict = "open"
-    statement = words.of_one(finding, verdict, str(found), parameters, "")
-    return _change(finding, found, verdict, probability, parameters, statement)
+    return _change(finding, found, verdict, probability, parameters)
 
 
 def _alike_in_shape(finding: Finding, limit: Limit) -> bool:
@@ -151,10 +148,9 @@ def _change(
     verdict: Verdict,
     probability: float,
     parameters: dict[str, Difference],
-    statement: str,
 ) -> Change:
     place = finding.joints, finding.links, finding.depends_on
-    return Change("finding", finding.effect, *place, found, verdict, probability, parameters, statement)
+    return Change("finding", finding.effect, *place, found, verdict, probability, parameters, finding.where)
 
 
 def _place(one: Finding | Limit) -> Place:

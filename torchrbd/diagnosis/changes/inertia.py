@@ -10,14 +10,13 @@ which is sought on every body; the one that explains d best, if it explains it, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from torchrbd.diagnosis.changes.reading import Inertia
-from torchrbd.diagnosis.changes.results import INERTIAL_TRIFLE, Difference, difference
+from torchrbd.diagnosis.changes.results import INERTIAL_TRIFLE, Difference, Load, difference
 from torchrbd.diagnosis.results import Quantity
 from torchrbd.parameters import PARAMETERS_PER_BODY
 
@@ -27,15 +26,6 @@ MOST_OF_URDF = 0.2
 LEFT, CLEARER = 0.2, 10.0
 # Standard deviations from zero that its mass has to be.
 SURE = 3.0
-
-
-@dataclass(frozen=True)
-class Load:
-    """A mass [kg] that would make a change, on one of some links that are as good, with its std."""
-
-    links: tuple[str, ...]
-    mass: float
-    std: float
 
 
 def inertial_differences(one: Inertia | None, other: Inertia | None) -> dict[str, Difference] | None:

@@ -82,7 +82,7 @@ def side_of(source: Diagnosis | str | Path, name: str) -> Side:
 
 def _check_verdict(name: str, verdict: object, statement: object) -> None:
     if verdict == "suspect":
-        raise InputError(f"{name}: its input is suspect, it tells nothing of the robot. {statement}")
+        raise InputError(f"{name}: its input is suspect, so that nothing can be compared. {statement}")
 
 
 def _of_diagnosis(result: Diagnosis, name: str) -> Side:

@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
-from torchrbd.diagnosis.results import Quantity
-from torchrbd.display import brief, few
+from torchrbd.diagnosis.results import Alternative, Quantity, Where
+from torchrbd.display import Remark, Stated, brief, few
 
 # Parts of a parameter's size: what is no change, and how large changes are.
 TRIFLE, CHANGE = 0.02, 0.3
@@ -43,6 +43,15 @@ Found = Literal["both", "before", "after"]
 
 
 @dataclass(frozen=True)
+class Load:
+    """A mass [kg] that would make a change, on one of some links that are as good, with its std."""
+
+    links: tuple[str, ...]
+    mass: float
+    std: float
+
+
+@dataclass(frozen=True)
 class Difference:
     """A parameter of two diagnoses.
 
@@ -61,7 +70,7 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Change:
+class Change(Stated):
     """What became of one thing that either diagnosis has.
 
     Attributes:
@@ -73,7 +82,11 @@ class Change:
         verdict: "changed" and "unchanged" are certain, "open" is what the data cannot tell.
         probability: that it changed, the largest of its parameters'; NaN where nobody knows.
         parameters: by name.
-        statement: a sentence for a person.
+        where: recordings and times of a finding.
+        reason: why the other data say nothing of it: "window" (it acts in a window of time), "no limit", "other shape"
+            (their detection limit is unknown, or of another shape); else empty.
+        rivals: effects of the other diagnosis that may be other names for it.
+        load: that would explain what changed in the rigid body.
     """
 
     kind: Kind
@@ -85,17 +98,19 @@ class Change:
     verdict: Verdict
     probability: float
     parameters: dict[str, Difference]
-    statement: str
+    where: Where = field(default_factory=Where)
+    reason: str = ""
+    rivals: tuple[Alternative, ...] = ()
+    load: Load | None = None
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Stated):
     """What changed between two diagnoses of one robot, the most certain first.
 
     Attributes:
         robot, joints: the robot.
         before, after: names of the diagnoses.
-        statement: a sentence or two for a person.
         changes: of what either has.
         notes: what else to know of the two.
     """
@@ -104,9 +119,8 @@ class Comparison:
     joints: tuple[str, ...]
     before: str
     after: str
-    statement: str
     changes: tuple[Change, ...]
-    notes: tuple[str, ...] = ()
+    notes: tuple[Remark, ...] = ()
 
     def __repr__(self) -> str:
         changed = [

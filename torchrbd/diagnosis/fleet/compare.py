@@ -7,11 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from torchrbd.diagnosis.changes.inertia import load_like
-from torchrbd.diagnosis.fleet import words
 from torchrbd.diagnosis.fleet.earlier import since_earlier
 from torchrbd.diagnosis.fleet.reading import read_member
 from torchrbd.diagnosis.fleet.results import FleetComparison, Member, MemberResult
-from torchrbd.diagnosis.fleet.sisters import LEAST_SISTERS, deviations, median_inertia, sisters
+from torchrbd.diagnosis.fleet.sisters import deviations, median_inertia, sisters
 from torchrbd.errors import InputError
 
 
@@ -39,13 +38,11 @@ def compare_fleet(
                 members.append(read_member(Path(folder) / name, name))
             except InputError as error:
                 failed[name] = f"{error} (remove {Path(folder) / name} to have it identified again)"
-    found = {
-        name: MemberResult(name, "failed", math.nan, why, 0, (), None, None, why, ()) for name, why in failed.items()
-    }
+    found = {name: MemberResult(name, "failed", math.nan, why, 0, (), None, None, ()) for name, why in failed.items()}
     for group in sisters(members):
         found |= {one.name: one for one in _compared(group, None if before is None else Path(before))}
     ordered = tuple(found[name] for name in names)
-    return FleetComparison(ordered, "" if before is None else str(before), words.of_fleet(ordered))
+    return FleetComparison(ordered, "" if before is None else str(before))
 
 
 def _compared(group: Sequence[Member], before: Path | None) -> Iterator[MemberResult]:
@@ -55,9 +52,8 @@ def _compared(group: Sequence[Member], before: Path | None) -> Iterator[MemberRe
     median = median_inertia(group) if odd else None
     for one in group:
         load = load_like(median, one.inertia, one.bodies) if one.name in odd else None
-        said = words.of_sisters(off[one.name], load, len(group), LEAST_SISTERS)
-        changes, since = (None, "") if before is None else since_earlier(before / one.name, one)
-        statement = "; ".join(filter(None, (said, since)))
+        changes, why, detail = (None, "", "") if before is None else since_earlier(before / one.name, one)
+        off_here = tuple(off[one.name])
         yield MemberResult(
-            one.name, one.verdict, one.nmse, "", len(group), tuple(off[one.name]), load, changes, statement, one.doubts
+            one.name, one.verdict, one.nmse, "", len(group), off_here, load, changes, one.doubts, why, detail
         )

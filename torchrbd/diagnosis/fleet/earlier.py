@@ -8,28 +8,30 @@ from pathlib import Path
 from torchrbd.diagnosis.changes.inertia import inertial_differences
 from torchrbd.diagnosis.changes.reading import PARAMETERS
 from torchrbd.diagnosis.changes.results import CERTAIN, LEAST_CHANGED, Difference, difference
-from torchrbd.diagnosis.fleet import words
 from torchrbd.diagnosis.fleet.reading import read_member
 from torchrbd.diagnosis.fleet.results import Member
 from torchrbd.errors import InputError
 
 
-def since_earlier(folder: Path, after: Member) -> tuple[dict[str, Difference] | None, str]:
-    """Return the parameters that changed for certain, None where nothing was compared, and the same in words."""
+def since_earlier(folder: Path, after: Member) -> tuple[dict[str, Difference] | None, str, str]:
+    """Return the parameters that changed for certain, None where nothing was compared; why, and a detail of that.
+
+    Why: "unknown" (no earlier results), "unreadable" (the error), "other robot" (its name), "other bodies" or "none
+    identified" (inertial parameters are not compared), either with ", no term" where no term is in both; "" if all was.
+    """
     if not (folder / PARAMETERS).is_file():
-        return None, "of the earlier time nothing is known"
+        return None, "unknown", ""
     try:
         before = read_member(folder, after.name)
     except InputError as error:
-        return None, words.of_changes(None, str(error))
+        return None, "unreadable", str(error)
     if before.robot != after.robot:
-        return None, words.of_changes(None, f"it was of robot '{before.robot}'")
+        return None, "other robot", before.robot
     inertial, shared = inertial_differences(before.inertia, after.inertia), before.terms.keys() & after.terms.keys()
-    why = "" if inertial else words.not_compared(inertial)
+    why = "" if inertial else "other bodies" if inertial is None else "none identified"
     if why and not shared:
-        return None, words.of_changes(None, f"{why}, and no term is in both")
-    changes = _changes(before, after, inertial or {}, shared)
-    return changes, words.of_changes(changes, why)
+        return None, f"{why}, no term", ""
+    return _changes(before, after, inertial or {}, shared), why, ""
 
 
 def _changes(

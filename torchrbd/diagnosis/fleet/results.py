@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torchrbd.diagnosis.changes.inertia import Load
 from torchrbd.diagnosis.changes.reading import Inertia
-from torchrbd.diagnosis.changes.results import Difference
+from torchrbd.diagnosis.changes.results import Difference, Load
 from torchrbd.diagnosis.results import Quantity
+from torchrbd.display import Stated
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Deviation:
 
 
 @dataclass(frozen=True)
-class MemberResult:
+class MemberResult(Stated):
     """What became of one robot.
 
     Attributes:
@@ -71,8 +71,9 @@ class MemberResult:
         deviations: where it differs from them, the most certain first.
         load: a load that explains what is different in its inertia, or None.
         changes: parameters that changed since the earlier time, by name; None without an earlier time.
-        statement: in a sentence for a person.
         doubts: of its identification.
+        not_compared: why something was not compared with the earlier time, see ``fleet/earlier.py``; empty if all was.
+        not_compared_detail: the name or message that belongs to it.
     """
 
     name: str
@@ -83,20 +84,19 @@ class MemberResult:
     deviations: tuple[Deviation, ...]
     load: Load | None
     changes: dict[str, Difference] | None
-    statement: str
     doubts: tuple[str, ...]
+    not_compared: str = ""
+    not_compared_detail: str = ""
 
 
 @dataclass(frozen=True)
-class FleetComparison:
+class FleetComparison(Stated):
     """A fleet: who differs, what changed.
 
     Attributes:
         members: in the order given.
         earlier: what the earlier time is called; empty without one.
-        statement: in a sentence or two.
     """
 
     members: tuple[MemberResult, ...]
     earlier: str
-    statement: str

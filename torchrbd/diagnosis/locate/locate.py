@@ -9,11 +9,10 @@ from torchrbd.diagnosis.locate.clock import Clock
 from torchrbd.diagnosis.locate.maps import leftover_maps
 from torchrbd.diagnosis.locate.search import Part, Search, coefficients
 from torchrbd.diagnosis.locate.signals import Smooth, smooth
-from torchrbd.diagnosis.locate.words import sentence
 from torchrbd.diagnosis.results import Curve, LeftoverMap, Location, Region, Where
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.white_rows import Rows
-from torchrbd.diagnosis.words import torque_unit
+from torchrbd.robot.units import torque_unit
 
 # A joint is named with a body where the body's torque is this part of the noise, and a recording where the part gains
 # this much of what it gains in the best one.
@@ -80,7 +79,7 @@ def _location(search: Search, part: Part, without: Fit, left: np.ndarray, quiet:
         hit = attack(without, _touched(search, part), part.form, robot.gravity.numpy())
     course = "abrupt" if part.stretch else "slow" if depends_on == ("t",) else ""
     unit = torque_unit(robot, felt[0])
-    names, size = tuple(joints[j] for j in felt), float(rms[felt[0]])
+    names = tuple(joints[j] for j in felt)
     share = _share(_counted(visible, rows), _counted(left, rows))
     return Location(
         model=model,
@@ -95,7 +94,7 @@ def _location(search: Search, part: Part, without: Fit, left: np.ndarray, quiet:
         share={joints[j]: float(share[j]) for j in felt},
         curve=curve,
         attack=hit,
-        statement=sentence(names, links, where, depends_on, part.form, course, size, unit, hit),
+        unit=unit,
     )
 
 

@@ -58,7 +58,7 @@ def instrumental_variables(problem: LinearProblem) -> tuple[Tensor, str]:
     b = problem.chosen
     inverse, rank = _pseudo_inverse(G[b][:, b], length_sq[b].sqrt())
     x = problem.reference + problem.lift @ (inverse @ (g - G @ problem.reference)[b])
-    return x, "" if rank == len(b) else f"the set-points tell {rank} of {len(b)} combinations"
+    return x, "" if rank == len(b) else f"the set-points identify {rank} of {len(b)} combinations"
 
 
 def _pseudo_inverse(A: Tensor, length: Tensor) -> tuple[Tensor, int]:

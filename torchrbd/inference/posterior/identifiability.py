@@ -41,7 +41,7 @@ class Identifiability:
         name, owner: of the parameter and its body.
         prior_share: 0 (told by the data) to 1 (told by the URDF alone).
         least_share: what would remain after every motion; above 0 where only combinations can be told.
-        status: "identified" alone, in a "combination" with others, "unexcited" (this data does not tell it although the
+        status: "identified" alone, in a "combination" with others, "unexcited" (this data does not identify it, the
             robot could), "not identifiable" tells it with the base fixed, or "held" as the URDF has it.
         combinations: the combinations of it that motions can tell, one sentence each, shortest first.
         motion: what to record to tell it, if "unexcited"; None where no short motion would at the present noise.
@@ -99,7 +99,7 @@ def _statement(
     if status == "held":
         return f"{name} was not fitted"
     if status == "not identifiable":
-        return f"no motion of this robot with its base fixed tells {name}"
+        return f"no motion of this robot with its base fixed identifies {name}"
     if status == "identified":
         return f"{name} is identified"
     if status == "combination":
@@ -107,11 +107,11 @@ def _statement(
         number = f"{len(others)} other combination{'s' if len(others) > 1 else ''}"
         return shortest + (f", and {number} with {name}" if others else "")
     share, least, after = (f"{100 * value:.0f} %" for value in shares)
-    said = f"this data does not tell {name} (prior's share {share})"
+    said = f"this data does not identify {name} (prior's share {share})"
     if not motion:
         return f"{said}; at this noise no {SECONDS:.0f} s of motion would, record longer or with less noise"
-    floor = f"; less than {least} no motion can, it is told in combination only" if combinations else ""
-    return f"{said}; to tell it, {motion}: {SECONDS:.0f} s would leave the prior a share of {after}{floor}"
+    floor = f"; less than {least} no motion can, it is identified in combination only" if combinations else ""
+    return f"{said}; to identify it, {motion}: {SECONDS:.0f} s would leave the prior a share of {after}{floor}"
 
 
 @dataclass(frozen=True)

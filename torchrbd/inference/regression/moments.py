@@ -36,7 +36,7 @@ class Moments:
         """
         if isinstance(X, Moments):
             if y is not None:
-                raise InputError("y is given beside moments, which hold it already; give moments alone")
+                raise InputError("y is given with moments, which hold it already; give moments alone")
             return X
         if y is None:
             raise InputError("y is missing: give inputs X (N, d) and outputs y (N,), or moments alone")

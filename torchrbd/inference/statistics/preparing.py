@@ -58,7 +58,9 @@ def of_moments(sources: Sequence[NamedSource], settings: Settings) -> bool:
             f"{files[0]}: '{settings.estimator}' needs recordings; from statistics parameters are fitted by '{MOMENTS}'"
         )
     if settings.payload:
-        raise OptionError(f"{files[0]}: known loads are taken off when statistics are made; tell 'torchrbd stats'")
+        raise OptionError(
+            f"{files[0]}: known loads are subtracted when statistics are made; give 'torchrbd stats' these"
+        )
     return True
 
 

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.suspicions.results import Suspicion
+from torchrbd.inference.suspicions.results import Meaning, Suspicion
 from torchrbd.inference.suspicions.samples import Samples
 from torchrbd.inference.suspicions.writing import Writing
 from torchrbd.recordings.channels import channels_of
@@ -112,14 +112,14 @@ def _told(limit: _Limit, odds: float, beyond: float, prepared: Prepared) -> Susp
     joint = prepared.robot.joint_names[limit.joint]
     unit = "N" if bool(prepared.robot.prismatic[limit.joint]) else "N m"
     effort = float(prepared.robot.effort[limit.joint])
-    known = ", which is its effort limit in the URDF" if math.isclose(abs(limit.value), effort, rel_tol=1e-3) else ""
+    known = math.isclose(abs(limit.value), effort, rel_tol=1e-3)
     return Suspicion(
         "clipped torque",
         (joint,),
         odds,
         math.nan,
-        f"{limit.column} is cut off at {limit.value:.4g} {unit}{known}: {100 * limit.share:.2g} % of its rows are "
-        f"there, where the motion asks for {beyond:.2g} {unit} more on average",
-        f"empty {limit.column} in these rows, which are then left out, or record a motion with less torque",
+        Meaning("clipped torque", (joint,), unit),
+        sizes={"limit": limit.value, "share": limit.share, "beyond": beyond, "is_effort_limit": float(known)},
+        names={"column": limit.column},
         settles=False,
     )

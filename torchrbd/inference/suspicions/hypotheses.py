@@ -15,17 +15,17 @@ from torchrbd.robot import RobotModel
 
 _DEGREE = math.pi / 180.0
 TESTED = (
-    "degrees for radians",
-    "millimetres for metres",
-    "milliseconds, microseconds or nanoseconds for seconds",
-    "torques or positions of the opposite sign",
-    "columns of two joints exchanged",
-    "another direction of gravity",
-    "currents or other units for torques",
-    "torques that are cut off",
-    "the URDF of another variant, with links of other lengths",
+    "degrees",
+    "millimetres",
+    "time unit",
+    "sign",
+    "swapped columns",
+    "gravity",
+    "torque gain",
+    "clipped torque",
+    "variant",
 )
-"""What is looked for, in words."""
+"""Kinds of what is looked for."""
 
 
 @dataclass(frozen=True)

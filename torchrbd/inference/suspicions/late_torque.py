@@ -11,11 +11,11 @@ import math
 from dataclasses import replace
 
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.suspicions.results import Suspicion, Suspicions
+from torchrbd.inference.suspicions.results import Meaning, Suspicion, Suspicions
 
 # Standard deviations within which an offset may lie.
 _LIKELY = 3.0
-_TESTED = "torques of an earlier or a later sample"
+_TESTED = "late torque"
 
 
 def with_late_torque(suspected: Suspicions, prepared: Prepared) -> Suspicions:
@@ -43,15 +43,14 @@ def late_torque(prepared: Prepared) -> Suspicion | None:
     weights = [std**-2.0 for (_, std), _ in offsets]
     mean = sum(w * delay for w, ((delay, _), _) in zip(weights, offsets, strict=True)) / sum(weights)
     delay = prepared.recordings[0].torque_delay_s + number / offsets[0][1]
-    count, way = f"{abs(number)} sample{'s' * (abs(number) > 1)}", "later" if number > 0 else "earlier"
     return Suspicion(
         "late torque",
         (),
         sum(0.5 * (delay / std) ** 2 for (delay, std), _ in offsets),
         math.nan,
-        f"the torques are {count} {way} than the motion "
-        f"({1e3 * abs(mean):.3g} ± {1.96e3 * sum(weights) ** -0.5:.2g} ms)",
-        f"fits allow for it; if the table was written so, give --mapping a file with '{{torque_delay: {delay:.4g}}}'",
+        Meaning("late torque"),
+        sizes={"samples": float(number), "delay_s": mean, "delay_std_s": sum(weights) ** -0.5},
+        mapping={"torque_delay": float(f"{delay:.4g}")},
         settles=False,
         spoils=False,
     )

@@ -33,8 +33,8 @@ import torch
 from torch import Tensor
 
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.suspicions import words
 from torchrbd.inference.suspicions.clipping import clipped_torques
+from torchrbd.inference.suspicions.correcting import suspicion, too_fast
 from torchrbd.inference.suspicions.explained import Explained
 from torchrbd.inference.suspicions.hypotheses import TESTED, Hypothesis, gains, hypotheses
 from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicion, Suspicions
@@ -83,18 +83,18 @@ def suspicions(prepared: Prepared) -> Suspicions:
         best, alike = (likely or [None])[0], [one for one in likely[1:] if one.log_odds > likely[0].log_odds - BOUND]
         if best is None or (best.hypothesis.is_swap and any(_swaps_others(one, best) for one in alike)):
             break
-        found.append(words.told(best.hypothesis, [o.hypothesis for o in alike], best.log_odds, best.ratio, prepared))
+        found.append(suspicion(best.hypothesis, [o.hypothesis for o in alike], best.log_odds, best.ratio, prepared))
         now, base = best.hypothesis.writing, best.explained
     if not found:
         found += clipped_torques(prepared, samples, now, BOUND)
         found += filter(None, [another_variant(samples, now, BOUND)])
     gained = _other_unit(samples, now)
     if gained is not None:
-        found.append(words.told(gained.hypothesis, (), gained.log_odds, None, prepared))
+        found.append(suspicion(gained.hypothesis, (), gained.log_odds, None, prepared))
     times = _speed(surveys, now) / robot.velocity.numpy()
     far = {name: float(x) for name, x in zip(robot.joint_names, times, strict=True) if np.isfinite(x) and x > _FAR}
     if far:
-        found.append(words.too_fast(far))
+        found.append(too_fast(far))
     return Suspicions(tuple(found), TESTED)
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from torchrbd.effects import effect
 from torchrbd.inference.suspicions.explained import Explained
 from torchrbd.inference.suspicions.geometry import Moved, move_joints
-from torchrbd.inference.suspicions.results import Suspicion
+from torchrbd.inference.suspicions.results import Meaning, Suspicion
 from torchrbd.inference.suspicions.samples import ROTORS, SPRINGS, Samples
 from torchrbd.inference.suspicions.writing import Writing
 from torchrbd.robot import RobotModel, joint_origins
@@ -113,17 +113,15 @@ def _told(
     times = float((base.known / tried.known)[samples.judged].log().mean().exp())
     parents = {joint.name: joint.parent for joint in robot.description.joints}
     names = tuple(robot.joint_names[j] for j in joints)
-    pairs = zip(names, found.size.tolist(), joint_origins(robot)[joints].norm(dim=1).tolist(), strict=True)
-    lengths = (
-        f"{name} {(1.0 + s) * length:.2g} m from the origin of {parents[name]} instead of {length:.2g} m"
-        for name, s, length in pairs
-    )
+    given = dict(zip(names, joint_origins(robot)[joints].norm(dim=1).tolist(), strict=True))
+    sizes = {name: (1.0 + s) * given[name] for name, s in zip(names, found.size.tolist(), strict=True)}
     return Suspicion(
         "variant",
         names,
         odds,
         times,
-        f"the torques fit {times:.2g} times better with other lengths of links, {', '.join(lengths)}",
-        "is this the URDF of this robot's variant? If not, give that of the robot that was recorded",
+        Meaning("variant", names),
+        sizes=sizes | {f"{name}, URDF": length for name, length in given.items()},
+        names={name: parents[name] for name in names},
         settles=False,
     )

@@ -1,12 +1,12 @@
-"""Numbers as a person reads them."""
+"""Numbers, lists and typography, as a person reads them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 MINUS = "\N{MINUS SIGN}"
-# A spread that begins with this or more is told by one digit; a second would say nothing of the value.
+# A spread that begins with this or more has one digit; a second would say nothing of the value.
 _ONE_DIGIT = 3.55
 _MOST_DECIMALS = 6
 _KNOWN = {"1": "", "N m s^2/rad": "kg m^2", "N s^2/m": "kg"}
@@ -72,10 +72,10 @@ def percent(part: float) -> str:
     return f"{100 * part:.2g} %" if part < 0.995 else f"{100 * part:.0f} %"
 
 
-def as_large(ratio: float, low: float, high: float) -> str:
-    """Return a ratio and its interval, e.g. "1.02 times as large as found (0.81 to 1.22)"."""
+def ratio_with_interval(ratio: float, low: float, high: float) -> str:
+    """Return a ratio with its 95 % interval, e.g. "1.02 (95 %: 0.81 to 1.22)"."""
     value, *ends = (f"{x:.2f}".replace("-", MINUS) for x in (ratio, low, high))
-    return f"{value} times as large as found ({' to '.join(ends)})"
+    return f"{value} (95 %: {' to '.join(ends)})"
 
 
 def unit(symbol: str) -> str:
@@ -92,3 +92,55 @@ def joined(words: Iterable[str], last: str = "and") -> str:
     """Return "a, b and c", every word once; nothing for none."""
     *first, end = dict.fromkeys(words) or ("",)
     return f"{', '.join(first)} {last} {end}" if first else end
+
+
+def as_many_as_fit(items: Sequence[str], words: int, last: str = "and", rest: str = "more") -> str:
+    """Return items joined, as many as so many words hold but one at least, and how many others: "a, b and 3 more"."""
+    items = list(dict.fromkeys(items))
+    for count in range(len(items), 0, -1):
+        others = [f"{len(items) - count} {rest}"] if count < len(items) else []
+        text = joined([*items[:count], *others], last)
+        if len(text.split()) <= words or count == 1:
+            return text
+    return ""
+
+
+def capital(words: str) -> str:
+    """Return words with a capital first."""
+    return words[:1].upper() + words[1:]
+
+
+def sentence(words: str) -> str:
+    """Return words as a sentence: a capital first, a full stop last unless they end with one or a question mark."""
+    return capital(words) + ("" if words.endswith(("?", ".")) else ".")
+
+
+def probability(p: float) -> str:
+    """Return a probability in per cent; only certainty is 0 or 100, and a dash is what nobody knows."""
+    if math.isnan(p):
+        return "–"
+    if 0.995 <= p < 1.0:
+        return "> 99 %"
+    return "< 1 %" if 0.0 < p < 0.005 else f"{100 * p:.0f} %"
+
+
+def change(before: float, after: float) -> str:
+    """Return by how much an error fell or rose."""
+    if not (before > 0 and math.isfinite(after)):
+        return ""
+    factor = max(before / after, after / before) if after > 0 else 1.0
+    if factor > 100:
+        times = f"{float(f'{factor:.2g}'):,.0f}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+        return f"{times} times {'less' if after < before else 'more'}"
+    return f"{100 * (after / before - 1):+.0f} %".replace("+0 %", "±0 %").replace("-0 %", "±0 %").replace("-", MINUS)
+
+
+def tied(sentence: str) -> str:
+    """Return a sentence that breaks no line before a per-cent sign or N m, after < or around ±."""
+    return (
+        sentence.replace(" %", "\N{NO-BREAK SPACE}%")
+        .replace("< ", "<\N{NO-BREAK SPACE}")
+        .replace(" N m", "\N{NO-BREAK SPACE}N\N{NO-BREAK SPACE}m")
+        .replace("(± ", "(±\N{NO-BREAK SPACE}")
+        .replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
+    )
