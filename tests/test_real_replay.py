@@ -39,5 +39,5 @@ def test_diagnosed(name: str, tmp_path: Path) -> None:
     result, nmse = replayed("diagnose", name, tmp_path)
     assert nmse == pytest.approx(result.fits["extended"].nmse, rel=1e-6)
     # What a finding of clocks moves is in the exports too.
-    words = " ".join(torchrbd.unsaid(torchrbd.load_model(tmp_path), "urdf"))
+    words = " ".join(torchrbd.not_exported(torchrbd.load_model(tmp_path), "urdf"))
     assert all((c.delay_s == 0) or "the torque is" in words for c in result.model.conditions.values())

@@ -16,7 +16,7 @@ _NAMES = {
     "diagnosis": ("Comparison", "Diagnosis", "Finding", "Ranking", "compare", "diagnose", "rank"),
     "errors": ("InputError", "OptionError", "PhysicalError", "RecordingError", "RobotError", "TorchRBDError"),
     "excitation": ("Excitation", "excite"),
-    "export": ("load_model", "save_model", "to_actuator_net", "to_mjcf", "to_urdf", "unsaid"),
+    "export": ("load_model", "save_model", "to_actuator_net", "to_mjcf", "to_urdf", "not_exported"),
     "inference": (
         "BaseRegression",
         "EstimatorComparison",

@@ -2,7 +2,7 @@ from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare,
 from torchrbd.effects import known_effects, register
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.excitation import Excitation, excite
-from torchrbd.export import load_model, save_model, to_actuator_net, to_mjcf, to_urdf, unsaid
+from torchrbd.export import load_model, not_exported, save_model, to_actuator_net, to_mjcf, to_urdf
 from torchrbd.inference import (
     BaseRegression,
     EstimatorComparison,
@@ -68,6 +68,7 @@ __all__ = [
     "known_effects",
     "load_model",
     "merge_statistics",
+    "not_exported",
     "open_recording",
     "parameter_groups",
     "rank",
@@ -80,7 +81,6 @@ __all__ = [
     "to_actuator_net",
     "to_mjcf",
     "to_urdf",
-    "unsaid",
     "write_report",
     "write_statistics",
 ]

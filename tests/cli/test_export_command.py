@@ -49,7 +49,7 @@ def test_the_file_is_what_the_function_writes(case: Path, tmp_path: Path, capsys
     assert file.read_bytes() == torchrbd.to_mjcf(model)
     words = told(capsys)
     assert f"wrote {file}" in words
-    for sentence in torchrbd.unsaid(model):
+    for sentence in torchrbd.not_exported(model):
         assert f"- {sentence}" in words
     assert "beside the model" not in words
 

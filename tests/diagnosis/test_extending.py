@@ -23,7 +23,7 @@ from torchrbd.effects import Site, effect
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
 from torchrbd.inference.physical.fitting import judge
-from torchrbd.inference.physical.terms import told_parameters
+from torchrbd.inference.physical.terms import estimated_parameters
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.robot import RobotModel
@@ -79,8 +79,8 @@ def test_a_curve_over_the_velocity_changes_nothing_else(model: Extended) -> None
 
 def test_intervals_are_those_of_the_model_without_it(model: Extended) -> None:
     for f in model.first.proper_terms[: len(model.friction)]:
-        for name, (value, std) in told_parameters(model.model, f).items():
-            assert (value, std) == pytest.approx(told_parameters(model.first, f)[name], rel=1e-9)
+        for name, (value, std) in estimated_parameters(model.model, f).items():
+            assert (value, std) == pytest.approx(estimated_parameters(model.first, f)[name], rel=1e-9)
 
 
 def test_it_is_where_the_posterior_of_what_is_left_is_largest(model: Extended) -> None:

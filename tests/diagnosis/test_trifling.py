@@ -17,7 +17,7 @@ from likelihood.fits import at_joint
 from torchrbd.diagnosis import explain as explaining
 from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.results import Where
-from torchrbd.diagnosis.trifling import contradicted, is_trifling, set_apart
+from torchrbd.diagnosis.trifling import contradicted, is_negligible, split_negligible
 from torchrbd.effects import Site
 from torchrbd.likelihood.columns import Candidate
 
@@ -51,7 +51,7 @@ def test_held_out_time_that_contradicts_a_finding_sets_it_apart(
         nmse_after={"hinge": after},
         torque_rms={"hinge": 1.0},
     )
-    assert is_trifling(one, of_joints("hinge")) is trifling
+    assert is_negligible(one, of_joints("hinge")) is trifling
     assert contradicted(one) is (after > 0.1), "and it leaves the model, whenever it acts"
 
 
@@ -69,7 +69,7 @@ def test_what_acts_on_several_joints_is_judged_by_all_of_them(
         nmse_after={"hinge": 0.05, "slide": other},
         torque_rms={"hinge": 1.0, "slide": 1.0},
     )
-    assert is_trifling(one, of_joints("hinge", "slide")) is trifling
+    assert is_negligible(one, of_joints("hinge", "slide")) is trifling
     assert one.share_of_all == pytest.approx(1.0 - (0.05 + other) / 0.4)
 
 
@@ -83,7 +83,7 @@ def test_what_carries_little_of_its_own_joints_torque_is_trifling(joints: tuple[
         nmse_after={"hinge": 0.1, "slide": 0.095},
         torque_rms={"hinge": 0.005, "slide": 0.02},
     )
-    assert is_trifling(one, of_joints("hinge", "slide")) is trifling
+    assert is_negligible(one, of_joints("hinge", "slide")) is trifling
 
 
 def test_of_findings_that_stand_in_for_each_other_one_is_told() -> None:
@@ -97,7 +97,7 @@ def test_of_findings_that_stand_in_for_each_other_one_is_told() -> None:
         friction = 0.5 * ({"viscous_friction", "power_law_friction"} <= names)
         return {"hinge": 0.01 + friction + 0.2 * ("joint_spring" in names), "other": 0.1}
 
-    kept, apart = set_apart(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
+    kept, apart = split_negligible(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
     assert [one.effect for _, one in kept] == ["viscous_friction", "joint_spring"]
     assert [one.effect for _, one in apart] == ["torque_ripple", "power_law_friction"]
     assert kept[0][1].nmse_before == {"hinge": 0.51}
@@ -112,7 +112,7 @@ def test_what_is_set_apart_is_trifling_all_together() -> None:
     def error_without(gone: Sequence[SimpleNamespace]) -> dict[str, float]:
         return {"hinge": 0.01 / (1.0 - 0.015 * len(gone))}
 
-    kept, apart = set_apart(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
+    kept, apart = split_negligible(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
     assert (len(kept), len(apart)) == (2, 1)
 
 
@@ -126,7 +126,7 @@ def test_what_is_worse_than_nothing_without_what_is_set_apart_goes_too() -> None
         names = {one.name for one in gone}
         return {"hinge": errors[tuple(sorted(names - {"backlash"}))] + 0.3 * ("backlash" in names)}
 
-    kept, apart = set_apart(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
+    kept, apart = split_negligible(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
     assert [one.effect for _, one in kept] == ["backlash"]
     assert [one.effect for _, one in apart] == ["torque_ripple", "joint_spring"]
     assert kept[0][1].nmse_after == {"hinge": 0.05}
@@ -141,7 +141,7 @@ def test_what_other_joints_need_is_not_trifling() -> None:
         friction = "coulomb_friction" in {one.name for one in gone}
         return {"hinge": 0.012 - 0.004 * friction, "slide": 0.01 + 0.01 * friction, "wrist": 0.01 + 0.01 * friction}
 
-    kept, apart = set_apart(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
+    kept, apart = split_negligible(told, error_without, lambda _, one: one.share < 0.02)  # type: ignore[arg-type]
     assert [one.effect for _, one in kept] == ["coulomb_friction"]
     assert [one.effect for _, one in apart] == ["torque_ripple"]
 

@@ -123,7 +123,7 @@ def test_coulomb_friction_that_another_law_contains(
     model = RigidBodyDynamics(RobotModel.from_urdf(URDF), terms=terms)
     text = to_urdf(model)
     assert float(RobotModel.from_urdf(text).friction[0]) == pytest.approx(friction + 0.1)
-    (sentence,) = torchrbd.unsaid(model, "urdf")
+    (sentence,) = torchrbd.not_exported(model, "urdf")
     assert sentence.startswith(f"{effect(name).words} at swing")
     assert words in sentence
     (comment,) = etree.fromstring(text).iter(etree.Comment)
@@ -165,7 +165,7 @@ def test_what_would_drive_a_joint_is_refused(
             with pytest.raises(PhysicalError, match=f"swing: {name} is -0.2.*Fit the term again"):
                 written(model, to)
             with pytest.raises(PhysicalError, match=name):
-                torchrbd.unsaid(model, to)
+                torchrbd.not_exported(model, to)
 
 
 def test_friction_of_some_recordings_is_not_in_the_file() -> None:
@@ -173,7 +173,7 @@ def test_friction_of_some_recordings_is_not_in_the_file() -> None:
     cold = Term(one, Site(0, recordings=("cold.csv",)), torch.ones(1, dtype=torch.float64), {})
     model = RigidBodyDynamics(RobotModel.from_urdf(URDF), terms=[cold])
     assert etree.fromstring(to_urdf(model)).find("joint/dynamics") is None
-    (sentence,) = torchrbd.unsaid(model, "urdf")
+    (sentence,) = torchrbd.not_exported(model, "urdf")
     assert sentence.startswith("Coulomb friction at swing in cold.csv")
     assert sentence.endswith("does not act always, and the file is of one condition")
 

@@ -112,7 +112,9 @@ def test_dry_friction_in_motion(seed: int) -> None:
         term("asymmetric_coulomb_friction", Site(1), coulomb_plus=1.0, coulomb_minus=0.4),
     )
     assert_same(model, seed=seed)
-    assert any(sentence.startswith("dry friction near rest, of joint1, joint2") for sentence in torchrbd.unsaid(model))
+    assert any(
+        sentence.startswith("dry friction near rest, of joint1, joint2") for sentence in torchrbd.not_exported(model)
+    )
 
 
 def test_in_fast_motion_friction_that_is_there_in_part_is_whole() -> None:
@@ -123,7 +125,7 @@ def test_in_fast_motion_friction_that_is_there_in_part_is_whole() -> None:
     given = states(arm())
     tau = arm(*dry)(*map(torch.from_numpy, given)).detach().numpy()
     np.testing.assert_allclose(by_mujoco(arm(stribeck, bristles), *given, ARM), tau, rtol=0, atol=1e-9)
-    told = torchrbd.unsaid(arm(stribeck, bristles))
+    told = torchrbd.not_exported(arm(stribeck, bristles))
     assert any("frictionloss is friction in motion" in s for s in told)
     assert any('MJCF: <dcmotor lugre="50.0 0.0 0.5 0.5 1.0">' in s for s in told)
 
@@ -160,7 +162,7 @@ def test_couplings_from_both_sides_are_tendons(k: float) -> None:
         *(term("viscous_friction", Site(j), viscous=1.4) for j in (1, 2)),
     )
     assert_same(model)
-    assert not any("coupling" in sentence for sentence in torchrbd.unsaid(model))
+    assert not any("coupling" in sentence for sentence in torchrbd.not_exported(model))
 
 
 def test_a_coupling_that_joints_do_not_damp_is_not_in_the_file() -> None:
@@ -170,7 +172,7 @@ def test_a_coupling_that_joints_do_not_damp_is_not_in_the_file() -> None:
     text = torchrbd.to_mjcf(model).decode()
     assert 'damping="-' not in text
     assert "<fixed" not in text
-    assert any("by their speeds (0.7)" in sentence for sentence in torchrbd.unsaid(model))
+    assert any("by their speeds (0.7)" in sentence for sentence in torchrbd.not_exported(model))
 
 
 def test_a_motor_of_two_joints_is_a_tendon() -> None:
@@ -179,7 +181,7 @@ def test_a_motor_of_two_joints_is_a_tendon() -> None:
     assert_same(arm(term("coupled_motor", Site(2, other=1), **motor)))
     assert_same(arm(term("coupled_motor", Site(2, other=1), **motor), *both))
     uneven = arm(term("coupled_motor", Site(2, other=1), **motor), *both[:1])
-    assert any("divided by the gain" in sentence for sentence in torchrbd.unsaid(uneven))
+    assert any("divided by the gain" in sentence for sentence in torchrbd.not_exported(uneven))
 
 
 def test_a_coupling_from_one_side_acts_on_the_other_joint_too_and_is_told() -> None:
@@ -188,7 +190,7 @@ def test_a_coupling_from_one_side_acts_on_the_other_joint_too_and_is_told() -> N
     apart = by_mujoco(model, *given, ARM) - model(*map(torch.from_numpy, given)).detach().numpy()
     np.testing.assert_allclose(apart[:, :2], 0.0, atol=1e-9)
     np.testing.assert_allclose(apart[:, 2], -2.0 * given[0][:, 0], atol=1e-9)
-    (sentence,) = [s for s in torchrbd.unsaid(model) if "coupling" in s]
+    (sentence,) = [s for s in torchrbd.not_exported(model) if "coupling" in s]
     assert sentence.endswith("the model has -2 at joint1 and 0 at joint3")
 
 
@@ -237,7 +239,11 @@ def test_every_effect_is_in_the_file_or_told(name: str) -> None:
     given = {key: value * SMALL.get(name, 1.0) for key, value in sizes(effect(name)).items()}
     one = term(name, site_of(effect(name)), **given)
     model = arm(one)
-    told = [sentence for sentence in torchrbd.unsaid(model) if effect(name).words in sentence or "coupling" in sentence]
+    told = [
+        sentence
+        for sentence in torchrbd.not_exported(model)
+        if effect(name).words in sentence or "coupling" in sentence
+    ]
     assert len(told) <= 1
     assert told or effect(name).mjcf(given)
     if not told and name not in ("time_delay", "actuator_lag"):
@@ -258,13 +264,13 @@ def test_what_acts_for_a_time_is_told_and_not_written() -> None:
     one = term("joint_spring", Site(0, recordings=("cold.csv",)), stiffness=3.0, rest_position=0.4)
     assert_same(arm(one))
     place = "joint spring at joint1 in cold.csv (stiffness 3 N m/rad, rest_position 0.4 rad)"
-    assert torchrbd.unsaid(arm(one))[0].startswith(place)
+    assert torchrbd.not_exported(arm(one))[0].startswith(place)
 
 
 def test_comments_say_what_the_function_says() -> None:
     model = arm(term("power_law_friction", Site(0), friction=1.0, exponent=0.5))
     comments = [node.text.strip() for node in etree.fromstring(torchrbd.to_mjcf(model)).iter(etree.Comment)]
-    assert comments[1:] == list(torchrbd.unsaid(model))
+    assert comments[1:] == list(torchrbd.not_exported(model))
     assert comments[1].startswith("power-law friction at joint1 (friction 1 N m (s/rad)^a, exponent 0.5): MJCF has")
 
 
@@ -312,7 +318,7 @@ def test_what_mujoco_refuses_gets_next_to_nothing_and_is_told(one: str, two: str
     urdf = bare(one, two)
     model = arm(urdf=urdf)
     assert_same(model, urdf)
-    assert any(sentence.startswith(words) for sentence in torchrbd.unsaid(model))
+    assert any(sentence.startswith(words) for sentence in torchrbd.not_exported(model))
 
 
 @pytest.mark.parametrize("two", ["2 .1 .1 .3", "2 .1 .1 -.1", "0 .1 .1 .1"])
@@ -334,7 +340,7 @@ def test_names_limits_and_gravity() -> None:
 
 def test_numbers_that_are_not_finite_are_told() -> None:
     model = arm(term("encoder_offset", Site(1), offset=float("nan")))
-    told = torchrbd.unsaid(model)
+    told = torchrbd.not_exported(model)
     assert any("encoder offset at joint2" in s and s.endswith("not finite") for s in told)
     compiled(model)
 
@@ -353,11 +359,11 @@ def test_urdf_lacks_more() -> None:
         term("rotor_inertia", Site(1), rotor_inertia=0.2),
         gravity=(0.0, 9.81, 0.0),
     )
-    rotor, gravity = torchrbd.unsaid(model, "urdf")
+    rotor, gravity = torchrbd.not_exported(model, "urdf")
     assert rotor == "rotor inertia (armature) at joint2 (rotor_inertia 0.2 N m s^2/rad): URDF has no word for it"
     assert gravity.startswith("gravity, which is 0 9.81 0 m/s^2 in the base's axes")
     with pytest.raises(OptionError, match="there is no format 'sdf'; expected urdf or mjcf"):
-        torchrbd.unsaid(model, "sdf")
+        torchrbd.not_exported(model, "sdf")
 
 
 @pytest.mark.parametrize(
@@ -381,5 +387,5 @@ def test_limits_that_mujoco_does_not_take_are_told(limit: str, words: str) -> No
         f'type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>{limit}</joint></robot>'
     )
     model = arm(urdf=urdf)
-    assert any(one.startswith(words) for one in torchrbd.export.unsaid(model))
+    assert any(one.startswith(words) for one in torchrbd.export.not_exported(model))
     assert compiled(model).nv == 1

@@ -143,7 +143,7 @@ def test_identified(off: dict[str, float], tmp_path: Path) -> None:
     assert again.reported == again.nmse
     assert max(torchrbd.replay(tmp_path, three).nmse.values()) < 3.0 * max(again.nmse.values())
     model = torchrbd.load_model(tmp_path)
-    condition, words = model.conditions[OTHERS], " ".join(torchrbd.unsaid(model))
+    condition, words = model.conditions[OTHERS], " ".join(torchrbd.not_exported(model))
     assert condition.delay_s == pytest.approx(off.get("delay_s", 0.0), rel=0.05, abs=1e-3)
     assert condition.lag_s == pytest.approx(off.get("lag_s", 0.0), rel=0.05)
     assert bool(re.search(r"recordings fit, other, all others: the torque is 0\.02\d+ s early", words)) is (
@@ -195,7 +195,7 @@ def test_a_known_load(tmp_path: Path) -> None:
     again = torchrbd.replay(tmp_path, two)
     assert again.nmse == pytest.approx(found.fits["extended"].nmse, rel=1e-9)
     assert max(again.nmse.values()) < 5e-3
-    assert any("a known load of 0.8 kg" in words for words in torchrbd.unsaid(found.model))
+    assert any("a known load of 0.8 kg" in words for words in torchrbd.not_exported(found.model))
     unloaded = torchrbd.replay(tmp_path, two, payload=["heavy=0.000001,0,0,0@" + link])
     assert max(unloaded.nmse.values()) > 10 * max(again.nmse.values())
 
@@ -209,7 +209,9 @@ def test_a_simulator_that_a_model_lacks_is_asked_for(tmp_path: Path) -> None:
         torchrbd.replay(found.model, two)
     again = torchrbd.replay(found.model, two, simulated=made[1:])
     assert again.nmse == pytest.approx(found.fits["extended"].nmse, rel=1e-9)
-    assert any("what the simulation simulated b has beyond the URDF" in words for words in torchrbd.unsaid(found.model))
+    assert any(
+        "what the simulation simulated b has beyond the URDF" in words for words in torchrbd.not_exported(found.model)
+    )
 
 
 def test_spans_hold_the_rows_that_are_held_out() -> None:

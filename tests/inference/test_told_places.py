@@ -14,7 +14,7 @@ from torchrbd.effects import (
     Site,
     Window,
 )
-from torchrbd.effects.told import ToldEffect, told_sites
+from torchrbd.effects.told import RequestedEffect, requested_sites
 from torchrbd.errors import OptionError
 from torchrbd.inference.identify import identify
 from torchrbd.recordings import Recording
@@ -79,17 +79,20 @@ def test_places_of_pairs_and_of_windows() -> None:
         def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
             return tuple(Site(1, 0, window=w) for w in windows)
 
-    timed = ToldEffect(Timed(), "joint2_joint1", Window("a.csv", 2.0, 8.0))
-    sites, windows = told_sites([timed, ToldEffect(Ripple(), "joint3")], robot, ["a.csv", "b.csv"])
+    timed = RequestedEffect(Timed(), "joint2_joint1", Window("a.csv", 2.0, 8.0))
+    sites, windows = requested_sites([timed, RequestedEffect(Ripple(), "joint3")], robot, ["a.csv", "b.csv"])
     assert sites == {"test_ripple": (Site(1, 0, window=windows[0]), Site(2))}
     assert windows == (Window("a.csv", 2.0, 8.0),)
-    offset, pulled = ToldEffect.parse("torque_offset@joint2"), ToldEffect.parse("torque_offset@joint2@a.csv=2:8")
-    sites, _ = told_sites([offset, timed], robot, ["a.csv"])
+    offset, pulled = (
+        RequestedEffect.parse("torque_offset@joint2"),
+        RequestedEffect.parse("torque_offset@joint2@a.csv=2:8"),
+    )
+    sites, _ = requested_sites([offset, timed], robot, ["a.csv"])
     assert sites["torque_offset"] == (Site(1),)
-    sites, _ = told_sites([offset, pulled, timed], robot, ["a.csv"])
+    sites, _ = requested_sites([offset, pulled, timed], robot, ["a.csv"])
     assert sites["torque_offset"] == (Site(1), Site(1, window=windows[0]))
     with pytest.raises(OptionError, match=r"'test_ripple' acts for a time only; give it as .*@RECORDING="):
-        told_sites([ToldEffect(Timed(), "joint2_joint1")], robot, ["a.csv"])
-    assert ToldEffect.parse("rotor_inertia@joint3@a.csv=2:").window == Window("a.csv", 2.0)
-    assert ToldEffect.parse("rotor_inertia@joint3@a.csv").window == Window("a.csv")
-    assert ToldEffect.parse("rotor_inertia") == ToldEffect(ALL["rotor_inertia"])
+        requested_sites([RequestedEffect(Timed(), "joint2_joint1")], robot, ["a.csv"])
+    assert RequestedEffect.parse("rotor_inertia@joint3@a.csv=2:").window == Window("a.csv", 2.0)
+    assert RequestedEffect.parse("rotor_inertia@joint3@a.csv").window == Window("a.csv")
+    assert RequestedEffect.parse("rotor_inertia") == RequestedEffect(ALL["rotor_inertia"])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from torchrbd.cli.tables import print_export
 from torchrbd.errors import InputError, OptionError
-from torchrbd.export import load_model, unsaid
+from torchrbd.export import load_model, not_exported
 from torchrbd.export.check import check_file
 from torchrbd.export.simulators import written
 from torchrbd.outputs import check_file as check_output
@@ -38,7 +38,7 @@ def export(
         raise OptionError(f"output '{file}': expected a file that ends in {_SUFFIXES[to]}")
     check_output(file)
     model = load_model(source)
-    content, lacking = written(model, to), unsaid(model, to)
+    content, lacking = written(model, to), not_exported(model, to)
     found = None
     if check:
         found = check_file(model, to, check, mapping=mapping, cutoff_hz=cutoff_hz)

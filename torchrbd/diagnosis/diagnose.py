@@ -16,14 +16,14 @@ from torchrbd.diagnosis.posterior import refit_matters
 from torchrbd.diagnosis.proof import proofs
 from torchrbd.diagnosis.ranking import ranking, without_terms
 from torchrbd.diagnosis.refuting import friction_alone, functions_alone, is_refuted, shown_of, what_counts
-from torchrbd.diagnosis.results import Diagnosis, Finding, LeftoverMap, Location, Unexplained, strongest_first
+from torchrbd.diagnosis.results import Diagnosis, Finding, Location, ResidualMap, Unexplained, strongest_first
 from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.simplifying import simplified
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect
-from torchrbd.diagnosis.trifling import is_trifling
+from torchrbd.diagnosis.trifling import is_negligible
 from torchrbd.diagnosis.unexplained import only_where_fitted, tones, unexplained
 from torchrbd.effects import Site, effect
 from torchrbd.effects.registry import PLAIN
@@ -143,7 +143,7 @@ def diagnose(
     identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = deflections(model.prepared, model.model)
     late = clock_offset(base, model, identification)
-    if late is not None and is_trifling(late, model):
+    if late is not None and is_negligible(late, model):
         trifling = strongest_first((*trifling, late))
     elif late is not None:
         findings = strongest_first((*findings, late))
@@ -178,7 +178,7 @@ def diagnose(
     )
 
 
-def _located(prepared: Prepared, model: Extended) -> tuple[tuple[Location, ...], tuple[LeftoverMap, ...]]:
+def _located(prepared: Prepared, model: Extended) -> tuple[tuple[Location, ...], tuple[ResidualMap, ...]]:
     """Return where the rigid body with ordinary friction, and the extended model, differ from the robot."""
     samples = read_samples(prepared, prepared.fit().pi)
     seen = [j for j in range(prepared.robot.n_dof) if samples.seen[j]]

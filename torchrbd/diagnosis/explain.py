@@ -32,11 +32,11 @@ from torchrbd.diagnosis.results import (
     strongest_first,
 )
 from torchrbd.diagnosis.terms import Explanation
-from torchrbd.diagnosis.trifling import contradicted, is_trifling, set_apart
+from torchrbd.diagnosis.trifling import contradicted, is_negligible, split_negligible
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.effects import Site, effect
 from torchrbd.inference.physical.fitting import FittedModel, judge, nmse_weights
-from torchrbd.inference.physical.terms import told_parameters
+from torchrbd.inference.physical.terms import estimated_parameters
 from torchrbd.likelihood.block_statistics import Block
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.robot import RobotModel
@@ -83,7 +83,9 @@ def explain(extended: Extended) -> Explained:
     own_time = {term: fits.in_its_time(term, one) for term, one in every if not fits.held_out_sees(term)}
     # What was there too briefly to be divided, no unseen time has shown.
     unseen = {term for term, one in own_time.items() if not one.judged_on or one.share < NO_CHANGE}
-    kept, apart = set_apart(every, fits.error_without, lambda term, one: term in unseen or is_trifling(one, extended))
+    kept, apart = split_negligible(
+        every, fits.error_without, lambda term, one: term in unseen or is_negligible(one, extended)
+    )
 
     def proven(term: Candidate, one: Finding, others: Sequence[Candidate], by_own: Collection[Candidate]) -> Finding:
         if term in by_own:
@@ -107,7 +109,7 @@ def explain(extended: Extended) -> Explained:
         left = [(term, one) for term, one in _told(extended) if term not in others]
         # Friction that these laws stood in for was not told before.
         new = [pair for pair in left if pair[0] not in judged]
-        new, more = set_apart(new, fits.error_without, lambda _, one: is_trifling(one, extended))
+        new, more = split_negligible(new, fits.error_without, lambda _, one: is_negligible(one, extended))
         trifling += completed([(term, proven(term, one, [], unseen)) for term, one in more])
         kept = [(term, _judged_as(judged[term], one)) for term, one in left if term in judged]
         kept += [(term, proven(term, one, [t for t, _ in more], unseen)) for term, one in new]
@@ -303,7 +305,7 @@ def _finding(
         name: Quantity(
             value, max(std, wide.get(name, 0.0)), term.effect.unit(name, prismatic=prismatic), columns.urdf_value(term)
         )
-        for name, (value, std) in told_parameters(model, term).items()
+        for name, (value, std) in estimated_parameters(model, term).items()
         if name not in term.effect.follows
     }
     quantities |= {name: reciprocal(quantities[name]) for name in term.effect.reciprocals}
@@ -347,7 +349,7 @@ def reported(ranked: Ranking, extended: Extended) -> Ranking:
         c = term.own.candidate
         now = final.get((c.effect.id, c.site))
         if now is not None:
-            values = {n: Quantity(v, s, "") for n, (v, s) in told_parameters(extended.model, now).items()}
+            values = {n: Quantity(v, s, "") for n, (v, s) in estimated_parameters(extended.model, now).items()}
             values |= {name: reciprocal(values[name]) for name in c.effect.reciprocals}
             known[one.place] = {n: q.value for n, q in values.items() if n not in c.effect.follows}
 

@@ -12,7 +12,7 @@ from torchrbd.rebuilding import Unsaved, read_json, rebuilt
 
 _FILE = "diagnosis.json"
 # Parts under other keys than their own names.
-_KEYS = {"maps": "leftover_maps"}
+_KEYS = {"maps": "residual_maps"}
 
 
 def read_diagnosis(kind: type, folder: str | Path) -> dict[str, Any]:

@@ -334,7 +334,7 @@ class Location(Stated):
 
 
 @dataclass(frozen=True)
-class LeftoverMap:
+class ResidualMap:
     """How large the leftover of a model is where, joint by joint, over the noise: 1 is noise.
 
     Attributes:
@@ -420,7 +420,7 @@ class Diagnosis(Displayed, Stated):
     findings: tuple[Finding, ...]
     unexplained: tuple[Unexplained, ...] = field(default=())
     locations: tuple[Location, ...] = field(default=())
-    maps: tuple[LeftoverMap, ...] = field(default=())
+    maps: tuple[ResidualMap, ...] = field(default=())
     limits: tuple[Limit, ...] = field(default=())
     deflections: tuple[Deflection, ...] = field(default=())
     simulated: tuple[str, ...] = field(default=())

@@ -15,7 +15,7 @@ from torchrbd.likelihood.columns import Candidate
 LEAST_TORQUE, _LEAST_SHARE = 0.01, 0.1
 
 
-def set_apart(
+def split_negligible(
     told: Sequence[tuple[Candidate, Finding]],
     error_without: Callable[[Sequence[Candidate]], Mapping[str, float]],
     trifling: Callable[[Candidate, Finding], bool],
@@ -57,7 +57,7 @@ def set_apart(
         after, least = error_without([term for term, _ in apart]), min(least, may_go[first])
 
 
-def is_trifling(finding: Finding, extended: Extended) -> bool:
+def is_negligible(finding: Finding, extended: Extended) -> bool:
     """Say whether held-out time does not show a finding, or hardly, and it carries next to none of its joint's torque.
 
     Other inertial parameters, or other friction, do as well then. One joint that it is shown at is enough, unless all

@@ -21,7 +21,7 @@ _SOME_TIME = Window("")
 
 
 @dataclass(frozen=True)
-class ToldEffect:
+class RequestedEffect:
     """An effect, and where it sits if the user says so."""
 
     effect: Effect
@@ -29,7 +29,7 @@ class ToldEffect:
     window: Window | None = None
 
     @classmethod
-    def parse(cls, text: str) -> ToldEffect:
+    def parse(cls, text: str) -> RequestedEffect:
         """Read what the module's head describes.
 
         Raises:
@@ -82,8 +82,8 @@ def _window(text: str, whole: str) -> Window:
     return window
 
 
-def told_sites(
-    told: Sequence[ToldEffect], robot: RobotModel, recordings: Sequence[str]
+def requested_sites(
+    told: Sequence[RequestedEffect], robot: RobotModel, recordings: Sequence[str]
 ) -> tuple[dict[str, tuple[Site, ...]], tuple[Window, ...]]:
     """Return the places of told effects by the effects' ids, and the stretches of time among them.
 

@@ -46,7 +46,7 @@ class Gathered:
         added: what to add to a body's inertial parameters (10,), by index.
         shifts: how far the origins of joints move in their parents' axes (3,) [m], by index.
         turns: quaternions (w, x, y, z) that turn a joint's origin, one after the other; under None those of the base.
-        unsaid: what MJCF does not hold, in sentences.
+        not_exported: what MJCF does not hold, in sentences.
         in_time: terms that are all in how actuators act in time, which inverse dynamics does not meet.
     """
 
@@ -55,7 +55,7 @@ class Gathered:
     added: dict[int, Tensor] = field(default_factory=dict)
     shifts: dict[int, Tensor] = field(default_factory=dict)
     turns: dict[int | None, list[tuple[float, ...]]] = field(default_factory=dict)
-    unsaid: list[str] = field(default_factory=list)
+    not_exported: list[str] = field(default_factory=list)
     in_time: list[Term] = field(default_factory=list)
 
 
@@ -71,9 +71,9 @@ def gather(model: RigidBodyDynamics) -> Gathered:
     for term in model.terms:
         written = term.effect.mjcf(term.parameters_by_name())
         if not term.site.always:
-            found.unsaid.append(f"{named(term, robot)}: does not act always, and the file is of one condition")
+            found.not_exported.append(f"{named(term, robot)}: does not act always, and the file is of one condition")
         elif not _finite(written):
-            found.unsaid.append(f"{named(term, robot)}: has numbers that are not finite")
+            found.not_exported.append(f"{named(term, robot)}: has numbers that are not finite")
         else:
             _add(found, couplings, term, written, robot)
     gains = [drive.gain for drive in found.drives]
@@ -126,7 +126,7 @@ def _add(found: Gathered, couplings: list[Tendon], term: Term, written: Mjcf, ro
     by_hand = {e: a for e, a in written.items() if not _add_element(found, couplings, term, e, a, robot)}
     if not written or by_hand or term.effect.exported_in_part:
         why = [term.effect.export_note or "MJCF has no word for it", *(element_text(e, a) for e, a in by_hand.items())]
-        found.unsaid.append(f"{named(term, robot)}: {'; '.join(why)}")
+        found.not_exported.append(f"{named(term, robot)}: {'; '.join(why)}")
     elif all(attributes.keys() <= _IN_TIME for attributes in written.values()):
         found.in_time.append(term)
 
@@ -203,7 +203,7 @@ def _divide(found: Gathered, gains: list[float], robot: RobotModel) -> None:
         for other in others:
             if gains[other] != gains[joint]:
                 names = " and ".join(robot.joint_names[j] for j in one.joints)
-                found.unsaid.append(f"motor of {names}: torques of both are divided by the gain of the first")
+                found.not_exported.append(f"motor of {names}: torques of both are divided by the gain of the first")
 
 
 def _couple(found: Gathered, kind: str, couplings: list[Tendon], gains: list[float], robot: RobotModel) -> None:
@@ -226,7 +226,7 @@ def _couple(found: Gathered, kind: str, couplings: list[Tendon], gains: list[flo
         k = forth if back is None else 0.5 * (forth + back)
         names = robot.joint_names[joint], robot.joint_names[other]
         if kind == "damping" and min(found.drives[j].damping for j in (joint, other)) < abs(k):
-            found.unsaid.append(
+            found.not_exported.append(
                 f"coupling of {names[0]} and {names[1]} by their speeds ({k:.4g}): one of them has less damping, and "
                 "a negative damping would add energy"
             )
@@ -235,7 +235,7 @@ def _couple(found: Gathered, kind: str, couplings: list[Tendon], gains: list[flo
             setattr(drive, kind, getattr(drive, kind) - abs(k))
         found.tendons.append(Tendon((joint, other), (1.0, math.copysign(1.0, k)), **{kind: abs(k)}))
         if back is None or abs(forth - back) > _SAME * abs(k):
-            found.unsaid.append(
+            found.not_exported.append(
                 f"coupling of {names[0]} and {names[1]}: a tendon acts on both alike, with {kind} {k:.4g}; the model "
                 f"has {forth:.4g} at {names[0]} and {0.0 if back is None else back:.4g} at {names[1]}"
             )

@@ -87,7 +87,7 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
         "friction", "load", "payload", "force"), course ("abrupt", "slow", ""), gain (log-likelihood), torque_rms and
         share by joint, curve or null, attack (force [N] in the base's axes, point [m] in the
         link's frame, a standard deviation for each) or null, statement.
-    leftover_maps: RMS of what a model leaves over the noise, by bins: list of model, signal ("t", "q", "qd"),
+    residual_maps: RMS of what a model leaves over the noise, by bins: list of model, signal ("t", "q", "qd"),
         recording, edges and level, a row per joint.
     limits: what was looked for and not found: list of effect, joints, links, depends_on, and of the first parameter
         that the data tell: parameter (name), value and std beside what was found, none (what it is if the effect is not
@@ -122,7 +122,7 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
             "trifling": [_finding(f) for f in result.trifling],
             "unexplained": [_stated(u) for u in result.unexplained],
             "locations": [_stated(x) for x in result.locations],
-            "leftover_maps": [asdict(m) for m in result.maps],
+            "residual_maps": [asdict(m) for m in result.maps],
             "limits": [asdict(x) for x in result.limits],
             "deflections": [_stated(x) for x in result.deflections],
             "simulated": list(result.simulated),

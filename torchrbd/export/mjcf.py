@@ -30,7 +30,7 @@ def to_mjcf(model: RigidBodyDynamics) -> bytes:
 
     Links are bodies and keep their names; a moving link has the inertia of all that is fixed to it. Numbers that
     several terms give add. A joint's actuator takes the torque that a recording has. What MJCF cannot hold stands in
-    comments at the head of the file, see ``unsaid``. MuJoCo is not needed.
+    comments at the head of the file, see ``not_exported``. MuJoCo is not needed.
 
         mj_inverse = model(q, qd, qdd)    where the file holds the model, dry friction in motion
 
@@ -55,14 +55,14 @@ def mjcf_unsaid(model: RigidBodyDynamics) -> tuple[str, ...]:
 def _write(model: RigidBodyDynamics) -> tuple[bytes, tuple[str, ...]]:
     """Return the file and what it does not hold."""
     robot, found = model.robot, gather(model)
-    unsaid = list(found.unsaid)
+    not_exported = list(found.not_exported)
     root = etree.Element("mujoco", model=robot.name)
     world = etree.Element("worldbody")
     upright = torch.eye(4, dtype=torch.float64)
     base = etree.SubElement(world, "body", {"name": _base_name(robot)} | _place(upright, found, None))
-    _write_links(base, model, found, unsaid)
-    unsaid += [*_further(robot, found), *conditions_unsaid(model)]
-    root.extend(comment(words) for words in ("torchrbd: what this file lacks, or has otherwise:", *unsaid))
+    _write_links(base, model, found, not_exported)
+    not_exported += [*_further(robot, found), *conditions_unsaid(model)]
+    root.extend(comment(words) for words in ("torchrbd: what this file lacks, or has otherwise:", *not_exported))
     etree.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     etree.SubElement(root, "option", gravity=text(robot.gravity.tolist()))
     if any(drive.frictionloss for drive in found.drives):
@@ -71,7 +71,7 @@ def _write(model: RigidBodyDynamics) -> tuple[bytes, tuple[str, ...]]:
     root.append(world)
     root.extend(part for part in (_equality(robot), _tendons(robot, found), *_actuators(robot, found)) if len(part))
     etree.indent(root)
-    return etree.tostring(root, xml_declaration=True, encoding="utf-8", pretty_print=True), tuple(unsaid)
+    return etree.tostring(root, xml_declaration=True, encoding="utf-8", pretty_print=True), tuple(not_exported)
 
 
 def _base_name(robot: RobotModel) -> str:
@@ -99,7 +99,7 @@ def _pose(pose: Tensor) -> dict[str, str]:
     return place | ({"quat": text((w, *axis))} if any(axis) else {})
 
 
-def _write_links(base: etree._Element, model: RigidBodyDynamics, found: Gathered, unsaid: list[str]) -> None:
+def _write_links(base: etree._Element, model: RigidBodyDynamics, found: Gathered, not_exported: list[str]) -> None:
     """Write what hangs on the base, depth-first in the robot's order."""
     robot = model.robot
     bodies = dict(zip(robot.body_names, model.pi.detach().cpu().reshape(-1, PARAMETERS_PER_BODY), strict=True))
@@ -118,7 +118,7 @@ def _write_links(base: etree._Element, model: RigidBodyDynamics, found: Gathered
             etree.SubElement(body, "joint", _joint(joint, None if driven is None else found.drives[driven]))
             attributes, words = inertial(bodies[joint.child], joint.child)
             etree.SubElement(body, "inertial", attributes)
-            unsaid += [words] if words else []
+            not_exported += [words] if words else []
         stack.extend((child, body) for child in reversed(below[joint.child]))
 
 

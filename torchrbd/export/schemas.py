@@ -59,7 +59,7 @@ def _diagnosis() -> dict[str, Any]:
     """Return what diagnosis.json holds: the parts of a ``Diagnosis``, and what its identification says."""
     own, other = get_type_hints(Diagnosis), get_type_hints(Identification)
     names = [f.name for f in fields(Diagnosis) if f.name not in ("identification", "ranking")]
-    parts = {{"maps": "leftover_maps"}.get(name, name): own[name] for name in names}
+    parts = {{"maps": "residual_maps"}.get(name, name): own[name] for name in names}
     head = {"fit": other["fits"], **{name: other[name] for name in ("recordings", "held_out", "cutoff_hz", "doubts")}}
     head |= {"robot": str, "joints": tuple[str, ...], "notes": tuple[str, ...], "suspicions_tested": tuple[str, ...]}
     head |= {"suspicions": get_type_hints(other["suspicions"])["found"], "simulation": other["simulation"]}

@@ -22,7 +22,7 @@ def written(model: RigidBodyDynamics, to: str) -> bytes:
     return FORMATS[to](model)
 
 
-def unsaid(model: RigidBodyDynamics, to: str = "mjcf") -> tuple[str, ...]:
+def not_exported(model: RigidBodyDynamics, to: str = "mjcf") -> tuple[str, ...]:
     """Return what a file for a simulator cannot hold of a model, in sentences.
 
     Args:

@@ -25,7 +25,7 @@ def to_urdf(model: RigidBodyDynamics, warnings: Iterable[str] = ()) -> bytes:
 
     Links fixed to a moving link keep their own inertia; the moving link takes the rest. If the rest is no physical
     body, the moving link takes all and the fixed ones lose theirs. <dynamics> hold the model's friction and no other:
-    what the URDF had and the model has not goes. What URDF cannot hold, see ``unsaid``, stands in comments at its
+    what the URDF had and the model has not goes. What URDF cannot hold, see ``not_exported``, stands in comments at its
     joint, or at the end if it is at none, with what it is in MJCF.
 
     Args:

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.effects import Effect, Site
-from torchrbd.effects.told import told_sites
+from torchrbd.effects.told import requested_sites
 from torchrbd.errors import RecordingError
 from torchrbd.inference.data.bodies import check_masses
 from torchrbd.inference.data.holdout import held_out_blocks
@@ -144,7 +144,7 @@ def prepare(
     check_masses(robot)
     reading, found = read(robot, recordings, settings, progress)
     opened, surveys, filtering, simulated = reading.recordings, reading.surveys, reading.filtering, reading.simulated
-    sites, windows = told_sites(settings.told_effects(), robot, [r.name for r in opened])
+    sites, windows = requested_sites(settings.told_effects(), robot, [r.name for r in opened])
     unloaded = [e for e in effects if not e.uses_load]
     columns = Columns(robot, unloaded, covered_scales(surveys, filtering), windows, sites=sites)
     used, held = reading.used, settings.held_bodies(robot)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchrbd.deadline import seconds_of
 from torchrbd.effects import Effect, effect, known_effects
-from torchrbd.effects.told import ToldEffect
+from torchrbd.effects.told import RequestedEffect
 from torchrbd.errors import OptionError, closest
 from torchrbd.options import Options, Payload
 from torchrbd.recordings import listed_sources
@@ -57,14 +57,14 @@ class Settings(Options):
                 values[key] = _number(values[key], kind, key, place)
         return cls(**values)
 
-    def told_effects(self) -> tuple[ToldEffect, ...]:
+    def told_effects(self) -> tuple[RequestedEffect, ...]:
         """Return the effects that were named and not excluded, with their places.
 
         Raises:
             OptionError: an id is unknown.
         """
         excluded = {effect(name).id for name in self.exclude}
-        told = (ToldEffect.parse(text) for text in self.effects or ())
+        told = (RequestedEffect.parse(text) for text in self.effects or ())
         return tuple(one for one in told if one.effect.id not in excluded)
 
     def chosen_effects(self) -> tuple[Effect, ...]:

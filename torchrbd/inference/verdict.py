@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import torch
 
-from torchrbd.inference.physical.fitting import FittedModel, beside_constant, judge
+from torchrbd.inference.physical.fitting import FittedModel, judge, relative_to_constant
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.results import Verdict
 from torchrbd.inference.settings import Settings
@@ -41,7 +41,7 @@ def verdict_of(fits: Mapping[str, Fit], doubts: tuple[str, ...], *, suspect: boo
 
 def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:
     """Say whether a model predicts held-out torque no better than a constant, in the mean over the joints."""
-    error = beside_constant(prepared.training, prepared.judging, model.x)
+    error = relative_to_constant(prepared.training, prepared.judging, model.x)
     return bool(error.isfinite().any()) and float(torch.nanmean(error)) > 1.0
 
 

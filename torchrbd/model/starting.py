@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 
 from torchrbd.effects import Effect, JointScale, Shape, Signals, Site, Term, effect
-from torchrbd.effects.told import ToldEffect
+from torchrbd.effects.told import RequestedEffect
 from torchrbd.errors import OptionError
 from torchrbd.robot import RobotModel
 
@@ -45,7 +45,7 @@ def starting_terms(robot: RobotModel, effects: Sequence[str]) -> list[Term]:
         OptionError: an unknown effect, a place that it has not, or an effect that acts for a time only.
     """
     terms = []
-    for told in map(ToldEffect.parse, effects):
+    for told in map(RequestedEffect.parse, effects):
         if told.window is not None or not (sites := told.sites(robot, ())):
             raise OptionError(
                 f"'{told.effect.id}' acts for a time only; a model that knows no recording can have no such term"

@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from torchrbd.diagnosis.results import LeftoverMap, Location
+from torchrbd.diagnosis.results import Location, ResidualMap
 from torchrbd.report.inline import INK, canvas
 from torchrbd.report.text.numbers import number
 
@@ -20,7 +20,7 @@ LETTER, RANGES, MOST_LABEL = 8.0, 130, 0.4
 AXES = {"t": "time [s]", "q": "position", "qd": "velocity"}
 
 
-def map_figure(one: LeftoverMap, joints: Sequence[str], locations: Sequence[Location], units: Sequence[str]) -> Figure:
+def map_figure(one: ResidualMap, joints: Sequence[str], locations: Sequence[Location], units: Sequence[str]) -> Figure:
     """Draw the RMS of the leftover over the noise, 1 (white) to 10, and frame what was located.
 
     Args:
@@ -57,7 +57,7 @@ def map_figure(one: LeftoverMap, joints: Sequence[str], locations: Sequence[Loca
     return figure
 
 
-def _own_ranges(axes: Axes, one: LeftoverMap, units: Sequence[str]) -> None:
+def _own_ranges(axes: Axes, one: ResidualMap, units: Sequence[str]) -> None:
     """Write each joint's range beside its row: the rows share no scale."""
     axes.set_xticks([0.0, 1.0], ["lowest", "highest"])
     axes.set_xlabel(AXES[one.signal])
@@ -68,7 +68,7 @@ def _own_ranges(axes: Axes, one: LeftoverMap, units: Sequence[str]) -> None:
         axes.annotate(words, (1.01, row), xycoords=("axes fraction", "data"), va="center", fontsize=9)
 
 
-def _framed(one: LeftoverMap, joint: str, locations: Sequence[Location]) -> list[tuple[float, float]]:
+def _framed(one: ResidualMap, joint: str, locations: Sequence[Location]) -> list[tuple[float, float]]:
     """Return the intervals of a map's signal that hold something located at a joint."""
     here = [x.where for x in locations if joint in x.joints and x.model == one.model]
     if one.signal == "t":

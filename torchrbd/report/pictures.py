@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from torchrbd.diagnosis.results import Curve, LeftoverMap, Location, Where
+from torchrbd.diagnosis.results import Curve, Location, ResidualMap, Where
 from torchrbd.inference.results import Identification
 from torchrbd.report.excerpt import SIGNALS, Stretch, signal_words
 from torchrbd.report.figures import (
@@ -181,7 +181,7 @@ class Pictures:
         figure = curve_figure(curve, labels, colour, data)
         return self.inline(figure, f"torque added at {name} against {words}"), data is not None
 
-    def map(self, one: LeftoverMap, locations: list[Location]) -> tuple[str, Markup]:
+    def map(self, one: ResidualMap, locations: list[Location]) -> tuple[str, Markup]:
         """Draw how large the leftover is where, named by its recording."""
         units = [u.q if one.signal == "t" else u.of(one.signal) for u in self.units]
         label = f"residual of each joint over {one.signal} {one.recording}".strip()

@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 from torchrbd.diagnosis import Diagnosis, Location, Where
 from torchrbd.diagnosis.locate.clock import Clock
 from torchrbd.diagnosis.locate.intervals import best_interval, signal_interval
-from torchrbd.diagnosis.locate.maps import leftover_maps
+from torchrbd.diagnosis.locate.maps import residual_maps
 from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.locate.signals import Bases, Signal, smooth
 from torchrbd.diagnosis.rows.regression import Extra, Fit, fitted
@@ -142,7 +142,7 @@ def test_a_map_is_drawn_with_a_row_per_joint_and_a_frame(fit: Fit, scene: Scene)
     where = Where(time_s=((10.0, 14.0),))
     here = Location("m", joints[:1], (), where, ("t",), "level", "abrupt", 20.0, {}, {}, None, None)
     left = fit.leftover()
-    for one in leftover_maps(scene, left, left.std(1), "m"):
+    for one in residual_maps(scene, left, left.std(1), "m"):
         with page_style():
             figure = map_figure(one, joints, [here], ["rad"] * len(joints))
             ET.fromstring(inline(figure, "map", "k"))

@@ -6,10 +6,10 @@ import numpy as np
 
 from torchrbd.diagnosis.locate.attack import attack
 from torchrbd.diagnosis.locate.clock import Clock
-from torchrbd.diagnosis.locate.maps import leftover_maps
+from torchrbd.diagnosis.locate.maps import residual_maps
 from torchrbd.diagnosis.locate.search import Part, Search, coefficients
 from torchrbd.diagnosis.locate.signals import Smooth, smooth
-from torchrbd.diagnosis.results import Curve, LeftoverMap, Location, Region, Where
+from torchrbd.diagnosis.results import Curve, Location, Region, ResidualMap, Where
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.robot.units import torque_unit
@@ -19,7 +19,7 @@ from torchrbd.robot.units import torque_unit
 _FELT, _LOUD = 0.5, 0.2
 
 
-def locate(fit: Fit, model: str = "rigid_body") -> tuple[tuple[Location, ...], tuple[LeftoverMap, ...]]:
+def locate(fit: Fit, model: str = "rigid_body") -> tuple[tuple[Location, ...], tuple[ResidualMap, ...]]:
     """Locate what a fit leaves.
 
     Args:
@@ -41,7 +41,7 @@ def locate(fit: Fit, model: str = "rigid_body") -> tuple[tuple[Location, ...], t
         left = search.beside(others, plain).leftover()
         found.append(_location(search, part, search.beside(others), left, quiet, model))
     left = _counted(search.beside((), plain).leftover(), rows)
-    maps = leftover_maps(search.scene, left, _std(_counted(quiet, rows)), model)
+    maps = residual_maps(search.scene, left, _std(_counted(quiet, rows)), model)
     return tuple(sorted(found, key=lambda x: -x.gain)), maps
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from torchrbd.diagnosis.locate.scene import Scene
-from torchrbd.diagnosis.results import LeftoverMap
+from torchrbd.diagnosis.results import ResidualMap
 
 BINS, LEAST_SAMPLES = 48, 2
 
 
-def leftover_maps(scene: Scene, left: np.ndarray, noise_std: np.ndarray, model: str) -> tuple[LeftoverMap, ...]:
+def residual_maps(scene: Scene, left: np.ndarray, noise_std: np.ndarray, model: str) -> tuple[ResidualMap, ...]:
     """Return maps over the time of each recording, and over position and velocity.
 
     Args:
@@ -31,7 +31,7 @@ def leftover_maps(scene: Scene, left: np.ndarray, noise_std: np.ndarray, model: 
     return tuple(maps)
 
 
-def _map(model: str, signal: str, recording: str, v: np.ndarray, power: np.ndarray, pad: float) -> LeftoverMap:
+def _map(model: str, signal: str, recording: str, v: np.ndarray, power: np.ndarray, pad: float) -> ResidualMap:
     edges, levels = [], []
     bins = int(np.clip(v.shape[1] // 6, 4, BINS))
     for x, y in zip(v, power, strict=True):
@@ -44,4 +44,4 @@ def _map(model: str, signal: str, recording: str, v: np.ndarray, power: np.ndarr
         mean = np.where(count >= LEAST_SAMPLES, total / np.maximum(count, 1), np.nan)
         edges.append(tuple(edge.tolist()))
         levels.append(tuple(np.sqrt(mean).tolist()))
-    return LeftoverMap(model, signal, recording, tuple(edges), tuple(levels))
+    return ResidualMap(model, signal, recording, tuple(edges), tuple(levels))

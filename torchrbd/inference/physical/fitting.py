@@ -262,7 +262,7 @@ def _varied(statistics: BlockStatistics) -> list[int]:
     return torch.nonzero(statistics.torque_variance() > _LEAST_VARIANCE * square).flatten().tolist()
 
 
-def beside_constant(fitted: BlockStatistics, judged: BlockStatistics, x: Tensor) -> Tensor:
+def relative_to_constant(fitted: BlockStatistics, judged: BlockStatistics, x: Tensor) -> Tensor:
     """Return squared errors on blocks over those of a constant, the mean of other blocks' torque, (n_dof,).
 
     Unlike nmse it does not ask a model to know the mean of a short stretch. NaN where either has no torque.
@@ -272,12 +272,12 @@ def beside_constant(fitted: BlockStatistics, judged: BlockStatistics, x: Tensor)
         judged: blocks to predict.
         x: coefficients (n,).
     """
-    squares, constant = squares_beside_constant(fitted, judged, x)
+    squares, constant = squares_relative_to_constant(fitted, judged, x)
     return torch.where(constant > 0, squares / constant.clamp_min(1e-300), torch.nan)
 
 
-def squares_beside_constant(fitted: BlockStatistics, judged: BlockStatistics, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the squared errors of coefficients x and of a constant, (n_dof,) each, as of ``beside_constant``.
+def squares_relative_to_constant(fitted: BlockStatistics, judged: BlockStatistics, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the squared errors of coefficients x and of a constant, (n_dof,) each, as of ``relative_to_constant``.
 
     Both are zero where it is not a number.
     """

@@ -24,7 +24,7 @@ def term_estimates(model: FittedModel) -> list[ParameterEstimate]:
     for candidate in model.proper_terms:
         place, joint = candidate.site.name(robot), candidate.site.joint
         urdf, shares = model.columns.urdf_value(candidate), _prior_shares(model, candidate)
-        for name, (value, std) in told_parameters(model, candidate).items():
+        for name, (value, std) in estimated_parameters(model, candidate).items():
             unit = candidate.effect.unit(name, prismatic=joint is not None and bool(robot.prismatic[joint]))
             share = shares[name] if math.isfinite(std) else math.nan
             found.append(
@@ -61,7 +61,7 @@ def term_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple
     return found
 
 
-def told_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple[float, float]]:
+def estimated_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple[float, float]]:
     """Return the same; what the data leave far more open than what is believed of it without them is not a number.
 
     Of several coefficients what is believed are proportions: the size is that of those that are told.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from torchrbd.effects.told import ToldEffect
+from torchrbd.effects.told import RequestedEffect
 from torchrbd.errors import OptionError
 from torchrbd.likelihood.columns import Columns
 
 
-def check_seen(told: Sequence[ToldEffect], columns: Columns) -> None:
+def check_seen(told: Sequence[RequestedEffect], columns: Columns) -> None:
     """See that the recordings let every told effect show somewhere, and at the place that is told.
 
     Raises:

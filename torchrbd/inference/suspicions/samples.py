@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.effects import effect
-from torchrbd.inference.physical.fitting import FittedModel, fit_model, squares_beside_constant, term_candidates
+from torchrbd.inference.physical.fitting import FittedModel, fit_model, squares_relative_to_constant, term_candidates
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.suspicions.explained import NOTHING, Explained, Shape
 from torchrbd.inference.suspicions.writing import Writing
@@ -150,7 +150,7 @@ class Samples:
             fitted = whole.select(~left_out)
             prior = data_prior(fitted, self._trusted, tightness * self.kappa)
             x = fit_model(fitted, prior, terms, noise).x
-            squares += torch.stack(squares_beside_constant(fitted, whole.select(left_out), x))
+            squares += torch.stack(squares_relative_to_constant(fitted, whole.select(left_out), x))
             divergence += _divergence(prior, x) / self._parts
         error = torch.where(self.judged, squares[0] / squares[1], torch.nan)
         error[list(unread)] = 1.0
