@@ -61,7 +61,13 @@ def _diagnosis() -> dict[str, Any]:
     names = [f.name for f in fields(Diagnosis) if f.name not in ("identification", "ranking")]
     parts = {{"maps": "residual_maps"}.get(name, name): own[name] for name in names}
     head = {"fit": other["fits"], **{name: other[name] for name in ("recordings", "held_out", "cutoff_hz", "doubts")}}
-    head |= {"robot": str, "joints": tuple[str, ...], "notes": tuple[str, ...], "suspicions_tested": tuple[str, ...]}
+    head |= {
+        "robot": str,
+        "statement": str,
+        "joints": tuple[str, ...],
+        "notes": tuple[str, ...],
+        "suspicions_tested": tuple[str, ...],
+    }
     head |= {"suspicions": get_type_hints(other["suspicions"])["found"], "simulation": other["simulation"]}
     keys: dict[str, Any] = {name: (kind, ...) for name, kind in (head | parts).items()}
     adapter = TypeAdapter(create_model("Diagnosis", **keys))
