@@ -13,6 +13,7 @@ from simulated import joint_names, record
 
 import torchrbd
 from torchrbd.cli import main
+from torchrbd.report.text.numbers import number
 
 URDF = urdf_of(2, 2)
 FILES = {"parameters.json", "identified.urdf", "model.safetensors", "report.html"}
@@ -43,8 +44,8 @@ def test_each_recording_has_its_folder_and_its_row(
     told = capsys.readouterr()
     assert all(line.startswith("torchrbd: ") and " s, " in line for line in told.err.splitlines())
     assert {path.name for path in output.iterdir()} == {"day[1]", "night"}
-    number, rows = r"([\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", {}
-    for found in re.finditer(rf"│ (\S+) +│ (\w+) +│ +{number} │ +{number} │ +[\d.]+ s │", told.out):
+    digits, rows = r"([\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", {}
+    for found in re.finditer(rf"│ (\S+) +│ (\w+) +│ +{digits} │ +{digits} │ +[\d.]+ s │", told.out):
         rows[found[1]] = found.groups()[1:]
     assert list(rows) == ["day[1].npz", "night.npz"]
     for name in ("day[1]", "night"):

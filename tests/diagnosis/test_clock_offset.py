@@ -28,7 +28,7 @@ def test_late_torque_of_all_joints_is_a_finding(tmp_path) -> None:
     assert late.parameters["delay"].value == pytest.approx(LATE_S, abs=2.0 * late.parameters["delay"].std)
     assert late.parameters["delay"].unit == "s"
     assert late.share > 0.9
-    assert "time delay" in late.statement
+    assert "Time delay" in late.statement
     assert "time delay" in diagnosis.statement
     # By first order, d dtau/dt is what is moved.
     series = diagnosis.identification.series
