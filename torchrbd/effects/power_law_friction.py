@@ -5,8 +5,8 @@ Exponents above 1: oil or grease that a gearbox churns.
 
 Source: the Ostwald-de Waele power law of shear-thinning (a < 1) and shear-thickening (a > 1) fluids. For a < 1, |qd|^a
 has no slope at rest, so it is softened like the sign of the velocity: |qd| is sqrt(qd^2 + rest_width^2). For a > 1 it
-needs no softening. The exponents tried stay 3/8 away from Coulomb friction and 1/8 from
-drag, refinement included: closer ones cannot be distinguished from these.
+needs no softening. The exponents tried stay 3/8 away from Coulomb friction and 1/8 from drag, refinement included:
+closer ones cannot be distinguished from these.
 """
 
 from __future__ import annotations
