@@ -80,7 +80,8 @@ def test_stiffness_without_spring_has_no_rest_position() -> None:
 
 
 def test_unknown_effect_is_told_with_the_known_ones() -> None:
-    with pytest.raises(OptionError, match=r"unknown effect 'coulomb'; known: .*coulomb_friction.*viscous_friction"):
+    known = r"known: .*coulomb_friction.*viscous_friction"
+    with pytest.raises(OptionError, match=rf"unknown effect 'coulomb'; did you mean 'coulomb_friction'\? {known}"):
         effect("coulomb")
     assert issubclass(OptionError, InputError)
 

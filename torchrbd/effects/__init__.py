@@ -1,4 +1,4 @@
-"""What a rigid body leaves out: one file per effect, one contract, one registry."""
+"""Physics that a rigid body lacks: one file per effect, one base class, one registry."""
 
 from torchrbd.effects.base import CoefficientPrior, Curve, Effect, JointEffect, Mjcf, Shape, Term
 from torchrbd.effects.registry import effect, known_effects, register

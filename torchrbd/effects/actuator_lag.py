@@ -1,4 +1,4 @@
-"""An actuator that follows its command as a first-order system, where the command is what was recorded."""
+"""Actuator lag: the recorded command leads the acting torque, because the actuator responds as a first-order system."""
 
 from __future__ import annotations
 
@@ -17,18 +17,22 @@ from torchrbd.effects.sites import Site, Window
 from torchrbd.effects.time_delay import at_site, joints_and_all
 from torchrbd.robot import RobotModel
 
-# After so many time constants what was before is forgotten.
+# In time constants: after so long the initial state no longer matters.
 _FORGOTTEN = 20.0
 
 
 class ActuatorLag(Effect):
-    """tau += T d(tau_s)/dt: with T d(tau_acting)/dt + tau_acting = tau_command, the command runs ahead.
+    """tau += T d(tau_s)/dt, to first order in T; from T d(tau_acting)/dt + tau_acting = tau_command.
 
-    The acting torque tau_s is all that is supplied, to the rigid body and to friction, whose jumps at reversals take
-    pulses of the command. A recorded torque that comes late, behind a filter, looks like a negative lag to first order:
-    that is a time delay. What is load of it is seen ``below`` a bandwidth that the data chooses as a shape.
+    tau_s is the torque that the actuator supplies to the rigid body and to friction. Friction jumps where the velocity
+    changes sign; the command has a pulse there.
 
-    Either the actuator of one joint lags, or all alike.
+    A negative T is not allowed: a recorded torque that is late behind a filter is a time delay (``time_delay``).
+
+    The derivative of the rigid-body torque amplifies the noise of the positions. It is therefore low-pass filtered
+    (``below``); the data choose the cut-off frequency ``bandwidth``, a shape parameter.
+
+    The effect acts at one joint, or at all joints with one time constant.
     """
 
     id = "actuator_lag"
@@ -74,14 +78,14 @@ class ActuatorLag(Effect):
 
 
 def acting(command: Tensor, steps: float) -> Tensor:
-    """Return what an actuator of a time constant of so many samples supplies of a command (..., N).
+    """Return the torque (..., N) of an actuator with a time constant of ``steps`` samples, for a command (..., N).
 
-    The command is linear between samples, and mirrored through the first one before it.
+    The command is linear between samples. Before the first sample it is continued by reflection through that sample.
     """
     before = min(command.shape[-1] - 1, math.ceil(_FORGOTTEN * steps))
     longer = torch.cat((2 * command[..., :1] - command[..., 1 : before + 1].flip(-1), command), -1)
     decay = math.exp(-1.0 / steps)
-    # Of a command that is a straight line between two samples, what its ends weigh.
+    # Weights of the two ends of a command that is a straight line between two samples.
     last = 1.0 - steps * (1.0 - decay)
     first = 1.0 - decay - last
     drive = first * longer[..., :-1] + last * longer[..., 1:]

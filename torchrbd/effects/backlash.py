@@ -1,21 +1,24 @@
 """Backlash: play between motor and link, in worn gears, splines and couplings.
 
-The motor's position q is recorded. While the gear transmits torque, the link sits at one side of the play and the
-motor is ahead of it by b/2 in the direction of that torque: q_link = q - b/2 sign(tau_link + f). When the torque
-changes sign, the link leaves its side and moves by its load and its friction f alone, until it meets one again. With
-x = q_link - q, to first order in x
+The motor's position q is recorded. While the gear transmits torque, the link rests against one side of the play. The
+motor then leads it by b/2 in the direction of that torque: q_link = q - b/2 sign(tau_link + f). When the torque changes
+sign, the link leaves that side. It moves under its load and its friction f alone until it meets a side again. To
+first order in x = q_link - q
 
     tau_link = tau_load + A x + B dx/dt + M d2x/dt2
     tau_link + f = 0 from rest at x = -+b/2,  held at x = +-b/2
     f = d dq_link/dt + c sign(dq_link/dt) + o;  at rest (q_link held) where f can balance the rest
 
-with A, B, M the derivatives of the rigid body's torque with respect to the joint's q, qd, qdd, and the motor's torque
-is more by tau_link - tau_load, and by what the friction of the link is more than that of one that moves as the motor:
-while the link rests within its play, the motor turns on without it. A link that hangs swings in its play as a pendulum
-does. The time of flight grows with the cube root of the play, so that it matters for small play too: without it, what
-the torque does around its zeros is the wrong way round. Whether the joint's friction is the link's, which it then holds
-inside the play, or the motor's, the data says. Not contained: friction of both, and bouncing. Impacts are short: a
-torque sampled without an anti-aliasing filter misses them.
+A, B and M are the derivatives of the rigid-body torque with respect to the joint's q, qd and qdd. The motor's torque
+grows by tau_link - tau_load. It also changes by the link's friction minus that of a link which moves with the motor:
+while the link rests within its play, the motor turns on without it.
+
+A hanging link swings in its play like a pendulum. The time of flight grows with the cube root of the play, so it
+matters for small play too. Without it, the modelled torque is wrong in direction around its zeros. The data decide
+whose friction it is: the link's, which it then holds inside the play, or the motor's.
+
+Not modelled: friction on both sides at once, and bouncing. Impacts are short: a torque sampled without an anti-aliasing
+filter misses them.
 
 Source: Nordin, Gutman, "Controlling mechanical systems with backlash: a survey", Automatica 2002, for the dead-zone
     model with a stiff contact; worked out to first order here.
@@ -39,23 +42,25 @@ from torchrbd.effects.link_friction import PARTS, link_part
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site
 
-# Of the largest inertia of a motion.
+# As a fraction of the largest inertia in a motion.
 _LEAST_INERTIA = 1e-6
-# Integrals over the whole sequence, of what the one before has found.
+# Number of integrations over the whole sequence; each starts from the result of the one before.
 _FEEDBACKS = 3
 COMPILED = Source(
     Path(__file__).parent,
     ("backlash.c",),
     {"deviation": (INTEGER, INTEGER, ADDRESS, NUMBER, NUMBER, NUMBER, INTEGER, ADDRESS)},
 )
-"""`deviation` where no derivative is asked for."""
+"""`deviation` in C, used where no derivative is needed."""
 
 
 class Backlash(Effect):
-    """tau = tau_load(q + x), x from side to side of the play, linear in its width b.
+    """tau += tau_load(q + x) - tau_load(q): the link is at q + x, -b/2 <= x <= b/2, for a play of width b.
 
-    The coefficient is b; the play for which flights are worked out is a shape, and equal to b where the name is right.
-    So is ``link_friction``, the part of the friction at the joint that is the link's: none or all of it.
+    The coefficient is b. The motion x is computed for a given play, the shape parameter ``flight``, and scaled with b.
+    The two agree where the joint does have backlash.
+
+    The shape parameter ``link_friction`` is the share of the joint's friction that acts on the link: 0 or 1.
     """
 
     id = "backlash"
@@ -74,11 +79,11 @@ class Backlash(Effect):
         "a second joint on the axis, with range +-backlash/2, between the rotor (a body of its own) and the link"
     )
     _SMALLEST, _LARGEST, _GRID_POINTS = 2e-4, 1.2e-1, 22
-    # Flights that take longer, or less, by half: gears yield, and what a link weighs is not known well.
+    # Times of flight may be off by a factor of 1.5: gears yield, and the link's inertia is not known well.
     _MOST_APART = 1.5**3
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        # The time of flight, which is what they differ by, goes with the cube root.
+        # Shapes differ by the time of flight, which grows with the cube root of the play.
         roots = np.linspace(np.cbrt(self._SMALLEST), np.cbrt(self._LARGEST), self._GRID_POINTS)
         return tuple({"flight": float(b), "link_friction": f} for f in PARTS for b in roots**3)
 
@@ -113,13 +118,14 @@ def deviation(
     dt: float,
     play: float,
 ) -> tuple[Tensor, Tensor]:
-    """Return how far a link is from the middle of its play, and how much more Coulomb friction it has than the motor.
+    """Return the link's position relative to the middle of its play, and its Coulomb friction minus the motor's.
 
-    That is what is not friction of the joint as the motor moves: in flight a link slides its own way, or rests.
+    The second is the friction that differs from that of a link which moves with the motor: in flight the link slides in
+    its own direction, or rests.
 
     Args:
-        load: (*batch, N) torque that the link takes where it moves as the motor [N m, N].
-        slopes: (3, *batch, N) its derivatives A, B, M by the link's position, velocity and acceleration.
+        load: (*batch, N) torque on the link if it moves with the motor [N m, N].
+        slopes: (3, *batch, N) its derivatives A, B, M with respect to the link's position, velocity and acceleration.
         motion: velocity, acceleration and softened direction of the motor, (*batch, N) each.
         friction: (3,) viscous and Coulomb coefficient and offset of the link.
         dt: [s]. play: full width [rad, m].
@@ -127,9 +133,9 @@ def deviation(
     Returns:
         x (*batch, N) [rad, m] and torques (*batch, N) [N m, N].
     """
-    # In double: a flight is a small difference of integrals over the whole sequence.
+    # In double precision: a flight is a small difference of integrals over the whole sequence.
     tau, qd, qdd, direction, A, B, M = (v.double() for v in (load, *motion, *slopes))
-    # Parameters that no body has may leave an inertia of nothing or less: such a link is over at once.
+    # Parameters that no body can have may give an inertia <= 0: such a link crosses its play at once.
     M = torch.maximum(M, _LEAST_INERTIA * M.abs().max() + torch.finfo(load.dtype).eps)
     viscous, coulomb, offset = friction.double()
     coulomb = coulomb.clamp_min(0.0)
@@ -144,7 +150,7 @@ def deviation(
     course = torch.from_numpy(np.array(courses)).to(tau)
     side, left, begun, rests, way, stuck, x, rate = (column.reshape(tau.shape) for column in course.unbind(1))
     free, left, begun = left >= 0, left.clamp_min(0).long(), begun.long()
-    # The course has x already; what it feeds back on itself matters to derivatives.
+    # The course already has x; the loop repeats its feedback on itself so that derivatives are right.
     for _ in range(_FEEDBACKS):
         speed = _integral(-(driven + A * x + B * rate + coulomb * way) / M, dt)
         speed = speed - speed.gather(-1, begun) - rests * qd.gather(-1, begun)
@@ -159,10 +165,10 @@ def deviation(
 def _underived(compiled: Callable[..., int], signals: Tensor, coulomb: float, dt: float, play: float) -> Tensor:
     """Return deviation and friction (2, *batch, N) of signals (7, *batch, N) by the compiled function.
 
-    The signals are what comes to `_course`, and the direction of the motor.
+    The signals are the arguments of `_course`, and the direction of the motor.
 
     Raises:
-        MemoryError: it found none.
+        MemoryError: the function could not allocate memory.
     """
     given = signals.contiguous()
     found = torch.empty_like(given[:2])
@@ -192,21 +198,21 @@ def _course(
     """Follow a link through its play.
 
     Args:
-        driven: (N,) load and friction but for the Coulomb part, of a link that moves as the motor.
-        inertia, stiffness, damping: (N,) what the load changes by as the link deviates.
+        driven: (N,) load and friction without the Coulomb part, of a link that moves with the motor.
+        inertia, stiffness, damping: (N,) derivatives M, A and B of ``driven``.
         speed: (N,) of the motor.
-        held: (N,) the first of a link at rest.
+        held: (N,) ``driven`` of a link at rest.
         coulomb: level.
         dt: [s]. play: full width.
 
     Returns:
-        (8, N): side of the contact that is or was last, sample at which it was left (-1 in contact), sample at which
-        the link began to slide, whether from rest (1, 0), the direction in which it slides, whether it rests (1, 0),
-        how far it is from the middle, and how fast.
+        (8, N): side of the present or last contact, sample at which the link left it (-1 in contact), sample at which
+            the link began to slide, whether it began from rest (1, 0), direction in which it slides, whether it rests
+            (1, 0), distance from the middle, and speed.
     """
     N, half, turned = len(driven), play / 2, np.copysign(1.0, speed)
     course = np.stack((turned, np.full(N, -1.0), *np.zeros((2, N)), turned, *np.zeros((3, N))))
-    # Samples at which the load does not keep to a side of the play.
+    # Samples at which the load does not hold the link against a side of the play.
     pressed = driven + coulomb * turned
     ends = {s: [*np.flatnonzero(s * pressed < half * stiffness).tolist(), N] for s in (-1.0, 1.0)}
     side, k = math.copysign(1.0, pressed[0]), 0
@@ -236,7 +242,7 @@ def _course(
                 rate, pull = rate + 0.5 * dt * (pull + following), following
             turns = coulomb > 0 and (rate + speeds[k]) * way < 0
             if sticks or (turns and holds):
-                # At rest the link stays so or begins to slide the way it is dragged.
+                # A link at rest stays at rest, or begins to slide in the direction in which it is dragged.
                 sticks, rate, rest, begin = holds, -speeds[k], 1.0, k
                 way = math.copysign(1.0, -rests[k] - springs[k] * x)
                 pull = acceleration(k, x, rate, way)

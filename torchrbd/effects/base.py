@@ -1,13 +1,13 @@
-"""The one contract of everything a rigid body leaves out.
+"""The base classes of all effects: physics that a rigid body lacks.
 
 An effect adds to the torque that the actuators must supply
 
     tau_j += sum_k w_k phi_jk(q, qd, qdd, ...; shape)
 
-It is linear in its coefficients w, so that block statistics suffice to fit it, and has at most a few nonlinear shape
-parameters, each tried on a grid and refined. Most effects act on one joint and depend on its motion alone: those are a
-``JointEffect``. An ``Effect`` describes the physics and holds no numbers; a ``Term`` is an effect at a site with
-numbers, as a module.
+It is linear in its coefficients w, so that block statistics suffice to fit it. It has at most a few nonlinear shape
+parameters; each is tried on a grid and refined. Most effects act on one joint and depend on its motion alone: those are
+a ``JointEffect``. An ``Effect`` describes the physics and holds no numbers. A ``Term`` is an effect at a site with
+numbers, a ``torch.nn.Module``.
 """
 
 from __future__ import annotations
@@ -32,18 +32,19 @@ Mjcf = dict[str, dict[str, float | tuple[float, ...] | str]]
 
 @dataclass(frozen=True)
 class CoefficientPrior:
-    """What is believed of an effect's coefficients before any data.
+    """The prior of an effect's coefficients.
 
     Attributes:
-        words: one sentence.
-        positive: indices of the coefficients that the physics keeps from being negative.
-        std: of each coefficient in its own unit, around zero; empty where it is enough that the torque that it makes
-            is no larger than the joint's.
-        of_any_size: their proportions are believed alone, and the torque sets the size: loads and forces may be of any.
-        sums: weights (K,) of sums of coefficients that the physics keeps from being negative as well.
-        may_be_none: True if what cannot be negative is zero on many machines, or has a value in the URDF. Its most
-            probable value is fitted then, which may be zero. The mean of a truncated distribution never is.
-        torque_part: standard deviation of the torque that the coefficients make, in parts of the joint's.
+        words: the reason, in one sentence.
+        positive: indices of the coefficients that physics keeps non-negative.
+        std: standard deviation of each coefficient in its own unit, around zero. Empty: the prior only says that the
+            torque of the effect is no larger than the joint's.
+        of_any_size: True if ``std`` gives only the proportions of the coefficients, and the torque sets the scale:
+            loads and forces.
+        sums: weights (K,) of sums of coefficients that physics keeps non-negative as well.
+        may_be_none: True if a non-negative coefficient is zero on many machines, or has a value in the URDF. The fit
+            then takes its most probable value, which may be zero; the mean of a truncated distribution never is.
+        torque_part: standard deviation of the effect's torque, as a fraction of the joint's torque.
     """
 
     words: str = "Of either sign, with a torque no larger than the joint's."
@@ -55,12 +56,12 @@ class CoefficientPrior:
     torque_part: float = 1.0
 
     def not_negative(self, n: int) -> list[tuple[float, ...]]:
-        """Return the weights (n,) of all sums of n coefficients that cannot be negative, single ones first."""
+        """Return the weights (n,) of all sums of n coefficients that cannot be negative, single coefficients first."""
         return [*(tuple(float(i == k) for k in range(n)) for i in self.positive), *self.sums]
 
     @property
     def proportions(self) -> tuple[float, ...]:
-        """Of several coefficients, their standard deviations; empty of one, or where none are believed."""
+        """Standard deviations of several coefficients; empty for a single one, or if ``std`` is empty."""
         return self.std if len(self.std) > 1 else ()
 
 
@@ -69,7 +70,7 @@ FRICTION = replace(RESISTS, may_be_none=True)
 
 
 class Curve(NamedTuple):
-    """An effect as a function: y [the torque's unit] over x, the values of a signal."""
+    """An effect as a function: y, in the unit of the torque, over x, the values of a signal."""
 
     signal: str
     x: Tensor
@@ -90,37 +91,36 @@ FAMILIES = (
 
 
 class Effect(ABC):
-    """Describe one kind of missing physics.
+    """One kind of missing physics.
 
     Class attributes:
         id: the name in diagnosis.json.
-        family: of effects that people would call the same kind, see ``FAMILIES``.
+        family: group of similar effects, see ``FAMILIES``.
         prevalence: "ubiquitous", "common" or "rare" among machines.
         words: the name in a sentence.
-        equation: the torque added, in field symbols.
+        equation: the torque added, in the usual symbols.
         shown_by: the motion that shows it best, and what one sees, in one sentence.
-        units: of the physical parameters, with ``{tau}`` and ``{q}`` for the joint's own (N m and rad, or N and m).
+        units: of the physical parameters. ``{tau}`` and ``{q}`` are those of the joint: N m and rad, or N and m.
         dissipative: True if tau qd >= 0 for plausible parameters.
         whole_robot: True if one coefficient adds to the torque of several joints.
-        uses_load: True if the features depend on the rigid body's torque, and so on the inertial parameters.
-        comes_and_goes: True if it may be there in some recordings of a robot and not in others: after service, in the
-            cold, with a cable, with a sensor set anew. What a robot is built of does not.
-        of_each_recording: True if coefficients differ from one recording of a site to the next: the site names them.
-        sees_friction: True if the features depend on the plain friction beside that torque (``Signals.supplied``).
-        has_memory: True if the features need a sequence of states, and are not defined on the present one alone.
-        lasts_s: how long it usually is there where it is for a time [s]; the shorter, the less likely.
-        prior: what is believed of the coefficients.
-        shifts_clocks: True if, at all joints alike, it is to first order what an offset of clocks is.
-        kinds: shape parameters that choose between kinds, such as the side of a stop: none lies between two of them;
-            with words for values that a number does not tell as well.
+        uses_load: True if the features depend on the rigid-body torque, and so on the inertial parameters.
+        comes_and_goes: True if it may be in some recordings of a robot and not in others: after service, in the cold,
+            with a cable, after a new calibration. False for what a robot is built of.
+        of_each_recording: True if each recording of a site has coefficients of its own; the site names the recordings.
+        sees_friction: True if the features depend on the friction too (``Signals.supplied``).
+        has_memory: True if the features depend on past states, and so need a sequence.
+        lasts_s: typical duration of an effect that acts for a time only [s]; a shorter one is less likely.
+        prior: of the coefficients.
+        shifts_clocks: True if, at all joints at once, it equals a clock offset to first order.
+        kinds: shape parameters with separate values, such as the side of a stop, and words for these values.
         several: True if a joint may have more than one of them, such as two stops.
-        follows: shape parameters that follow from the coefficients, see ``agreeing``.
-        reciprocals: parameters that are one over a coefficient, which may be zero: a stiffness.
-        of_the_data: shape parameters that say which part of it recordings tell, no property of a robot.
-        needs: what a recording must hold beside positions and torques, in words.
-        export_note: what ``mjcf`` leaves out, or why it has no word for the effect.
-        exported_in_part: True if what ``mjcf`` writes makes a part of the torque only; ``export_note`` says which.
-        urdf_note: which part of the torque ``urdf_dynamics`` writes and which it leaves out; empty if it is all there.
+        follows: shape parameters that are computed from the coefficients, see ``agreeing``.
+        reciprocals: parameters that are one over a coefficient which may be zero, such as a stiffness.
+        of_the_data: shape parameters that describe the recordings, not the robot, such as a usable bandwidth.
+        needs: what a recording must hold in addition to positions and torques, in words.
+        export_note: what ``mjcf`` leaves out, or why MJCF has no element for the effect.
+        exported_in_part: True if what ``mjcf`` writes makes only a part of the torque; ``export_note`` says which.
+        urdf_note: which part of the torque ``urdf_dynamics`` writes and which it leaves out; empty if it writes all.
     """
 
     id: ClassVar[str]
@@ -151,30 +151,30 @@ class Effect(ABC):
     urdf_note: ClassVar[str] = ""
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
-        """Return where on a robot the effect may sit; ``windows`` are stretches of time in which it may act.
+        """Return the places on a robot where the effect may act; ``windows`` are windows of time in which it may act.
 
-        Without them, where it may sit all the time; none if it acts for a time only.
+        Without windows: the places where it may act all the time; none for an effect that acts for a time only.
         """
         return tuple(Site(joint) for joint in range(robot.n_dof))
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        """Return the shape parameters to try in the range that a recording covers."""
+        """Return the shape parameters to try, given the range that a recording covers."""
         return ({},)
 
     def agreeing(self, coefficients: Tensor, shape: Shape) -> Shape:
-        """Return the shape whose parameters that follow from the coefficients (K,) agree with them."""
+        """Return the shape with the parameters in ``follows`` computed from the coefficients (K,)."""
         return shape
 
     @abstractmethod
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         """Return phi_k by label: (*batch) at the site's joint, (n, *batch) if ``whole_robot``.
 
-        Equal labels at one joint mean equal features, whichever effect they belong to; with ``whole_robot`` this holds
-        for the robot, so that a label names the site too.
+        Equal labels at one joint must mean equal features, for all effects. With ``whole_robot`` this holds for the
+        whole robot, so a label names the site too.
         """
 
     def features_at(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
-        """Return ``features``, zero in recordings in which the site is not, under labels that say so."""
+        """Return ``features``, set to zero in recordings outside the site; labels then name the site's recordings."""
         found = self.features(signals, site, shape)
         if site.recordings is None:
             return found
@@ -187,29 +187,30 @@ class Effect(ABC):
 
     @abstractmethod
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        """Return w and the shape of given physical parameters: the inverse of ``parameters``."""
+        """Return w and the shape for given physical parameters: the inverse of ``parameters``."""
 
     @abstractmethod
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        """Say whether the physics allows these values (signs, order, ranges that the recording covers)."""
+        """Return whether physics allows these values: signs, order, and the ranges that the recording covers."""
 
     def region(self, parameters: Mapping[str, float], scale: JointScale) -> tuple[float, float] | None:
-        """Return the positions of its joint between which the effect acts [rad, m]; None if it acts everywhere."""
+        """Return the joint positions between which the effect acts [rad, m]; None if it acts everywhere."""
         return None
 
     def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
-        """Return what the term adds to the attributes of the URDF's <dynamics>; empty if URDF has no word for it.
+        """Return what the term adds to the attributes of URDF's <dynamics>; empty if URDF cannot express it.
 
         "damping" is viscous friction, "friction" Coulomb friction.
         """
         return {}
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
-        """Return the MJCF elements and attributes that the term is; empty if MJCF has no word for it.
+        """Return the term as MJCF elements and attributes; empty if MJCF cannot express it.
 
-        "joint" is the site's own, "body" what that joint moves (the base, for the whole robot), "general" or "dcmotor"
-        the joint's actuator, whose control is the recorded torque, "actuatorfrc" the sensor that records it, "fixed" a
-        tendon over the site's joints. Numbers add to those of other terms, a gain multiplies. Angles are in radians.
+        Elements: "joint", the site's joint; "body", the body that this joint moves (the base, for the whole robot);
+        "general" or "dcmotor", the joint's actuator, whose control is the recorded torque; "actuatorfrc", the sensor
+        that records it; "fixed", a tendon over the site's joints. Numbers add to those of other terms; a gain
+        multiplies. Angles are in radians.
         """
         return {}
 
@@ -217,11 +218,11 @@ class Effect(ABC):
         """Return the function that shows the effect best, differentiable in w (K,).
 
         Args:
-            coefficients, shape: as of a term.
-            scale: what the recordings cover at the joint on whose motion the effect depends.
+            coefficients, shape: as in a term.
+            scale: the range of the recordings at the joint on whose motion the effect depends.
 
         Returns:
-            None if no signal of one joint tells the torque, or the range of that signal is not known.
+            None if the torque is not a function of one joint's signal, or the range of that signal is not known.
         """
         return None
 
@@ -231,17 +232,17 @@ class Effect(ABC):
 
 
 class ShowsBodies(Effect):
-    """An effect through which inertial parameters act that no torque tells without it."""
+    """An effect that makes inertial parameters identifiable which are not identifiable without it."""
 
     @abstractmethod
     def through_bodies(self, signals: Signals, coefficients: Tensor) -> Tensor:
-        """Return what the torque of the coefficients (K,) changes by with inertial parameters, (n, n_params, N)."""
+        """Return the derivative of the torque of the coefficients (K,) by the inertial parameters, (n, n_params, N)."""
 
 
 class JointEffect(Effect):
     """An effect at one joint that depends on the signals of that joint alone.
 
-    ``drawn_over`` names the signal that its curve runs over, a field of ``JointState``.
+    ``drawn_over`` names the signal on the x axis of its curve, a field of ``JointState``.
     """
 
     drawn_over: ClassVar[str] = "qd"
@@ -262,7 +263,7 @@ class JointEffect(Effect):
 
     @abstractmethod
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
-        """Return phi_k by label, of the shape of ``state.q``."""
+        """Return phi_k by label; each has the shape of ``state.q``."""
 
 
 class Term(nn.Module):
@@ -270,7 +271,7 @@ class Term(nn.Module):
 
     Args:
         effect: the physics.
-        site: where it sits.
+        site: where it acts.
         coefficients: w, (K,).
         shape: values of the nonlinear parameters.
     """

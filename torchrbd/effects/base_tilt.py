@@ -1,4 +1,4 @@
-"""A base that is not level: gravity does not pull along the axis that the robot description assumes."""
+"""Tilted base: gravity does not point in the direction that the robot description assumes."""
 
 from __future__ import annotations
 
@@ -20,10 +20,12 @@ from torchrbd.robot import RobotModel
 class BaseTilt(ShowsBodies):
     """tau += G(q, -theta x g'): the base is turned by the rotation vector theta = (tilt_x, tilt_y, 0), in its own axes.
 
-    G(q, g) is the torque that gravity g takes, linear in g. In the base's axes gravity becomes exp(-[theta]x) g, which
-    g - theta x g' is to second order, g' = exp(-[theta]x / 2) g; the theta of g', ``about``, follows, and a small one
-    is taken for none. A turn about gravity is not seen. If the assumed gravity lies along x or y, the two tilts are
-    about the next two axes in cyclic order.
+    G(q, g) is the torque of gravity g, linear in g. In the axes of the tilted base, gravity is exp(-[theta]x) g. This
+    equals g - theta x g' to second order, with g' = exp(-[theta]x / 2) g. The theta of g' is the shape parameter
+    ``about``, computed from the coefficients; for a small tilt it is zero.
+
+    A turn about gravity does not change the torque. If the assumed gravity is along x or y, the two tilts are about the
+    next two axes in cyclic order.
     """
 
     id = "base_tilt"
@@ -63,14 +65,14 @@ class BaseTilt(ShowsBodies):
         }
 
     def through_bodies(self, signals: Signals, coefficients: Tensor) -> Tensor:
-        """A first body that turns about the vertical has its centre of mass told by a base that leans."""
+        """A tilted base makes the first body's centre of mass identifiable, if that body turns about the vertical."""
         still = torch.zeros_like(signals.q)
         tilts = tuple(about(self, coefficients.tolist()).values())
         sideways = coefficients.to(still) @ self._sideways(signals.robot, tilts).to(still)
         return signals.robot.regressor_batch_last(signals.q, still, still, sideways)
 
     def _sideways(self, robot: RobotModel, tilts: Sequence[float]) -> Tensor:
-        """Return -e x g' (2, 3) for both axes e that a base can be tilted about, g' turned by half of tilts (2,)."""
+        """Return -e x g' (2, 3) for the two tilt axes e; g' is gravity turned by half of ``tilts`` (2,)."""
         down = int(robot.gravity.abs().argmax())
         turns = torch.eye(3, dtype=robot.gravity.dtype)[[(down + 1) % 3, (down + 2) % 3]]
         half = -0.5 * torch.tensor(tilts, dtype=turns.dtype) @ turns

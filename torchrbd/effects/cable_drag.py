@@ -1,4 +1,4 @@
-"""Cable drag: a cable or hose rubs on the arm over a window of angles and resists motion there."""
+"""Cable drag: a cable or hose rubs on the arm within a range of positions and resists motion there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class CableDrag(JointEffect):
-    """tau += c window(q) sign(qd) with c >= 0; the window is 1 from start to end, its edges a tenth of it wide."""
+    """tau += c window(q) sign(qd) with c >= 0. The window is 1 from start to end; its edges are a tenth of it wide."""
 
     id = "cable_drag"
     family = "friction"
@@ -28,7 +28,7 @@ class CableDrag(JointEffect):
     prior = RESISTS
     export_note = "MJCF has no friction that depends on position"
     _EDGE = 0.1
-    # Widths in parts of the range, and distances of windows in widths of what is narrower, the window or the rest.
+    # Widths as fractions of the range; steps between windows in units of the narrower of window and remainder.
     _WIDTHS, _STEP = (0.15, 0.3, 0.6), 0.3
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:

@@ -1,7 +1,7 @@
 """Coulomb friction: a constant resistance against motion, the same or different in the two directions.
 
-Different directions: with s = sign(qd), c_plus max(s, 0) + c_minus min(s, 0). Away from rest this spans the same
-torques as one symmetric coefficient plus a constant offset, from which motion alone cannot tell it.
+Different directions: with s = sign(qd), c_plus max(s, 0) + c_minus min(s, 0). Away from rest these are the same torques
+as one symmetric coefficient plus a constant offset. Motion alone cannot distinguish the two.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class CoulombFriction(JointEffect):
 class AsymmetricCoulombFriction(JointEffect):
     """tau += c_plus for qd > 0, -c_minus for qd < 0, both >= 0.
 
-    Half of their sum resists, half of their difference pushes.
-    The part that resists shares its column with any other friction that contains Coulomb's.
+    Half of their sum resists motion; half of their difference pushes in one direction. The part that resists shares its
+    column with every other friction that contains Coulomb friction.
     """
 
     id = "asymmetric_coulomb_friction"

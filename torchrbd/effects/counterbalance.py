@@ -1,14 +1,14 @@
 """Counterbalance: a spring, gas spring or hydraulic cylinder on a crank across the joint carries part of the weight.
 
-With crank a, distance b of the cylinder's foot from the joint, r = a / b and theta = q - q_0 from the dead centre,
-where the cylinder is shortest, the law of cosines gives its length and its lever arm:
+Let a be the crank, b the distance of the cylinder's foot from the joint, and r = a / b. theta = q - q_0 is the angle
+from the dead centre, where the cylinder is shortest. The law of cosines gives its length and lever arm:
 
     L = b l(theta),  l = sqrt(1 + r^2 - 2 r cos(theta)),  dL/dq = a sin(theta) / l
 
 A force F = F_0 + k (L - L_0), positive in tension, adds F dL/dq to the torque that the actuator must supply. With k = 0
-this is a cylinder at constant pressure or a gas spring, F_0 < 0 if it pushes. The first term alone is like gravity at a
-level axis; the harmonics of the second one tell a cylinder from weight: at a crank ratio of .2 to .9 they are about a
-tenth of its RMS over 3 rad, a thirtieth over 1.5 rad.
+this is a cylinder at constant pressure or a gas spring; F_0 < 0 if it pushes. The first term alone is like gravity at a
+level axis. The harmonics of the second term distinguish a cylinder from weight: at a crank ratio of .2 to .9 they are
+about a tenth of its RMS over 3 rad, a thirtieth over 1.5 rad.
 """
 
 from __future__ import annotations
@@ -28,7 +28,11 @@ from torchrbd.robot import RobotModel
 
 
 class Counterbalance(JointEffect):
-    """tau += k a b sin(theta) + (F_0 - k L_0) a sin(theta) / l(theta) with k >= 0, 0 < r < 1."""
+    """tau += k a b sin(theta) + (F_0 - k L_0) a sin(theta) / l(theta), with theta = q - q_0 from the dead centre.
+
+    a is the crank, b the distance of the cylinder's foot from the joint, r = a / b the crank ratio, 0 < r < 1. k >= 0
+    is the stiffness, F_0 the force at length L_0. l = sqrt(1 + r^2 - 2 r cos(theta)) is the length in units of b.
+    """
 
     id = "counterbalance"
     family = "spring"
@@ -46,14 +50,14 @@ class Counterbalance(JointEffect):
     export_note = (
         "a spatial tendon between a site on the crank and one at the cylinder's foot; motion does not identify where"
     )
-    # Centres lie closer where the cylinder passes them in motion: the nearer the crank ratio is to one, the sharper the
-    # bend there.
+    # Centres are closer together within the range of motion: the nearer the crank ratio is to one, the sharper the bend
+    # there.
     _CRANK_RATIOS, _STEP, _INSIDE = (0.45, 0.75), 0.4, 0.5
-    # It carries weight: torques of many times the load, that cancel, are curvature of something else.
+    # It carries weight: two torques of many times the load that cancel would model some other curvature.
     _MOST_LOADS = 5.0
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
-        """Return the revolute joints: a slide has no crank."""
+        """Return the revolute joints: a prismatic joint has no crank."""
         return tuple(Site(joint) for joint, slides in enumerate(robot.prismatic.tolist()) if not slides)
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:

@@ -1,13 +1,14 @@
-"""Coupled motors, as of a differential or hollow wrist: a motor turns by a sum of two joints' motions.
+"""Coupled motor: a motor turns with a sum of two joints' motions, as in a differential or hollow wrist.
 
-Its friction and its rotor's inertia act along theta = q + r q_other, and on both joints, as virtual work has it,
+Its friction and its rotor's inertia act along theta = q + r q_other. By virtual work, they act on both joints:
 
     tau = f,   tau_other = r f,   f = d omega + c sign(omega) + I_r domega/dt,   omega = qd + r qd_other
 
-The motors of a differential have r = 1 and r = -1. So has one that drives its joint through the one before, by shafts
-inside each other with bevel gears of one size. Axes of wrists cross. Where two are parallel, as in a parallelogram,
-rotors at both and other inertias of the links do what such a rotor does, I (qdd - qdd_other) + I (qdd + qdd_other) =
-2 I qdd, and it is not sought.
+The two motors of a differential have r = 1 and r = -1. So has a motor that drives its joint through the joint before,
+by concentric shafts with bevel gears of one size.
+
+Only axes that cross are searched, as in wrists. Where two axes are parallel, as in a parallelogram, rotors at both
+joints and other link inertias have the same effect: I (qdd - qdd_other) + I (qdd + qdd_other) = 2 I qdd.
 
 Source: Janot, Vandanjon, Gautier, "A Generic Instrumental Variable Approach for Industrial Robot Identification",
     IEEE Transactions on Control Systems Technology 2014, on the wrist of the Staubli TX40.
@@ -26,14 +27,15 @@ from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window, carrier
 from torchrbd.robot import RobotModel
 
-# Sine of the angle below which two axes are parallel.
+# Sine of the angle below which two axes count as parallel.
 _PARALLEL = 0.1
 
 
 class CoupledMotor(Effect):
-    """tau += f, tau_other += r f of a motor whose speed is omega = qd + r qd_other; d, c and I_r are not negative.
+    """tau += f, tau_other += r f, with f = d omega + c sign(omega) + I_r domega/dt and omega = qd + r qd_other.
 
-    Sites are pairs of a joint and the one that carries it, which turn about axes that are not parallel.
+    d, c and I_r are the motor's viscous and Coulomb friction and its rotor's inertia, all >= 0; r is 1 or -1. A site is
+    a revolute joint and the joint that carries it, with axes that are not parallel.
     """
 
     id = "coupled_motor"
@@ -96,7 +98,7 @@ class CoupledMotor(Effect):
 
 
 def _cross(robot: RobotModel, joint: int, other: int) -> bool:
-    """Say whether both turn, about axes that are not parallel, which no motion changes."""
+    """Return whether both joints are revolute with axes that are not parallel; no motion changes that."""
     if bool(robot.prismatic[joint] | robot.prismatic[other]):
         return False
     axes = robot.jacobian(torch.zeros(robot.n_dof, dtype=torch.float64), robot.joint_bodies[joint])[3:]

@@ -1,10 +1,10 @@
-"""Joints, bases and encoders that are off by more than the slope of a torque tells.
+"""Errors of joint origins, bases and encoders that are too large for a first-order term.
 
-The torque of a displacement e along a straight line is, to second order, its slope halfway:
+The torque of a displacement e along a straight line is, to second order, its derivative at half the way:
 
     tau(e) - tau(0) = e . dtau/de at e/2 + O(e^3)
 
-Where that is depends on e itself, so that it is a shape parameter that follows from the coefficients.
+That point depends on e itself: it is a shape parameter that is computed from the coefficients.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from collections.abc import Sequence
 
 from torchrbd.effects.base import Effect, Shape
 
-# A displacement [rad, m] of which the first order leaves about a hundredth.
+# Displacement [rad, m] up to which the first-order term is accurate to about one percent.
 _SMALL = 0.02
 
 
 def about(effect: Effect, displacement: Sequence[float]) -> Shape:
-    """Return for which displacement (K,) [rad, m] an effect is to be told: none, where slopes are, for a small one.
+    """Return the displacement (K,) [rad, m] at which derivatives are taken, as a shape: zero for a small displacement.
 
-    What no torque feels is not a number, and none as well.
+    A component that changes no torque is NaN in the argument and zero in the result.
     """
     felt = [0.0 if math.isnan(e) else e for e in displacement]
     small = max(map(abs, felt)) <= _SMALL

@@ -1,4 +1,4 @@
-"""A joint whose zero is off: the recorded position is the true one plus a constant."""
+"""Encoder offset: the joint's zero is off; the recorded position is the true one plus a constant."""
 
 from __future__ import annotations
 
@@ -18,10 +18,12 @@ from torchrbd.robot import RobotModel
 
 
 class EncoderOffset(Effect):
-    """tau += o (tau_rigid(q_j - about) - tau_rigid(q_j)) / about: q_j is recorded as the true position plus o.
+    """tau += tau_rigid(q - o) - tau_rigid(q): joint j is recorded as its true position plus o.
 
-    Where ``about``, which follows, is o, the term is exact; a small offset is told by the slope, -o d tau_rigid / dq_j.
-    A first joint whose axis is vertical cannot have one that shows.
+    The term is o (tau_rigid(q_j - about) - tau_rigid(q_j)) / about, exact for about = o. The shape parameter ``about``
+    is computed from o. For a small offset the term is the derivative, -o d tau_rigid / dq_j.
+
+    An offset at a first joint with a vertical axis changes no torque.
     """
 
     id = "encoder_offset"

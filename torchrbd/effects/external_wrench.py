@@ -1,4 +1,4 @@
-"""A constant force and moment on a link while something touches it: contact, a hose, a spring balancer."""
+"""External force or moment: a constant wrench on a link while something touches it (contact, hose, spring balancer)."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from torchrbd.robot import RobotModel
 
 
 class ExternalWrench(Effect):
-    """tau += -J(q)' [f, n] during a window: f and n act on the link at its origin, in the base's axes.
+    """tau += -J(q)' [f, n] during a window of time: force f and moment n act on the link at its origin.
 
-    Where few joints carry a link, some component of the wrench moves none of them, and is not told.
+    f and n are in the base's axes; J is the link's Jacobian. Where few joints move a link, some components of the
+    wrench change no torque and are not identifiable.
     """
 
     id = "external_wrench"

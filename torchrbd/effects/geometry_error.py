@@ -1,6 +1,6 @@
-"""Wrong geometry: a joint does not sit where the robot description puts it. No inertial parameters repair that.
+"""Wrong geometry: a joint is not where the robot description puts it. No inertial parameters can compensate for that.
 
-A link that is longer, an axis that is tilted or a flange that is turned are all a joint whose <origin> is off.
+A link of another length, a tilted axis and a turned flange are all a joint with a wrong <origin>.
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ from torchrbd.robot import RobotModel, with_moved_origins
 class GeometryError(Effect):
     """tau += sum_k e_k d tau_rigid / d e_k: the joint's origin is shifted by (x, y, z) and turned by (rx, ry, rz).
 
-    Both in the parent link's axes, as in the description's <origin>. Slopes are those where the joint is half of
-    ``about`` away, which follows e, so that the term is exact to second order; a small one is taken for none. Turning a
-    joint about its own axis is an encoder offset, and shifting it along that the same as shifting the next one; turning
-    a joint that stands on the base is a tilted base, and shifting it nothing: such a joint is no site.
+    All are in the parent link's axes, as in URDF's <origin>. Derivatives are taken halfway to ``about``, a shape
+    parameter that is computed from e; the term is then exact to second order. For a small error ``about`` is zero.
+
+    Two errors are other effects: turning a joint about its own axis is an encoder offset, and turning a joint that is
+    fixed to the base is a tilted base. Shifting a joint along its axis is the same as shifting the next joint. Shifting
+    a joint that is fixed to the base changes no torque. Joints that are fixed to the base are therefore no sites.
     """
 
     id = "geometry_error"
@@ -47,7 +49,7 @@ class GeometryError(Effect):
         "Descriptions are right to some centimetres and hundredths of a rad.", std=(*[0.02] * 3, *[0.05] * 3)
     )
     export_note = "pos adds to that of the joint's body, quat turns it from the left"
-    # Links of another size of the same machine are a decimetre or two off.
+    # The links of another size of the same machine differ by one or two decimetres.
     _FURTHEST_M, _LARGEST_RAD = 0.2, 0.2
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
@@ -82,7 +84,7 @@ class GeometryError(Effect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         limits = {"m": self._FURTHEST_M, "rad": self._LARGEST_RAD}
-        # What no torque feels is not a number, and contradicts nothing.
+        # A parameter that changes no torque is NaN and counts as plausible.
         return not any(abs(value) > limits[self.units[name]] for name, value in parameters.items())
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:

@@ -17,7 +17,7 @@ from torchrbd.robot import RobotModel
 
 
 class JointCoupling(Effect):
-    """tau += k q_other + tau_0, k of either sign. A spring between two joints acts so at both, with equal k."""
+    """tau += k q_other + tau_0, with k of either sign; a spring between two joints acts on both, with equal k."""
 
     id = "joint_coupling"
     family = "transmission"

@@ -1,23 +1,24 @@
-"""A joint that gives way: a spring between motor and link, as in harmonic drives, long shafts and belts.
+"""Joint elasticity: a spring between motor and link, as in harmonic drives, long shafts and belts.
 
-The motor's position q is recorded; the link lags behind it by what the spring yields, q_link = q - tau_s / k, with
-tau_s the torque that winds it: that of the link's motion, and of the joint's friction f where that is the link's,
+The motor's position q is recorded. The link lags behind it by the deflection of the spring, q_link = q - tau_s / k. The
+torque tau_s in the spring moves the link, and overcomes the joint's friction f if that acts on the link:
 
     tau_s = tau_load + f + A x + B dx/dt + M d2x/dt2,  x = -tau_s / k of the joint, all other joints as recorded
 
-with A, M the derivatives of the rigid body's torque with respect to the joint's q and qdd, and B that with respect to
-qd, and the link's viscous friction. To first order in the compliance 1/k load and friction wind the spring. Whose the
-friction is, the motor's or the link's, the data says: viscous friction of the link makes what accelerates it
-late by its coefficient over k.
-Higher orders are those of a series, tau_s put into its own right side twice, which is worked out for a compliance that
-is a shape: it follows the coefficient 1/k. Near the resonance sqrt(k / M) the series ends too early; there the link
-rings by itself, which is not contained, nor is damping beside the spring. Solving for the ringing instead would amplify
-there what the positions' noise and wrong inertias make of the load. A spring that yields by more than .2 rad or m is
-none that this could tell. What the motor's own inertia takes is rotor inertia, an effect of its own.
+A and M are the derivatives of the rigid-body torque with respect to the joint's q and qdd. B is that with respect to qd
+plus the link's viscous friction. To first order in the compliance 1/k, load and friction deflect the spring. The data
+decide whether the friction acts on the motor or on the link. Viscous friction on the link delays the torque that
+accelerates it by its coefficient over k.
 
-The load comes from accelerations, and is differentiated twice more: what noise there is in the positions would drown
-the motion. So x is seen below a bandwidth that the data chooses as a shape, within the motion's band: through a
-Butterworth filter, since one that fades earlier makes stiffness seem less than it is.
+Higher orders are a series: tau_s is inserted into its own right side twice. They are computed at a given compliance, a
+shape parameter that follows the coefficient 1/k. Near the resonance sqrt(k / M) the series is too short. There the link
+oscillates freely, which is not modelled; nor is damping of the spring. To solve for the oscillation instead would
+amplify the errors of the load there: noise of the positions and wrong inertias. A spring that deflects by more than .2
+rad or m is outside the model. The torque for the motor's own inertia is rotor inertia, a separate effect.
+
+The load comes from accelerations and is differentiated twice more, which amplifies the noise of the positions beyond
+the motion. So x is low-pass filtered, within the motion's band; the data choose the cut-off frequency, a shape
+parameter. The filter is a Butterworth: one that attenuates earlier makes the stiffness seem too small.
 
 Source: Spong, "Modeling and control of elastic joint robots", ASME J. Dyn. Syst. Meas. Control 1987, for the model.
 """
@@ -38,7 +39,12 @@ from torchrbd.effects.sites import Site
 
 
 class JointElasticity(Effect):
-    """tau = tau_load(q - tau_s / k), linear in 1/k, with k > 0."""
+    """tau += tau_load(q - tau_s / k) - tau_load(q), linear in the compliance 1/k, with stiffness k > 0.
+
+    q is the motor's position, q - tau_s / k the link's. tau_s is the torque in the spring: the rigid-body torque, and
+    the joint's friction if that acts on the link (``link_friction`` = 1). ``bandwidth`` is the frequency below which
+    the deflection is computed.
+    """
 
     id = "joint_elasticity"
     family = "transmission"
@@ -99,7 +105,7 @@ class JointElasticity(Effect):
         return {"stiffness": 1.0 / coefficients[0], **shapes}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        """Return them; without a compliance, that of the stiffness; without ``link_friction``, that of a motor."""
+        """Return w and the shape; defaults: the compliance of the given stiffness, friction that acts on the motor."""
         compliance = 1.0 / parameters["stiffness"]
         return (compliance,), {
             "bandwidth": parameters["bandwidth"],

@@ -1,4 +1,4 @@
-"""A spring between a link and its parent: a counterbalance, a bent cable bundle, a preloaded seal."""
+"""Joint spring: a spring between a link and its parent, such as a counterbalance, a bent cable bundle, a tight seal."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from torch import Tensor
 from torchrbd.effects.base import CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, JointState
 
-# A spring's rest lies within so many times the range that the joint has covered.
+# Largest distance of a spring's rest position, in ranges that the joint has covered.
 _MOST_SPANS = 10.0
 
 
 class JointSpring(JointEffect):
-    """tau += k (q - q0) with k >= 0; linear in k and the torque at zero, -k q0."""
+    """tau += k (q - q0) with k >= 0; linear in the stiffness k and in the torque at q = 0, which is -k q0."""
 
     id = "joint_spring"
     family = "spring"
@@ -43,7 +43,7 @@ class JointSpring(JointEffect):
         return (stiffness, -stiffness * parameters["rest_position"]), {}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        """Say whether it pushes back, and is no constant torque: its rest is not too far from where the joint was."""
+        """Return whether the spring pushes back, with a rest position near enough that it is not a constant torque."""
         away = abs(parameters["rest_position"] - 0.5 * (scale.q_low + scale.q_high))
         return parameters["stiffness"] >= 0 and away <= _MOST_SPANS * (scale.q_high - scale.q_low)
 

@@ -1,4 +1,4 @@
-"""Whose the friction at a joint is: the motor's, or that of the link behind the gear."""
+"""Which side of the gear a joint's friction acts on: the motor, or the link behind the gear."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from torchrbd.effects.base import Shape
 
 PARTS: Mapping[float, str] = {0.0: "friction of the motor", 1.0: "friction of the link"}
-"""Of the friction at a joint, what the link may have, and words for it."""
+"""Share of the joint's friction that acts on the link, with words for each value."""
 
 
 def link_part(shape: Shape) -> float:
-    """Return the part of the friction at a joint that is the link's; none if the shape does not tell."""
+    """Return the share of the joint's friction that acts on the link; 0 if the shape does not give it."""
     return min(max(shape.get("link_friction", 0.0), 0.0), 1.0)

@@ -1,8 +1,8 @@
-"""Load-dependent friction: gears and bearings resist in proportion to the torque that they carry.
+"""Load-dependent friction: gears and bearings resist in proportion to the torque that they transmit.
 
-With the efficiency eta of a gear the actuator must supply |load| / eta to drive and saves (1 - eta) |load| when driven:
-the losses 1 / eta - 1 and 1 - eta have the mean k; half their difference, of second order in 1 - eta, acts as a torque
-gain. The load is the torque that the rigid body takes, never the measured one, which would explain itself.
+A gear of efficiency eta needs |load| / eta to drive, and saves (1 - eta) |load| when driven. The losses 1 / eta - 1 and
+1 - eta have the mean k. Half their difference is of second order in 1 - eta and acts as a torque gain. The load is the
+rigid-body torque, never the measured one, which would explain itself.
 
 Source: Hamon, Gautier, Garrec, Janot, "Dynamic Modeling and Identification of Joint Drive with Load-Dependent Friction
     Model", AIM 2010, with the same k in all four quadrants of torque and speed.
@@ -20,7 +20,7 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class LoadDependentFriction(JointEffect):
-    """tau += k |load| sign(qd) with k >= 0."""
+    """tau += k |load| sign(qd) with k >= 0; the load is the torque of the rigid body."""
 
     id = "load_dependent_friction"
     family = "friction"

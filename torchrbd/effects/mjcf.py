@@ -1,4 +1,4 @@
-"""Values of MJCF attributes that several effects have in common."""
+"""MJCF attributes that several effects share."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 
 def affine(torque: float) -> dict[str, float | tuple[float, ...] | str]:
-    """Return the attributes of an actuator that gives a constant torque beside what it is asked for."""
+    """Return the attributes of an actuator that adds a constant torque to its command."""
     return {"biastype": "affine", "biasprm": (torque, 0.0, 0.0)}
 
 

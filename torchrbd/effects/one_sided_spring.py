@@ -1,4 +1,4 @@
-"""One-sided spring: something elastic met on one side only, such as a soft stop or a cable going taut."""
+"""One-sided spring: something elastic that acts on one side only, such as a soft stop or a taut cable."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class OneSidedSpring(JointEffect):
     several = True
     prior = CoefficientPrior("A spring pushes back.", positive=(0,))
     export_note = "a fixed tendon over this joint alone, with coefficient one"
-    # Parts of the range in which the spring acts: more, it is a joint spring. Ramps look alike at equal ratios of
-    # their lengths.
+    # Fractions of the range in which the spring acts; above the largest it is a joint spring. The grid is geometric:
+    # ramps look alike at equal ratios of their lengths.
     _SHORTEST, _LONGEST, _GRID_POINTS = 0.04, 0.8, 8
     _FAR = 1e3
 

@@ -1,4 +1,4 @@
-"""A load that a link carries for a part of the time: a grasped part, a tool that was changed between recordings."""
+"""Payload: a load that a link carries for a time, such as a part in the gripper, or a tool in some recordings."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ from torchrbd.robot import PARAMETERS, RobotModel
 
 
 class Payload(Effect):
-    """tau += Y_link(q, qd, qdd) pi during a window, pi the inertial parameters of what the link carries.
+    """tau += Y_link(q, qd, qdd) pi during a window of time; Y_link is the link's regressor, pi the load's parameters.
 
-    Exact: mass m, centre c in the link's frame and inertia about the link's origin. Without the inertia, a point mass
-    13 cm from the origin would leave 2 to 20 % of its torque, and its centre would be 3 to 9 % off. A load that is
-    always there is part of the link, so that there are no sites without windows. Where few joints carry a link, some of
-    the ten numbers move none of them, and are not told.
+    pi holds mass m, first moment m c with the centre c in the link's frame, and the inertia about the link's origin.
+    The inertia matters: without it, a point mass 13 cm from the origin leaves 2 to 20 % of its torque, and its centre
+    is off by 3 to 9 %.
+
+    A load that is always there is part of the link; so every site has a window. Where few joints move a link, some of
+    the ten parameters change no torque and are not identifiable.
     """
 
     id = "payload"
@@ -66,7 +68,7 @@ class Payload(Effect):
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         m, mc, inertia = coefficients[0], coefficients[1:4], coefficients[4:]
-        # The centre of a moment without mass is far away, yet a number.
+        # Without mass, the centre is far away but finite.
         divisor = m + 1e-12 * (m == 0)
         return dict(zip(self.units, (m, *(c / divisor for c in mc), *inertia), strict=True))
 
@@ -75,8 +77,8 @@ class Payload(Effect):
         return (m, m * x, m * y, m * z, *inertia), {}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        # What no joint feels is not a number, and contradicts nothing; nor does a mass that may as well be zero where
-        # its moments are told.
+        # Parameters that change no torque are NaN and count as plausible. Where the mass is NaN, the moments of inertia
+        # must not be negative.
         far = any(abs(parameters[axis]) > self._FURTHEST_M for axis in "xyz")
         felt = ("Ixx", "Iyy", "Izz") if math.isnan(parameters["mass"]) else ("mass",)
         return not far and not any(parameters[name] < 0 for name in felt)

@@ -1,4 +1,4 @@
-"""Places on a robot where an effect of the whole robot shows in the torques, with each of its coefficients or some."""
+"""Places on a robot where the coefficients of a whole-robot effect change some torque."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ _STATES, _RANK_TOLERANCE = 32, 1e-6
 
 @lru_cache(maxsize=64)
 def moved(effect: Effect, robot: RobotModel, sites: tuple[Site, ...]) -> tuple[Site, ...]:
-    """Return the sites at which some coefficient makes some torque."""
+    """Return the sites at which at least one coefficient changes some torque."""
     return tuple(site for site in sites if any(phi.any() for phi in _features(effect, robot, site)))
 
 
 @lru_cache(maxsize=64)
 def telling(effect: Effect, robot: RobotModel, sites: tuple[Site, ...]) -> tuple[Site, ...]:
-    """Return the sites at which no motion whatever would leave a combination of the coefficients without torque.
+    """Return the sites at which all coefficients are identifiable from some motion.
 
-    A mass on the axis of the first joint, a moment that no joint bears or a zero that gravity does not see cannot be
-    told by any recording. The rank of the features at random states says so.
+    Not so are a mass on the axis of the first joint, a moment that no joint takes, or the zero of a joint that gravity
+    does not load. The test is the rank of the features at random states.
     """
     return tuple(site for site in sites if _has_full_rank(_features(effect, robot, site)))
 

@@ -1,9 +1,9 @@
-"""Friction of each joint that terms plainly say: what an actuator supplies beside the rigid body's torque.
+"""Baseline friction of each joint, a part of the torque that the actuator supplies:
 
     viscous qd + coulomb sign(qd) + offset
 
-What a sensor or an actuator does to a torque it does to all of it. Only parts that are linear in these three count, so
-that no effect that sees them is among them.
+Effects of sensors and actuators act on this torque too, not only on that of the rigid body. Only effects that are
+linear in these three coefficients count; none of them depends on friction itself.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PARTS: dict[str, tuple[tuple[float, float, float], ...]] = {
     "coulomb_friction": ((0.0, 1.0, 0.0),),
     "torque_offset": ((0.0, 0.0, 1.0),),
     "asymmetric_coulomb_friction": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    # These contain Coulomb friction, and stand in its place.
+    # These contain Coulomb friction and replace it.
     "stribeck_friction": _COULOMB_AND_MORE,
     "time_varying_friction": _COULOMB_AND_MORE,
     "position_dependent_friction": _COULOMB_AND_MORE,
@@ -32,7 +32,7 @@ def plain_friction(n_dof: int, terms: Iterable[tuple[str, int | None, Tensor]]) 
 
     Args:
         n_dof: number of joints.
-        terms: effect, joint and coefficients w (K,) of each; others than those of ``PARTS`` do not count.
+        terms: effect id, joint and coefficients w (K,) of each; effects that are not in ``PARTS`` are ignored.
     """
     total = torch.zeros(n_dof, 3, dtype=torch.float64)
     for effect, joint, w in terms:

@@ -1,6 +1,6 @@
 """Position-dependent friction: a sticky region (dented bearing, tight gear mesh, dry spot), or one that is worn smooth.
 
-Source: Coulomb friction with the bump that Stribeck friction has over speed, here over position.
+Source: Stribeck friction's bump, as a function of position instead of speed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class PositionDependentFriction(JointEffect):
     export_note = "frictionloss is that outside of the region; MJCF has no friction that depends on position"
     exported_in_part = True
     urdf_note = "friction is that outside of the region; what is else in it is left out"
-    # Widths in parts of the range (wider, it is curvature over all of it) and distances of centres in widths.
+    # Widths as fractions of the range (wider ones are a curvature over all of it); steps of the centre in widths.
     _WIDTHS, _STEP = (0.08, 0.18, 0.4), 0.7
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:

@@ -1,12 +1,12 @@
 """Power-law friction: resistance that grows with a power of speed other than 0 (Coulomb), 1 (viscous) and 2 (drag).
 
-Below 1: lubricated seals and bearings, whose film gets thicker as they run, and shear-thinning grease. Above 1: oil or
-grease that a gearbox churns.
+Exponents below 1: lubricated seals and bearings, whose film gets thicker as they run, and shear-thinning grease.
+Exponents above 1: oil or grease that a gearbox churns.
 
-Source: the Ostwald-de Waele power law of shear-thinning (a < 1) and shear-thickening (a > 1) fluids. |qd|^a has no
-slope at rest for a < 1, so it is softened there as the sign of the velocity is: |qd| is sqrt(qd^2 + rest_width^2). For
-a > 1 it is smooth as it is. Exponents that are tried keep away from those of Coulomb friction and drag, by three and
-one eighths: nearer, nobody tells them apart.
+Source: the Ostwald-de Waele power law of shear-thinning (a < 1) and shear-thickening (a > 1) fluids. For a < 1, |qd|^a
+has no slope at rest, so it is softened like the sign of the velocity: |qd| is sqrt(qd^2 + rest_width^2). For a > 1 it
+needs no softening. The exponents tried stay 3/8 away from Coulomb friction and 1/8 from drag, refinement included:
+closer ones cannot be distinguished from these.
 """
 
 from __future__ import annotations

@@ -1,15 +1,16 @@
-"""Presliding friction: before a joint slides, its friction is a spring that yields, so that it lags at reversals.
+"""Presliding friction: before a joint slides, its friction is a spring that yields, so it lags behind reversals.
 
 The bristles bend over the presliding distance d before they slip:
 
     dz/dt = qd / d (1 - z sign(qd)),  tau += c z,  -1 <= z <= 1
 
-Between two samples the direction does not change, and z has an exact solution in the distance |dq| moved, z_k = s +
-(z_(k-1) - s) exp(-|dq| / d) with s = sign(dq), whatever the speed. LuGre's bristle is the same z, with a Stribeck
-curve in place of the constant c and damping of its rate beside it. For motion that is long against d the term is plain
-Coulomb friction. Between two turning points the same solution holds for the whole way, so these are all that z needs to
-know of the past. What it was before a recording is not known: it starts as if the joint had been sliding, which is
-forgotten after a few d.
+Between two samples the direction is constant, and z has an exact solution in the distance |dq| moved, whatever the
+speed: z_k = s + (z_(k-1) - s) exp(-|dq| / d) with s = sign(dq). LuGre's bristle is the same z; it replaces the constant
+c by a Stribeck curve and adds damping in proportion to dz/dt. For motion much longer than d the term is Coulomb
+friction.
+
+The solution holds for the whole way between two turning points, so these are all that z needs of the past. Before a
+recording z is unknown: it starts as if the joint had been sliding. After a few d this no longer matters.
 
 Source: Dahl, "A solid friction model", Aerospace Corp. TOR-0158(3107-18)-1, 1968, with exponent 1. LuGre: Canudas de
     Wit, Olsson, Astrom, Lischinsky, "A new model for control of systems with friction", IEEE TAC 1995.
@@ -31,7 +32,11 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class PreslidingHysteresis(JointEffect):
-    """tau += c z with c >= 0 and z the state of Dahl's model. It gives back what its spring holds: not dissipative."""
+    """tau += c z with c >= 0, where z is the state of Dahl's model: dz/dt = qd / d (1 - z sign(qd)), -1 <= z <= 1.
+
+    d is the presliding distance. The bristles store energy and give it back, so the term is not dissipative at each
+    instant.
+    """
 
     id = "presliding_hysteresis"
     family = "friction"
@@ -47,7 +52,7 @@ class PreslidingHysteresis(JointEffect):
     )
     exported_in_part = True
     urdf_note = "friction is that of sliding; how it builds up after a reversal is left out"
-    # Parts of the range of motion. Shorter, it is Coulomb friction; longer, a spring that hardly slides.
+    # Fractions of the range of motion. Shorter ones are Coulomb friction; longer ones a spring that hardly slides.
     _SHORTEST, _LONGEST, _GRID_POINTS = 2e-3, 0.1, 4
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
@@ -83,7 +88,7 @@ class PreslidingHysteresis(JointEffect):
         return {"dcmotor": {"lugre": (bristle, 0.0, coulomb, coulomb, 1.0)}}
 
     def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
-        """Return the loop of a motion to and fro in the middle of the range, long enough to slide at both ends."""
+        """Return the loop of an oscillation in the middle of the range, long enough to slide at both ends."""
         turn = torch.linspace(0.0, 3.0 * math.pi, 1500, dtype=torch.float64)
         q = 0.5 * (scale.q_low + scale.q_high) + 4.0 * shape["distance"] * turn.cos()
         (z,) = self.joint_features(JointState(q, -turn.sin(), -turn.cos(), scale.rest_width, t=turn), shape).values()

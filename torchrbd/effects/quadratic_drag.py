@@ -1,6 +1,6 @@
 """Quadratic drag: resistance that grows with the square of speed (air, water, splashing oil).
 
-Source: the drag equation F = 1/2 rho c_d A v^2 of any fluid mechanics handbook, with its factors in one coefficient.
+Source: the drag equation F = 1/2 rho c_d A v^2 of fluid mechanics, with its factors in one coefficient.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Linear recurrences over time as tensors: the exact solution of a first-order state between samples."""
+"""Linear recurrences over time as tensors: exact solutions of a first-order state between samples."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from torch.nn.functional import pad
 
 
 def recurrence(first: Tensor, decay: Tensor, drive: Tensor) -> Tensor:
-    """Return x of x_0 = first, x_k = decay_k x_(k-1) + drive_k along the last dimension.
+    """Return x with x_0 = first and x_k = decay_k x_(k-1) + drive_k, along the last dimension.
 
-    Two steps in a row are one step of the same form, so that log2(N) doublings take the place of N steps.
+    Two steps in a row are one step of the same form, so log2(N) doublings replace N steps.
 
     Args:
         first: (...).
@@ -19,7 +19,7 @@ def recurrence(first: Tensor, decay: Tensor, drive: Tensor) -> Tensor:
     Returns:
         (..., N), differentiable.
     """
-    # The first sample as a step that forgets all before it: nothing needs to be known beyond the ends.
+    # The first sample is a step with decay 0, so values before it do not matter.
     a = torch.cat((torch.zeros_like(first).unsqueeze(-1), decay), -1)
     x = torch.cat((first.unsqueeze(-1), drive), -1)
     step = 1

@@ -1,4 +1,4 @@
-"""The list of known effects. A third party adds its own with ``register``."""
+"""The registry of effects. Add your own with ``register``."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ from torchrbd.effects.viscous_friction import ViscousFriction
 from torchrbd.errors import OptionError, closest
 
 PLAIN = ("viscous_friction", "coulomb_friction", "torque_offset")
-"""What is found on every robot."""
+"""Baseline friction, which is always fitted."""
 PLAIN_OR_UNEVEN = (*PLAIN, "asymmetric_coulomb_friction")
 
 _EFFECTS: dict[str, Effect] = {}
-# Functions that follow no law: models may have them, nobody looks for them by name.
+# Functions without a physical law: models may contain them, but they are not in the list of effects.
 _UNNAMED: dict[str, Effect] = {smooth.id: smooth for smooth in (*SMOOTH, HUM)}
 
 
 def register(effect: Effect) -> Effect:
-    """Make an effect known to the search, the report and the export under its ``id``."""
+    """Add an effect under its ``id`` to the search, the report and the export."""
     _EFFECTS[effect.id] = effect
     return effect
 

@@ -1,4 +1,4 @@
-"""Rotor inertia (armature): the motor's own inertia seen through the gear, ratio squared times that of the rotor."""
+"""Rotor inertia (armature): the motor's own inertia at the joint, the gear ratio squared times that of the rotor."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class RotorInertia(JointEffect):
-    """tau += I_r qdd with I_r >= 0. At the first joint it *is* an inertia of the link, and no motion separates them."""
+    """tau += I_r qdd with I_r >= 0. At the first joint no motion separates it from the inertia of the link."""
 
     id = "rotor_inertia"
     family = "inertia and load"

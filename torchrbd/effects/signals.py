@@ -1,4 +1,4 @@
-"""What an effect may depend on: the signals of one joint, or of the whole robot."""
+"""The inputs of effects: the signals of one joint, or of the whole robot."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from torchrbd.effects.sites import Window
 from torchrbd.errors import InputError
 from torchrbd.robot import RobotModel
 
-# A joint moves if it reaches so many times the speed below which its direction is not told.
+# A joint moves if its speed reaches this multiple of ``rest_width``.
 _MOVES = 3.0
-# Points of a curve.
+# Number of points of a curve.
 _SWEEP = 1000
 
 
@@ -42,10 +42,10 @@ class computed_once(Generic[T]):  # noqa: N801
 class JointState:
     """The signals of one joint; all but t have one common shape.
 
-    ``rest_width`` is the speed [rad/s, m/s] below which the direction of motion is not told: sign(qd) is tanh(qd /
-    rest_width). ``load`` is given to effects that use it, with the ``friction`` beside it where there is any;
-    ``temperature`` and ``t`` as in ``Signals``; ``turned`` (R,) are positions before the first one, at which the joint
-    turned [rad, m].
+    ``rest_width`` is the speed [rad/s, m/s] below which the direction of motion is uncertain: sign(qd) is tanh(qd /
+    rest_width). ``load`` is the rigid-body torque, for effects that use it, ``friction`` the friction torque, if any.
+    ``temperature`` and ``t`` are as in ``Signals``. ``turned`` (R,) are the positions before the first sample at which
+    the joint changed its direction [rad, m].
     """
 
     q: Tensor
@@ -60,16 +60,16 @@ class JointState:
 
     @property
     def supplied(self) -> Tensor:
-        """Torque that the actuator supplies: load and friction."""
+        """Torque that the actuator supplies: load and friction [N m, N]."""
         assert self.load is not None
         return self.load if self.friction is None else self.load + self.friction
 
     def direction(self) -> Tensor:
-        """Return sign(qd), softened where the recording cannot tell it."""
+        """Return sign(qd), softened below ``rest_width``."""
         return torch.tanh(self.qd / self.rest_width)
 
     def times(self) -> Tensor:
-        """Return t, of any shape that goes with the samples.
+        """Return t, of any shape that broadcasts with the samples.
 
         Raises:
             InputError: there is none.
@@ -80,22 +80,22 @@ class JointState:
         """Return t (N,).
 
         Raises:
-            InputError: the samples are no sequence.
+            InputError: the samples are not a sequence.
         """
         return _sequence(self.t)
 
 
 @dataclass(frozen=True)
 class JointScale:
-    """What recordings cover at one joint: the range in which shapes are sought and parameters are plausible.
+    """The range of the recordings at one joint: shapes are searched in it, and parameters are plausible in it.
 
     Attributes:
         speed_max: [rad/s, m/s].
         rest_width: see ``JointState``.
         q_low, q_high: [rad, m].
-        load_max: largest torque that the actuator supplies [N m, N]; None where it is not known.
+        load_max: largest torque that the actuator supplies [N m, N]; None if unknown.
         duration_s: of the longest recording.
-        temperature: coldest and warmest [deg C]; None where not recorded.
+        temperature: lowest and highest [deg C]; None if not recorded.
     """
 
     speed_max: float
@@ -108,13 +108,13 @@ class JointScale:
 
     @property
     def moves(self) -> bool:
-        """Whether the joint moves faster than what passes for rest."""
+        """Whether the joint moves faster than what counts as rest."""
         return self.speed_max > _MOVES * self.rest_width
 
     def sweep(self, signal: str) -> JointState | None:
-        """Return a joint in motion at its fastest while one of its signals runs through its range.
+        """Return a joint at its largest speed while one of its signals runs through its range.
 
-        Positions stay in the middle, the load at its largest, the temperature at its lowest.
+        The position stays in the middle, the load at its largest, the temperature at its lowest.
 
         Args:
             signal: a field of ``JointState``.
@@ -148,20 +148,21 @@ class JointScale:
 
 @dataclass(frozen=True)
 class Signals:
-    """The signals of a robot. Joints come first, time comes last where the samples are a sequence.
+    """The signals of a robot. Joints are the first dimension; time is the last one if the samples are a sequence.
 
     Attributes:
         robot: the robot.
         q, qd, qdd: (n, *batch) [rad, m] and per second, per second squared.
         rest_width: (n,) see ``JointState``.
-        pi: (n_params,) inertial parameters that make the load; the robot's own if None.
-        t: (N,) times of the last dimension, evenly spaced [s]. Samples that are no sequence have none, or other shapes
-            that go with theirs: one time, or (1, N).
+        pi: (n_params,) inertial parameters for the load; the robot's own if None.
+        t: (N,) times of the last dimension, evenly spaced [s]. Samples that are not a sequence have None, or a shape
+            that broadcasts: one time, or (1, N).
         recording: its name; None outside of recordings.
-        temperature: (n, *batch) of the joints [deg C]; None where not recorded.
-        friction: (n, 3) viscous and Coulomb coefficient and offset of each joint that its actuator supplies beside the
-            load, see ``plain_friction``; none if None.
-        turned: per joint, where it has turned before the samples, see ``States``; empty where that is not known.
+        temperature: (n, *batch) of the joints [deg C]; None if not recorded.
+        friction: (n, 3) viscous and Coulomb coefficient and offset of each joint, which add to the load in the torque
+            that its actuator supplies, see ``plain_friction``; no friction if None.
+        turned: per joint, the positions at which it changed direction before the samples, see ``States``; empty if
+            unknown.
     """
 
     robot: RobotModel
@@ -177,7 +178,7 @@ class Signals:
     turned: tuple[Tensor, ...] = ()
 
     def joint(self, joint: int | None, *, load: bool = False) -> JointState:
-        """Return the signals of one joint, with its load or without."""
+        """Return the signals of one joint, with or without its load."""
         assert joint is not None
         warm = None if self.temperature is None else self.temperature[joint]
         carried = self.load[joint] if load else None
@@ -188,40 +189,40 @@ class Signals:
 
     @computed_once
     def load(self) -> Tensor:
-        """Torque that the rigid body takes, (n, *batch) [N m] or [N]."""
+        """Torque of the rigid body, (n, *batch) [N m] or [N]."""
         return self.robot.inverse_dynamics(*self._states, self._own_pi).movedim(-1, 0).contiguous()
 
     @computed_once
     def friction_torque(self) -> Tensor:
-        """Torque that ``friction`` takes, (n, *batch) [N m] or [N]."""
+        """Torque of ``friction``, (n, *batch) [N m] or [N]."""
         if self.friction is None:
             return torch.zeros_like(self.qd)
         return self._each(self.friction[:, 0]) * self.qd + self.coulomb_torque + self._each(self.friction[:, 2])
 
     @property
     def coulomb_torque(self) -> Tensor:
-        """Torque that Coulomb friction takes of it, (n, *batch) [N m] or [N]."""
+        """The Coulomb part of the friction torque, (n, *batch) [N m] or [N]."""
         if self.friction is None:
             return torch.zeros_like(self.qd)
         return self._each(self.friction[:, 1]) * self.directions
 
     @property
     def directions(self) -> Tensor:
-        """Soft signs of the velocities, (n, *batch)."""
+        """Softened signs of the velocities, (n, *batch)."""
         return torch.tanh(self.qd / self._each(self.rest_width))
 
     def _each(self, values: Tensor) -> Tensor:
-        """Return values (n,) of the joints as they go with the samples, (n, 1, ...)."""
+        """Return values (n,) of the joints in a shape that broadcasts with the samples, (n, 1, ...)."""
         return values.to(self.qd).reshape(-1, *[1] * (self.qd.ndim - 1))
 
     @property
     def supplied(self) -> Tensor:
-        """Torque that the actuators supply to the rigid body and to friction, (n, *batch) [N m] or [N]."""
+        """Torque that the actuators supply: rigid body and friction, (n, *batch) [N m] or [N]."""
         return self.load + self.friction_torque
 
     @computed_once
     def origin_slopes(self) -> Tensor:
-        """Derivatives of the load by shifts and turns of the joints' origins, (*batch, n, n, 6)."""
+        """Derivatives of the load with respect to shifts and turns of the joints' origins, (*batch, n, n, 6)."""
         return self.robot.origin_slopes(*self._states, self._own_pi)
 
     @computed_once
@@ -231,11 +232,11 @@ class Signals:
 
     @computed_once
     def load_slopes(self) -> Tensor:
-        """Derivatives of the load of each joint by q, qd and qdd of each, (3, n, n, *batch)."""
+        """Derivatives of each joint's load with respect to q, qd and qdd of each joint, (3, n, n, *batch)."""
         return self.robot.torque_slopes(*self._states, self._own_pi).movedim((-3, -2, -1), (0, 1, 2)).contiguous()
 
     def deviating(self, joint: int | None, shift: Tensor) -> Tensor:
-        """Return what the load changes by, (n, *batch), as a joint's link deviates by ``shift`` (*batch) over time."""
+        """Return the change of the load (n, *batch) when a joint's link deviates by ``shift`` (*batch) over time."""
         assert joint is not None
         speed = self.rate(shift)
         by_q, by_qd, by_qdd = self.load_slopes[:, :, joint].unbind(0)
@@ -253,7 +254,7 @@ class Signals:
         """Return t (N,).
 
         Raises:
-            InputError: the samples are no sequence.
+            InputError: the samples are not a sequence.
         """
         return _sequence(self.t)
 
@@ -263,7 +264,7 @@ class Signals:
         return torch.gradient(x, spacing=float(t[1] - t[0]), dim=-1)[0]
 
     def inside(self, window: Window | None) -> Tensor:
-        """Return 1 where a window is, up to its end, 0 elsewhere, as the last dimension of q; 1 everywhere for None."""
+        """Return 1 inside a window (its end excluded), 0 outside, as the last dimension of q; 1 everywhere for None."""
         if window is None:
             return torch.ones_like(self.q[0])
         if self.recording != window.recording:

@@ -11,7 +11,7 @@ from torchrbd.robot.inertia import PARAMETERS
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of one recording, in seconds from its start, up to its end."""
+    """A window of time in one recording, in seconds from its start; the end is excluded."""
 
     recording: str
     start_s: float = -math.inf
@@ -19,20 +19,20 @@ class Window:
 
     @property
     def one_ended(self) -> bool:
-        """Whether it begins or ends with the recording, not both."""
+        """Whether exactly one end of the window is an end of the recording."""
         return math.isinf(self.start_s) != math.isinf(self.end_s)
 
 
 @dataclass(frozen=True)
 class Site:
-    """Where an effect sits, by index in the robot; what does not apply is None.
+    """Where an effect acts, by index in the robot; None for what does not apply.
 
     Attributes:
         joint: whose torque it adds to.
-        other: another joint, on whose motion it depends; it acts on both if the effect is one of the whole robot.
+        other: another joint, on whose motion it depends; a whole-robot effect acts on both.
         body: on which it acts.
         window: when it acts; always, if None.
-        recordings: in which it acts, by name; in all, if None.
+        recordings: names of those in which it acts; all, if None.
     """
 
     joint: int | None = None
@@ -43,13 +43,13 @@ class Site:
 
     @property
     def always(self) -> bool:
-        """Whether it acts in all recordings, from begin to end."""
+        """Whether it acts in all recordings, from start to end."""
         return self.window is None and self.recordings is None
 
     def name(self, robot: RobotModel) -> str:
         """Return the place by the robot's names: ``joint3``, ``joint3_joint2``, ``link5``, or "robot" for all of it.
 
-        Recordings follow, if it acts in some only: "joint3 in warm.csv, hot.csv".
+        Recordings follow if it acts in some only: "joint3 in warm.csv, hot.csv".
         """
         parts = [robot.joint_names[j] for j in (self.joint, self.other) if j is not None]
         parts += [robot.body_names[self.body]] if self.body is not None else []
@@ -58,7 +58,7 @@ class Site:
 
 
 def carrier(robot: RobotModel, joint: int) -> int | None:
-    """Return the joint that moves another one, and no joint between them; None for the first."""
+    """Return the nearest joint that moves another one; None for the first joint."""
     own = len(PARAMETERS) * robot.joint_bodies[joint]
     moving = [k for k in range(robot.n_dof) if k != joint and own in robot.columns(k)]
     return min(moving, key=lambda k: len(robot.columns(k)), default=None)

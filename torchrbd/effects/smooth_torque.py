@@ -1,10 +1,10 @@
-"""Torque without a law: a smooth function of one or two signals, where no known effect explains what is left.
+"""Smooth torque: a smooth function of one or two signals, for a residual that no known effect explains.
 
     tau += sum_k w_k h_k(v) phi,   h_k piecewise linear with the value 1 at knot k and 0 at the others
 
 phi is 1, or sign(qd) for friction that varies with v. For two signals u and v, each from -1 to 1 over its range, the
-functions are u v, u^2 v, u v^2 and u^2 v^2. Beyond its range a signal counts as at the end of it. All this says what a
-torque depends on, with a curve, and nothing of why. Coefficients are torques: those of the curve at its knots.
+functions are u v, u^2 v, u v^2 and u^2 v^2. Beyond its range a signal counts as at the end of it. The curve shows what
+a torque depends on, not why. The coefficients are torques: the values of the curve at its knots.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from torchrbd.effects.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 # pyright: reportAttributeAccessIssue=false
-# (what describes an effect belongs to its class; here it follows from what the function is of)
+# (class attributes describe an effect; here they depend on the signal)
 
 _POINTS = 400
 
@@ -32,10 +32,10 @@ class SmoothTorque(Effect):
 
     Args:
         signal: "q", "qd", "qdd", "load" or "t".
-        knots: of the function.
+        knots: number of knots of the function.
         friction: whether it multiplies sign(qd).
         other: whether the signal is another joint's.
-        times_own: whether the function is of the joint's own signal of this kind too.
+        times_own: whether the function also depends on the joint's own signal of this kind.
     """
 
     family = "unknown"
@@ -64,7 +64,7 @@ class SmoothTorque(Effect):
         return tuple(Site(j) for j in joints)
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        """Return the range of the knots as far as a scale tells it; whoever knows the samples gives a better one."""
+        """Return the range of the knots as far as ``scale`` gives it; the samples give a better one."""
         most = {"qd": scale.speed_max, "load": scale.load_max or 1.0}.get(self.signal, 1.0)
         ends = {"q": (scale.q_low, scale.q_high), "t": (0.0, scale.duration_s)}.get(self.signal, (-most, most))
         own = {"own_low": ends[0], "own_high": ends[1]} if self.times_own else {}
@@ -121,7 +121,7 @@ class Hum(SmoothTorque):
         self.units = {**dict.fromkeys(self._values, "{tau}"), "frequency": "Hz"}
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        """Return a shape that stands for any: the leftover tells the frequency."""
+        """Return a placeholder; the spectrum of the residual gives the frequency."""
         return ({"frequency": 1.0},)
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
@@ -138,7 +138,7 @@ class Hum(SmoothTorque):
         return super().parameters(coefficients[: len(self._values)], shape)
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
-        """Return one site for each joint and recording; it may be in several of them."""
+        """Return one site for each joint and recording; a site may also have several recordings."""
         return tuple(Site(j, recordings=(w.recording,)) for j in range(robot.n_dof) for w in windows)
 
     def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
@@ -170,6 +170,6 @@ SMOOTH = (
     SmoothTorque("q", 7, friction=True, other=True),
     SmoothTorque("qd", 4, other=True, times_own=True),
 )
-"""What the leftover of a joint is tried against."""
+"""Functions that are tried on the residual of a joint."""
 HUM = Hum()
-"""Offered where the leftover has shown one."""
+"""Tried where the residual has a spectral line."""

@@ -1,7 +1,7 @@
-"""Speed-dependent torque loss: the efficiency of a gear falls with speed, so that part of the load is lost as it turns.
+"""Speed-dependent torque loss: the efficiency of a gear falls with speed, so it loses a part of the load as it turns.
 
-Tooth and cam contacts lose torque in proportion to the load and, through the lubricant between them, to the speed; the
-loss opposes motion whether the gear drives or is driven. The load is the torque that the rigid body takes.
+Tooth and cam contacts lose torque in proportion to the load and, through the lubricant, to the speed. The loss opposes
+motion whether the gear drives or is driven. The load is the torque of the rigid body.
 
 Source: efficiency charts of gear makers, in which the loss at one load grows with speed; taken as a straight line.
 """

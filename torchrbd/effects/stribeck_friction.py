@@ -1,4 +1,4 @@
-"""Stribeck friction: more at the start of motion than in it, as a lubricant film builds up with speed.
+"""Stribeck friction: friction falls from static to Coulomb friction as speed builds up a lubricant film.
 
 Source: Armstrong-Helouvry, Dupont, Canudas de Wit, "A survey of models, analysis tools and compensation methods for the
     control of machines with friction", Automatica 1994, eq. (9), with exponent 2 and without its viscous part, which is
@@ -19,7 +19,7 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class StribeckFriction(JointEffect):
-    """tau += sign(qd) (c + (s - c) exp(-(qd / v_s)^2)) with s >= c >= 0."""
+    """tau += sign(qd) (c + (s - c) exp(-(qd / v_s)^2)) with static friction s >= Coulomb friction c >= 0."""
 
     id = "stribeck_friction"
     family = "friction"
@@ -34,7 +34,7 @@ class StribeckFriction(JointEffect):
     export_note = "frictionloss is friction in motion; what it is more at rest, only <dcmotor lugre> has a word for"
     exported_in_part = True
     urdf_note = "friction is that in fast motion; what it is more at low speed is left out"
-    # Slower, the bump hides in the softened sign; faster, it is curvature of the whole range.
+    # Slower ones are hidden by the softened sign; faster ones are a curvature of the whole range.
     _SLOWEST_IN_REST_WIDTHS, _FASTEST_IN_SPEED_RANGE, _GRID_POINTS = 4.0, 0.4, 6
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:

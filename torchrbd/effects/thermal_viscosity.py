@@ -1,10 +1,10 @@
-"""Thermal viscosity: a lubricant thins as it warms, so that viscous friction falls with the joint's temperature.
+"""Thermal viscosity: a lubricant thins as it warms, so viscous friction falls with the joint's temperature.
 
     d exp(-b (T - T0)) qd  =  d qd - b d (T - T0) qd + ...
 
-The first term is viscous friction, an effect of its own; the second is this one. With both fitted, what the rest of the
-series leaves is below 4 % of the viscous torque for 20 K and b up to 0.05 / K. T0 is 40 deg C, at which ISO 3448 states
-a lubricant's viscosity. Where no temperature is recorded, a joint is taken to be at T0, where the effect is zero.
+The first term is viscous friction, an effect of its own; the second is this one. With both fitted, the rest of the
+series is below 4 % of the viscous torque for 20 K and b up to 0.05 / K. T0 is 40 deg C, at which ISO 3448 states a
+lubricant's viscosity. A joint whose temperature is not recorded counts as at T0, where the effect is zero.
 
 Source: Reynolds' exponential law of viscosity; its use in robot joints by Carvalho Bittencourt, Wernholt,
     Sander-Tavallaey, Brogardh, "An Extended Friction Model to Capture Load and Temperature Effects in Robot Joints",
@@ -27,7 +27,7 @@ REFERENCE_TEMPERATURE = 40.0
 
 
 class ThermalViscosity(JointEffect):
-    """tau += -s (T - T0) qd with s >= 0; s / d is the loss of viscosity per kelvin."""
+    """tau += -s (T - T0) qd with s >= 0 and T0 = 40 deg C; s / d is the relative loss of viscosity per kelvin."""
 
     id = "thermal_viscosity"
     family = "friction"
@@ -45,7 +45,7 @@ class ThermalViscosity(JointEffect):
     )
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        """Return none where no temperature is recorded, or it never changes: that is viscous friction."""
+        """Return no shape if the temperature is not recorded or constant: the term is then viscous friction."""
         coldest, warmest = scale.temperature or (0.0, 0.0)
         return ({},) if warmest > coldest else ()
 

@@ -1,4 +1,4 @@
-"""Torque and motion that were not recorded at the same time: the torque comes late, or early, by a constant time."""
+"""Time delay: torque and motion were not recorded at the same time; the torque is late or early by a constant time."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ from torchrbd.robot import RobotModel
 
 
 class TimeDelay(Effect):
-    """tau += delay (tau_s(t - step) - tau_s(t)) / step: the torque comes later than the motion if delay > 0.
+    """tau += delay (tau_s(t - step) - tau_s(t)) / step: the torque is later than the motion if delay > 0.
 
-    The torque tau_s that is late is all that the actuator supplies, to the rigid body and to friction. The delay
-    multiplies its slope; the step, where the secant is taken, follows: where both are equal, the term is exact. Where
-    it is fast the load's slope is made of the accelerations' noise, so that it is seen ``below`` a bandwidth that the
-    data chooses as a shape; friction's jumps are known.
+    tau_s is the torque that the actuator supplies to the rigid body and to friction. The fraction is the slope of a
+    secant. Its width ``step`` is a shape parameter that follows the delay; the term is exact where both are equal.
 
-    Either the torque of one joint is late, or that of all.
+    The derivative of the rigid-body torque amplifies the noise of the positions. It is therefore low-pass filtered
+    (``below``); the data choose the cut-off frequency ``bandwidth``, a shape parameter. The jumps of friction are known
+    and not filtered.
+
+    The effect acts at one joint, or at all joints with one delay.
     """
 
     id = "time_delay"
@@ -56,7 +58,7 @@ class TimeDelay(Effect):
         return {**shape, "step": self._step(float(coefficients[0]))}
 
     def _step(self, delay: float) -> float:
-        """Return where the secant of a delay is taken; that of hardly any is a slope."""
+        """Return the width of the secant for a delay; a very short delay gets the shortest width."""
         return math.copysign(max(abs(delay), self._SMALL_S), delay)
 
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
@@ -76,7 +78,7 @@ class TimeDelay(Effect):
         return {"delay": coefficients[0], **shapes}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
-        """Return them; without a step, the delay is a pure one, and the step is equal to it."""
+        """Return w and the shape; without a step, the step equals the delay."""
         delay = parameters["delay"]
         return (delay,), {
             "step": parameters.get("step", delay or self._SMALL_S),
@@ -100,7 +102,7 @@ def joints_and_all(robot: RobotModel) -> tuple[Site, ...]:
 
 
 def at_site(torque: Tensor, site: Site, change: Callable[[Tensor], Tensor]) -> Tensor:
-    """Return a change of torques (n, *batch), joint by joint; zero at other joints than the site's, if it has one."""
+    """Return ``change`` of torques (n, *batch), joint by joint; zero at other joints if the site has a joint."""
     if site.joint is None:
         return change(torque)
     only = torch.zeros(len(torque), *[1] * (torque.ndim - 1), dtype=torque.dtype, device=torque.device)
@@ -109,7 +111,7 @@ def at_site(torque: Tensor, site: Site, change: Callable[[Tensor], Tensor]) -> T
 
 
 def delayed(x: Tensor, steps: float) -> Tensor:
-    """Return x (..., N) later by a number of samples, by cubics through four neighbours; straight on at the ends."""
+    """Return x (..., N) later by a number of samples: cubic interpolation, linear extrapolation at the ends."""
     whole = math.floor(steps)
     part, reach = steps - whole, abs(whole) + 2
     outwards = torch.arange(1, reach + 1, dtype=x.dtype, device=x.device)

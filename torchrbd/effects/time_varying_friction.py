@@ -1,7 +1,7 @@
 """Time-varying friction: Coulomb friction that settles as a joint warms up, or rises as a brake or a seal tightens.
 
-Every recording starts cold, at its own time zero, and all settle at one rate: a first-order thermal model. Where the
-joint's temperature is recorded, ``ThermalViscosity`` says more.
+Every recording starts cold, at its own time zero, and all settle at one rate: a first-order thermal model. If the
+joint's temperature is recorded, ``ThermalViscosity`` is more informative.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class TimeVaryingFriction(JointEffect):
     export_note = "frictionloss is what friction settles to; MJCF has no word for time"
     exported_in_part = True
     urdf_note = "friction is what it settles to; its change with time is left out"
-    # Parts of the longest recording: a grease film that settles to a joint that warms through. Slower, it is a straight
-    # line in time, and all slower ones are alike.
+    # Fractions of the longest recording: from a grease film that settles to a joint that warms up. Slower ones are
+    # straight lines in time and look alike.
     _FASTEST, _SLOWEST, _GRID_POINTS, _PLAUSIBLE = 0.03, 1.0, 4, 10.0
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:

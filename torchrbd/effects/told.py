@@ -1,7 +1,7 @@
-"""Effects as a user names them, and the places on a robot that are meant.
+"""Effects that a user asks for by name, and their places on a robot.
 
 EFFECT                              at all its places
-EFFECT@PLACE                        PLACE as ``Site.name`` has it: joint3, joint3_joint1, link5, robot
+EFFECT@PLACE                        PLACE as in ``Site.name``: joint3, joint3_joint1, link5, robot
 EFFECT@PLACE@RECORDING[=FROM:TO]    for effects that act for a time only, [s] from the recording's start
 """
 
@@ -22,7 +22,7 @@ _SOME_TIME = Window("")
 
 @dataclass(frozen=True)
 class RequestedEffect:
-    """An effect, and where it sits if the user says so."""
+    """An effect, and its place and window if the user gives them."""
 
     effect: Effect
     place: str | None = None
@@ -30,10 +30,10 @@ class RequestedEffect:
 
     @classmethod
     def parse(cls, text: str) -> RequestedEffect:
-        """Read what the module's head describes.
+        """Read an effect in the syntax of the module's docstring.
 
         Raises:
-            OptionError: an unknown effect, or a stretch of time that is none.
+            OptionError: an unknown effect, or an invalid window of time.
         """
         name, *rest = text.split("@", 2)
         if not all(rest):
@@ -41,14 +41,14 @@ class RequestedEffect:
         return cls(effect(name), rest[0] if rest else None, _window(rest[1], text) if len(rest) > 1 else None)
 
     def sites(self, robot: RobotModel, windows: Sequence[Window]) -> tuple[Site, ...]:
-        """Return where the effect is meant to sit.
+        """Return the requested sites.
 
         Args:
             robot: the robot.
-            windows: stretches of time that this or other effects were told.
+            windows: windows of time that were given for this or other effects.
 
         Raises:
-            OptionError: it cannot sit there.
+            OptionError: the effect cannot act there.
         """
         name, always = self.effect.id, self.effect.sites(robot)
         sites = always if always and self.window is None else self.effect.sites(robot, windows)
@@ -85,7 +85,7 @@ def _window(text: str, whole: str) -> Window:
 def requested_sites(
     told: Sequence[RequestedEffect], robot: RobotModel, recordings: Sequence[str]
 ) -> tuple[dict[str, tuple[Site, ...]], tuple[Window, ...]]:
-    """Return the places of told effects by the effects' ids, and the stretches of time among them.
+    """Return the sites of requested effects by the effects' ids, and all windows of time among them.
 
     Args:
         told: the effects.

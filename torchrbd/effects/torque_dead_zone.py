@@ -1,12 +1,12 @@
-"""Dead zone of a drive: of the command that is recorded, what is within a zone around zero does not act.
+"""Dead zone of a drive: a recorded command within a zone around zero has no effect.
 
     tau_acting = u - w sign(u) beyond w, 0 within        so that  u = tau_acting + w sign(tau_acting)
 
-Overlapped valves of hydraulic drives, the blanking time of power stages and thresholds of speed controllers make one.
-The sign is that of the load, the torque that the actuator supplies to the rigid body and to friction. While a command
-passes through the zone no torque acts, and the motion does not tell where in it the command is: along a sequence it
-follows a straight line from one side to the other, from where the load falls below what the motion tells of it to
-where it rises above.
+Its causes are overlapped valves of hydraulic drives, the blanking time of power stages and thresholds of speed
+controllers. The sign is that of the load, the torque that the actuator supplies to the rigid body and to friction.
+While a command passes through the zone no torque acts, and the motion does not show where in the zone it is. Along a
+sequence the model joins both sides by a straight line, from where abs(load) falls below ``indistinct`` to where it
+rises above it again.
 
 Source: Tao, Kokotovic, "Adaptive Control of Systems with Actuator and Sensor Nonlinearities", 1996, for the dead zone
     and its inverse.
@@ -26,7 +26,10 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class TorqueDeadZone(JointEffect):
-    """tau += w sign(load) with w >= 0, in straight lines along a sequence where abs(load) < indistinct."""
+    """tau += w sign(load) with half-width w >= 0. The load is the torque that the actuator supplies.
+
+    Along a sequence, the sign is joined by straight lines where abs(load) < ``indistinct``, a shape parameter.
+    """
 
     id = "torque_dead_zone"
     family = "actuator and sensor"
@@ -40,7 +43,7 @@ class TorqueDeadZone(JointEffect):
     drawn_over = "load"
     prior = CoefficientPrior("A drive gives less than is asked, not more.", positive=(0,))
     export_note = "MJCF has no dead zone of an actuator: add half_width times the sign of each command to it"
-    # In parts of the largest load.
+    # As fractions of the largest load.
     _LEAST, _MOST, _GRID_POINTS = 0.002, 0.064, 6
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
@@ -66,14 +69,16 @@ class TorqueDeadZone(JointEffect):
 
 
 def crossing(x: Tensor, least: float) -> Tensor:
-    """Return the sign of a sequence x (*batch, N), in straight lines from where abs(x) falls to ``least`` to where it
-    rises again; where these moments lie between samples, x is straight between them."""
+    """Return the sign of a sequence x (*batch, N), joined by straight lines where abs(x) < ``least``.
+
+    The moments at which abs(x) crosses ``least`` are interpolated linearly between samples.
+    """
     at = torch.arange(x.shape[-1], device=x.device).expand_as(x)
     told = x.abs() > least if least > 0 else torch.ones_like(x, dtype=torch.bool)
     last, end = torch.cummax(torch.where(told, at, -1), -1).values, x.shape[-1]
     following = torch.cummin(torch.where(told, at, end).flip(-1), -1).values.flip(-1)
     before, after = last.clamp_min(0), following.clamp_max(end - 1)
-    # Where nothing was told before, it is as it is after, and the other way round.
+    # Before the first known sign, use the first one; after the last known sign, the last one.
     sign = torch.sign(x)
     begins = torch.where(last < 0, sign.gather(-1, after), sign.gather(-1, before))
     ends = torch.where(following == end, begins, sign.gather(-1, after))
@@ -84,12 +89,12 @@ def crossing(x: Tensor, least: float) -> Tensor:
 
 
 def _part(x: Tensor, outer: Tensor, inner: Tensor, least: float) -> Tensor:
-    """Return which part of the way from samples above ``least`` to their neighbours below it x is above it."""
+    """Return the fraction of the way from samples above ``least`` to their neighbours below it where x is above it."""
     high, low = x.gather(-1, outer), x.gather(-1, inner)
     return _quotient(high.abs() - least, high.abs() - torch.sign(high) * low)
 
 
 def _quotient(part: Tensor, whole: Tensor) -> Tensor:
-    """Return a part of a whole, between 0 and 1; 0 of nothing."""
+    """Return part / whole, clamped to [0, 1]; 0 where the whole is 0."""
     there = whole > 0
     return torch.where(there, part / torch.where(there, whole, 1.0), 0.0).clamp(0.0, 1.0)

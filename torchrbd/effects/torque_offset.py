@@ -1,4 +1,4 @@
-"""Torque offset: a constant error of the torque or current sensor, or a constant load at the joint; or for a time."""
+"""Torque offset: a constant error of the torque sensor, or a constant load at the joint, always or for a time."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class TorqueOffset(JointEffect):
     prior = CoefficientPrior("A sensor's zero is off by a tenth of the joint's torque or so.", torque_part=0.1)
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
-        """Return every joint, all the time or in stretches of time: brakes drag, cables pull, sensors are set anew."""
+        """Return every joint, always or in windows of time: brakes drag, cables pull, sensors are calibrated again."""
         return in_windows(super().sites(robot), windows) if windows else super().sites(robot)
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:

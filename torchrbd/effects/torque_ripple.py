@@ -1,7 +1,8 @@
 """Torque ripple: torque that repeats with position, from cogging magnets, gear teeth or a harmonic drive.
 
-A motor behind a gear of ratio N turns N times a turn of the joint. Its eccentricity has the order N, a harmonic drive's
-wave generator 2 N, the teeth of an output gear their number. For a gear of integer ratio all orders are integers.
+The order m is the number of cycles per turn of the joint. A motor behind a gear of ratio N turns N times per turn of
+the joint. Its eccentricity has the order N, a harmonic drive's wave generator 2 N, the teeth of an output gear their
+number. If N is an integer, all orders are integers.
 
 Source: Tuttle, "Understanding and Modeling the Behavior of a Harmonic Drive Gear Transmission", MIT 1992, on the orders
     of a harmonic drive.
@@ -22,7 +23,7 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class TorqueRipple(JointEffect):
-    """tau += A sin(m q + phase) with A >= 0, m cycles a turn; linear in A cos(phase) and A sin(phase)."""
+    """tau += A sin(m q + phase) with A >= 0 and m cycles per turn; linear in A cos(phase) and A sin(phase)."""
 
     id = "torque_ripple"
     family = "transmission"
@@ -33,8 +34,8 @@ class TorqueRipple(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"amplitude": "{tau}", "phase": "rad", "order": "1/{q}"}
     drawn_over = "q"
     export_note = "<dcmotor> needs its other constants too"
-    # Whole orders, or half a cycle more over the range where that is coarser: closer ones look alike. Beyond them, the
-    # orders of harmonic drives: faster ripple is mostly outside of the band that torques are compared in.
+    # Integer orders, or steps of half a cycle over the range if that is coarser: closer orders look alike. Above them
+    # only the orders of harmonic drives: faster ripple is mostly outside of the torque's band.
     _LARGEST_ORDER, _GEAR_ORDERS = 120.0, (160.0, 200.0)
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:

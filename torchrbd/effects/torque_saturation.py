@@ -1,11 +1,11 @@
-"""Torque saturation: beyond a limit the recorded torque and the one that acts grow at different rates.
+"""Torque saturation: beyond a limit, the recorded torque and the acting torque grow at different rates.
 
-    slope > 0    recorded is a current or a command, and the actuator gives less and less of it: iron saturates, a
+    slope > 0    the recording is a current or a command, and the actuator gives less and less of it: iron saturates, a
                  limiter sets in
-    slope = -1   recorded is clipped: a sensor or an amplifier's reading ends at the limit
+    slope = -1   the recording is clipped: a sensor or an amplifier's reading ends at the limit
 
-A command far beyond a hard limit cannot be told from the motion, which knows the limit but not the command. The load is
-the torque that the actuator supplies, to the rigid body and to friction.
+Beyond a hard limit the motion shows the limit but not the command. The load is the torque that the actuator supplies to
+the rigid body and to friction.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class TorqueSaturation(JointEffect):
-    """tau += slope sign(load) max(0, |load| - limit) with slope >= -1."""
+    """tau += slope sign(load) max(0, |load| - limit), slope >= -1; the load is the torque that the actuator supplies.
+
+    A positive slope is an actuator that gives less than its command; slope -1 is a clipped reading.
+    """
 
     id = "torque_saturation"
     family = "actuator and sensor"
@@ -36,11 +39,11 @@ class TorqueSaturation(JointEffect):
     prior = CoefficientPrior("From a clipped reading to an actuator that gives half of what is asked.", std=(1.0,))
     export_note = "a hard limit in place of a gradual one: of the actuator, or of the reading if the slope is negative"
     exported_in_part = True
-    # In parts of the largest load. Lower, it is a gain of the torque; higher, hardly ever met.
+    # As fractions of the largest load. Lower ones are a torque gain; higher ones are hardly ever reached.
     _LOWEST, _HIGHEST, _GRID_POINTS = 0.35, 0.88, 4
-    # A clipped reading is at the bound: its estimate lies beyond as often as not.
+    # A clipped reading is at the bound of -1: noise puts its estimate beyond it half of the time.
     _LEAST_SLOPE = -1.1
-    # Of a joint whose load is not known, from a desktop arm's wrist to a large arm's shoulder [N m, N].
+    # For a joint with an unknown load: from a desktop arm's wrist to a large arm's shoulder [N m, N].
     _LEAST_LOAD, _MOST_LOAD, _MOST_POINTS = 0.3, 300.0, 28
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:

@@ -1,9 +1,9 @@
 """Torque scale: a gain error of one joint's torque sensor, or a wrong torque constant or gear ratio.
 
-The recorded torque is g times the one that acts. Friction is recorded with the same gain and its fitted coefficients
-carry it, so that the gain of the rigid body's part remains. The feature is the predicted torque; the measured one would
-explain itself. One gain of all joints is a gain of the inertial parameters. That of a light last joint is nearly one:
-only the small torque that its link adds at the other joints tells them apart.
+The recorded torque is g times the acting torque. Friction is recorded with the same gain, and its fitted coefficients
+absorb that, so the gain of the rigid-body torque remains. The feature is the predicted torque; the measured one would
+explain itself. One gain of all joints cannot be distinguished from scaled inertial parameters. For a light last joint
+this almost holds too: only the small torque that its link adds at the other joints separates the two.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class TorqueScale(JointEffect):
-    """tau += (g - 1) load with g > 0."""
+    """tau += (g - 1) load with gain g > 0; the load is the torque of the rigid body."""
 
     id = "torque_scale"
     family = "actuator and sensor"

@@ -1,6 +1,7 @@
 """Velocity coupling: viscous torque at a joint from the speed of another, as in a differential wrist.
 
-Where two motors drive q_1 + q_2 and q_1 - q_2 and their friction differs, each joint feels the other's speed.
+If two motors drive q_1 + q_2 and q_1 - q_2 with different friction, the torque of each joint depends on the other's
+speed.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from torchrbd.robot import RobotModel
 
 
 class VelocityCoupling(Effect):
-    """tau += d qd_other, d of either sign. Friction of a shared drive acts so at both joints, with equal d."""
+    """tau += d qd_other, with d of either sign; friction of a shared drive acts on both joints, with equal d."""
 
     id = "velocity_coupling"
     family = "transmission"

@@ -1,4 +1,4 @@
-"""Rows of a recording on their way to its states."""
+"""Blocks of rows, an intermediate form between a recording and its states."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 Ends = tuple[int, int, int]
-"""Where in the channels of a block x, set-points and positions behind gears end."""
+"""Ends of x, of the set-points and of the positions behind gears among the channels of a block."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """Hold consecutive samples of one segment.
+    """Consecutive samples of one segment.
 
     Attributes:
-        segment: which segment.
+        segment: index of the segment.
         t: (K,) [s].
         x: (C, K) channels: q, tau, then qd if the recording has it.
         q_ref: (n, K) set-points, or None.
@@ -43,16 +43,16 @@ class Block:
         return lengths[0], lengths[0] + lengths[1], sum(lengths)
 
     def rows(self, first: int, last: int) -> Block:
-        """Return the rows from the first to before the last."""
+        """Return the rows from ``first`` up to, not including, ``last``."""
         return split(self.segment, self.t[first:last], self.channels[:, first:last], self.ends)
 
     def joined(self, later: Block) -> Block:
-        """Return these rows and later ones of the same segment."""
+        """Return these rows followed by later ones of the same segment."""
         channels = np.concatenate((self.channels, later.channels), axis=1)
         return split(self.segment, np.concatenate((self.t, later.t)), channels, self.ends)
 
 
 def split(segment: int, t: np.ndarray, channels: np.ndarray, ends: Ends) -> Block:
-    """Split channels (C, K) where x, the set-points and the positions behind gears end; temperatures may follow."""
+    """Split channels (C, K) at the ends of x, set-points and positions behind gears; temperatures may follow."""
     x, *others = np.split(channels, ends)
     return Block(segment, t, x, *(one if len(one) else None for one in others))

@@ -1,4 +1,4 @@
-"""Look at the columns of a recording as they are written: range, noise, values that are held or cut off."""
+"""Statistics of a recording's columns as they are written: range, noise, values that are held or clipped."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from torchrbd.recordings.recording import Chunk, Recording
 SIGNALS = ("q", "qd", "tau")
 # Third differences of white noise have 20 times its variance.
 _THIRD, _MAD = np.sqrt(20.0), 1.4826
-# A limit is reached again and again, for three rows at least and so much of the time, and far more often than what lies
-# just below it.
+# A clipped signal reaches its limit repeatedly, for at least three rows, for this share of the time, and this many
+# times as often as values just below it.
 _RUNS, _SHARE, _PILE = 2, 1e-3, 4.0
-# Fewer changes from row to row than this, of a signal without steps: its source is slower than the rows.
+# If a signal without steps changes in a smaller share of the rows than this, its source is slower than the rows.
 _HELD = 0.6
 
 
 @dataclass(frozen=True)
 class Channel:
-    """Describe the column of one joint's signal.
+    """Description of the column of one joint's signal.
 
     Attributes:
-        joint, signal: "q", "qd" or "tau" of which joint.
+        joint, signal: the joint, and "q", "qd" or "tau".
         column: its name in the file.
         low, high: smallest and largest value [SI].
         noise_std: of the white noise, from third differences [SI].
-        missing: rows without a value.
-        clipped_low, clipped_high: whether values are cut off there.
-        held_rows: rows for which a value stays the same, 1.0 where it changes from row to row; NaN where it has steps
-            or never changes.
+        missing: number of rows without a value.
+        clipped_low, clipped_high: whether values are clipped there.
+        held_rows: mean number of rows for which a value stays the same, 1.0 if it changes in every row; NaN for a
+            signal with steps or without changes.
     """
 
     joint: str
@@ -50,7 +50,7 @@ def channels_of(recording: Recording, resolution: dict[str, np.ndarray]) -> tupl
 
     Args:
         recording: the recording.
-        resolution: (n,) steps of q and tau that were found, by signal; NaN where none is seen.
+        resolution: (n,) quantisation steps of q and tau, by signal; NaN if none was found.
     """
     present = [
         s for s in SIGNALS if recording.source(s, recording.joints[0]) or (s == "tau" and recording.measured.any())
@@ -96,7 +96,7 @@ def _values(chunk: Chunk, signal: str) -> np.ndarray:
 
 
 class _Scan:
-    """Follow range, noise and changes of n channels."""
+    """Accumulate range, noise and changes of n channels."""
 
     def __init__(self, n: int):
         self.low, self.high = np.full(n, np.inf), np.full(n, -np.inf)
@@ -105,7 +105,7 @@ class _Scan:
         self._changes, self._pairs = np.zeros(n), 0
 
     def add(self, x: np.ndarray) -> None:
-        """Take rows (N, n)."""
+        """Add rows (N, n)."""
         self.missing += np.isnan(x).sum(axis=0)
         self.low, self.high = np.fmin(self.low, np.fmin.reduce(x)), np.fmax(self.high, np.fmax.reduce(x))
         self._changes += (np.diff(x, axis=0) != 0).sum(axis=0)
@@ -119,13 +119,13 @@ class _Scan:
 
     @property
     def held_rows(self) -> np.ndarray:
-        """For how many rows a value stays, NaN where it never changes."""
+        """Mean number of rows for which a value stays the same, NaN if it never changes."""
         share = np.where(self._changes > 0, self._changes / max(self._pairs, 1), np.nan)
         return np.where(share < _HELD, 1 / share, np.where(np.isnan(share), np.nan, 1.0))
 
 
 def _median(x: np.ndarray) -> np.ndarray:
-    """Return the median of what is known of x (N, n), channel by channel, NaN where nothing is."""
+    """Return the median of x (N, n) without NaN, channel by channel; NaN for a channel that is all NaN."""
     found, seen = np.full(x.shape[1], np.nan), ~np.isnan(x).all(axis=0)
     found[seen] = np.nanmedian(x[:, seen], axis=0)
     return found
@@ -140,7 +140,7 @@ class _Limits:
         self._rows = 0
 
     def add(self, x: np.ndarray) -> None:
-        """Take rows (N, n)."""
+        """Add rows (N, n)."""
         self._rows += len(x)
         for side, bound in enumerate(self._bounds):
             away = np.abs(x - bound)
@@ -153,7 +153,7 @@ class _Limits:
 
     @property
     def reached(self) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) bool twice: cut off at the smallest, at the largest value."""
+        """(n,) bool twice: clipped at the smallest, at the largest value."""
         moves = self._bounds[1] > self._bounds[0]
         often = (self._runs >= _RUNS) & (self._held >= _SHARE * self._rows) & (self._at > _PILE * self._near)
         low, high = often & moves

@@ -1,4 +1,4 @@
-"""YAML files that are checked against a pydantic model: errors name file, line, key and remedy."""
+"""YAML files, checked with a pydantic model: errors name file, line, key and remedy."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ Loc = tuple[Any, ...]
 
 
 class Keys(BaseModel):
-    """A mapping whose keys are all known; subclasses name them.
+    """Base class of mappings with known keys only; subclasses define them.
 
     Class attributes:
-        missing: what to say where a key is not there, by key.
+        missing: by key, the message if that key is missing.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -43,12 +43,12 @@ class Keys(BaseModel):
 
 
 def wrong(words: str, key: Any = None) -> PydanticCustomError:
-    """Return the error that says what is wrong; ``key`` is where, below the place that is checked."""
+    """Return an error with a message; ``key`` is its place below the one that is checked."""
     return PydanticCustomError("wrong", "{words}", {"words": words, "key": key})
 
 
 def check_key(key: Any, known: Iterable[str] | None = None) -> None:
-    """Raise an error for a key that is not text, or none of those that are known."""
+    """Raise an error for a key that is not text, or that is not in ``known``."""
     if not isinstance(key, str):
         raise wrong(f"the key {key!r} must be text; put it in quotes", key)
     if known is not None and key not in known:
@@ -67,13 +67,13 @@ Number = Annotated[float, BeforeValidator(_number)]
 
 
 def read_yaml(path: Path, unreadable: str, kind: type[InputError], *, largest: int | None = None) -> Any:
-    """Return what a YAML file holds.
+    """Return the content of a YAML file.
 
     Args:
         path: of the file.
-        unreadable: what to say, with what to do, where it cannot be opened; ``{reason}`` is filled in.
-        kind: of the errors.
-        largest: characters that it may have.
+        unreadable: message, with the remedy, if the file cannot be opened; ``{reason}`` is filled in.
+        kind: class of the errors.
+        largest: largest number of characters.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -87,14 +87,14 @@ def read_yaml(path: Path, unreadable: str, kind: type[InputError], *, largest: i
 def checked(
     model: type[Model], content: Any, path: Path, kind: type[InputError], place: Callable[[Loc], str] | None = None
 ) -> Model:
-    """Return what a file says.
+    """Return the content of a file as a model.
 
     Args:
-        model: what it may say.
-        content: as of ``read_yaml``.
+        model: the pydantic model.
+        content: from ``read_yaml``.
         path: the file, named in errors.
-        kind: of the errors.
-        place: words for where something is, from the keys that lead there; the keys with dots between, if not given.
+        kind: class of the errors.
+        place: function from the keys of a place to its name in messages; default: the keys joined by dots.
     """
     try:
         return model.model_validate(content)
@@ -110,7 +110,7 @@ def checked(
 
 
 def _there(content: Any, loc: Loc) -> Loc:
-    """Return the keys of a place without the names that pydantic has for branches of a union."""
+    """Return the keys of a place without pydantic's names of the branches of a union."""
     found: list[Any] = []
     for part in loc:
         if (isinstance(content, dict) and part in content) or (isinstance(content, list) and isinstance(part, int)):
@@ -120,7 +120,7 @@ def _there(content: Any, loc: Loc) -> Loc:
 
 
 def _foreseen(error: Any) -> str:
-    """Return what pydantic says, in the form of the other errors."""
+    """Return pydantic's message in the form of the other errors."""
     return f"{error['msg'][:1].lower()}{error['msg'][1:]}, got {error['input']!r:.50}"
 
 

@@ -18,21 +18,22 @@ _REGULAR = 0.02
 _WRAP_TOLERANCE = 0.2
 _STENCIL = 4
 _FIRST_ROWS = 16384
-# So many position changes show a step, or the latter of a joint that is still for most of the time.
+# Number of position changes that show a quantisation step; the second number holds for a joint that is mostly still.
 _ENOUGH_STEPS, _ENOUGH_WHERE_STILL, _MOSTLY_STILL = 50, 5, 0.1
 _FEW = 20
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Hold the uniform clock of a recording, and what counts as a gap or a duplicate.
+    """The uniform clock of a recording, and its limits for gaps and duplicates.
 
     Attributes:
         dt: interval of the uniform clock [s].
         gap: rows further apart than this [s] start a new segment; nothing is interpolated across.
         duplicate: rows closer than this [s] to the row before are dropped.
-        regular: whether rows lie on the uniform clock but for rounding; others are interpolated, which smooths noise.
-        step: (n,) of a joint's positions, NaN where none is seen [rad or m].
+        regular: whether rows are on the uniform clock, apart from rounding; others are interpolated, which smooths
+            noise.
+        step: (n,) quantisation step of a joint's positions, NaN if none is seen [rad or m].
     """
 
     dt: float
@@ -43,9 +44,9 @@ class Clock:
 
     @staticmethod
     def of(recording: Recording) -> Clock:
-        """Find the clock from the first rows: the mean interval, of the usual intervals only if nine in ten are.
+        """Estimate the clock from the first rows: the mean interval, or that of the usual ones if they are nine in ten.
 
-        Raises: RecordingError if there are too few rows to tell.
+        Raises: RecordingError if there are too few rows.
         """
         t, q = np.empty(0), np.empty((0, len(recording.joints)))
         for chunk in recording.chunks():
@@ -66,19 +67,19 @@ class Clock:
         regular = bool(typical.mean() >= 0.9)
         if regular:  # a regular clock that lost some rows keeps its rate
             steps = steps[typical]
-        # nine digits: .001 stays .001 however the times were rounded
+        # nine digits: .001 stays .001 for all roundings of the times
         of_q = tuple(_step_of(changes) for changes in np.diff(q, axis=0).T)
         return Clock(float(f"{steps.mean():.9g}"), _GAP * median, _DUPLICATE * median, regular, of_q)
 
 
 class Census:
-    """Count what cleaning removed or repaired, while the rows of n joints stream by.
+    """Counts of what cleaning removed or repaired, while the rows of n joints stream by.
 
     Attributes:
-        rows, duplicates, incomplete: rows read; of these, dropped as repeated in time, or lacking a value.
+        rows, duplicates, incomplete: rows read; of these, dropped as repeated in time, or with a missing value.
         missing: (2 n,) rows without a number in a position or a torque.
         wrapped: joints whose full turns were unwrapped.
-        resolution, tau_resolution: (n,) quantisation steps of positions and torques, NaN where none is seen.
+        resolution, tau_resolution: (n,) quantisation steps of positions and torques, NaN if none is seen.
     """
 
     def __init__(self, n: int):
@@ -88,7 +89,7 @@ class Census:
         self.resolution, self.tau_resolution = np.full((2, n), np.nan)
 
     def see_steps(self, q: np.ndarray, tau: np.ndarray) -> None:
-        """Look for quantisation steps in changes of positions and torques, (n, N) each."""
+        """Search quantisation steps in changes of positions and torques, (n, N) each."""
         for joint, changes in enumerate(q):
             self.resolution[joint] = np.fmin(self.resolution[joint], _step_of(changes))
         for joint, changes in enumerate(tau):
@@ -102,7 +103,7 @@ def _step_of(changes: np.ndarray) -> float:
     if len(size) < (_ENOUGH_WHERE_STILL if still else _ENOUGH_STEPS):
         return np.nan
     smallest = np.percentile(size, 1)
-    # The smallest change carries the file's rounding: average over all that are one step.
+    # The smallest change includes the file's rounding: average over all changes of one step.
     single = size[size < 1.5 * smallest].mean()
     few = size[size < _FEW * single] / single
     quantised = len(few) >= 0.2 * len(size) and np.mean(np.abs(few - np.round(few)) < 0.1) > 0.95
@@ -152,11 +153,11 @@ def clean_blocks(recording: Recording, clock: Clock, census: Census | None = Non
 
 
 def uniform_blocks(recording: Recording, clock: Clock, census: Census | None = None) -> Iterator[Block]:
-    """Yield the clean rows interpolated onto `t_k = t_start + k dt` within each segment.
+    """Yield the clean rows interpolated at `t_k = t_start + k dt` within each segment.
 
-    Local cubics through the four nearest rows; a sample that lies on a row is that row. The result does not depend on
-    how the rows were chunked. Segments of fewer than four rows are left out, and ends of segments that lack a torque
-    which is written later or earlier than the motion.
+    Interpolation is by local cubics through the four nearest rows; a sample on a row equals that row. The result does
+    not depend on the chunks of rows. Segments of fewer than four rows are omitted. So are the ends of segments where a
+    delayed torque is missing.
     """
     held: _Resampler | None = None
     for block in between_steps(clean_blocks(recording, clock, census), np.array(clock.step)):
@@ -175,7 +176,7 @@ class _Resampler:
     """Interpolate one segment as its rows arrive.
 
     Args:
-        recording: whose torques may be written later than the motion.
+        recording: its torques may have a delay.
         dt: interval of the uniform clock [s].
         first: the segment's first rows.
     """
@@ -210,14 +211,14 @@ class _Resampler:
         yield split(self.segment, t, x, self._ends)
 
     def _at(self, t: np.ndarray, x: np.ndarray) -> tuple[int, np.ndarray]:
-        """Return from where on rows are still needed, and rows x (C, K) interpolated at t (M,), (C, M)."""
+        """Return the first row that is still needed, and rows x (C, K) interpolated at t (M,), (C, M)."""
         first = np.clip(np.searchsorted(self._t, t, side="right") - 2, 0, len(self._t) - _STENCIL)
         weights = _cubic_weights(self._t[first[:, None] + np.arange(_STENCIL)].T, t)
         return max(0, int(first[-1])), np.asarray(sum(weights[k] * x[:, first + k] for k in range(_STENCIL)))
 
 
 def _held(x: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return slow channels (m, K) that keep their last reading (m, 1) until the next; the first one holds before it."""
+    """Return slow channels (m, K) that hold their last reading (m, 1); the first reading also counts before it."""
     if not x.size:
         return x
     x = np.concatenate([before, x], axis=1)
@@ -245,7 +246,7 @@ def _channels(chunk: Chunk, recording: Recording) -> tuple[np.ndarray, np.ndarra
 
 
 def _required(recording: Recording, channels: int) -> np.ndarray:
-    """Return which channels must hold a number: all but the torques that the file lacks."""
+    """Return which channels must be numbers: all except torques that the file does not have."""
     required = np.ones(channels, dtype=bool)
     n = len(recording.joints)
     required[n : 2 * n] = recording.measured

@@ -1,4 +1,4 @@
-"""What a recording holds, as a number that another content has not."""
+"""A fingerprint of a recording's content."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def digest(path: Path) -> tuple[int, str]:
 
 
 def _files(path: Path) -> list[Path]:
-    """Return what is read of a LeRobot data set or a ROS bag, whose pictures and notes are not; a file is itself."""
+    """Return the files that are read of a LeRobot data set or a ROS bag, without images and notes; a file is itself."""
     if not path.is_dir():
         return [path]
     return lerobot.files(path) if (path / lerobot.INFO).is_file() else ros_bags.files(path)

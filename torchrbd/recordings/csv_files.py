@@ -1,4 +1,4 @@
-"""Stream CSV files, and say exactly which cell is wrong."""
+"""Stream CSV files; errors name the cell."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class CsvTable:
             yield numbers_of(batch)
 
     def cells(self, columns: Sequence[str], rows: int, texts: Sequence[str] = ()) -> Iterator[pa.RecordBatch]:
-        """Yield the cells of `columns`, numbers, and then of `texts`."""
+        """Yield the cells of `columns` as numbers, then those of `texts`."""
         types = {name: pa.float64() for name in columns} | {name: pa.string() for name in texts}
         try:
             reader = arrow_csv.open_csv(
@@ -57,7 +57,7 @@ class CsvTable:
             raise self._explain(columns, error) from None
 
     def _explain(self, columns: Sequence[str], error: Exception) -> RecordingError:
-        """Find the first cell or row that cannot be read, the slow way."""
+        """Find the first cell or row that cannot be read, slowly."""
         wanted, decimal = [self.columns.index(name) for name in columns], self._head.decimal
         with self.path.open(encoding="utf-8-sig", newline="", errors="replace") as stream:
             for _ in range(self._head.skip):
@@ -89,7 +89,7 @@ def numbers_of(batch: pa.RecordBatch) -> np.ndarray:
 
 
 def _remedy(cell: str, decimal: str) -> str:
-    """Say what to do with a cell that holds no number."""
+    """Return the remedy for a cell that is not a number."""
     if not is_number(cell, "," if decimal == "." else "."):
         return "leave a missing cell empty or write nan"
     here, there = ("comma", "points") if decimal == "." else ("point", "commas")

@@ -1,4 +1,4 @@
-"""Find out from a CSV file's first lines how it is written: separator, decimal sign, names of its columns."""
+"""Detect a CSV file's format from its first lines: separator, decimal sign, column names."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from torchrbd.errors import RecordingError
 
 MISSING = ("", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A")
-# Commas last: they may be decimal signs, and semicolons and tabs may not.
+# Commas last: they may be decimal signs; semicolons and tabs may not.
 _SEPARATORS = "\t;,"
 _FIRST_CHARACTERS = 1 << 16
 _WITH_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
@@ -20,10 +20,10 @@ _SPREADSHEET = re.compile(r"sep=(.)\s*")
 
 @dataclass(frozen=True)
 class Head:
-    """How a CSV file is written.
+    """Format of a CSV file.
 
     Attributes:
-        skip: lines before the first row of data.
+        skip: number of lines before the first row of data.
         separator: between cells.
         decimal: "." or ",".
         columns: their names.
@@ -36,7 +36,7 @@ class Head:
 
 
 def is_number(text: str, decimal: str = ".") -> bool:
-    """Say whether a cell holds a number or nothing."""
+    """Return whether a cell is a number or empty."""
     text = text.strip()
     if text in MISSING:
         return True
@@ -53,7 +53,7 @@ def first_lines(path: Path) -> list[str]:
     """Return a file's first lines, each with its end; the last may be cut.
 
     Raises:
-        RecordingError: it is not written in bytes that begin like ASCII.
+        RecordingError: its bytes do not begin like ASCII.
     """
     with path.open("rb") as file:
         raw = file.read(_FIRST_CHARACTERS)
@@ -63,10 +63,10 @@ def first_lines(path: Path) -> list[str]:
 
 
 def read_head(path: Path) -> Head:
-    """Find the header: the first line that is no comment, or the comment just above the first row of numbers.
+    """Find the header: the first line that is not a comment, or the comment just above the first row of numbers.
 
     Raises:
-        RecordingError: there is no header, there are no rows, or a name stands twice.
+        RecordingError: there is no header, there are no rows, or a name occurs twice.
     """
     lines, comment, skip, separators = first_lines(path), "", 0, _SEPARATORS
     while skip < len(lines) and (lines[skip].startswith("#") or not lines[skip].strip()):
@@ -101,7 +101,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _separator(line: str, rows: list[str], candidates: str) -> str:
-    """Return what separates cells: there are as many in the header as in the first row."""
+    """Return the separator of cells: it occurs as often in the header as in the first row."""
     present = [mark for mark in candidates if mark in line]
     if not present:
         return " "
@@ -111,6 +111,6 @@ def _separator(line: str, rows: list[str], candidates: str) -> str:
 
 
 def _decimal(rows: list[str], separator: str) -> str:
-    """Return the decimal sign: 1,5;2,5 is how spreadsheets in half of Europe write 1.5 and 2.5."""
+    """Return the decimal sign: in half of Europe spreadsheets write 1.5 and 2.5 as 1,5;2,5."""
     cells = (cell for row in csv.reader(rows, delimiter=separator) for cell in row)
     return "," if any(_WITH_COMMA.fullmatch(cell.strip()) for cell in cells) else "."

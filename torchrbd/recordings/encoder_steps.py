@@ -1,18 +1,19 @@
-"""An encoder tells best when it steps: between two steps, slow positions are interpolated.
+"""Positions of slow motion, interpolated between the steps of an encoder.
 
-While a joint creeps, its encoder shows one reading for many rows, and the error of the reading is no noise: a sawtooth
-whose frequency, speed over step, lies within the band of the motion. At the moment of a step the position is known much
-better: halfway between both readings. With t_a, t_b the times of the steps that begin and end a reading c, halfway
-between two rows, and c + q_a, c + q_b the positions there,
+While a joint creeps, its encoder shows one reading for many rows. The error of the reading is not noise but a sawtooth:
+its frequency, speed over step, is within the band of the motion. At the moment of a step the position is known much
+better: halfway between both readings. Let t_a, t_b be the times of the steps that begin and end a reading c, halfway
+between two rows, and c + q_a, c + q_b the positions there:
 
     q(t) = c + h_00 q_a + h_01 q_b + T (h_10 v_a + h_11 v_b),   T = t_b - t_a
 
-with Hermite's cubics h of (t - t_a) / T, v the speed there of the parabola through three steps, and within half a step
-of c. A reading that lasts much longer than a step does at the speeds u of the steps before and after holds a rest:
+h are Hermite's cubics of (t - t_a) / T, and v the speed there of the parabola through three steps. The result stays
+within half a step of c. If a reading lasts much longer than a step takes at the speeds u of the steps before and after,
+the joint rests in between:
 
     q(t) = c + q_a [1 - (t - t_a) / H_a]_+^2 + q_b [1 - (t_b - t) / H_b]_+^2,   H = step / |u|, .5 s at most
 
-Steps are told to a row alone, so that readings of a few rows are left as they are.
+The time of a step is known to one row only, so readings of a few rows are left as they are.
 
 Source: Merry, van de Molengraft, Steinbuch, "Velocity and acceleration estimation for optical incremental encoders",
 Mechatronics 2010 (events of an encoder instead of its samples).
@@ -28,18 +29,18 @@ import numpy as np
 
 from torchrbd.recordings.blocks import Block
 
-# The longest H [s], rows that a reading must last, and how many times its H of one that holds a rest.
+# The longest H [s]; the least rows of a reading; the length, in its H, from which a reading holds a rest.
 _LONGEST_S, _LEAST_ROWS, _RESTS = 0.5, 5, 3.0
-# Rows that are worked on at a time, at least.
+# Least number of rows that are processed at a time.
 _AT_ONCE = 256
 
 
 def between_steps(blocks: Iterator[Block], step: np.ndarray) -> Iterator[Block]:
-    """Yield the same rows, slow positions interpolated; the result does not depend on how they were cut into blocks.
+    """Yield the same rows with slow positions interpolated; the result does not depend on the cuts between blocks.
 
     Args:
         blocks: rows of a recording.
-        step: (n,) of its positions, NaN where none is seen [rad or m].
+        step: (n,) of its positions, NaN if none is seen [rad or m].
     """
     if np.isnan(step).all():
         yield from blocks
@@ -55,7 +56,7 @@ def between_steps(blocks: Iterator[Block], step: np.ndarray) -> Iterator[Block]:
         known = int(np.searchsorted(held.t, held.t[-1] - reach, side="left"))
         if known >= done + _AT_ONCE:
             yield from _part(held, step, done, known)
-            # A reading is told by two steps on each side of it, which may be as far before.
+            # The interpolation of a reading needs two steps on each side of it, which may be this far before.
             first = max(0, int(np.searchsorted(held.t, held.t[known] - reach, side="left")) - _LEAST_ROWS)
             held, done = held.rows(first, len(held.t)), known - first
     if held is not None:
@@ -72,12 +73,12 @@ def _part(block: Block, step: np.ndarray, first: int, last: int) -> Iterator[Blo
 
 
 class _Entry(NamedTuple):
-    """How R readings are entered, each (R,).
+    """How R readings begin, each (R,).
 
     Attributes:
         row: first one.
         t: of the step, -inf if none is seen [s].
-        q: position at the step, against the reading [rad or m].
+        q: position at the step, relative to the reading [rad or m].
         gap: time since the step before [s], inf if none is seen or it is too far.
         speed: mean since then [rad/s or m/s].
     """
@@ -90,7 +91,7 @@ class _Entry(NamedTuple):
 
     @staticmethod
     def of(t: np.ndarray, q: np.ndarray, step: float) -> _Entry:
-        """Return those of readings that last some rows, of positions (K,) at times (K,)."""
+        """Return the entries of readings that last some rows, of positions (K,) at times (K,)."""
         steps = np.flatnonzero(np.diff(q)) + 1
         first = np.concatenate(([0], steps))
         k = np.flatnonzero(np.diff(np.append(first, len(q))) >= _LEAST_ROWS)
@@ -104,13 +105,13 @@ class _Entry(NamedTuple):
         return _Entry(row, when, 0.5 * np.clip(-change, -step, step), gap, speed)
 
     def left(self, rows: int) -> _Entry:
-        """Return how readings of so many rows are left, these being those of the reversed motion."""
+        """Return how readings end, with this the entries of the reversed motion and ``rows`` its number of rows."""
         row, t, q, gap, speed = (x[::-1] for x in self)
         return _Entry(rows - 1 - row, -t, q, gap, -speed)
 
 
 def interpolated(t: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
-    """Return positions (K,) at times (K,), slow ones by the moments of their steps."""
+    """Return positions (K,) at times (K,), slow ones interpolated between their steps."""
     a, b = _Entry.of(t, q, step), _Entry.of(-t[::-1], q[::-1], step).left(len(q))
     if not len(a.row):
         return q

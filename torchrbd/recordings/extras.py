@@ -1,4 +1,4 @@
-"""Libraries of the formats that not everybody needs."""
+"""Imports of optional libraries, for formats that not every user needs."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from torchrbd.errors import RecordingError
 
 
 def needed(module: str, extra: str, path: Path) -> Any:
-    """Import what reads a file.
+    """Import the library that reads a file.
 
     Args:
         module: e.g. "rosbags.rosbag2".
-        extra: of torchrbd, which has it.
+        extra: of torchrbd, which installs it.
         path: the file.
 
     Raises:
-        RecordingError: it is not installed; says how to install it.
+        RecordingError: it is not installed; the message says how to install it.
     """
     try:
         return import_module(module)

@@ -1,4 +1,4 @@
-"""Differentiate and band-limit with symmetric filters whose effect on noise is known exactly."""
+"""Differentiation and low-pass filtering with symmetric filters whose effect on noise is known exactly."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from scipy.linalg import solve_toeplitz
 
 from torchrbd.errors import OptionError
 
-# Half-lengths of the windowed sincs, times the width of their transition band: Blackman (75 dB) and Kaiser (60 dB).
+# Half-lengths of the windowed sincs times the width of their transition band: Blackman (75 dB) and Kaiser (60 dB).
 _BLACKMAN_REACH = 2.75
 _KAISER_REACH = 1.815
 _KAISER_BETA = 5.653
 _OVERSAMPLING = 2.5
-# Half-length of the filter that takes the noise out [s]: it tells frequencies some Hz apart. Points of a spectrum for
-# each of its own, and the least of the greatest density that it may count on.
+# Wiener filter: its half-length [s], which resolves frequencies some Hz apart; oversampling of its spectrum; least
+# density as a fraction of the largest.
 _WIENER_REACH_S, _OVERSAMPLED, _LEAST_DENSITY = 0.8, 8, 1e-9
 
 
 @dataclass(frozen=True)
 class Filtering:
-    """Hold the one cut-off of a data set, and make from it the two filters of the chain.
+    """The one cut-off of a data set, and the two filters that follow from it.
 
-    *State filter* (cut-off `state_cutoff_hz`): low-passes q and differentiates it; flat up to `cutoff_hz`.
-    *Feature filter* (cut-off `cutoff_hz`, half amplitude there): low-passes the torque and every feature alike, so
-    that both sides of `tau = Y pi` are seen through the same filter. Both are symmetric: exactly zero phase.
+    *State filter* (cut-off `state_cutoff_hz`): low-passes q and differentiates it; flat up to `cutoff_hz`. *Feature
+    filter* (cut-off `cutoff_hz`, half amplitude there): low-passes the torque and every feature alike, so that both
+    sides of `tau = Y pi` pass the same filter. Both are symmetric: exactly zero phase.
 
     Attributes:
         cutoff_hz: half-amplitude frequency of the feature filter [Hz].
         state_cutoff_hz: half-amplitude frequency of the state filter [Hz]; twice `cutoff_hz` unless given.
-        of_motion: whether the state filter also takes out, joint by joint, the part of each frequency that is noise
-            (Wiener's filter): states are then what is expected of the motion, and errors in them do not correlate with
-            them, so that they bias no regression (regression calibration).
+        of_motion: whether the state filter is also a Wiener filter: joint by joint, it removes the noise's share of
+            each frequency. States are then expected values of the motion. Their errors are not correlated with them, so
+            they do not bias a regression (regression calibration).
     """
 
     cutoff_hz: float
@@ -55,12 +55,12 @@ class Filtering:
 
     @property
     def effective_rate(self) -> float:
-        """Return the independent samples per second that the band holds, `2 cutoff_hz`."""
+        """Return the number of independent samples per second in the band, `2 cutoff_hz`."""
         return 2 * self.cutoff_hz
 
     def state_kernels(self, dt: float) -> torch.Tensor:
         """Return the kernels (3, 2 S + 1) that convolved with q give q, qd and qdd, at the sampling interval dt [s]."""
-        # a slow clock leaves no room for the upper half of the transition band
+        # on a slow clock, the upper half of the transition band does not fit below the Nyquist frequency
         return torch.from_numpy(_state_kernels(min(self.state_cutoff_hz * dt, 1 / 3), dt))
 
     def motion_kernels(self, dt: float, share: np.ndarray, density: np.ndarray, hz: np.ndarray) -> torch.Tensor:
@@ -68,7 +68,7 @@ class Filtering:
 
         Args:
             dt: sampling interval [s].
-            share: (n, F) part of the positions' power that is motion, at frequencies ``hz`` (F,) [Hz].
+            share: (n, F) share of the positions' power that is motion, at frequencies ``hz`` (F,) [Hz].
             density: (n, F) power density of the measured acceleration there, in any unit.
         """
         kernels = self.state_kernels(dt)
@@ -93,7 +93,7 @@ class Filtering:
     def feature_kernel_at(self, dt: float, step: float, multiple: int) -> torch.Tensor:
         """Return the feature kernel of a clock dt [s], sampled every `step` [s]: (2 K + 1,), `multiple` divides K.
 
-        It weighs signals that are sampled more coarsely, and still without aliasing into the band.
+        It filters signals with coarser samples, without aliasing into the band.
         """
         reach = (len(self.feature_kernel(dt)) // 2) * dt
         half = multiple * math.ceil(reach / (multiple * step) - 1e-9)
@@ -105,11 +105,11 @@ class Filtering:
         return torch.from_numpy(kernel / kernel.sum())
 
     def stride(self, dt: float) -> int:
-        """Return how many samples of the clock lie between two outputs: about 2.5 outputs per cut-off period."""
+        """Return the number of clock samples between two outputs: about 2.5 outputs per cut-off period."""
         return max(1, math.floor((1 + 1e-6) / (_OVERSAMPLING * self.cutoff_hz * dt)))
 
     def reach(self, dt: float) -> int:
-        """Return how many samples at each end of a segment have no output, because the filters would leave it."""
+        """Return the number of samples at each end of a segment that have no output: the filters do not fit there."""
         return (self.state_kernels(dt).shape[1] + self.feature_kernel(dt).shape[0]) // 2 - 1 + self._motion_reach(dt)
 
     def _motion_reach(self, dt: float) -> int:
@@ -118,7 +118,7 @@ class Filtering:
     def state_noise(self, q_noise_std: np.ndarray, dt: float, qd_noise_std: np.ndarray | None = None) -> torch.Tensor:
         """Propagate white encoder noise through the state filter.
 
-        `cov (q, qd, qdd) = q_noise_std^2 K K^T` with K the three kernels. Where a joint's measured velocity is used
+        `cov (q, qd, qdd) = q_noise_std^2 K K^T` with K the three kernels. If a joint's measured velocity is used
         (`qd_noise_std` is not NaN), q has its own noise and (qd, qdd) that of the velocity sensor.
 
         Args:
@@ -154,9 +154,9 @@ def _state_kernels(cutoff: float, dt: float) -> np.ndarray:
 
     `cutoff` in cycles per sample; the transition goes from half to 1.5 times it.
 
-    The derivatives are taken in the frequency domain, on a grid dense enough to make the kernels of the sampled sinc's
-    trigonometric interpolant. All are then multiplied by even polynomials, next to one, that set their moments:
-    cubics and their derivatives pass exactly, and the gain is flat at zero frequency up to fourth order.
+    The derivatives are computed in the frequency domain, on a grid dense enough for the kernels of the sampled sinc's
+    trigonometric interpolant. All kernels are then multiplied by even polynomials close to one, which set their
+    moments: cubics and their derivatives pass exactly, and the gain is flat at zero frequency up to fourth order.
     """
     half = math.ceil(_BLACKMAN_REACH / cutoff)
     n = np.arange(-half, half + 1)
@@ -164,7 +164,7 @@ def _state_kernels(cutoff: float, dt: float) -> np.ndarray:
     size = 16 * half
     response = np.fft.rfft(np.sinc(2 * cutoff * n) * np.blackman(2 * half + 3)[1:-1], size)
     omega = 2 * math.pi * np.fft.rfftfreq(size)
-    # advance by `half` so that the derivative of a kernel centred on zero is what gets truncated
+    # advance by `half`, to truncate the derivative of a kernel that is centred on zero
     centred = response * np.exp(1j * omega * half)
     kernels = [np.roll(np.fft.irfft((1j * omega) ** k * centred, size), half)[: 2 * half + 1] for k in range(3)]
     position = _set_moments(kernels[0], x, {0: 1.0, 2: 0.0})
@@ -174,15 +174,15 @@ def _state_kernels(cutoff: float, dt: float) -> np.ndarray:
 
 
 def _wiener_kernel(share: np.ndarray, density: np.ndarray, hz: np.ndarray, dt: float, half: int) -> np.ndarray:
-    """Make the kernel (2 half + 1,) whose acceleration errs least: Wiener and Hopf's equations of that length.
+    """Return the kernel (2 half + 1,) with the least acceleration error: Wiener-Hopf equations of that length.
 
-    The errors that it leaves do not correlate with what it has seen. Levels, ramps and parabolas pass exactly.
+    Its errors are not correlated with its inputs. Levels, ramps and parabolas pass exactly.
 
     Source: Levinson, "The Wiener RMS Error Criterion in Filter Design and Prediction", J. Math. and Phys. 1946.
     """
     size = 2 * _OVERSAMPLED * half
     f = np.fft.rfftfreq(size, dt)
-    # Of a joint that is locked there is no density at all.
+    # The density of a locked joint is zero.
     density = density / max(float(density.max()), 1e-300)
     measured, motion = np.interp(f, hz, density) + _LEAST_DENSITY, np.interp(f, hz, share * density)
     lags = np.fft.irfft(motion, size)[: half + 1]

@@ -1,4 +1,4 @@
-"""Open tables of numbers in files and folders of many kinds, each read in bounded memory."""
+"""Open tables of numbers in files and folders of many formats, each read in bounded memory."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _PARQUET_BUFFER_BYTES = 1 << 16
 _TEXTS = (".csv", ".txt", ".tsv")
 _BAGS = (".bag", ".mcap", ".db3")
 STATISTICS = ".stats"
-"""Ending of files that hold second moments, which are no table."""
+"""Suffix of files with second moments, which are not tables."""
 _EXPECTED = ".csv, .parquet, .npz, .mat, .bag, .mcap or the folder of a ROS 2 bag or LeRobot set"
-# Of a bag, before its text is parsed [bytes].
+# Largest size of a bag's metadata, checked before it is parsed [bytes].
 _LARGEST_METADATA = 1 << 24
 
 
 class Table(Protocol):
-    """Name the columns of a table and stream those that are asked for."""
+    """The columns of a table; streams those that are asked for."""
 
     columns: tuple[str, ...]
 
@@ -41,14 +41,14 @@ class Table(Protocol):
 
 
 def open_table(path: Path, mapping: Mapping) -> Table:
-    """Open a file by its suffix, or a folder by what it holds.
+    """Open a file by its suffix, or a folder by its content.
 
     Args:
         path: the file or folder.
-        mapping: which topic or episodes of it are meant.
+        mapping: chooses its topic or episodes.
 
     Raises:
-        RecordingError: it does not exist, is no table, or has an unknown suffix.
+        RecordingError: it does not exist, is not a table, or has an unknown suffix.
     """
     if path.is_dir():
         return _open_folder(path, mapping)
@@ -93,7 +93,7 @@ def _open_folder(path: Path, mapping: Mapping) -> Table:
 
 
 class ArrayTable:
-    """Serve columns that are already in memory."""
+    """Columns that are already in memory."""
 
     def __init__(self, columns: Named[str, np.ndarray]):
         self.columns = tuple(columns)
@@ -106,7 +106,7 @@ class ArrayTable:
 
 
 class ParquetTable:
-    """Stream a Parquet file page by page, whatever the size of its row groups."""
+    """Stream a Parquet file page by page, for any size of its row groups."""
 
     def __init__(self, path: Path):
         self.path = path

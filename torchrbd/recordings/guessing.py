@@ -1,4 +1,4 @@
-"""Guess from their names which columns of an unknown table hold what."""
+"""Guess the columns of an unknown table from their names."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _PART = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|\d+")
 
 
 def guess(columns: Sequence[str], joints: Sequence[str] = ()) -> tuple[str | None, dict[str, dict[str, str]]]:
-    """Guess the column of time, and those of the joints.
+    """Guess the columns of time and of the joints.
 
     Args:
         columns: the table's.
-        joints: the robot's, if it is known; otherwise they are named joint1, joint2, and so on.
+        joints: the robot's, if known; otherwise they are named joint1, joint2, and so on.
 
     Returns: the column of time, None if there is none; by joint, column by signal: q, qd, tau or current.
     """
@@ -43,7 +43,7 @@ def guess(columns: Sequence[str], joints: Sequence[str] = ()) -> tuple[str | Non
 
 
 def _told(column: str, joints: Sequence[str]) -> tuple[str | None, str | None]:
-    """Return the signal and the joint that a column's name tells, or the joint's number."""
+    """Return the signal and the joint, or the joint's number, in a column's name."""
     key = max((joint for joint in joints if joint in column), key=len, default=None)
     parts = [part.lower() for part in _PART.findall(column.replace(key, " ") if key else column)]
     if any(_OTHERS.fullmatch(part) for part in parts):

@@ -1,4 +1,4 @@
-"""Say what a file holds before anything is fitted to it: joints, clock, channels, motion, and what looks wrong."""
+"""Describe a file before a fit: joints, clock, channels, motion, and what looks wrong."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from torchrbd.recordings.unit_suspicions import suspected_units
 from torchrbd.robot import RobotModel
 
 _ROWS = 16384
-# A step of a signal is coarse beyond this part of its range; a motion is short below so many seconds.
+# A quantisation step is coarse above this fraction of the signal's range; a motion is short below this time [s].
 _COARSE, _SHORT_S = 1 / 200, 10.0
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """Hold what a look at a file shows.
+    """The result of ``inspect_recording``.
 
     Attributes:
         name: the file's.
         columns: all of the table.
-        joints: those that were looked for, the robot's or those that the columns name.
-        lacking: why the columns do not fit, with the remedy; empty where they do.
-        recording, survey: None where the columns do not fit.
-        channels, motions: of the joints; none where the columns do not fit.
+        joints: the robot's, or those in the columns' names.
+        lacking: why the columns do not fit, with the remedy; empty if they do.
+        recording, survey: None if the columns do not fit.
+        channels, motions: of the joints; empty if the columns do not fit.
         units: by column, the unit that its values suggest.
         remarks: what looks wrong, as sentences.
-        ranges: by column, smallest and largest value, where the columns do not fit; NaN for those that hold no numbers.
+        ranges: by column, smallest and largest value, if the columns do not fit; NaN for those without numbers.
     """
 
     name: str
@@ -57,12 +57,12 @@ class Inspection:
 
 
 def inspect_recording(path: Path, robot: RobotModel | None = None, mapping: Mapping | None = None) -> Inspection:
-    """Look through a file.
+    """Inspect a file.
 
     Args:
         path: the file or folder.
-        robot: whose joints and limits count; without it, the joints are those that the columns name.
-        mapping: what the columns are called, as far as it is known.
+        robot: for its joints and limits; without it, the joints are those in the columns' names.
+        mapping: names of the columns, as far as known.
 
     Raises:
         RecordingError: it cannot be read, or nothing in it moves.
@@ -92,7 +92,7 @@ def inspect_recording(path: Path, robot: RobotModel | None = None, mapping: Mapp
 
 
 def joints_named(columns: Sequence[str], mapping: Mapping) -> tuple[str, ...]:
-    """Return the joints that the columns of positions name, in the file's order."""
+    """Return the joints in the names of the columns of positions, in the file's order."""
     own = [joint for joint in mapping.joints if joint != "*"]
     every = mapping.joints.get("*", {}).get("q")
     pattern = re.escape(every.column) if every is not None and "{joint}" in every.column else re.escape("q_{joint}")
@@ -120,7 +120,7 @@ def _unit_words(units: dict[str, str]) -> list[str]:
 
 
 def _channel_words(channels: Sequence[Channel], seen: Survey) -> list[str]:
-    """Return what is wrong with single channels."""
+    """Return remarks about single channels."""
     words, steps = [], {"q": dict[str, float](), "tau": dict[str, float]()}
     for signal, found in (("q", seen.q_resolution), ("tau", seen.tau_resolution)):
         joints = list(dict.fromkeys(one.joint for one in channels))

@@ -1,4 +1,4 @@
-"""Tables whose columns are named by a tool in a known way."""
+"""Tables with the column names of a known tool."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _LEROBOT = "observation.state/"
 
 
 def with_layout(columns: Sequence[str], mapping: Mapping, place: str) -> Mapping:
-    """Return a mapping that knows besides how a tool names columns, where it is such a table.
+    """Return a mapping completed with the column names of a known tool, if the table comes from one.
 
     PlotJuggler: ``__time`` and ``<topic>/<joint>/position``, ``.../velocity``, ``.../effort``. LeRobot: positions are
-    ``observation.state/<joint>`` or ``observation.state/<joint>.pos``; velocities and efforts are those of
-    ``observation.velocity`` and ``observation.effort``, or have the endings .vel and .effort. What the mapping names
-    itself is left as it is.
+    ``observation.state/<joint>`` or ``observation.state/<joint>.pos``; velocities and efforts are in
+    ``observation.velocity`` and ``observation.effort``, or have the endings .vel and .effort. Entries of the given
+    mapping take precedence.
 
     Args:
         columns: of the table.
@@ -28,7 +28,7 @@ def with_layout(columns: Sequence[str], mapping: Mapping, place: str) -> Mapping
         place: file or name, for messages.
 
     Raises:
-        RecordingError: several topics of joint states, and the mapping does not say which.
+        RecordingError: several topics have joint states, and the mapping does not choose one.
     """
     if _PLOTJUGGLER_TIME in columns:
         fields = _of_plotjuggler(columns, mapping, place)
@@ -41,7 +41,7 @@ def with_layout(columns: Sequence[str], mapping: Mapping, place: str) -> Mapping
 
 
 def _of_plotjuggler(columns: Sequence[str], mapping: Mapping, place: str) -> dict[str, str]:
-    """Return the columns' names by signal; none where the mapping has positions itself."""
+    """Return the columns' names by signal; none if the mapping itself has positions."""
     topics: dict[str, int] = {}
     for found in filter(None, map(_PLOTJUGGLER.fullmatch, columns)):
         topics[found["topic"]] = topics.get(found["topic"], 0) + 1
@@ -52,7 +52,7 @@ def _of_plotjuggler(columns: Sequence[str], mapping: Mapping, place: str) -> dic
 
 
 def _of_lerobot(columns: Sequence[str]) -> dict[str, str]:
-    """Return the columns' names by signal, of those that are there."""
+    """Return the names of the existing columns by signal."""
     states = [name[len(_LEROBOT) :] for name in columns if name.startswith(_LEROBOT)]
     if not states:
         return {}

@@ -19,7 +19,7 @@ INFO = Path("meta") / "info.json"
 _DATA = "data/chunk-*/*.parquet"
 _TIME, _EPISODE = "timestamp", "episode_index"
 _BUFFER_BYTES, _LARGEST_INFO = 1 << 16, 1 << 24
-# Between episodes, at least so many seconds and frames: nothing is interpolated between them.
+# Least pause between episodes, in seconds and frames: nothing is interpolated between them.
 _PAUSE, _FRAMES = 1.0, 10
 
 
@@ -35,8 +35,8 @@ class _Slot:
 class LeRobotTable:
     """Stream the frames of a data set of version 2 or 3: `t`, and the features' elements.
 
-    An element that ``info.json`` names is the column `<feature>/<name>`, others are `<feature>[0]`, `<feature>[1]`,
-    features of one number just `<feature>`. Episodes follow each other in `t`, with a pause between them.
+    An element with a name in ``info.json`` is the column `<feature>/<name>`, others are `<feature>[0]`, `<feature>[1]`.
+    A feature of one number is just `<feature>`. Episodes follow each other in `t`, with a pause between them.
     """
 
     def __init__(self, path: Path, mapping: Mapping):
@@ -105,7 +105,7 @@ def files(path: Path) -> list[Path]:
 
 
 class _Clock:
-    """Set the times of episodes, which start at zero each, one after the other."""
+    """Put the times of episodes, each of which starts at zero, one after the other."""
 
     def __init__(self, pause: float):
         self._pause, self._episode, self._shift, self._latest = pause, np.nan, 0.0, -pause

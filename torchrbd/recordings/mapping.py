@@ -1,4 +1,4 @@
-"""Which columns of a recording hold what, in which units; ``mapping_file`` reads it from YAML."""
+"""Mappings: the columns and units of a recording; ``mapping_file`` reads them from YAML."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UNITS["temperature"] = {"degC": 1.0}
 
 @dataclass(frozen=True)
 class Source:
-    """Name the column that a signal comes from: `signal = scale * column + offset`, in SI units."""
+    """The column of a signal: `signal = scale * column + offset`, in SI units."""
 
     column: str
     scale: float = 1.0
@@ -35,16 +35,16 @@ class Source:
 
 @dataclass(frozen=True)
 class Mapping:
-    """Hold where time and each joint's signals are found; what it does not name is looked for under its usual name.
+    """The columns of time and of each joint's signals; signals without an entry have their default column name.
 
     Attributes:
-        file: where the mapping was read, for messages.
+        file: the mapping's file, for messages.
         time: the column of time.
-        joints: joint name, or "*" for every joint, to signal (q, qd, qdd, tau, q_ref, q_link, temperature) to
-            its source.
-        topic: the topic of a ROS bag or of a PlotJuggler export; None for the only one of joint states.
+        joints: joint name, or "*" for every joint, to signal (q, qd, qdd, tau, q_ref, q_link, temperature) to its
+            source.
+        topic: the topic of a ROS bag or of a PlotJuggler export; None for the only one with joint states.
         episodes: those of a LeRobot data set, numbered from 0; None for all.
-        torque_delay_s: how much later torques are written than the positions that they belong to [s].
+        torque_delay_s: delay of written torques relative to the positions that they belong to [s].
     """
 
     file: str = ""
@@ -64,11 +64,11 @@ class Mapping:
         return Source(f"{signal}_{joint}")
 
     def named(self, joints: Sequence[str]) -> list[Source]:
-        """Return the sources that are named for single joints: a recording must have them."""
+        """Return the sources of single joints that have an entry: a recording must have these columns."""
         return [self.source(joint, joints.index(joint), key) for joint in joints for key in self.joints.get(joint, {})]
 
     def check_joints(self, joints: Sequence[str]) -> None:
-        """Raise RecordingError if the mapping names a joint that the robot lacks."""
+        """Raise RecordingError if the mapping names a joint that the robot does not have."""
         for name in self.joints:
             if name != _EVERY_JOINT and name not in joints:
                 raise RecordingError(
@@ -78,7 +78,7 @@ class Mapping:
 
 
 def meant(name: str, known: Iterable[str]) -> str:
-    """Return `closest` in brackets, behind a space."""
+    """Return `closest` in brackets, after a space."""
     hint = closest(name, known)
     return f" ({hint})" if hint else ""
 
@@ -87,12 +87,12 @@ def chosen_topic(topics: dict[str, str], mapping: Mapping, place: str) -> str:
     """Return the topic that the mapping names, or the only one.
 
     Args:
-        topics: what to say of each, by its name.
+        topics: description of each, by its name.
         mapping: the user's.
         place: the file, for messages.
 
     Raises:
-        RecordingError: the mapping names another, or none where there are several.
+        RecordingError: the mapping names an unknown topic, or none although there are several.
     """
     listed = ", ".join(f"{topic} ({words})" for topic, words in topics.items())
     if mapping.topic is None:

@@ -1,4 +1,4 @@
-"""The YAML file of a mapping: its keys with what they mean, checked, as a ``Mapping``."""
+"""The YAML file of a mapping: its keys with their descriptions, checked, as a ``Mapping``."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _LONGEST_DELAY_S = 1.0
 
 
 def _plain(unit: str) -> str:
-    """Make 'N m', 'N*m' and 'Nm' one."""
+    """Return a unit without spaces and signs: 'N m', 'N*m' and 'Nm' are one."""
     return unit.replace(" ", "").replace("*", "").replace("·", "")
 
 
 def _unit(units: dict[str, float]) -> Any:
-    """Return the type of a unit, in whichever way it is written."""
+    """Return the pydantic type of a unit, in any spelling."""
     known = {_plain(name): name for name in units}
 
     def read(value: Any) -> str:
@@ -89,7 +89,10 @@ class Time(Keys):
 
 
 class Changes(Keys):
-    """What is done to the numbers of a column: signal = sign * scale * unit * column (by the gear) + offset."""
+    """Conversion of a column to a signal: signal = sign * scale * unit * column / gear_ratio + offset.
+
+    A torque is multiplied by the gear ratio instead.
+    """
 
     sign: Annotated[Number, AfterValidator(_sign)] = Field(1.0, description="1, or -1 for the other direction")
     scale: Factor = Field(1.0, description="any other factor")
@@ -100,19 +103,19 @@ class Changes(Keys):
     )  # fmt: skip
 
     def factor(self) -> float:
-        """Return sign and scale together."""
+        """Return the product of sign and scale."""
         return self.sign * self.scale
 
 
 class Signal(Changes):
-    """A column that holds a signal."""
+    """The column of a signal."""
 
     missing: ClassVar[dict[str, str]] = {"column": "'column' is missing: the name of the column"}
     column: Column = Field(description="name of the column; {joint} and {index} (from 0) are filled in")
 
 
 def _signal(kind: str, words: str) -> type[Signal]:
-    """Return the model of one kind of signal: its units."""
+    """Return the model of one kind of signal, with its units."""
     units = UNITS[kind]
     fields: dict[str, Any] = {
         "__annotations__": {"unit": _unit(units)},
@@ -124,7 +127,7 @@ def _signal(kind: str, words: str) -> type[Signal]:
 
 
 class Current(Changes):
-    """A motor's current, of which a torque is made: tau = current * torque_constant * gear_ratio."""
+    """The column of a motor's current, which gives a torque: tau = current * torque_constant * gear_ratio."""
 
     missing: ClassVar[dict[str, str]] = {
         "torque_constant": "a current needs its torque_constant [N m / A]",
@@ -136,7 +139,7 @@ class Current(Changes):
 
 
 def _form(value: Any) -> str:
-    """Say in which of its forms a signal is written; no key of a file has such a name."""
+    """Return the form in which a signal is written; no key of a file has such a name."""
     if isinstance(value, str):
         return "by name"
     return "by current" if isinstance(value, dict) and "current" in value else "by column"
@@ -153,7 +156,7 @@ def _one_of(kind: str, words: str) -> Any:
 
 
 class Joint(Keys):
-    """The signals of one joint; what is not named is looked for as <signal>_<joint>."""
+    """The signals of one joint; a signal without an entry is read from the column <signal>_<joint>."""
 
     q: _one_of("q", "a position") | None = Field(None, description="position")  # type: ignore[valid-type]
     qd: _one_of("qd", "a velocity") | None = Field(None, description="velocity")  # type: ignore[valid-type]
@@ -171,7 +174,7 @@ class Joint(Keys):
 
 
 class MappingFile(Keys):
-    """Which columns of a recording hold what, in which units."""
+    """The columns and units of a recording."""
 
     time: Annotated[Annotated[Column, Tag("by name")] | Annotated[Time, Tag("by column")], Discriminator(_form)] = (
         Field("t", description="column of time, or its name alone")
@@ -196,17 +199,20 @@ KEYS = frozenset(key for model in (MappingFile, Time, Signal, Current, Joint) fo
 
 
 def read_mapping(path: str | Path) -> Mapping:
-    """Read and check a mapping; ``torchrbd schema mapping`` prints its keys with what they mean.
+    """Read and check a mapping; ``torchrbd schema mapping`` prints its keys with their descriptions.
 
-    The file holds `time: {column, unit}` and `joints: {<joint>: {<signal>: {column, unit, sign, scale, offset,
-    gear_ratio}}}` with signals q, qd, qdd, tau, q_ref (set-point), q_link (encoder behind the gear), temperature. A
-    signal may be just the column's name. The joint "*" is every joint; `{joint}` and `{index}` (from 0) in a column's
-    name are filled in. With a gear ratio the column is the motor's: `q = motor / gear_ratio`,
-    `tau = motor * gear_ratio`. A torque may come from a current: `{current, torque_constant, unit, gear_ratio, sign,
-    offset}`, `tau = current * torque_constant * gear_ratio`. Offsets are added last, in SI units of the joint.
-    `topic` chooses among several of a ROS bag or PlotJuggler export, `episodes: [0, 3]` among those of a LeRobot set.
-    `torque_delay: 0.004` is how much later [s] torques are written than the positions that they belong to, less than
-    zero if earlier.
+    `time: {column, unit}` is the column of time. `joints: {<joint>: {<signal>: {column, unit, sign, scale, offset,
+    gear_ratio}}}` are those of the joints. The signals are q, qd, qdd, tau, q_ref (set-point), q_link (encoder behind
+    the gear) and temperature. A signal may be just the column's name.
+
+    The joint "*" is every joint without an entry of its own. `{joint}` and `{index}` (from 0) in a column's name are
+    filled in. A gear ratio means that the column is the motor's: `q = motor / gear_ratio`, `tau = motor * gear_ratio`.
+    A torque may come from a current: `{current, torque_constant, unit, gear_ratio, sign, offset}`, `tau = current *
+    torque_constant * gear_ratio`. Offsets are added last, in SI units of the joint.
+
+    `topic` chooses a topic of a ROS bag or PlotJuggler export, `episodes: [0, 3]` those of a LeRobot data set.
+    `torque_delay: 0.004` is the delay [s] of written torques relative to the positions that they belong to; it is
+    negative if torques are early.
 
     Raises:
         RecordingError: names the file, the line, the key and the closest valid one.
@@ -223,7 +229,7 @@ def read_mapping(path: str | Path) -> Mapping:
 
 
 def _source(entry: Any, signal: str) -> Source:
-    """Return where a signal is found, with all factors as one."""
+    """Return the source of a signal, with all factors in one."""
     if isinstance(entry, str):
         return Source(entry)
     if isinstance(entry, Current):

@@ -1,4 +1,4 @@
-"""Write a mapping to edit: what was found in a file, and what is guessed from the names of its columns."""
+"""Write a mapping to edit: the columns of a file, with guesses from their names."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ _CURRENT = (
 
 
 def mapping_text(found: Inspection, mapping: Mapping, sliding: tuple[str, ...] = ()) -> str:
-    """Return a mapping in YAML that says what is read now, with what is suspected in comments.
+    """Return the mapping in use as YAML, with suspected errors as comments.
 
     Args:
-        found: what a look at the file showed.
-        mapping: that it was read with.
+        found: the inspection of the file.
+        mapping: used to read it.
         sliding: the robot's prismatic joints.
     """
     lines = [
@@ -79,7 +79,7 @@ def _found(found: Inspection, sliding: tuple[str, ...]) -> list[str]:
     assert recording is not None
     time = recording.source("t", "") or Source("t")
     now = next(name for name, seconds in TIME_UNITS.items() if seconds == time.scale)
-    # What is suspected is the unit of the time as it is read now.
+    # The suspected unit refers to the time as it is read now.
     meant = time.scale * TIME_UNITS[found.units.get(time.column, "s")]
     unit = next((name for name, seconds in TIME_UNITS.items() if math.isclose(seconds, meant)), now)
     guess_words = _suspected(unit, now) if unit != now else ""
@@ -100,7 +100,7 @@ def _found(found: Inspection, sliding: tuple[str, ...]) -> list[str]:
 
 
 def _guessed_torque(signals: dict[str, str]) -> list[str]:
-    """Return the line of a torque that is guessed, or of a current in its place; none if there is none."""
+    """Return the line of a guessed torque, or of a current instead; none if there is neither."""
     if "tau" in signals:
         return [f"    tau: {{column: {json.dumps(signals['tau'])}, unit: N m}}  # guessed"]
     return [f"    tau: {_CURRENT.format(column=json.dumps(signals['current']))}"] if "current" in signals else []
@@ -119,7 +119,7 @@ def _suspected(unit: str, otherwise: str) -> str:
 
 
 def _guessed(found: Inspection) -> list[str]:
-    """Return what the names of the columns suggest, and the columns that they do not tell."""
+    """Return guesses from the names of the columns, and the columns without a guess."""
     numbers = [name for name in found.columns if found.ranges[name][0] <= found.ranges[name][1]]
     time, joints = guess(numbers, found.joints)
     lines = [f"time: {{column: {json.dumps(time or 't')}, unit: s}}  # {'guessed' if time else 'name the column'}"]

@@ -1,4 +1,4 @@
-"""Find a robot's signals among the columns of a table."""
+"""Match a robot's signals with the columns of a table."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from torchrbd.errors import RecordingError
 from torchrbd.recordings.mapping import Mapping, Source, meant
 
 OPTIONAL_SIGNALS = ("qd", "qdd", "q_ref")
-"""What all joints have or none."""
+"""Signals that all joints have, or none."""
 PARTIAL_SIGNALS = ("q_link", "temperature")
-"""What some joints may have and others not."""
-# Columns that are nothing to wonder at where they are not used.
+"""Signals that some joints may have and others not."""
+# Prefixes of columns that get no note if they are not used.
 _OPTIONAL_CHANNELS = ("q_link_", "temperature_", "current_", "wrench_")
 
 
 @dataclass(frozen=True)
 class Match:
-    """Where a table has a robot's signals.
+    """The columns of a robot's signals.
 
     Attributes:
-        sources: by signal, "t" and those that are there, one for each joint that has it.
+        sources: by signal, "t" and those that exist, one for each joint that has it.
         there: by signal that some joints may lack, (n,) bool.
-        notes: what is left aside.
+        notes: what is not used.
     """
 
     sources: dict[str, tuple[Source, ...]]
@@ -40,9 +40,9 @@ def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place
     Args:
         columns: of the table.
         joints: the robot's joints, in its order.
-        mapping: what the columns are called.
+        mapping: names of the columns.
         place: file or name, for messages.
-        torque: whether some joint has to have one.
+        torque: whether at least one joint must have a torque.
 
     Raises:
         RecordingError: columns are missing; names those present, and the closest matches.

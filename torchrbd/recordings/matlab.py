@@ -1,4 +1,4 @@
-"""Read arrays from MATLAB's files: versions 4 to 7 with scipy, 7.3, which is HDF5, with h5py."""
+"""Read arrays from MATLAB files: versions 4 to 7 with scipy, 7.3, which is HDF5, with h5py."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torchrbd.recordings.npz import NPZ_SIGNALS
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _MOST_NAMES, _LONGEST_NAME, _DEEPEST = 1000, 256, 3
-# Of a variable in a file that is read as a whole, 2 GB of doubles.
+# Largest variable in a file that is read as a whole: 2 GB of doubles.
 _MOST_NUMBERS = 1 << 28
 _TABLES = (
     "tables, timetables and strings are MATLAB's own objects: save s = table2struct(T, 'ToScalar', true) and "
@@ -25,24 +25,24 @@ _TABLES = (
 )
 
 _Slot = tuple[str, int, bool]
-"""Of a column: the variable, the index in it, and whether its rows are those of the stored array."""
+"""Of a column: the variable, its index in it, and whether it is a row of the stored array."""
 
 
 @dataclass(frozen=True)
 class _Variable:
-    """A numeric variable: as MATLAB shows it (rows, columns), and whether the file has it transposed."""
+    """A numeric variable: its shape in MATLAB (rows, columns), and whether the file stores it transposed."""
 
     shape: tuple[int, int]
     transposed: bool = False
 
 
 class MatTable:
-    """Serve the vectors and matrices of a MATLAB file.
+    """Stream the vectors and matrices of a MATLAB file.
 
     `t (N,)`, `q`, `tau`, optional `qd`, `qdd`, `q_ref`, `q_link`, `temperature` `(N, n)` and the joints' names in
-    `joints`, a cell array or a matrix of letters. Other vectors of N are columns of their names, other matrices
-    `name[0]`, `name[1]`, and so on; fields of a structure are `structure.field`, or just `field` where nothing else is
-    in the file. Files of version 7.3 are streamed, earlier ones read as a whole.
+    `joints`, a cell array or a matrix of letters. Other vectors of N are columns with their names, other matrices
+    `name[0]`, `name[1]`, and so on. Fields of a structure are `structure.field`, or just `field` if nothing else is in
+    the file. Files of version 7.3 are streamed, earlier ones read as a whole.
     """
 
     def __init__(self, path: Path):
@@ -92,7 +92,7 @@ class MatTable:
             raise RecordingError(f"{self.path}: not a readable MATLAB file: {error}") from None
 
     def _columns_of(self, variables: dict[str, _Variable], joints: list[str] | None) -> dict[str, _Slot]:
-        """Return, by column, the variable, the index in it, and whether its rows are those of the stored array."""
+        """Return, by column, the variable, its index in it, and whether it is a row of the stored array."""
         if not variables:
             raise RecordingError(f"{self.path}: holds no vectors or matrices of numbers; {_TABLES}")
         self._length = max(variables["t"].shape if "t" in variables else (max(v.shape) for v in variables.values()))
@@ -155,7 +155,7 @@ def _unfolded(content: dict[str, Any], prefix: str, depth: int) -> Iterator[tupl
 
 
 def _bare(found: dict[str, Any]) -> dict[str, Any]:
-    """Leave the structure's name out where all is in one."""
+    """Remove the structure's name if all variables are in one."""
     while len(heads := {name.partition(".")[0] for name in found}) == 1 and all("." in name for name in found):
         found = {name[len(next(iter(heads))) + 1 :]: value for name, value in found.items()}
     return found
@@ -168,7 +168,7 @@ def _names(array: np.ndarray) -> list[str]:
 
 
 def _datasets(file: Any) -> Iterator[tuple[str, Any]]:
-    """Yield HDF5's data sets by dotted name, MATLAB's own bookkeeping left out."""
+    """Yield HDF5 data sets by dotted name, without MATLAB's internal ones."""
     found = {}
 
     def visit(name: str, item: Any) -> None:
@@ -186,7 +186,7 @@ def _hdf5_is_numeric(data: Any) -> bool:
 
 
 def _harmless(data: Any) -> bool:
-    """Say whether a data set lies in the file itself, in pieces that can be read one at a time."""
+    """Return whether a data set is in the file itself, in pieces that can be read one at a time."""
     return not data.is_virtual and not data.external and np.prod(data.chunks or (1,), dtype=float) <= _MOST_NUMBERS
 
 

@@ -1,4 +1,4 @@
-"""Recordings that lie in memory: tables such as pandas' and polars', and dicts of arrays."""
+"""Recordings in memory: tables such as those of pandas and polars, and dicts of arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from torchrbd.recordings.npz import NPZ_SIGNALS, check_shapes
 
 
 class Frame(Protocol):
-    """A table: its columns' names in ``columns``, and ``table[name].to_numpy()``, as pandas and polars have it."""
+    """A table: its columns' names in ``columns``, and ``table[name].to_numpy()``, as in pandas and polars."""
 
     @property
     def columns(self) -> Iterable[Any]: ...
@@ -29,14 +29,14 @@ Data = Frame | Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class InMemory:
-    """A recording in memory of which the robot is not known yet, with the name that results call it by."""
+    """A recording in memory, with its name in results; the robot is not known yet."""
 
     name: str
     data: Data
 
 
 def is_data(source: object) -> TypeGuard[Data]:
-    """Say whether something is a table or a dict."""
+    """Return whether something is a table or a dict."""
     return isinstance(source, Mapping) or (hasattr(source, "columns") and hasattr(source, "__getitem__"))
 
 
@@ -45,11 +45,11 @@ def memory_table(data: Data, joints: Sequence[str], place: str) -> MemoryTable:
 
     Args:
         data: the table or dict.
-        joints: the robot's, whose order arrays (N, n) have that say nothing of theirs.
-        place: what messages call the recording.
+        joints: the robot's; arrays (N, n) without joint names have this order.
+        place: name of the recording in messages.
 
     Raises:
-        RecordingError: names that are no text or appear twice, arrays (N, n) whose shapes do not fit.
+        RecordingError: names that are not text or appear twice, arrays (N, n) with shapes that do not fit.
     """
     if isinstance(data, Mapping):
         names = list(data)
@@ -70,7 +70,7 @@ def memory_table(data: Data, joints: Sequence[str], place: str) -> MemoryTable:
 
 
 class MemoryTable:
-    """Serve columns in memory; those of numpy, torch, pandas or polars are not copied as a whole."""
+    """Columns in memory; those of numpy, torch, pandas or polars are not copied as a whole."""
 
     def __init__(self, columns: Mapping[str, Any], place: str):
         self.columns = tuple(columns)
@@ -78,7 +78,7 @@ class MemoryTable:
         self._arrays: dict[str, np.ndarray] = {}
 
     def check(self, columns: Sequence[str]) -> None:
-        """Raise RecordingError for columns that are no numbers, or not as long as the first one."""
+        """Raise RecordingError for columns that are not numbers, or not as long as the first one."""
         length = self._numbers(columns[0]).shape[0] if self._numbers(columns[0]).ndim else 0
         if not length:
             raise RecordingError(f"{self._place}: there are no rows; '{columns[0]}' is empty")
@@ -110,7 +110,7 @@ class MemoryTable:
         return array
 
     def _from_cells(self, name: str, cells: np.ndarray) -> np.ndarray:
-        """Return numbers of cells that each have a type; missing ones (None, pandas.NA) are NaN."""
+        """Return numbers of cells that each have a type; missing ones (None, pandas.NA) become NaN."""
         try:
             return _of_cells(cells)
         except (pa.ArrowException, TypeError):
@@ -126,10 +126,10 @@ class MemoryTable:
 
 
 def _array(values: Any, name: str, place: str) -> np.ndarray:
-    """Return an array of whatever holds numbers, in the same memory where that can be.
+    """Return an array of any container of numbers, in the same memory if possible.
 
     Raises:
-        RecordingError: it is none.
+        RecordingError: it holds no numbers.
     """
     try:
         if isinstance(values, torch.Tensor):
@@ -154,7 +154,7 @@ def _is_number(cell: object) -> bool:
 
 
 def _unstacked(arrays: Mapping[str, Any], joints: Sequence[str], place: str) -> dict[str, Any]:
-    """Return columns of arrays (N, n) as NPZ files have them; what else is there keeps its name."""
+    """Return the columns of arrays (N, n) with the names of NPZ files; other arrays keep their names."""
     own = {name: _array(arrays[name], name, place) for name in ("t", *NPZ_SIGNALS) if name in arrays}
     names = [str(name) for name in _array(arrays["joints"], "joints", place)] if "joints" in arrays else list(joints)
     whose = f"the {len(names)} names in 'joints'"

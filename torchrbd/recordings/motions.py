@@ -1,4 +1,4 @@
-"""Say of each joint whether its motion tells its friction and inertia."""
+"""Describe each joint's motion, and whether it is enough to identify its friction and inertia."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from torchrbd.recordings.survey import Survey
 from torchrbd.robot import RobotModel
 
 _LAG_S = 0.05
-# Slower than this part of the RMS speed, the direction does not count.
+# Fraction of the RMS speed below which the direction does not count.
 _SLOW = 0.2
-# What a joint should do at least: range and RMS speed [rad, rad/s; m, m/s], changes of direction.
+# Least motion of a joint: range and RMS speed [rad, rad/s; m, m/s], changes of direction.
 _RANGE, _SPEED, _REVERSALS = (0.3, 0.03), (0.05, 0.005), 4
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Describe a joint's motion.
+    """Description of a joint's motion.
 
     Attributes:
-        joint: which.
+        joint: its name.
         low, high: range [rad or m].
         speed_rms: [rad/s or m/s].
-        reversals: changes of direction.
-        lacks: what it does too little of, in words; none if it is rich enough.
+        reversals: number of changes of direction.
+        lacks: what it has too little of, in words; empty if it is rich enough.
     """
 
     joint: str
@@ -43,8 +43,8 @@ def motions_of(recording: Recording, seen: Survey, robot: RobotModel | None = No
 
     Args:
         recording: the recording.
-        seen: what a survey of it shows.
-        robot: says which joints slide; without it all are taken to turn.
+        seen: its survey.
+        robot: to know prismatic joints; without it all count as revolute.
     """
     n, lag = len(recording.joints), max(1, round(_LAG_S / seen.clock.dt))
     sliding = np.zeros(n, dtype=bool) if robot is None else robot.prismatic.numpy()

@@ -1,4 +1,4 @@
-"""Stream NPZ files row by row, so that the arrays never lie in memory as a whole."""
+"""Stream NPZ files row by row, so that the arrays are never in memory as a whole."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy as np
 
 from torchrbd.errors import RecordingError
 
-# Names of joints [bytes]; numbers are streamed and may take any.
+# Largest array of joint names [bytes]; numbers are streamed and have no limit.
 _LARGEST_NAMES = 1 << 22
 NPZ_SIGNALS = ("q", "tau", "qd", "qdd", "q_ref", "q_link", "temperature")
 
 
 @dataclass(frozen=True)
 class _Array:
-    """Where an array lies in an NPZ file."""
+    """Position of an array in an NPZ file."""
 
     member: str
     shape: tuple[int, ...]
@@ -28,8 +28,8 @@ class _Array:
 class NpzTable:
     """Stream the arrays of an NPZ file.
 
-    `t (N,)`, `q`, `tau`, optional `qd`, `qdd`, `q_ref`, `q_link`, `temperature` `(N, n)` and `joints (n,)`.
-    The arrays are decompressed row by row, so that the file never lies in memory as a whole.
+    `t (N,)`, `q`, `tau`, optional `qd`, `qdd`, `q_ref`, `q_link`, `temperature` `(N, n)` and `joints (n,)`. The arrays
+    are decompressed row by row, so the file is never in memory as a whole.
     """
 
     def __init__(self, path: Path):

@@ -1,4 +1,4 @@
-"""Open a recording and stream its rows in SI units, joints in the robot's order."""
+"""Open a recording and stream its rows in SI units, with the joints in the robot's order."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from torchrbd.recordings.mapping import Mapping, Source
 from torchrbd.recordings.matching import OPTIONAL_SIGNALS, PARTIAL_SIGNALS, match
 from torchrbd.recordings.memory import Data, memory_table
 
-# Beyond it squares of sums would be no numbers; times of ns since 1970 are far below.
+# Larger values could overflow in squares of sums; times in ns since 1970 are far below.
 _LARGEST = 1e20
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Hold consecutive rows of a recording.
+    """Consecutive rows of a recording.
 
     Attributes:
         t: (N,) seconds since the recording's first row.
         q: (N, n) [rad or m].
-        tau: (N, n) [N m or N]; NaN where a joint's torque is not in the file.
+        tau: (N, n) [N m or N]; NaN if a joint's torque is not in the file.
         qd: (N, n) [rad/s or m/s], or None.
         qdd: (N, n) [rad/s^2 or m/s^2], or None.
         q_ref: (N, n) set-point [rad or m], or None.
@@ -48,20 +48,21 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Recording:
-    """Stream the rows of a checked table; as often as one likes.
+    """A recording that fits a robot; ``chunks`` streams its rows any number of times.
 
     Attributes:
-        name: the file's name, or what data in memory are called.
-        path: where it lies; None for data in memory.
+        name: the file's name, or the name of data in memory.
+        path: of the file; None for data in memory.
         joints: the robot's joints, in its order.
         measured: (n,) bool, which joints have torque.
-        has_velocity, has_acceleration, has_reference: whether every joint has a measured one, and a set-point.
+        has_velocity, has_acceleration, has_reference: whether every joint has a measured velocity, a measured
+            acceleration, a set-point.
         linked: (n,) bool, which joints have an encoder behind the gear too.
         thermal: (n,) bool, which joints have a temperature.
-        time: the part that is used, seconds since the first row; None for all.
-        notes: what was left aside on opening.
-        torque_delay_s: how much later torques are written than the positions that they belong to [s]; rows are as
-            written, states have both at one time.
+        time: the part in use, seconds since the first row; None for all.
+        notes: what is in the file but not used.
+        torque_delay_s: delay of written torques relative to the positions that they belong to [s]. Rows are as written;
+            states have both at one time.
     """
 
     name: str
@@ -105,8 +106,7 @@ class Recording:
     ) -> Recording:
         """Make a recording from arrays: t (N,) [s]; all others (N, n), columns in the order of `joints`.
 
-        A column of tau, q_ref, q_link or temperature that is NaN throughout means that it was not recorded for that
-        joint.
+        A column of tau, q_ref, q_link or temperature that is all NaN was not recorded for that joint.
 
         Raises: RecordingError naming the array whose shape does not fit.
         """
@@ -130,7 +130,7 @@ class Recording:
     def of_joints(self, joints: Sequence[str], time: tuple[float, float] | None = None) -> Recording:
         """Return the recording with its joints in another order, and only a part of it if `time` is given.
 
-        Raises: RecordingError if it is of other joints.
+        Raises: RecordingError if its joints are others.
         """
         if set(joints) != set(self.joints):
             raise RecordingError(
@@ -155,7 +155,7 @@ class Recording:
         )
 
     def source(self, signal: str, joint: str) -> Source | None:
-        """Return where a joint's signal comes from, e.g. ("tau", "joint3"), time where the signal is "t"; or None."""
+        """Return the source of a joint's signal, e.g. ("tau", "joint3"), or of the time for "t"; None if missing."""
         found = self._sources.get(signal, ())
         if signal == "t":
             return found[0]
@@ -164,7 +164,7 @@ class Recording:
         return dict(zip(names, found, strict=False)).get(joint)
 
     def chunks(self, rows: int = 16384) -> Iterator[Chunk]:
-        """Yield the rows in pieces of at most about `rows`.
+        """Yield the rows in chunks of at most about `rows`.
 
         Raises: RecordingError naming the column and data row of an infinite value or of a time that goes backwards.
         """
@@ -252,13 +252,13 @@ def open_recording(
     Files are CSV, Parquet, NPZ, MATLAB (.mat) and, with joint states, ROS bags (.bag, .mcap, .db3); folders are ROS 2
     bags and LeRobot data sets.
 
-    Data in memory are read where they lie and are not copied: leave them as they are while they are in use. They are
+    Data in memory are not copied: do not change them while they are in use. They are
 
-    - a table with a CSV file's columns: a ``pandas.DataFrame``, or whatever has ``columns`` and
+    - a table with a CSV file's columns: a ``pandas.DataFrame``, or any object with ``columns`` and
       ``table[column].to_numpy()``,
-    - or a dict of arrays, lists or tensors: of the same columns (N,), or, as in NPZ files, of ``t`` (N,), ``q``,
-      ``tau`` and, where there are any, ``qd``, ``qdd``, ``q_ref``, ``q_link``, ``temperature`` (N, n) with the joints'
-      names in ``joints`` (n,). Without ``joints``, n must be the robot's number of joints; the order is the robot's.
+    - or a dict of arrays, lists or tensors: with the same columns (N,), or, as in NPZ files, with ``t`` (N,), ``q``,
+      ``tau`` and optional ``qd``, ``qdd``, ``q_ref``, ``q_link``, ``temperature`` (N, n) and the joints'
+      names in ``joints`` (n,). Without ``joints``, n must be the robot's number of joints, in the robot's order.
 
     Example:
 
@@ -267,12 +267,12 @@ def open_recording(
     Args:
         source: a file or folder, a table, or a dict.
         joints: the robot's joints, in its order.
-        mapping: where the columns have other names, units or signs.
+        mapping: the columns' names, units and signs, if they differ from the defaults.
         time: use only this part, (from, to) in seconds since the recording's first row.
-        name: what results call it; the file's name, or "recording", if not given.
+        name: its name in results; default: the file's name, or "recording".
 
-    Raises: RecordingError naming the columns that are missing, those present, and the closest matches; data in memory
-        that are no numbers or of different lengths.
+    Raises: RecordingError naming the columns that are missing, those present, and the closest matches; also for data in
+    memory that are not numbers or have different lengths.
     """
     place = str(source) if isinstance(source, (str, Path)) else name or "recording"
     if time is not None and not time[0] < time[1]:
@@ -300,13 +300,13 @@ def connect(
     """Make a recording of a table whose columns fit the joints.
 
     Args:
-        name: what results call it.
-        path: where it lies; None for data in memory.
+        name: its name in results.
+        path: of the file; None for data in memory.
         table: its columns.
         joints: the robot's, in its order.
-        mapping: what the columns are called.
-        time: the part that is used, None for all.
-        torque: whether some joint has to have a torque.
+        mapping: names of the columns.
+        time: the part in use, None for all.
+        torque: whether at least one joint must have a torque.
 
     Raises:
         RecordingError: columns are missing.

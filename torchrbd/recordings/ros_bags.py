@@ -17,9 +17,9 @@ from torchrbd.recordings.mapping import Mapping, chosen_topic
 _INDEX, _STORAGE = "metadata.yaml", {".db3", ".mcap"}
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _SIGNALS = {"q": "position", "qd": "velocity", "tau": "effort"}
-# Messages from which joints and their signals are learnt; several nodes may take turns on one topic.
+# Number of messages that define joints and signals; several nodes may alternate on one topic.
 _FIRST_MESSAGES = 500
-# Orders of names that are remembered at a time.
+# Largest number of cached orders of names.
 _MOST_LAYOUTS = 256
 _NS = 1_000_000_000
 _Part = tuple[int, np.ndarray, np.ndarray]
@@ -42,8 +42,8 @@ class _Message(NamedTuple):
 class RosTable:
     """Stream a topic of ``sensor_msgs/JointState``: `t`, `q_<joint>`, `qd_<joint>`, `tau_<joint>`.
 
-    Times are those of ``header.stamp``; where the first messages have none, those at which they were recorded. A joint
-    that a message does not name has no values there.
+    Times are those of ``header.stamp``; if the first messages have none, the times of recording. A joint that is not in
+    a message has no values there.
     """
 
     def __init__(self, path: Path, mapping: Mapping):
@@ -91,7 +91,7 @@ class RosTable:
             yield block[:count].T
 
     def _layout(self, message: _Message, columns: Sequence[str], number: int) -> list[_Part]:
-        """Return where a message's values go: index of the array, places in it, places among the columns."""
+        """Return how a message's values map to columns: index of the array, places in it, places among the columns."""
         place, found = {joint: k for k, joint in enumerate(message.joints)}, []
         for index, (field, array) in enumerate(zip(_SIGNALS.values(), message.arrays, strict=True)):
             if len(array) not in (0, len(message.joints)):
@@ -108,7 +108,7 @@ class RosTable:
     def _messages(self, bag: Any) -> Iterator[_Message]:
         connections = [one for one in bag.connections if one.topic == self._topic and _is_joint_state(one)]
         typesys = needed("rosbags.typesys", "ros", self.path)
-        # The message is the same in every distribution, so that what other topics are of need not be understood.
+        # The message is the same in every distribution, so the types of other topics do not matter.
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE if self._ros2 else typesys.Stores.ROS1_NOETIC)
         read = store.deserialize_cdr if self._ros2 else store.deserialize_ros1
         for connection, recorded, raw in bag.messages(connections=connections):

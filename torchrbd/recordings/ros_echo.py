@@ -1,6 +1,6 @@
-"""Read what ``ros2 topic echo --csv`` prints of ``sensor_msgs/JointState``: rows without a header.
+"""Read the output of ``ros2 topic echo --csv`` for ``sensor_msgs/JointState``: rows without a header.
 
-Stamp, frame and arrays follow each other, elements too; an array without elements leaves one empty cell.
+Each row has the stamp, the frame and the elements of the arrays; an empty array is one empty cell.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ARRAYS = "its columns are header.stamp.sec, nanosec, frame_id, names, positions
 
 
 def is_echo(path: Path) -> bool:
-    """Say whether a file begins with seconds, nanoseconds, a frame and a joint's name."""
+    """Return whether a file begins with seconds, nanoseconds, a frame and a joint's name."""
     cells = _first_row(path)
     stamped = len(cells) > len(_FIXED) + 1 and all(cell.strip().isdigit() for cell in cells[:2])
     return stamped and not is_number(cells[3]) and is_number(cells[-1])
@@ -53,10 +53,10 @@ class EchoTable:
             yield np.stack([numbers[name] for name in columns])
 
     def _arrays(self, cells: list[str]) -> list[str]:
-        """Return the columns of the arrays that these cells of row 1 are; one without elements has its signal's name.
+        """Return the columns for the array cells of row 1; an empty array is one column with its signal's name.
 
         Raises:
-            RecordingError: they are none of positions, velocities and efforts.
+            RecordingError: the cells do not fit positions, velocities and efforts.
         """
         count, found, rest = len(self._joints), list[str](), [cell.strip() for cell in cells]
         for signal in _ARRAYS_OF:

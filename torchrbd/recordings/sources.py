@@ -1,4 +1,4 @@
-"""What a user gives as recordings: files, opened ones, or data in memory, one of them or several."""
+"""Recordings as a user gives them: files, opened recordings or data in memory, one or several."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from torchrbd.recordings.memory import Data, InMemory, is_data
 from torchrbd.recordings.recording import Recording
 
 RecordingSource = str | Path | Recording | Data
-"""What a recording is taken from, see ``open_recording``."""
+"""Anything that ``open_recording`` accepts, or an opened recording."""
 Sources = Sequence[RecordingSource] | RecordingSource
 """One or several."""
 NamedSource = Path | Recording | InMemory
-"""The same with a name."""
+"""A source with a name."""
 
 
 def listed_sources(given: Any, word: str = "recording") -> list[NamedSource]:
-    """Return one source or several as a list; those in memory are called by their place in it, "recording 1".
+    """Return one or several sources as a list; those in memory are named by their position, "recording 1".
 
     Args:
-        given: a source or an iterable of them; None is none.
-        word: what the sources are.
+        given: a source or an iterable of them; None gives an empty list.
+        word: the name of a source in messages.
 
     Raises:
-        RecordingError: something that no recording can be taken from.
+        RecordingError: an object that cannot be a recording.
     """
     if given is None:
         return []

@@ -1,4 +1,4 @@
-"""Estimate spectra of motion and noise in one pass, and read the cut-off from them."""
+"""Estimate spectra of motion and noise in one pass, and choose the cut-off from them."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _NOISE_PART = 1e-4
 _REACHES = 12.8
 _LAG_TOLERANCE = 0.005
 _QUIETER = 0.25
-# Of the noise, which is known to some tenths only.
+# Safety factor on the noise, which is known only to some tenths.
 _NOISE_MARGIN = 1.2
-# Noise among the motion is that just beyond it [Hz], whatever the clock.
+# Noise within the motion's band is estimated just above it, below this frequency [Hz], for any clock.
 _NOISE_BELOW_HZ = 56.25
 
 
 class Spectrum:
-    """Gather averaged spectra (Welch: Hann windows of 4 s, half overlapping) while samples stream by.
+    """Accumulate averaged spectra (Welch: Hann windows of 4 s, half overlapping) while samples stream by.
 
-    The second difference of q is what is transformed: it takes the slow motion's leakage off the noise.
+    The spectra are those of the second difference of q: this keeps leakage of the slow motion out of the noise.
 
     Attributes:
         frequency: (F,) [Hz].
@@ -54,7 +54,7 @@ class Spectrum:
         self._segment, self._x = -1, np.empty((0, 0))
 
     def add(self, block: Block) -> None:
-        """Take the next samples."""
+        """Add the next samples."""
         if block.segment != self._segment:
             self._finish_segment()
             self._segment, self._x = block.segment, block.x
@@ -66,7 +66,7 @@ class Spectrum:
             self._x = self._x[:, self._size // 2 :]
 
     def close(self) -> None:
-        """Take what is left, and turn sums into averages."""
+        """Add the remaining samples, and turn sums into averages."""
         self._finish_segment()
         weight = max(self._weight, 1e-300)
         for sums in (self.acceleration, self.measured, self.derived, self.cross):
@@ -76,7 +76,7 @@ class Spectrum:
         x, need = self._x, self._size + 2
         if x.shape[1] > need:
             self._window(x[:, :need])
-        if x.shape[1] >= _SHORTEST_WINDOW:  # the last window ends where the segment does
+        if x.shape[1] >= _SHORTEST_WINDOW:  # the last window ends with the segment
             self._window(x[:, -need:])
         self._x = np.empty((0, 0))
 
@@ -90,7 +90,7 @@ class Spectrum:
         def transform(signal: np.ndarray) -> np.ndarray:
             return np.fft.rfft((signal - signal.mean(axis=1, keepdims=True)) * hann, self._size)
 
-        # a short window says less, so it counts less
+        # a short window holds less information, so its weight is smaller
         weight = length / self._size
         self._weight += weight
         self.acceleration += weight * scale * np.abs(transform(np.diff(q, 2, axis=1) / dt**2)) ** 2
@@ -112,7 +112,7 @@ class Spectrum:
 
     @property
     def velocity_ratio(self) -> np.ndarray:
-        """Return the measured velocity in units of the differentiated position (n,), 1 where none is measured."""
+        """Return the ratio of the measured velocity to the differentiated position (n,), 1 if none is measured."""
         power = self.derived.sum(axis=1)
         ratio = np.real(self.cross).sum(axis=1) / np.where(power > 0, power, 1.0)
         return np.where((power > 0) & self._has_velocity, ratio, 1.0)
@@ -125,9 +125,9 @@ class Spectrum:
     def q_noise_density(self, *, regular: bool = True, below_hz: float = math.inf) -> np.ndarray:
         """Return the one-sided power density (n,) of white position noise, from that near the Nyquist frequency.
 
-        What has been interpolated from an irregular clock has less of it there: lower frequencies tell, if ``regular``
-        is false. An encoder that moves less than one step between samples rounds many of them alike, and its noise is
-        not white up to the Nyquist frequency of a fast clock: frequencies ``below_hz`` tell more of lower ones.
+        Interpolation from an irregular clock weakens it there: lower frequencies are used if ``regular`` is false. An
+        encoder that moves less than one step between samples rounds many of them alike. Its noise is then not white up
+        to the Nyquist frequency of a fast clock: frequencies ``below_hz`` represent lower ones better.
         """
         low, high = _NOISE_BAND if regular else _SMOOTHED_BAND
         cycles = self.frequency * max(self.dt, high / below_hz)
@@ -143,24 +143,24 @@ class Spectrum:
         """Return the power density (n, F) of the acceleration, averaged over a third of an octave."""
         f = self.frequency
         ends = np.searchsorted(f, f * 2.0 ** (-1.0 / 6.0)), np.searchsorted(f, f * 2.0 ** (1.0 / 6.0), side="right")
-        # Sums from each begin to its end, and from there to the next begin: these are left out.
+        # Sums from each start to its end, and from there to the next start; the latter are dropped.
         sums = np.add.reduceat(np.pad(self.acceleration, ((0, 0), (0, 1))), np.stack(ends, 1).ravel(), axis=1)
         return sums[:, ::2] / (ends[1] - ends[0])
 
     def motion_share(self, *, step: np.ndarray | float = math.nan, regular: bool = True) -> np.ndarray:
-        """Return which part of the positions' power is motion and not noise, (n, F) between 0 and 1.
+        """Return the share of the positions' power that is motion and not noise, (n, F) between 0 and 1.
 
             W(f) = 1 - S_noise(f) / S(f)
 
-        with S averaged over a third of an octave: the gain of Wiener's non-causal filter. Beyond the motion it only
-        falls, so that no chance peak of the noise passes. Noise is at least what rounding to steps makes, step^2 / 12:
-        what interpolation between steps has taken from high frequencies may remain at lower ones.
+        S is averaged over a third of an octave: this is the gain of Wiener's non-causal filter. Above the motion it is
+        made non-increasing, so that no random peak of the noise passes. The noise is at least that of rounding to
+        steps, step^2 / 12: interpolation between steps removes noise at high frequencies, but not at lower ones.
 
         Source: Wiener, "Extrapolation, Interpolation and Smoothing of Stationary Time Series", 1949.
 
         Args:
-            step: (n,) of the encoders, NaN where none is seen [rad or m].
-            regular: whether rows lie on the uniform clock.
+            step: (n,) of the encoders, NaN if none is seen [rad or m].
+            regular: whether rows are on the uniform clock.
         """
         f, smooth = self.frequency, self.smooth_acceleration
         white = self.q_noise_density(regular=regular, below_hz=_NOISE_BELOW_HZ)
@@ -171,17 +171,17 @@ class Spectrum:
         return np.minimum.accumulate(share, axis=1)
 
     def cutoff(self, moves: np.ndarray, longest_s: float) -> float:
-        """Find the valley between the motion, whose acceleration density falls, and the noise, whose rises [Hz].
+        """Find the valley between the falling acceleration density of the motion and the rising one of the noise [Hz].
 
-        There both are equally strong: lower, motion is lost; higher, differentiated noise is let in. Taken is the
-        valley's upper edge, 1.5 dB above its floor. Densities are averaged over an octave, so that the dip between
-        two harmonics is no valley, and their decibels over the moving joints, so that no joint's scale matters and one
-        that vibrates does not decide. Where no noise limits the band, ten times the frequency below which 99 % of the
-        acceleration lies is enough. In no case may the noise of the acceleration, which grows with the fifth power of
-        the cut-off, `S_q (2 pi)^4 f^5 / 5`, exceed 1e-4 of its power (1 % of its amplitude).
+        There both are equally strong: a lower cut-off loses motion, a higher one adds differentiated noise. The result
+        is the valley's upper edge, 1.5 dB above its floor. Densities are averaged over an octave, so the dip between
+        two harmonics is not a valley. Their decibels are averaged over the moving joints, so no joint's scale matters
+        and one that vibrates does not decide. If no noise limits the band, ten times the frequency below which 99 % of
+        the acceleration lies is enough. The noise of the acceleration, `S_q (2 pi)^4 f^5 / 5`, grows with the fifth
+        power of the cut-off. It must never exceed 1e-4 of the acceleration's power (1 % of its amplitude).
 
         Args:
-            moves: (n,) bool, joints to look at. longest_s: longest segment; the filters must leave something of it.
+            moves: (n,) bool, joints to use. longest_s: longest segment; the filters must leave some of it.
         """
         f, rate = self.frequency, 1 / self.dt
         acceleration = self.acceleration[moves]
@@ -205,11 +205,11 @@ class Spectrum:
         return two_digits(min(proposal, HIGHEST_SHARE * rate))
 
     def qd_noise_std(self, cutoff_hz: float) -> np.ndarray:
-        """Return the noise (n,) of measured velocities that serve better than the differentiated position, else NaN.
+        """Return the noise (n,) of measured velocities that are better than the differentiated position, else NaN.
 
-        Better: above the motion the measured velocity carries less than a quarter of the power of the
-        differentiated position, and within the motion it follows that without lag or gain error. Many drives report a
-        velocity that looks smooth because it is late, which would pass for physics.
+        Better: above the motion, the measured velocity has less than a quarter of the power of the differentiated
+        position; within the motion, it follows the latter without lag or gain error. Many drives report a velocity that
+        looks smooth because it is late, which the fit would take for physics.
         """
         f = self.frequency
         inside, beyond = (f > 0) & (f <= cutoff_hz), (f > 2 * cutoff_hz) & (f <= 4 * cutoff_hz)

@@ -1,4 +1,4 @@
-"""Cut a recording into tiles of filtered states that the rest of the package works on."""
+"""Cut a recording into tiles of filtered states, the input of all fits."""
 
 from __future__ import annotations
 
@@ -17,34 +17,35 @@ from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.survey import Survey
 
 TILE_ROWS = 4096
-"""Samples of a tile, about."""
-# Turning points of a joint that a piece remembers of those before it.
+"""Approximate number of samples in a tile."""
+# Largest number of earlier turning points of a joint that a piece keeps.
 _MOST_TURNS = 256
 
 
 @dataclass(frozen=True)
 class States:
-    """Hold one contiguous piece of one segment on the uniform clock; float64, batch last.
+    """One contiguous piece of one segment on the uniform clock; float64, batch last.
 
     Compute features from (q, qd, qdd) at all N samples, then `decimate` them and the torque alike: outputs of
     consecutive tiles join without gap or repetition.
 
     Attributes:
-        segment: which segment of the recording.
+        segment: index of the segment in the recording.
         dt: clock interval [s].
         t: (N,) seconds since the recording's first row.
         q, qd, qdd: (n, N) low-passed by the state filter [rad or m, per s, per s^2].
-        tau: (n, N) raw [N m or N]; NaN for joints without torque. Only to be decimated.
+        tau: (n, N) raw [N m or N]; NaN for joints without torque. Use it only through `decimate`.
         t_out: (M,) times of the outputs of `decimate` [s].
         recording: name of the recording.
-        reference: set-points q_ref, qd_ref, qdd_ref (n, N) each, low-passed as q is; None where not recorded.
-        q_link: (n, N) positions behind the gears [rad or m], low-passed as q is, NaN for joints without such an
-            encoder; None where not recorded.
-        temperature: (n, N) of the joints [deg C], low-passed as q is, NaN for joints without; None where not recorded.
-        turned: per joint, where the segment began and where the joint has turned since, before this piece (R_j,), the
-            last ones, oldest first [rad or m]; empty in a segment's first piece.
-        loaded: (n_params,) inertial parameters of a known load, whose torque is taken off ``tau``; None without one.
-        known: (n, N) torque of rotors and springs that the robot's description tells, taken off ``tau``; None without.
+        reference: set-points q_ref, qd_ref, qdd_ref (n, N) each, low-passed like q; None if not recorded.
+        q_link: (n, N) positions behind the gears [rad or m], low-passed like q, NaN for joints without such an encoder;
+            None if not recorded.
+        temperature: (n, N) of the joints [deg C], low-passed like q, NaN for joints without; None if not recorded.
+        turned: per joint, the segment's first position and the turning points before this piece (R_j,), the latest
+            ones, oldest first [rad or m]; empty in a segment's first piece.
+        loaded: (n_params,) inertial parameters of a known load, whose torque is subtracted from ``tau``; None without
+            one.
+        known: (n, N) torque of rotors and springs in the robot's description, subtracted from ``tau``; None without.
     """
 
     segment: int
@@ -72,23 +73,23 @@ class States:
 
     @property
     def stride(self) -> int:
-        """Return how many samples lie between two outputs of `decimate`."""
+        """Return the number of samples between two outputs of `decimate`."""
         return self._stride
 
     @property
     def motion_out(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return q, qd and qdd at the times of the outputs, (n, M) each, as they are: not low-passed once more."""
+        """Return q, qd and qdd at the times of the outputs, (n, M) each, without a second low-pass."""
         half, last = self._kernel.shape[0] // 2, (self.t_out.shape[0] - 1) * self._stride
         q, qd, qdd = (x[:, half : half + last + 1 : self._stride] for x in (self.q, self.qd, self.qdd))
         return q, qd, qdd
 
     def thinned(self, step: int) -> States:
-        """Return every `step`-th sample, with the same outputs; `step` divides `stride`. Torques are only thinned."""
+        """Return every `step`-th sample, with the same outputs; `step` divides `stride`. Torques are not filtered."""
         half = self._kernel.shape[0] // 2
         kernel = self._kernel[half % step :: step]
 
         def thin(x: torch.Tensor) -> torch.Tensor:
-            # A view would hold all samples as long as these are kept.
+            # A copy: a view would keep all samples in memory.
             return x[..., half % step :: step].contiguous()
 
         cut = {name: thin(getattr(self, name)) for name in ("t", "q", "qd", "qdd", "tau")}
@@ -110,9 +111,9 @@ class States:
 
 
 def tiles(recording: Recording, survey: Survey, filtering: Filtering, rows: int = TILE_ROWS) -> Iterator[States]:
-    """Stream a recording as tiles of about `rows` new samples each (plus the feature filter's reach at both ends).
+    """Stream a recording as tiles of about `rows` new samples each (plus the feature filter's length at both ends).
 
-    Ends of segments within reach of the filters have no output, and segments shorter than that none at all.
+    The ends of segments, where the filters do not fit, have no output; shorter segments have none at all.
 
     Raises: RecordingError if no segment is long enough for the filters.
     """
@@ -130,19 +131,19 @@ def tiles(recording: Recording, survey: Survey, filtering: Filtering, rows: int 
 
 
 def skipped_segments(survey: Survey, filtering: Filtering) -> tuple[tuple[float, float], ...]:
-    """Return the segments (from, to) [s] that are too short for the filters: `tiles` leaves them out."""
+    """Return the segments (from, to) [s] that are too short for the filters, which `tiles` omits."""
     shortest = 2 * filtering.reach(survey.clock.dt) * survey.clock.dt
     return tuple((start, end) for start, end in survey.segments if end - start < shortest * (1 - 1e-9))
 
 
 class _Cutter:
-    """Hold the samples that the next tile needs, and cut tiles from them."""
+    """Collect samples, and cut tiles from them."""
 
     def __init__(self, recording: Recording, survey: Survey, filtering: Filtering, rows: int):
         self._name, self._dt = recording.name, survey.clock.dt
         self._linked, self._thermal = torch.from_numpy(recording.linked), torch.from_numpy(recording.thermal)
         self._use_velocity = torch.from_numpy(~np.isnan(survey.qd_noise_std))
-        # Where the velocity is measured, positions are not differentiated, and their noise is small.
+        # If the velocity is measured, positions are not differentiated, and their noise is small.
         share = np.where(np.isnan(survey.qd_noise_std)[:, None], survey.motion_share, 1.0)
         self._kernels = filtering.motion_kernels(self._dt, share, survey.acceleration_density, survey.share_hz)
         self._feature_kernel = filtering.feature_kernel(self._dt)
@@ -157,7 +158,7 @@ class _Cutter:
         self._turned: tuple[torch.Tensor, ...] = ()
 
     def push(self, block: Block) -> Iterator[States]:
-        """Add samples; yield the full tiles that they complete."""
+        """Add samples; yield the tiles that are now complete."""
         if block.segment != self._segment:
             yield from self.finish()
             self._segment, self._origin, self._index, self._x = block.segment, float(block.t[0]), 0, block.channels
@@ -168,7 +169,7 @@ class _Cutter:
             yield self._cut(self._outputs)
 
     def finish(self) -> Iterator[States]:
-        """Close the segment: yield what is left as a shorter tile."""
+        """Close the segment: yield the remaining samples as a shorter tile."""
         if self._available() > 0:
             yield self._cut(self._available())
         self._x = np.empty((0, 0))
@@ -206,7 +207,7 @@ class _Cutter:
         return States(self._segment, self._dt, t, q, qd, qdd, tau, t_out, kernel, stride, self._name, *optional)
 
     def _partly(self, x: torch.Tensor, there: torch.Tensor) -> torch.Tensor | None:
-        """Return x (m, samples) low-passed as positions of all joints (n, N), NaN for those that are not ``there``."""
+        """Return x (m, samples), low-passed like positions, for all joints (n, N), NaN for those not in ``there``."""
         if not there.any():
             return None
         filtered = convolved(x, self._kernels[there, :1])[0]
@@ -216,7 +217,7 @@ class _Cutter:
 
 
 def _turns(path: torch.Tensor) -> torch.Tensor:
-    """Return the first and the last position of a path (N,), and those between at which it turns: (R,)."""
+    """Return the first and the last position of a path (N,), and its turning points between them: (R,)."""
     ways = torch.sign(torch.diff(path))
     ends = ways.new_full((1,), torch.nan)
     turns = torch.cat((ends, ways)) != torch.cat((ways, ends))

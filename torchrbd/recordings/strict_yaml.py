@@ -1,7 +1,6 @@
-"""YAML of plain data alone, in which every key stands once, and which remembers the line of every key.
+"""YAML of plain data only, in which every key is unique and has a line number.
 
-content = strict_yaml(text)
-content["joints"]["elbow"], line_of(content, ("joints", "elbow"))
+content = strict_yaml(text) content["joints"]["elbow"], line_of(content, ("joints", "elbow"))
 """
 
 from __future__ import annotations
@@ -13,24 +12,24 @@ import yaml
 from yaml.composer import ComposerError
 from yaml.constructor import ConstructorError
 
-# Of a file that people write by hand [bytes].
+# Largest file that people write by hand [bytes].
 _LARGEST = 1 << 20
 
 
 class Table(dict[Any, Any]):
-    """A mapping that knows in which line each of its keys stands, from 1."""
+    """A mapping with the line number of each of its keys, from 1."""
 
     lines: dict[Any, int]
 
 
 class Row(list[Any]):
-    """A list that knows in which line each of its entries begins, from 1."""
+    """A list with the line number of each of its entries, from 1."""
 
     lines: dict[Any, int]
 
 
 class _Loader(yaml.SafeLoader):
-    """Makes numbers, text, lists and mappings and nothing else."""
+    """Loads numbers, text, lists and mappings only."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Table:
         seen: set[str] = set()
@@ -39,13 +38,13 @@ class _Loader(yaml.SafeLoader):
                 raise ConstructorError(None, None, f"the key '{key.value}' stands twice; leave one out", key.start_mark)
             seen.add(str(key.value))
         found = Table(super().construct_mapping(node, deep))
-        # Merge keys and the like have more nodes than keys; what is not found has no line.
+        # Merge keys and the like have more nodes than keys; a key that is not found has no line.
         marks = {self.construct_object(key, deep=True): key.start_mark.line + 1 for key, _ in node.value}
         found.lines = {key: marks[key] for key in found if key in marks}
         return found
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Refuse aliases: a few lines of them can stand for more than any memory holds."""
+        """Reject aliases: a few lines of them can expand to more than the memory holds."""
         if self.check_event(yaml.AliasEvent):
             raise ComposerError(
                 None, None, "'*' before a word repeats another part, which is not allowed; put it in quotes or write "
@@ -69,14 +68,14 @@ _Loader.add_constructor("tag:yaml.org,2002:seq", _row)
 
 
 def strict_yaml(text: str, *, largest: int = _LARGEST) -> Any:
-    """Return what YAML holds: mappings are ``Table``, lists are ``Row``.
+    """Return the content of YAML: mappings are ``Table``, lists are ``Row``.
 
     Args:
         text: the YAML.
-        largest: characters that it may have; of what programs write there may be more.
+        largest: largest number of characters; programs may write longer files than people.
 
     Raises:
-        yaml.YAMLError: it is none, has a key twice, an alias, or is longer than a person writes.
+        yaml.YAMLError: it is not YAML, has a key twice, has an alias, or is too long.
     """
     if len(text) > largest:
         raise yaml.YAMLError(f"is {len(text)} characters long; expected a short file, at most {largest}")
@@ -87,7 +86,7 @@ def strict_yaml(text: str, *, largest: int = _LARGEST) -> Any:
 
 
 def line_of(content: Any, keys: Sequence[Any]) -> int | None:
-    """Return the line of the last of these keys that is there, one below the other; None if none is."""
+    """Return the line of the last of these nested keys that exists; None if none does."""
     found = None
     for key in keys:
         found = getattr(content, "lines", {}).get(key, found)

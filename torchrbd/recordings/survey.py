@@ -1,4 +1,4 @@
-"""Look through a recording once: its clock, its motion, its noise, and the cut-off that suits it."""
+"""Scan a recording once: its clock, its motion, its noise, and the cut-off that suits it."""
 
 from __future__ import annotations
 
@@ -13,25 +13,26 @@ from torchrbd.recordings.clock import Census, Clock, uniform_blocks
 from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.spectrum import HIGHEST_SHARE, Spectrum, two_digits
 
-# A peak beyond so many RMS is no motion; a measured velocity off by so much is not dq/dt; a position behind the gear
-# that follows by so much more or less is not that joint's, which a range of so much [rad, m] can tell. A torque that is
-# one number for so long [s] while its joint moves as far is a drive's that is off, or not recorded.
+# _PEAK: in RMS; larger peaks are no motion. _VELOCITY_ERROR: a measured velocity with a larger relative error is not
+# dq/dt. _FOLLOWS: a position behind the gear with a larger relative error belongs to another joint; this needs a range
+# of _MOVES [rad, m]. _STUCK_S: a torque that is constant for so long [s] while its joint moves by _MOVES is not
+# recorded, or its drive is off.
 _PEAK, _VELOCITY_ERROR, _FOLLOWS, _MOVES, _STUCK_S = 30.0, 0.2, 0.2, 0.01, 1.0
-# Noise reaches no farther than so many of its standard deviations, from end to end.
+# Largest range of noise, in its standard deviations.
 _NOISE_REACHES = 20.0
-# No sensor tells less than this part of what it measures; interpolation changes a constant in its last digits.
+# Relative changes below this are no signal of a sensor: interpolation changes a constant in its last digits.
 _SAME = 1e-9
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Hold what one pass over a recording shows.
+    """The result of one pass over a recording.
 
     Attributes:
         name: the recording's name.
-        clock: the uniform clock, and what counts as a gap.
+        clock: the uniform clock, and its limits for gaps.
         rate_hz: 1 / clock.dt.
-        rows: rows read. duplicates, incomplete: of these, dropped as repeated in time, or lacking a value.
+        rows: rows read. duplicates, incomplete: of these, dropped as repeated in time, or with a missing value.
         segments: (from, to) of the uninterrupted pieces [s].
         duration_s: their total length.
         q_min, q_max: (n,) [rad or m].
@@ -41,11 +42,11 @@ class Survey:
         q_resolution, tau_resolution: (n,) quantisation steps, NaN if none is seen [rad or m, N m or N].
         qd_noise_std: (n,) white noise of the measured velocity for joints whose measured velocity is used instead of
             the differentiated position; NaN for the others [rad/s or m/s].
-        motion_share: (n, F) part of the positions' power that is motion and not noise, at ``share_hz`` (F,) [Hz].
+        motion_share: (n, F) share of the positions' power that is motion and not noise, at ``share_hz`` (F,) [Hz].
         acceleration_density: (n, F) power density of the positions, differentiated twice, there [rad²/s³ or m²/s³].
-        link_ratio: (n,) how far the position behind the gear moves when q does, by least squares; NaN where it is not
-            recorded or q hardly moves.
-        link_differs: (n,) bool, whether it is another number than q anywhere; False where it is not recorded.
+        link_ratio: (n,) slope of the position behind the gear over q, by least squares; NaN if it is not recorded or q
+            hardly moves.
+        link_differs: (n,) bool, whether it differs from q anywhere; False if it is not recorded.
         temperature_min, temperature_max: (n,) [deg C], NaN where not recorded.
         cutoff_hz: the cut-off that suits this recording.
         constant_q, constant_tau: joints whose position or torque never changes.
@@ -83,9 +84,9 @@ class Survey:
 
     @property
     def qd_error_std(self) -> np.ndarray:
-        """Standard deviation of velocities that are expected from noisy positions (Wiener), (n,) [rad/s or m/s].
+        """Standard deviation of the error of velocities estimated from noisy positions (Wiener), (n,) [rad/s or m/s].
 
-        Of each frequency remains the product of the share that is motion and the density of the noise.
+        At each frequency the error's density is the share that is motion times the density of the noise.
         """
         density = 2.0 * self.clock.dt * self.q_noise_std**2
         power = self.motion_share * (2.0 * np.pi * self.share_hz) ** 2
@@ -93,19 +94,19 @@ class Survey:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the positions of all joints show nothing but their noise."""
+        """Whether the positions of all joints are only noise."""
         return bool((self.q_max - self.q_min <= _NOISE_REACHES * self.q_noise_std).all())
 
     @property
     def link_follows(self) -> np.ndarray:
-        """Say of which joints the position behind the gear moves as q does, as far as q moves at all, (n,) bool."""
+        """Whether each joint's position behind the gear moves like q, as far as q moves at all, (n,) bool."""
         return ~(np.abs(self.link_ratio - 1.0) > _FOLLOWS)
 
 
 def choose_cutoff(surveys: Sequence[Survey]) -> float:
-    """Choose one cut-off [Hz] for a data set: the median of what suits its recordings, within what all clocks allow.
+    """Choose one cut-off [Hz] for a data set: the median of the recordings' cut-offs, within the limits of all clocks.
 
-    Recordings at rest have no motion that one could suit.
+    Recordings at rest have no motion and do not count.
     """
     moving = [survey for survey in surveys if not survey.at_rest] or surveys
     proposal = float(np.median([survey.cutoff_hz for survey in moving]))
@@ -193,7 +194,7 @@ def survey(recording: Recording) -> Survey:
 
 
 def _suspicions(recording: Recording, extent: _Extent, spectrum: Spectrum, velocity_used: np.ndarray) -> list[str]:
-    """Return what hints at wrong units or bad samples."""
+    """Return hints at wrong units or bad samples."""
     joints, n, notes = recording.joints, len(recording.joints), []
     for k, joint in enumerate(joints):
         if spectrum.velocity_max[k] > _PEAK * spectrum.velocity_rms[k] > 0:
@@ -213,7 +214,7 @@ def _suspicions(recording: Recording, extent: _Extent, spectrum: Spectrum, veloc
 
 
 def _strangers(recording: Recording, link_ratio: np.ndarray, differs: np.ndarray) -> list[str]:
-    """Return which positions behind the gear do not move as q does, or are a copy of it."""
+    """Return notes on positions behind the gear that do not move like q, or are a copy of it."""
     copies = compress(recording.joints, recording.linked & ~differs)
     return [f"q_link_{joint} is q_{joint} to the last digit and is not used" for joint in copies] + [
         f"q_link_{joint} moves {ratio:.3g} times as far as q_{joint} and is not used; check its unit, sign and gear"
@@ -223,7 +224,7 @@ def _strangers(recording: Recording, link_ratio: np.ndarray, differs: np.ndarray
 
 
 class _Follower:
-    """Follow the regression of one signal on another, of several channels, and whether they differ at all."""
+    """Accumulate the regression of one signal on another, for several channels, and whether they differ at all."""
 
     def __init__(self, channels: int):
         self._start: np.ndarray | None = None
@@ -241,20 +242,20 @@ class _Follower:
 
     @property
     def ratio(self) -> np.ndarray:
-        """How much y changes with x, NaN where x does not."""
+        """Slope of y over x, NaN if x does not change."""
         square, product = self._products - self._sums[0] * self._sums / max(1, self._count)
         return np.divide(product, square, out=np.full_like(square, np.nan), where=square > 1e-12 * self._products[0])
 
 
 class _Stuck:
-    """Follow for how long a torque is one number while its joint moves."""
+    """Measure for how long a torque is constant while its joint moves."""
 
     def __init__(self) -> None:
         self._value, self._since = np.inf, np.array([np.nan] * 3)
         self._longest = (0.0, 0.0, 0.0)
 
     def add(self, t: np.ndarray, q: np.ndarray, tau: np.ndarray) -> None:
-        """See times, positions and torques (N,) that follow those seen before."""
+        """Add times, positions and torques (N,) that follow the earlier ones."""
         fresh = np.abs(np.diff(tau, prepend=self._value)) > _SAME * (1 + np.abs(tau))
         begins = np.union1d(0, np.flatnonzero(fresh))
         ends = np.append(begins[1:], len(t)) - 1
@@ -268,7 +269,7 @@ class _Stuck:
         self._longest = max(self._longest, (float(lengths[k]), float(runs[0, k]), float(tau[begins[k]])))
 
     def notes(self, joint: str) -> list[str]:
-        """Say it of a joint, of the longest time."""
+        """Return a note for a joint, with the longest time."""
         length, begin, value = self._longest
         if length < _STUCK_S:
             return []
@@ -279,7 +280,7 @@ class _Stuck:
 
 
 class _Extent:
-    """Follow range and mean square of channels."""
+    """Accumulate range and mean square of channels."""
 
     def __init__(self, channels: int):
         self.low, self.high = np.full(channels, np.inf), np.full(channels, -np.inf)

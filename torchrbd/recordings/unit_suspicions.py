@@ -1,4 +1,4 @@
-"""Suspect units from the range of values alone; nothing is fitted, and nothing corrected."""
+"""Suspect wrong units from the range of values alone; nothing is fitted or corrected."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.survey import Survey
 from torchrbd.robot import RobotModel
 
-# Angles beyond two turns, lengths beyond ten metres, torques beyond those of joints, where the URDF says nothing.
+# Largest plausible angle, length and torque if the URDF has no limit: two turns, ten metres, 5000 N m.
 _ANGLE, _LENGTH, _TORQUE = 4 * math.pi, 10.0, 5000.0
-# Beyond the URDF's limits by so much; a reading that mends it stays within so much of them.
+# Factors on the URDF's limits: values above the first are suspect; with the right unit they are within the second.
 _BEYOND, _WITHIN = 2.0, 1.2
 _SLOWEST_HZ, _RATES_HZ = 2.0, ((50.0, 5000.0), (5.0, 20000.0))
 
@@ -23,13 +23,13 @@ _SLOWEST_HZ, _RATES_HZ = 2.0, ((50.0, 5000.0), (5.0, 20000.0))
 def suspected_units(
     recording: Recording, seen: Survey, channels: Sequence[Channel], robot: RobotModel | None = None
 ) -> dict[str, str]:
-    """Return the unit that a column's values suggest, by column, where it is not that which they were read in.
+    """Return, by column, the unit that its values suggest, if it differs from the one they were read in.
 
     Args:
         recording: the recording.
-        seen: what a survey of it shows.
+        seen: its survey.
         channels: its columns.
-        robot: whose limits count; without it, those of usual robots.
+        robot: for its limits; without it, those of usual robots.
     """
     found = {}
     time = recording.source("t", "")
@@ -52,7 +52,7 @@ def suspected_units(
 
 
 def _time_unit(rate_hz: float) -> str:
-    """Return the unit in which the rate would be that of a robot, none where it is in seconds."""
+    """Return the unit in which the rate would be that of a robot; none if it is plausible in seconds."""
     if rate_hz > _SLOWEST_HZ:
         return ""
     for low, high in _RATES_HZ:

@@ -1,4 +1,4 @@
-"""The rigid body: reading robots, kinematics, inverse and forward dynamics, the regressor."""
+"""Rigid-body dynamics: reading robots, kinematics, inverse and forward dynamics, the regressor."""
 
 from torchrbd.robot.gravity import STANDARD_GRAVITY
 from torchrbd.robot.inertia import PARAMETERS, from_pseudo_inertia, inertia_matrix, pseudo_inertia, transform_inertia

@@ -1,4 +1,4 @@
-"""Accelerations from a mass matrix, and who is to blame where it has none."""
+"""Accelerations from a mass matrix, with an error that names the joint if the matrix is not positive definite."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def accelerations(mass: Tensor, tau: Tensor, robot: str, joints: Sequence[str]) 
 
     Args:
         mass: (*batch, n_dof, n_dof) mass matrices.
-        tau: (*batch, n_dof) torque that is left for acceleration.
+        tau: (*batch, n_dof) torque available for acceleration.
         robot: its name, for messages.
         joints: (n_dof,) their names.
 

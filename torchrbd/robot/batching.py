@@ -1,4 +1,4 @@
-"""From batches as people hold them, samples first, to tiles as the computation likes them, samples last, and back."""
+"""Conversion between batches with the samples first, as users have them, and tiles with the samples last, for speed."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import torch
 from torch import Tensor
 
 TILE, TILE_ELSEWHERE = 2048, 1 << 18
-"""Samples worked on at a time, on the CPU and on other devices: intermediate results stay in the cache, or keep a GPU
-busy, and memory beyond the result is bounded."""
+"""Samples per tile on the CPU and on other devices.
+
+Intermediate results then stay in the cache, or keep a GPU busy, and memory beyond the result is bounded.
+"""
 
 
 def batch_last(*inputs: Tensor) -> tuple[tuple[Tensor, ...], torch.Size]:
@@ -25,7 +27,7 @@ def batch_first(x: Tensor, batch: torch.Size) -> Tensor:
 
 
 def tiles(*inputs: Tensor) -> list[tuple[Tensor, ...]]:
-    """Return (..., N) tensors as views of at most as many samples as are worked on at a time."""
+    """Return (..., N) tensors as views of at most one tile of samples each."""
     size = TILE if inputs[0].is_cpu else TILE_ELSEWHERE
     return list(zip(*(x.split(size, -1) for x in inputs), strict=True))
 
@@ -43,10 +45,10 @@ def zeros(like: Tensor, *shape: int) -> Tensor:
     numpy_dtype = {torch.float32: np.float32, torch.float64: np.float64}.get(like.dtype)
     if like.device.type != "cpu" or numpy_dtype is None:
         return like.new_zeros(shape)
-    # numpy asks the system for zeroed pages, huge ones: zeros that nobody writes to then cost neither time nor memory.
+    # numpy gets huge zeroed pages from the system: zeros that are never written cost no time and no memory.
     return torch.from_numpy(np.zeros(shape, numpy_dtype))
 
 
 def is_ordinary(x: Tensor) -> bool:
-    """Say whether a tensor may be kept: it is none of a tracer's, which mean nothing later, nor of inference mode."""
+    """Return whether a tensor may be cached: not one of a tracer (meaningless later), nor of inference mode."""
     return not torch.compiler.is_compiling() and type(x) is Tensor and not x.is_inference()

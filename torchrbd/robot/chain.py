@@ -1,4 +1,4 @@
-"""Exchange kinematics with pytorch-kinematics' chains."""
+"""Exchange of kinematics with pytorch-kinematics' chains."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def read_chain(chain: Chain, inertials: Mapping[str, Tensor]) -> Description:
         inertials: (10,) inertial parameters about the link's origin by link name; other links are massless.
 
     Raises:
-        RobotError: an inertial names no link of the chain, or has not 10 numbers.
+        RobotError: an inertial names no link of the chain, or does not have 10 numbers.
     """
     source = "pytorch-kinematics chain"
     names: list[str] = []
@@ -45,7 +45,7 @@ def read_chain(chain: Chain, inertials: Mapping[str, Tensor]) -> Description:
 
 
 def write_chain(description: Description, dtype: torch.dtype, device: torch.device | str) -> Chain:
-    """Build a chain with the described offsets and axes, in the wanted dtype; a mimic joint is a free joint there."""
+    """Build a chain with the described offsets and axes, in the given dtype; a mimic joint becomes a free joint."""
     root = description.root()
     frames = {link.name: pk_frame.Frame(link.name, pk_frame.Link(link.name)) for link in description.links}
     for joint in description.joints:
@@ -66,7 +66,7 @@ def write_chain(description: Description, dtype: torch.dtype, device: torch.devi
 
 
 def _matrix(offset: Transform3d | None) -> Tensor:
-    """Return an offset as a (4, 4) pose; its rotation is made orthogonal, as float32 is only nearly."""
+    """Return an offset as a (4, 4) pose; its rotation is made orthogonal, which float32 only is nearly."""
     if offset is None:
         return torch.eye(4, dtype=torch.float64)
     pose = offset.get_matrix()[0].detach().to(dtype=torch.float64, device="cpu")

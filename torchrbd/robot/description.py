@@ -1,4 +1,4 @@
-"""What a robot description says, whichever format it came from: links, joints, and how they hang together."""
+"""A robot description in any format: links, joints, and how they are connected."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class Joint:
         axis: (3,) unit axis in the joint's frame.
         damping: viscous friction [N m s/rad, N s/m].
         friction: Coulomb friction [N m, N].
-        armature: inertia of the rotor behind the gear [kg m^2, kg].
-        stiffness, rest: of a spring in the joint [N m/rad, N/m], and where it pulls the joint to [rad, m].
+        armature: inertia of the rotor at the joint, behind the gear [kg m^2, kg].
+        stiffness, rest: of a spring in the joint [N m/rad, N/m], and its rest position [rad, m].
         lower, upper, velocity, effort: limits, infinite where not given [rad, rad/s, N m; m, m/s, N].
     """
 
@@ -68,9 +68,9 @@ class Description:
     """A robot as described.
 
     Attributes:
-        source: where it came from, as error messages name it.
-        urdf: the URDF text, or one that says the same as far as URDF can; None for a chain.
-        gravity: (3,) in the base's axes [m/s^2], if it tells.
+        source: its origin, as in error messages.
+        urdf: the URDF text, or an equivalent one as far as URDF allows; None for a chain.
+        gravity: (3,) in the base's axes [m/s^2], if the description gives it.
     """
 
     name: str
@@ -107,7 +107,7 @@ class Description:
         return self._single_root(above)
 
     def _single_root(self, above: dict[str, Joint]) -> str:
-        """Return the one link without a joint above it, if every other link is reached from it."""
+        """Return the one link without a parent joint, if every other link can be reached from it."""
         roots = [link.name for link in self.links if link.name not in above]
         if len(roots) > 1:
             raise RobotError(

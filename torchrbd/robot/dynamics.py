@@ -1,8 +1,8 @@
 """Inverse dynamics, its regressor and the mass matrix, batch last.
 
-All moments are taken about the world's origin, so a joint's torque is a plain sum over its subtree, and a subtree is a
-slice. With `F` the force and `N` the moment about the world's origin that move a subtree, joint i bears
-`z . N + (p x z) . F` if revolute, `z . F` if prismatic.
+All moments are about the world's origin, so a joint's torque is a plain sum over its subtree, and a subtree is a slice.
+`F` is the force and `N` the moment about the world's origin that move a subtree. Joint i then takes `z . N + (p x z) .
+F` if revolute, `z . F` if prismatic.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def regressor(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, gravity: T
 
 
 def write_regressor(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, gravity: Tensor, out: Tensor) -> None:
-    """Write the same regressor into `out`, (n_dof, 10 n_bodies, N), zero before: structural zeros are left alone."""
+    """Write the same regressor into `out`, (n_dof, 10 n_bodies, N), initially zero: structural zeros stay unwritten."""
     if geometry.is_coupled:
         out.copy_(regressor(geometry, q, qd, qdd, gravity))
         return
@@ -73,7 +73,7 @@ def _rows(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, gravity: Tenso
     for body, end in enumerate(geometry.ends):
         z, subtree = pose.z[:, body], slice(body, end)
         if geometry.prismatic[body]:
-            # A moment does no work on a slide: zero, whatever the inertia.
+            # A moment does no work on a prismatic joint: zero, whatever the inertia.
             yield (force[:, subtree], z), (couple[:1, subtree], torch.zeros_like(z[:1]))
         else:
             wrench = (*moment[:, subtree], *force[:, subtree])
@@ -154,7 +154,7 @@ def _split(pi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def jacobian(geometry: Geometry, q: Tensor, body: int) -> Tensor:
-    """Return how a body's origin moves and the body turns with the joints: `[v, omega] = J qd`.
+    """Return the Jacobian of a body's origin and rotation with respect to the joints: `[v, omega] = J qd`.
 
     Args:
         q: (n_dof, N) [rad, m].

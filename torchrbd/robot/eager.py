@@ -1,6 +1,6 @@
-"""The rigid body in torch's own operations, samples first: any dtype and device, any derivative, any transform.
+"""Rigid-body dynamics in torch's own operations, samples first: any dtype and device, any derivative, any transform.
 
-What the compiled kernels are checked against, and what runs where they cannot.
+The compiled kernels are tested against it; it runs where they cannot.
 """
 
 from __future__ import annotations

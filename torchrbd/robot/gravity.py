@@ -10,8 +10,8 @@ from torch import Tensor
 from torchrbd.errors import OptionError
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
-"""Of a robot whose base stands upright [m/s^2]."""
-# On no planet is it larger, and in no centrifuge for robots.
+"""For a robot whose base is upright [m/s^2]."""
+# Larger than on any planet or in any centrifuge for robots [m/s^2].
 _LARGEST = 1e3
 
 
@@ -19,7 +19,7 @@ def checked_gravity(gravity: Sequence[float] | Tensor) -> Tensor:
     """Return gravity (3,) [m/s^2] as a tensor.
 
     Raises:
-        OptionError: it is no vector, or larger than any.
+        OptionError: it is not a vector of three finite numbers, or implausibly large.
     """
     vector = torch.as_tensor(gravity, dtype=torch.float64)
     if vector.shape != (3,) or not bool((vector.abs() <= _LARGEST).all()):

@@ -1,4 +1,4 @@
-"""Which robot it is, whatever its bodies weigh."""
+"""A fingerprint of a robot that does not depend on its inertial parameters."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from torchrbd.robot.model import RobotModel
 
 
 def kinematics_sha256(robot: RobotModel) -> str:
-    """Return the SHA-256 of where bodies are and of torque that is known: joints, axes, placements, rotors, springs.
+    """Return the SHA-256 of the kinematics and the known torque: joints, axes, placements, rotors, springs.
 
-    Regressors of robots with the same one are the same functions of the states, up to gravity.
+    Two robots with the same value have the same regressor as a function of the states, up to gravity.
     """
     joints = [
         [j.name, j.kind, j.parent, j.child, j.pose.tolist(), j.axis.tolist(), j.armature, j.stiffness, j.rest]

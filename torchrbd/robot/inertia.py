@@ -1,4 +1,4 @@
-"""Inertial parameters of one body and how they move between frames."""
+"""Inertial parameters of one body and their transformation between frames."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Motion of all bodies in the world frame, batch last.
 
-Tensors are component-major with the samples as the last, contiguous dimension: what a body needs at a time then lies
-together, and every operation covers a whole tile of samples.
+Tensors are component-major; the samples are the last, contiguous dimension. The numbers that a body needs at one time
+are then adjacent, and every operation covers a whole tile of samples.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Geometry:
 
     Attributes:
         parents, ends, drivers: as in `Tree`.
-        prismatic: whether each body slides.
+        prismatic: whether each body is on a prismatic joint.
         rotation: (3, 3, n_bodies, 3, 1) A, B, C of the local rotations `E(q) = A + B sin q + C cos q`.
         translation: (3, n_bodies, 1) a body's origin at `q = 0` in its parent's frame [m].
         axis: (3, n_bodies, 1) unit axis in the body's frame (the joint's own motion does not change it).
@@ -48,7 +48,7 @@ class Geometry:
 
     @property
     def is_coupled(self) -> bool:
-        """Whether some joints mimic others."""
+        """Whether there are mimic joints."""
         return len(self.parents) > self.coupling.shape[1]
 
     def to(self, dtype: torch.dtype, device: torch.device) -> Geometry:
@@ -89,12 +89,12 @@ def build_geometry(tree: Tree) -> Geometry:
 
 
 class Pose(NamedTuple):
-    """Where the bodies are.
+    """Poses of the bodies.
 
     Attributes:
         R: (3, n_bodies, 3, N) rotation of a body's frame in the world; the columns are in the third dimension.
         p: (3, n_bodies, N) its origin [m].
-        r: (3, n_bodies, N) its origin seen from the parent's, world axes [m].
+        r: (3, n_bodies, N) its origin relative to the parent's, world axes [m].
         z: (3, n_bodies, N) the joint's axis.
     """
 
@@ -105,7 +105,7 @@ class Pose(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """How the bodies move.
+    """Velocities and accelerations of the bodies.
 
     Attributes:
         omega, alpha: (3, n_bodies, N) angular velocity and acceleration [rad/s, rad/s^2].
@@ -161,7 +161,7 @@ def body_coordinates(geometry: Geometry, *coordinates: Tensor) -> tuple[Tensor, 
 
 
 def body_poses(geometry: Geometry, q: Tensor) -> Pose:
-    """Return where the bodies are: `R = R_p E(q)`, `p = p_p + R_p t [+ z q]`.
+    """Return the poses of the bodies: `R = R_p E(q)`, `p = p_p + R_p t [+ z q]`.
 
     Args:
         q: (n_bodies, N) coordinate of every body [rad, m].
@@ -187,11 +187,11 @@ def body_poses(geometry: Geometry, q: Tensor) -> Pose:
 
 
 def body_motion(geometry: Geometry, pose: Pose, qd: Tensor, qdd: Tensor, gravity: Tensor) -> Motion:
-    """Return how the bodies move.
+    """Return the velocities and accelerations of the bodies.
 
-    `omega = omega_p + z qd`, `alpha = alpha_p + z qdd + omega_p x z qd`,
-    `a = a_p + alpha_p x r + omega_p x (omega_p x r) [+ 2 omega_p x z qd + z qdd]`, `a_0 = -g`; sums along the tree are
-    products with `above`. For a revolute joint `omega_p x z = omega x z`; for a prismatic one the parent turns alike.
+    `omega = omega_p + z qd`, `alpha = alpha_p + z qdd + omega_p x z qd`, `a = a_p + alpha_p x r + omega_p x (omega_p x
+    r) [+ 2 omega_p x z qd + z qdd]`, `a_0 = -g`; sums along the tree are products with `above`. For a revolute joint
+    `omega_p x z = omega x z`; for a prismatic one `omega_p = omega`.
 
     Args:
         qd, qdd: (n_bodies, N) velocity and acceleration of every body's coordinate.

@@ -1,8 +1,8 @@
-"""Read MJCF through MuJoCo's own compiler: the only place where a robot is made of its models.
+"""Read MJCF through MuJoCo's own compiler.
 
-Kinematics and inertias are those that MuJoCo computes, from geoms too. Nothing but the given text is opened: assets are
-left out, and what else would be fetched from a file is refused. A joint's own frame stands at its anchor, in the body's
-axes at the joint's zero; bodies with several joints become links without mass but for the last.
+MuJoCo computes kinematics and inertias, from geoms too. Only the given text is read: assets are left out, and
+references to other files are errors. A joint's frame is at its anchor, in the body's axes at the joint's zero. A body
+with several joints becomes several links, all but the last without mass.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ def read_mjcf(where: str, root: etree._Element) -> Description:
     """Read a robot from MJCF.
 
     Args:
-        where: how messages call it.
-        root: the text, parsed; it is changed.
+        where: its name in messages.
+        root: the text, parsed; it is modified.
 
     Raises:
-        RobotError: MuJoCo does not take it, or it has what no tree of hinges and slides has.
+        RobotError: MuJoCo rejects it, or it is not a tree of hinge and slide joints.
         OptionError: MuJoCo is not installed.
     """
     mujoco = _mujoco(where)
@@ -62,7 +62,7 @@ def _mujoco(where: str) -> Any:
 
 
 def _check(where: str, root: etree._Element) -> None:
-    """Refuse what is no tree of hinges and slides, or lies in other files."""
+    """Reject what is not a tree of hinge and slide joints, or refers to other files."""
     for element in root.iter():
         place = f"{where}, line {element.sourceline}: <{element.tag}>"
         kind = "free" if element.tag == "freejoint" else element.get("type") if element.tag == "joint" else None
@@ -87,10 +87,10 @@ def _check(where: str, root: etree._Element) -> None:
 
 
 def _leave_out(where: str, root: etree._Element) -> None:
-    """Take out what plays no part in dynamics, shapes in files above all.
+    """Remove what does not affect dynamics, above all shapes in files.
 
     Raises:
-        RobotError: a moving body has its mass from such a shape.
+        RobotError: a moving body gets its mass from such a shape.
     """
     etree.strip_elements(root, *_NO_PART, with_tail=False)
     inferred = any(one.get("inertiafromgeom") == "true" for one in root.findall("compiler"))
@@ -119,7 +119,7 @@ def _leave_out(where: str, root: etree._Element) -> None:
 
 
 def _moves(body: etree._Element) -> bool:
-    """Say whether a body has a joint, or hangs on one that has; defaults are no bodies."""
+    """Return whether a body has a joint or an ancestor with one; defaults are not bodies."""
     return any(one.tag == "body" and one.find("joint") is not None for one in (body, *body.iterancestors()))
 
 
@@ -151,7 +151,7 @@ def _tree(where: str, model: Any, mujoco: Any) -> tuple[tuple[Link, ...], tuple[
 
 
 def _joint(model: Any, mujoco: Any, k: int, parent: str, child: str, pose: Tensor, mimic: Mimic | None) -> Joint:
-    """Return joint k, whose frame is at ``pose`` in the parent's where MuJoCo's position is its reference."""
+    """Return joint k; its frame is at ``pose`` in the parent's at MuJoCo's reference position."""
     slides = model.jnt_type[k] == mujoco.mjtJoint.mjJNT_SLIDE
     axis, at = np.array(model.jnt_axis[k]), int(model.jnt_dofadr[k])
     reference = float(model.qpos0[model.jnt_qposadr[k]])
@@ -181,7 +181,7 @@ def _joint(model: Any, mujoco: Any, k: int, parent: str, child: str, pose: Tenso
 
 
 def _mimics(where: str, model: Any, mujoco: Any) -> Iterator[tuple[int, Mimic]]:
-    """Yield which joints an equality holds to others: y - y0 = c0 + c1 (x - x0)."""
+    """Yield joints that an equality constraint couples to others: y - y0 = c0 + c1 (x - x0)."""
     for k in range(model.neq):
         if model.eq_type[k] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[k]:
             continue

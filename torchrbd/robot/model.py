@@ -1,4 +1,4 @@
-"""The rigid body as people use it: names, inertial parameters, inverse and forward dynamics."""
+"""The robot model: names, inertial parameters, inverse and forward dynamics."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from torchrbd.robot.chain import Chain
 
 EXACT = (torch.float64, torch.device("cpu"))
-"""Where the constants are kept that those of other dtypes and devices are made from."""
+"""Dtype and device of the original constants; those of other dtypes and devices are converted from these."""
 
 _BY_JOINT = ("damping", "friction", "armature", "stiffness", "rest", "lower", "upper", "velocity", "effort")
 
@@ -33,24 +33,23 @@ _BY_JOINT = ("damping", "friction", "armature", "stiffness", "rest", "lower", "u
 class RobotModel:
     """A fixed-base tree of rigid bodies.
 
-    A body is the child link of a moving joint with everything fixed to it; the torque `Y pi` is linear in the bodies'
-    inertial parameters. Bodies and joints are numbered depth-first, in the description's order: refer to them by name.
-    Methods follow the dtype and device of their inputs and are differentiable, twice, in all of them. On the CPU, where
-    there is a C compiler, they run in kernels that it builds on first use.
+    A body is the child link of a moving joint with all links that are fixed to it. The torque `Y pi` is linear in the
+    bodies' inertial parameters. Bodies and joints are numbered depth-first, in the description's order: refer to them
+    by name. Methods follow the dtype and device of their inputs, and are twice differentiable in all of them. On the
+    CPU they run in compiled kernels if there is a C compiler, which builds them on first use.
 
     Attributes:
         name: the robot's name.
-        joint_names: (n_dof,) the driving joints; mimic joints follow them and are no degrees of freedom.
+        joint_names: (n_dof,) the driving joints; mimic joints follow them and are not degrees of freedom.
         body_names: (n_bodies,) the child link of every moving joint.
         parameter_names: (n_params,) such as "mcx_link1".
         pi: (n_params,) inertial parameters [m, mcx, mcy, mcz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz] of each body about its
-            origin, in its axes, links behind fixed joints included.
+            origin, in its axes, including links behind fixed joints [kg, kg m, kg m^2].
         folded: the links of each body, its own link first.
         joint_bodies: (n_dof,) the index of the body that each driving joint carries.
         prismatic: (n_dof,) bool.
-        damping, friction: (n_dof,) the description's friction; the methods here leave it out.
-        armature, stiffness, rest: (n_dof,) rotors and springs of the description, as of ``known_torque``; the other
-            methods leave them out.
+        damping, friction: (n_dof,) viscous and Coulomb friction of the description; no method here includes it.
+        armature, stiffness, rest: (n_dof,) rotors and springs of the description; only ``known_torque`` includes them.
         lower, upper, velocity, effort: (n_dof,) limits, infinite where not given.
         gravity: (3,) [m/s^2].
         urdf: the URDF text, if the robot came from one.
@@ -96,11 +95,11 @@ class RobotModel:
 
         Args:
             source: a path, or the text itself.
-            gravity: (3,) in the base's axes [m/s^2]; that of the MJCF, 0 0 -9.81 for a URDF, if not given.
+            gravity: (3,) in the base's axes [m/s^2]. Default: that of the MJCF, or 0 0 -9.81 for a URDF.
 
         Raises:
-            RobotError: the file cannot be used; the message says which joint or link, and what to do.
-            OptionError: it is MJCF, and MuJoCo is not installed; or gravity is none.
+            RobotError: the file cannot be used; the message names the joint or link, and the remedy.
+            OptionError: it is MJCF and MuJoCo is not installed, or gravity is invalid.
         """
         return cls(read_robot(source), gravity=gravity)
 
@@ -112,7 +111,7 @@ class RobotModel:
         *,
         gravity: Sequence[float] | Tensor = STANDARD_GRAVITY,
     ) -> RobotModel:
-        """Take the kinematics from a pytorch-kinematics chain, whose offsets are exact to float32 only (about 1e-6).
+        """Take the kinematics from a pytorch-kinematics chain; its offsets are exact to float32 only (about 1e-6).
 
         Args:
             chain: the chain; it has no inertials, friction or mimic joints.
@@ -129,9 +128,9 @@ class RobotModel:
         return robot
 
     def to_chain(self, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> Chain:
-        """Return the kinematics as a pytorch-kinematics chain; a mimic joint is a free joint there.
+        """Return the kinematics as a pytorch-kinematics chain; a mimic joint becomes a free joint.
 
-        A robot that was made from a chain returns that chain, as it is.
+        A robot that was made from a chain returns that chain unchanged.
         """
         from torchrbd.robot.chain import write_chain  # pytorch-kinematics takes long to import
 
@@ -159,7 +158,7 @@ class RobotModel:
         return tuple(name for k, name in enumerate(self.body_names) if ends[k] == k + 1)
 
     def known_torque(self, q: Tensor, qdd: Tensor) -> Tensor:
-        """Return what rotors and springs of the description add: `armature qdd + stiffness (q - rest)`.
+        """Return the torque of the description's rotors and springs: `armature qdd + stiffness (q - rest)`.
 
         Args:
             q, qdd: (*batch, n_dof) [rad, m] and per second squared.
@@ -171,7 +170,7 @@ class RobotModel:
         return armature * qdd + stiffness * (q - rest)
 
     def columns(self, joint_index: int) -> Tensor:
-        """Return the indices of the parameters that can appear in a joint's torque: those of the bodies it moves."""
+        """Return the indices of the parameters that can change a joint's torque: those of the bodies it moves."""
         geometry = self._geometries[EXACT]
         moved = set[int]()
         for body, (driver, end) in enumerate(zip(geometry.drivers, geometry.ends, strict=True)):
@@ -195,7 +194,7 @@ class RobotModel:
         return eager.regressor(self._geometry(q), q, qd, qdd, gravity.to(q)) if found is None else found
 
     def regressor_batch_last(self, q: Tensor, qd: Tensor, qdd: Tensor, gravity: Tensor | None = None) -> Tensor:
-        """Return the regressor with the samples last, as it is computed: for loops that care about time.
+        """Return the regressor with the samples last, as it is computed: fastest, for use in loops.
 
         Args:
             q, qd, qdd: (n_dof, N).
@@ -215,7 +214,7 @@ class RobotModel:
     def inverse_dynamics(
         self, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor | None = None, gravity: Tensor | None = None
     ) -> Tensor:
-        """Return the rigid body's torques, by recursion: `tau = M(q) qdd + c(q, qd) + g(q)`.
+        """Return the torques of the rigid body, by recursion: `tau = M(q) qdd + c(q, qd) + g(q)`.
 
         Args:
             q, qd, qdd: (*batch, n_dof) position, velocity, acceleration [rad or m, per s, per s^2].
@@ -233,9 +232,9 @@ class RobotModel:
         return eager.inverse_dynamics(self._geometry(q), q, qd, qdd, pi.to(q), gravity.to(q))
 
     def physical_torque(self, q: Tensor, qd: Tensor, qdd: Tensor, theta: Tensor) -> Tensor | None:
-        """Return ``inverse_dynamics`` by log-Cholesky coordinates theta (n_bodies, 10), in one compiled call.
+        """Return ``inverse_dynamics`` for log-Cholesky coordinates theta (n_bodies, 10), in one compiled call.
 
-        None for all but float64 on the CPU, and where a derivative is wanted.
+        None for all but float64 on the CPU, and where a derivative is needed.
         """
         self.check(q, qd, qdd)
         return compiled.call_physical_torque(self._tables, q, qd, qdd, theta, self._gravity(None))
@@ -281,7 +280,7 @@ class RobotModel:
 
         Args:
             mass: (*batch, n_dof, n_dof) mass matrices.
-            tau: (*batch, n_dof) torque that is left for acceleration.
+            tau: (*batch, n_dof) torque available for acceleration.
 
         Raises:
             PhysicalError: a mass matrix is not positive definite.
@@ -289,7 +288,7 @@ class RobotModel:
         return accelerations(mass, tau, self.name, self.joint_names)
 
     def body_poses(self, q: Tensor) -> tuple[Tensor, Tensor]:
-        """Return where the bodies' frames are in the base's.
+        """Return the poses of the bodies' frames in the base's frame.
 
         Args:
             q: (*batch, n_dof) [rad or m].
@@ -303,7 +302,7 @@ class RobotModel:
         return batch_first(pose.R.transpose(0, 1), batch), batch_first(pose.p.transpose(0, 1), batch)
 
     def jacobian(self, q: Tensor, body: int) -> Tensor:
-        """Return the Jacobian of a body's origin: `[v, omega] = J(q) qd`, so that `J' [f, n]` is a wrench's torque.
+        """Return the Jacobian of a body's origin: `[v, omega] = J(q) qd`; a wrench has the torque `J' [f, n]`.
 
         Args:
             q: (*batch, n_dof) [rad or m].
@@ -335,7 +334,7 @@ class RobotModel:
     def origin_slopes(self, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor | None = None) -> Tensor:
         """Return the derivatives of the inverse dynamics with respect to the <origin> of each driving joint.
 
-        Shifts and turns are in the parent link's axes; in the root link's, for a joint that stands on the base.
+        Shifts and turns are in the parent link's axes; for a joint that is fixed to the base, in the root link's.
 
         Args:
             q, qd, qdd: (*batch, n_dof) position, velocity, acceleration [rad or m, per s, per s^2].
@@ -351,7 +350,7 @@ class RobotModel:
         return torch.einsum("...djsx,jxk->...djsk", by_body.unflatten(-1, (2, 3)), axes).flatten(-2)
 
     def with_gravity(self, gravity: Sequence[float] | Tensor) -> RobotModel:
-        """Return the same robot under another gravity (3,) [m/s^2], such as on a tilted base."""
+        """Return the same robot with another gravity vector (3,) [m/s^2], for example on a tilted base."""
         robot = copy.copy(self)
         robot.gravity = torch.as_tensor(gravity, dtype=self.gravity.dtype, device=self.gravity.device)
         return robot
@@ -365,10 +364,10 @@ class RobotModel:
         return robot
 
     def check(self, *coordinates: Tensor, dimension: int = -1) -> None:
-        """See that tensors have n_dof entries along a dimension.
+        """Check that tensors have n_dof entries along a dimension.
 
         Raises:
-            InputError: one has not.
+            InputError: one does not.
         """
         for x in coordinates:
             if x.ndim == 0 or x.shape[dimension] != self.n_dof:

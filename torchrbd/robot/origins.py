@@ -1,4 +1,4 @@
-"""Where a robot's joints sit in their parent links, and the same robot with them elsewhere."""
+"""Positions of a robot's joints in their parent links, and the same robot with moved joints."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def joint_origins(robot: RobotModel) -> Tensor:
 def with_moved_origins(robot: RobotModel, moves: Tensor) -> RobotModel:
     """Return the robot with the <origin> of each driving joint shifted and turned in the parent link's axes.
 
-    Its links keep their inertial parameters, which are about the joints. ``RobotModel.origin_slopes`` is the derivative
-    of its torques at no moves.
+    Its links keep their inertial parameters, which are relative to the joints. ``RobotModel.origin_slopes`` is the
+    derivative of its torques at zero moves.
 
     Args:
         robot: the robot.

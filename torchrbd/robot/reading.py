@@ -1,4 +1,4 @@
-"""Read a robot, from whichever format it is in."""
+"""Read a robot in any supported format."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torchrbd.robot.xml_files import load, parse
 
 
 def read_robot(source: str | Path | bytes) -> Description:
-    """Read a robot from a URDF or MJCF file, or from such text.
+    """Read a robot from a URDF or MJCF file, or from the text of one.
 
     Args:
         source: a path, or the text itself.

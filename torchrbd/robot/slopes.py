@@ -1,6 +1,6 @@
 """Derivatives of the torques with respect to motion and geometry, in closed form.
 
-Screws (angular, linear) and wrenches (moment, force) are taken about the world's origin, in its axes. Let body b, with
+Screws (angular, linear) and wrenches (moment, force) are about the world's origin, in its axes. Let body b, with
 all that it carries, be displaced by a small screw xi that is fixed in its parent p, and let m be the deeper one of i
 and b. With V and A velocity and acceleration (gravity subtracted), I and F inertia and wrench of subtrees, s_i the
 screw of joint i and u = V_p x xi,
@@ -8,7 +8,7 @@ screw of joint i and u = V_p x xi,
     dtau_i = s_i . (D_m u - I_m (u x V_p + xi x A_p) + [xi x* F_b where i is above b]);   xi = s_j for dtau_i / dq_j
     dtau_i / dqd_j = s_i . (D_m s_j + 2 I_m u_j),   dtau_i / dqdd_j = s_i . I_m s_j
 
-D adds up what a change of velocity does to the wrench of a body. Of that change it takes the angular part alone,
+D is the derivative of the wrench of a subtree by its velocity. It depends on the angular part phi alone,
 D (phi, .) = -2 (mc x (v x phi) + omega x S phi, p x phi), with S the second moment of mass and p the momentum.
 
 Source: derived here; of the kind of Carpentier, Mansard, "Analytical derivatives of rigid body dynamics algorithms",
@@ -33,12 +33,12 @@ class Screw(NamedTuple):
     move: Tensor
 
     def __matmul__(self, other: Screw) -> Screw:  # type: ignore[override]
-        """Return how this velocity carries another screw along."""
+        """Return the rate of change of another screw that moves with this velocity."""
         return Screw(_cross(self.turn, other.turn), _cross(self.turn, other.move) + _cross(self.move, other.turn))
 
 
 class State(NamedTuple):
-    """What the derivatives are made of.
+    """Inputs of the derivatives.
 
     Attributes:
         s: of the joints. V, A: of the parents.
@@ -76,7 +76,7 @@ def torque_slopes(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, pi: Te
 
 
 def origin_slopes(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor, gravity: Tensor) -> Tensor:
-    """Return the derivatives of the torques with respect to where each body's joint sits in its parent body.
+    """Return the derivatives of the torques with respect to the pose of each body's joint in its parent body.
 
     Args:
         q, qd, qdd, pi, gravity: as for `inverse_dynamics`.
@@ -89,7 +89,7 @@ def origin_slopes(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, pi: Te
     state = _state(geometry, pose, qd, qdd, pi, gravity)
     world = torch.eye(3, dtype=q.dtype, device=q.device)[:, :, None].expand(3, 3, q.shape[-1])
     axes = torch.stack([world if parent < 0 else pose.R[:, parent] for parent in geometry.parents], 1)
-    # A slide turns about where it stands, not about where it has slid to.
+    # A prismatic joint turns about its origin at q = 0, not about its present position.
     origin = (pose.p - pose.z * (q * geometry.slides))[:, :, None]
     shift, turn = Screw(torch.zeros_like(axes), axes), Screw(axes, _cross(origin, axes))
     slopes = _displaced(geometry, state, Screw(*(torch.cat(pair, 2) for pair in zip(shift, turn, strict=True))))
@@ -97,7 +97,7 @@ def origin_slopes(geometry: Geometry, q: Tensor, qd: Tensor, qdd: Tensor, pi: Te
 
 
 def _state(geometry: Geometry, pose: Pose, qd: Tensor, qdd: Tensor, pi: Tensor, gravity: Tensor) -> State:
-    """Work out velocities, accelerations and wrenches about the world's origin."""
+    """Compute velocities, accelerations and wrenches about the world's origin."""
     above, below = geometry.above, geometry.above.T
     s = Screw(*(x[:, :, None] for x in screws(geometry, pose)))
     rates, accelerations = qd[:, None], qdd[:, None]
@@ -125,7 +125,7 @@ def _state(geometry: Geometry, pose: Pose, qd: Tensor, qdd: Tensor, pi: Tensor, 
 
 
 def _displaced(geometry: Geometry, state: State, xi: Screw) -> Tensor:
-    """Return the derivatives by displacements xi of the bodies: (n_bodies, n_bodies, k, N)."""
+    """Return the derivatives with respect to displacements xi of the bodies: (n_bodies, n_bodies, k, N)."""
     V, A, F = state.V, state.A, state.F
     u = V @ xi
     w = Screw(*(x + y for x, y in zip(u @ V, xi @ A, strict=True)))
@@ -140,7 +140,7 @@ def _pairs(geometry: Geometry, state: State, phi: Tensor, w: Screw, carried: Scr
     force = -2 * _cross(p, phi) - w.move * m + _cross(mc, w.turn)
     if carried is not None:
         moment, force = moment + carried.turn, force + carried.move
-    # i above b: the wrench of what b carries, seen by joint i. i = b or below: joint i is displaced along with it.
+    # i above b: joint i takes the wrench of b's subtree. i = b or below: joint i is displaced with b.
     up = dot(s.turn[:, :, None], moment[:, None]) + dot(s.move[:, :, None], force[:, None])
     lever = -2 * (_times(K.transpose(0, 2), s.turn) + _cross(s.move, p))
     inertial = _times(J, s.turn) + _cross(mc, s.move), s.move * m - _cross(mc, s.turn)

@@ -1,4 +1,4 @@
-"""The kinematic tree: bodies numbered depth-first, fixed links folded into them, mimic joints resolved."""
+"""The kinematic tree: bodies numbered depth-first, fixed links merged into them, mimic joints resolved."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class FoldedLink:
 class Tree:
     """Bodies (one per moving joint) in depth-first order: the subtree of body `i` is `range(i, ends[i])`.
 
-    The bodies' coordinates follow from the driving joints': `q_i = multipliers[i] * q[drivers[i]] + offsets[i]`.
+    The bodies' coordinates depend on the driving joints': `q_i = multipliers[i] * q[drivers[i]] + offsets[i]`.
 
     Attributes:
-        moving: the joint above every body.
+        moving: the joint that carries each body.
         driving: the joints that are free coordinates; the others mimic them.
         parents: parent body, -1 for the base.
         poses: (n_bodies, 4, 4) pose of a body's frame at `q_i = 0` in its parent body.
-        folded: the links each body is made of, its own link first.
+        folded: the links of each body, its own link first.
         pi: (10 * n_bodies,) inertial parameters of the bodies.
     """
 
@@ -55,10 +55,11 @@ class Tree:
 
 
 def build_tree(description: Description) -> Tree:
-    """Number the bodies, fold links behind fixed joints into them and resolve mimic joints.
+    """Number the bodies, merge links behind fixed joints into them and resolve mimic joints.
 
     Raises:
-        RobotError: the description is not one tree, has no moving joint, or a mimic joint follows nothing that moves.
+        RobotError: the description is not one tree, has no moving joint, or a mimic joint follows a joint that does not
+            move.
     """
     moving, parents, poses, folded = _walk(description)
     if not moving:
@@ -85,7 +86,7 @@ def build_tree(description: Description) -> Tree:
 
 
 def _walk(description: Description) -> tuple[list[Joint], list[int], list[Tensor], list[list[FoldedLink]]]:
-    """Visit the links depth-first; return joint, parent body, pose in it and links of every body."""
+    """Visit the links depth-first; return the joint, the parent body, the pose in it and the links of every body."""
     links = {link.name: link for link in description.links}
     below: dict[str, list[Joint]] = {name: [] for name in links}
     root = description.root()

@@ -1,4 +1,4 @@
-"""Read URDF. What yourdfpy would repair silently (missing numbers, lost tags) is rejected here, with its place."""
+"""Read URDF. Errors that yourdfpy would repair silently (missing numbers, lost tags) are rejected, with their place."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torchrbd.robot.description import Description, Joint, Link, Mimic
 from torchrbd.robot.inertia import transform_inertia
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-# Masses [kg], lengths [m] and inertias [kg m^2] of what may be a robot.
+# Limits of masses [kg], lengths [m] and inertias [kg m^2] of a plausible robot.
 _LARGEST, _LEAST_MASS = 1e9, 1e-9
 KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
 JOINT_NUMBERS = {
@@ -30,22 +30,22 @@ def read_urdf(where: str, text: bytes, root: etree._Element) -> Description:
     """Read a robot from URDF.
 
     Args:
-        where: how messages call it.
-        text: as it stands in the file.
+        where: its name in messages.
+        text: the file's text.
         root: the same, parsed.
 
     Raises:
-        RobotError: it is no plain URDF, or leaves out or spoils a number the dynamics need.
+        RobotError: it is not plain URDF, or a number that the dynamics need is missing or invalid.
     """
     _check_root(where, root)
     for link in root.findall("link"):
         _check_link(where, link)
     for joint in root.findall("joint"):
         _check_joint(where, joint)
-    # Shapes and colours play no part, and their meshes would be searched for.
+    # Shapes and colours do not affect dynamics, and their meshes would be searched for.
     for tag in ("visual", "collision", "material", "transmission", "gazebo"):
         etree.strip_elements(root, tag, with_tail=False)
-    # Typed as if anything could be missing; the checks above have made sure that it is not.
+    # yourdfpy's types allow that anything is missing; the checks above exclude that.
     robot: Any = yourdfpy.URDF.load(
         io.BytesIO(etree.tostring(root)), build_scene_graph=False, load_meshes=False, filename_handler=str
     ).robot
@@ -55,7 +55,7 @@ def read_urdf(where: str, text: bytes, root: etree._Element) -> Description:
 
 
 def _check_root(where: str, root: etree._Element) -> None:
-    """Reject what is left of xacro, and other files."""
+    """Reject unprocessed xacro, and other files."""
     for element in root.iter():
         if "xacro" in (element.prefix or "") or "xacro" in (etree.QName(element).namespace or ""):
             raise RobotError(
@@ -77,7 +77,7 @@ def _name(where: str, element: etree._Element) -> str:
 
 
 def _check_link(where: str, link: etree._Element) -> None:
-    """Reject an inertial that is incomplete or not made of numbers."""
+    """Reject an inertial that is incomplete or has invalid numbers."""
     place = f"{where}: link '{_name(where, link)}'"
     if (inertial := link.find("inertial")) is None:
         return
@@ -98,7 +98,7 @@ def _check_link(where: str, link: etree._Element) -> None:
 
 
 def _check_joint(where: str, joint: etree._Element) -> None:
-    """Reject a joint of a kind that is not supported, or with spoilt numbers."""
+    """Reject a joint of an unsupported kind, or with invalid numbers."""
     place = f"{where}: joint '{_name(where, joint)}'"
     kind = joint.get("type")
     if kind not in KINDS:
@@ -122,14 +122,14 @@ def _check_joint(where: str, joint: etree._Element) -> None:
 
 
 def _check_origin(place: str, element: etree._Element) -> None:
-    """Reject an <origin> that is not made of numbers."""
+    """Reject an <origin> with invalid numbers."""
     if (origin := element.find("origin")) is not None:
         for name in ("xyz", "rpy"):
             _numbers(place, origin, name, 3)
 
 
 def _numbers(place: str, element: etree._Element, name: str, count: int, finite: bool = True) -> list[float]:
-    """Return an attribute's numbers; none where it is absent."""
+    """Return an attribute's numbers; an empty list if it is absent."""
     if (text := element.get(name)) is None:
         return []
     try:
@@ -152,7 +152,7 @@ def _pose(origin: Any) -> Tensor:
 
 
 def _link(link: Any) -> Link:
-    """Move the inertial from its own frame to the link's."""
+    """Transform the inertial from its own frame to the link's."""
     pi = torch.zeros(10, dtype=torch.float64)
     if (inertial := link.inertial) is None:
         return Link(link.name, pi)
@@ -163,7 +163,7 @@ def _link(link: Any) -> Link:
 
 
 def _joint(joint: Any) -> Joint:
-    """Normalise the axis; what a joint does not limit is infinite."""
+    """Normalise the axis; missing limits are infinite."""
     axis = torch.as_tensor(joint.axis, dtype=torch.float64)
     limit, dynamics, mimic = joint.limit, joint.dynamics, joint.mimic
     limits = {name: getattr(limit, name, None) for name in JOINT_NUMBERS["limit"]}

@@ -1,4 +1,4 @@
-"""A description as URDF text, in full digits, for robots that came from another format."""
+"""A description as URDF text, with all digits, for robots that came from another format."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _INERTIA = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (
 
 
 def urdf_text(robot: Description) -> bytes:
-    """Return URDF that describes the same links and joints; URDF has no rotors and no springs."""
+    """Return URDF with the same links and joints; URDF has no rotors and no springs."""
     root = etree.Element("robot", name=robot.name)
     for link in robot.links:
         _write_link(root, link)

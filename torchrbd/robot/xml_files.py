@@ -1,4 +1,4 @@
-"""XML of robots as text: nothing in it is fetched, replaced or run."""
+"""XML of robots, read safely: nothing in it is fetched, replaced or run."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import lxml.etree as etree
 
 from torchrbd.errors import RobotError
 
-# The size of a robot's file [bytes].
+# Largest size of a robot's file [bytes].
 _LARGEST_FILE = 64 << 20
-# Entities are not replaced, nothing is fetched, and no text may be so large as to fill the memory.
+# Entities are not replaced, nothing is fetched, and the size of the text is limited.
 _SAFELY: dict[str, Any] = {"resolve_entities": False, "no_network": True, "load_dtd": False, "huge_tree": False}
 
 
 def load(source: str | Path | bytes) -> tuple[str, bytes]:
-    """Return how messages call a robot's file or text, and its text.
+    """Return the name of a robot's file or text in messages, and its text.
 
     Raises:
         RobotError: it cannot be read, or is too large for a robot.
@@ -25,7 +25,7 @@ def load(source: str | Path | bytes) -> tuple[str, bytes]:
     if isinstance(source, bytes):
         return "URDF text", source
     if isinstance(source, str) and "<" in source:
-        # The text is decoded already: a header that claims another encoding would be believed.
+        # The text is already decoded: remove a header, which might name another encoding.
         return "URDF text", re.sub(r"^\s*<\?xml[^>]*\?>", "", source).encode()
     path = Path(source)
     if path.suffix == ".xacro":

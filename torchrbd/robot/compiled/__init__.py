@@ -1,4 +1,4 @@
-"""Compiled kernels of the rigid body: built by the machine's C compiler, where it has one; equal to `eager`."""
+"""Compiled kernels of rigid-body dynamics, with the same results as `eager`; built by the machine's C compiler."""
 
 from torchrbd.robot.compiled.kernel import INVERSE_DYNAMICS, MASS_MATRIX, REGRESSOR, log_cholesky_kernel
 from torchrbd.robot.compiled.switch import call, call_physical_torque, call_torque_slopes, is_available, only_eager

@@ -1,7 +1,7 @@
-"""The kernels on tensors: float64, on the CPU, states of one shape. They know nothing of derivatives: `operators` does.
+"""The kernels on tensors: float64, on the CPU, states of one shape. Derivatives are in `operators`.
 
-`pi` is (n_params,) and `gravity` (3,); or (*batch, n_params) and (*batch, 3), both, for a robot of its own in each
-sample. Derivatives by them are of the same shape: sums over the batch in the first case.
+`pi` is (n_params,) and `gravity` (3,). Or both have a batch, (*batch, n_params) and (*batch, 3): each sample is then a
+robot of its own. Derivatives with respect to them have the same shape: sums over the batch in the first case.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ KERNELS = Source(
         "log_cholesky_adjoint": (INTEGER, *[ADDRESS] * 3),
     },
 )
-"""One library serves all robots: what a robot is comes with each call, as tables."""
+"""One library for all robots: the robot is an argument of each call, as tables."""
 
 LARGE = 1 << 19
-"""Numbers from which on numpy asks for large pages."""
+"""Count of numbers from which numpy asks for large pages."""
 
 
 def inverse_dynamics(tables: Tables, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor, gravity: Tensor) -> Tensor:
@@ -60,11 +60,11 @@ def inverse_dynamics_adjoint(
     weight: Tensor,
     wanted: Sequence[bool] = (True,) * 5,
 ) -> tuple[Tensor | None, ...]:
-    """Return the derivatives of `(weight * tau).sum()` by q, qd, qdd, pi and gravity.
+    """Return the derivatives of `(weight * tau).sum()` with respect to q, qd, qdd, pi and gravity.
 
     Args:
         weight: (*batch, n_dof).
-        wanted: which of the five; those by states and gravity come together.
+        wanted: which of the five; those for states and gravity come together.
     """
     (q, qd, qdd, weight), last = _laid_out(q, qd, qdd, weight)
     pi, gravity = pi.contiguous(), gravity.contiguous()
@@ -79,7 +79,7 @@ def inverse_dynamics_adjoint(
 
 
 def physical_torque(tables: Tables, q: Tensor, qd: Tensor, qdd: Tensor, theta: Tensor, gravity: Tensor) -> Tensor:
-    """Return the torques, (*batch, n_dof), of one robot by its log-Cholesky coordinates, (n_bodies, 10)."""
+    """Return the torques, (*batch, n_dof), of one robot given its log-Cholesky coordinates, (n_bodies, 10)."""
     (q, qd, qdd), last = _laid_out(q, qd, qdd)
     tau = torch.empty_like(q)
     _run(_kernels().physical_torque, tables, q, (last,), q, qd, qdd, theta.contiguous(), gravity.contiguous(), tau)
@@ -87,7 +87,7 @@ def physical_torque(tables: Tables, q: Tensor, qd: Tensor, qdd: Tensor, theta: T
 
 
 def torque_slopes(tables: Tables, q: Tensor, qd: Tensor, qdd: Tensor, pi: Tensor, gravity: Tensor) -> Tensor:
-    """Return the derivatives of the torques by q, qd and qdd, (*batch, 3, n_dof, n_dof), of one robot."""
+    """Return the derivatives of one robot's torques with respect to q, qd and qdd, (*batch, 3, n_dof, n_dof)."""
     (q, qd, qdd), last = _laid_out(q, qd, qdd)
     slopes = _room(q, *q.shape[:-1], 3, q.shape[-1], q.shape[-1])
     _run(_kernels().torque_slopes, tables, q, (last,), q, qd, qdd, pi.contiguous(), gravity.contiguous(), slopes)
@@ -111,7 +111,7 @@ def regressor(tables: Tables, q: Tensor, qd: Tensor, qdd: Tensor, gravity: Tenso
 def regressor_adjoint(
     tables: Tables, q: Tensor, qd: Tensor, qdd: Tensor, gravity: Tensor, weight: Tensor, wanted: object = None
 ) -> tuple[Tensor, ...]:
-    """Return the derivatives of `(weight * Y).sum()` by q, qd, qdd and gravity, all four whatever is `wanted`.
+    """Return the derivatives of `(weight * Y).sum()` with respect to q, qd, qdd and gravity, all four for any `wanted`.
 
     Args:
         weight: (*batch, n_dof, n_params).
@@ -134,7 +134,7 @@ def mass_matrix(tables: Tables, q: Tensor, pi: Tensor) -> Tensor:
 def mass_matrix_adjoint(
     tables: Tables, q: Tensor, pi: Tensor, weight: Tensor, wanted: object = None
 ) -> tuple[Tensor, ...]:
-    """Return the derivatives of `(weight * M).sum()` by q and pi, both whatever is `wanted`.
+    """Return the derivatives of `(weight * M).sum()` with respect to q and pi, both for any `wanted`.
 
     Args:
         weight: (*batch, n_dof, n_dof).
@@ -146,7 +146,7 @@ def mass_matrix_adjoint(
 
 
 def log_cholesky(tables: Tables, theta: Tensor) -> Tensor:
-    """Return inertial parameters (*batch, 10) of log-Cholesky coordinates (*batch, 10); of no robot."""
+    """Return inertial parameters (*batch, 10) of log-Cholesky coordinates (*batch, 10), for any robot."""
     theta = theta.contiguous()
     pi = torch.empty_like(theta)
     _kernels().log_cholesky(theta.numel() // 10, theta.data_ptr(), pi.data_ptr())
@@ -154,7 +154,7 @@ def log_cholesky(tables: Tables, theta: Tensor) -> Tensor:
 
 
 def log_cholesky_adjoint(tables: Tables, theta: Tensor, weight: Tensor, wanted: object = None) -> tuple[Tensor]:
-    """Return the derivatives of `(weight * pi).sum()` by theta, (*batch, 10)."""
+    """Return the derivatives of `(weight * pi).sum()` with respect to theta, (*batch, 10)."""
     theta, weight = theta.contiguous(), weight.contiguous()
     found = torch.empty_like(theta)
     _kernels().log_cholesky_adjoint(theta.numel() // 10, theta.data_ptr(), weight.data_ptr(), found.data_ptr())
@@ -168,12 +168,12 @@ def _kernels() -> ctypes.CDLL:
 
 
 def _room(like: Tensor, *shape: int) -> Tensor:
-    """Return memory to write all over, in large pages where it is much."""
+    """Return uninitialised memory, in large pages where it is large."""
     return like.new_empty(shape) if math.prod(shape) < LARGE else zeros(like, *shape)
 
 
 def _laid_out(*states: Tensor) -> tuple[Sequence[Tensor], int]:
-    """Return states as they lie in memory, or copies: samples first, 0, or all of them samples last, 1."""
+    """Return states as they are in memory, or copies, and a flag: 0 for samples first, 1 for samples last in all."""
     for x in states:
         if not x.is_contiguous():
             break
@@ -185,10 +185,10 @@ def _laid_out(*states: Tensor) -> tuple[Sequence[Tensor], int]:
 
 
 def _run(kernel: Callable[..., int], tables: Tables, q: Tensor, flags: tuple[int, ...], *x: Tensor | None) -> None:
-    """Call a kernel: `q` tells how many samples there are.
+    """Call a kernel; `q` gives the number of samples.
 
     Raises:
-        MemoryError: it found none.
+        MemoryError: the kernel could not allocate memory.
     """
     addresses = [None if y is None else y.data_ptr() for y in x]
     samples = q.numel() // q.shape[-1]

@@ -2,7 +2,7 @@
 
     y = f(x), x_bar = f'(x)' y_bar:  kernels.   The derivatives of x_bar:  torch's own operations.
 
-What torch.func can take costs some 40 us a call more than the kernel, what only autograd can take 5 us; hence both.
+Functions for torch.func cost some 40 us a call more than the kernel, functions for autograd alone 5 us; hence both.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torchrbd.robot.compiled.tables import Tables
 
 
 def _has_memory(x: Tensor) -> bool:
-    """Say whether a tensor is one: with is_grads_batched it stands for many, though nothing else tells."""
+    """Return whether a tensor is a real one; with is_grads_batched it is a batch without memory of its own."""
     try:
         x.data_ptr()
     except RuntimeError:
@@ -62,12 +62,12 @@ class Adjoint(torch.autograd.Function):
         return None, None, *ctx.kernel.plain_adjoint_adjoint(ctx.tables, ctx.saved_tensors, weights)
 
 
-# What Function.apply does before this serves torch.func, and takes a third of a call.
+# Function.apply first does work for torch.func, which takes a third of a call.
 differentiable_value = super(torch.autograd.Function, Value).apply  # pyright: ignore[reportAttributeAccessIssue]
 
 
 class TransformedValue(torch.autograd.Function):
-    """A kernel's value, of `(kernel, tables, *arguments)`, in torch.func's transforms except forward mode."""
+    """A kernel's value, of `(kernel, tables, *arguments)`, in all transforms of torch.func except forward mode."""
 
     @staticmethod
     def forward(kernel: Kernel, tables: Tables, *arguments: Tensor) -> Tensor:  # type: ignore[override]
@@ -93,7 +93,7 @@ class TransformedValue(torch.autograd.Function):
 
 
 class TransformedAdjoint(torch.autograd.Function):
-    """A kernel's derivatives, of `(kernel, tables, *arguments, weight)`, likewise."""
+    """A kernel's derivatives, of `(kernel, tables, *arguments, weight)`, in the same transforms."""
 
     @staticmethod
     def forward(kernel: Kernel, tables: Tables, *arguments: Tensor) -> tuple[Tensor, ...]:  # type: ignore[override]

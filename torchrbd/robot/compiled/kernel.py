@@ -1,4 +1,4 @@
-"""What is compiled: functions of states and of what samples share, their derivatives, and the same in plain torch."""
+"""Kernels: functions of states and of parameters that samples share, their derivatives, and the same in plain torch."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from torchrbd.robot.compiled import calls
 from torchrbd.robot.compiled.tables import Tables, geometry_of
 
 SHARED = ("pi", "gravity")
-"""Arguments that all samples have in common, unless each has its own."""
+"""Arguments that all samples share, unless each has its own."""
 
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """A function of tensors that is compiled.
+    """A compiled function of tensors.
 
     Attributes:
         name: its operator's.
-        arguments: names of its tensors: states, then what is shared.
-        states: how many of them are states.
+        arguments: names of its tensors: states, then the shared ones.
+        states: number of states.
         value: (tables, *arguments) -> result.
         adjoint: (tables, *arguments, weight, wanted) -> derivatives of `(weight * result).sum()` by the arguments.
         plain: (tables, *arguments) -> result, in torch's own operations.
@@ -38,7 +38,7 @@ class Kernel:
     plain: Callable[..., Tensor]
 
     def plain_adjoint(self, tables: Tables, *arguments: Tensor) -> tuple[Tensor, ...]:
-        """Return what `adjoint` does, of (*arguments, weight), differentiable as often as anyone likes."""
+        """Return the result of `adjoint`, of (*arguments, weight), differentiable any number of times."""
         *x, weight = arguments
 
         def value(*x: Tensor) -> Tensor:
@@ -58,13 +58,13 @@ class Kernel:
     def batched(
         self, call: Callable[..., Any], info: Any, in_dims: tuple[int | None, ...], *x: Tensor
     ) -> tuple[Any, Any]:
-        """Return the value of a call on one more batch dimension, and where that stands in it: a batching rule.
+        """Return the value of a call with one more batch dimension, and that dimension's position: a batching rule.
 
-        Each sample then has its own pi and gravity where these differ, and in derivatives, whose sums go over the
-        samples of each of the batch, not over all.
+        Each sample then has its own pi and gravity where these differ. So it has in derivatives, whose sums are over
+        the samples of each batch, not over all.
 
         Args:
-            call: of tensors as x, each with the dimension first or not at all.
+            call: of tensors as x, each with the batch dimension first or not at all.
             info: with the `batch_size`.
             in_dims: of x.
             x: arguments, and the weight of a derivative.
@@ -105,7 +105,7 @@ MASS_MATRIX = _kernel("mass_matrix", "q", "pi")
 
 
 def log_cholesky_kernel(plain: Callable[[Tensor], Tensor]) -> Kernel:
-    """Return the kernel of inertial parameters (*batch, 10) by log-Cholesky coordinates, to call with `NO_ROBOT`.
+    """Return the kernel from log-Cholesky coordinates to inertial parameters, both (*batch, 10); call with `NO_ROBOT`.
 
     Args:
         plain: the same in torch's own operations.

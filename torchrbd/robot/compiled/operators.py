@@ -1,6 +1,6 @@
-"""The kernels as operators of torch, "torchrbd::inverse_dynamics" and so on: what a compiled graph calls.
+"""The kernels as torch operators, "torchrbd::inverse_dynamics" and so on, for compiled graphs.
 
-They take a kernel's arguments and then the robot's tables, and have derivatives, fake tensors and batching rules.
+Their arguments are the kernel's, then the robot's tables. They have derivatives, fake tensors and batching rules.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def _register(kernel: Kernel, fake: Callable[..., Tensor]) -> Callable[..., Tens
     """Register a kernel and its derivatives; return the operator of (*arguments, structure, constants).
 
     Args:
-        fake: the result's shape and strides, of (arguments, constants).
+        fake: the result's shape and strides, given (arguments, constants).
     """
     tensors, tables = ", ".join(f"Tensor {x}" for x in kernel.arguments), "Tensor structure, Tensor constants"
     of, of_adjoint = f"{NAMESPACE}::{kernel.name}", f"{NAMESPACE}::{kernel.name}_adjoint"
@@ -54,7 +54,7 @@ def _keep(ctx: Any, inputs: tuple[Tensor, ...], output: object) -> None:
 
 
 def _plain(x: tuple[Tensor, ...]) -> list[Tensor]:
-    """Return arguments whose results have the strides that the graph was told."""
+    """Return arguments for which results have the strides that the graph assumes."""
     return [y.resolve_neg().contiguous() for y in x]
 
 

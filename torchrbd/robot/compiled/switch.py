@@ -1,4 +1,4 @@
-"""Which way a call goes: a kernel as it is, with derivatives, as an operator in a graph, or torch's own operations."""
+"""Dispatch of a call: a kernel as it is, with derivatives, as an operator in a graph, or torch's own operations."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 def _constant_in_graphs(function: _Function) -> _Function:
-    """Mark a function whose result a graph takes as it is, as torch.compiler.assume_constant_result does.
+    """Mark a function whose result is a constant in graphs, as torch.compiler.assume_constant_result does.
 
-    That imports the compiler first, which takes longer than everything else that is imported.
+    That function imports the compiler, which takes longer than all other imports.
     """
     function._dynamo_marked_constant = True  # type: ignore[attr-defined]
     return function
@@ -35,7 +35,7 @@ def _constant_in_graphs(function: _Function) -> _Function:
 
 @contextmanager
 def only_eager() -> Iterator[None]:
-    """Compute in torch's own operations inside, in all threads: to compare."""
+    """Use torch's own operations inside the context, in all threads: for comparisons."""
     global _refused
     _refused += 1
     try:
@@ -46,18 +46,19 @@ def only_eager() -> Iterator[None]:
 
 @_constant_in_graphs
 def is_available() -> bool:
-    """Say whether there are compiled kernels; builds them if need be."""
+    """Return whether there are compiled kernels; builds them if needed."""
     return library(KERNELS) is not None
 
 
 def call(kernel: Kernel, tables: Tables, *arguments: Tensor) -> Tensor | None:
-    """Return a kernel's value, differentiable, or None where torch's own operations have to do.
+    """Return a kernel's value, differentiable, or None where torch's own operations must be used.
 
-    They have to where nothing is compiled, on other devices, in dtypes but float32 and float64, for tensor subclasses,
-    while a model is exported or traced, and in forward-mode differentiation. float32 is computed in float64.
+    They must be used if nothing is compiled, on other devices, in dtypes other than float32 and float64, for tensor
+    subclasses, while a model is exported or traced, and in forward-mode differentiation. float32 is computed in
+    float64.
 
     Args:
-        arguments: the kernel's; q's dtype is the result's, and batches broadcast.
+        arguments: the kernel's; the result has q's dtype, and batches broadcast.
     """
     if torch.compiler.is_compiling():
         return _in_graph(kernel, tables, arguments)
@@ -78,10 +79,10 @@ def call(kernel: Kernel, tables: Tables, *arguments: Tensor) -> Tensor | None:
 
 
 def call_physical_torque(tables: Tables, *arguments: Tensor) -> Tensor | None:
-    """Return the torques of bodies by log-Cholesky coordinates, of q, qd, qdd, theta (n_bodies, 10) and gravity.
+    """Return the torques for log-Cholesky coordinates, of q, qd, qdd, theta (n_bodies, 10) and gravity.
 
-    One call in place of two, which is what one sample spends its time on. None where a derivative is wanted, but for
-    float64, and in transforms and graphs.
+    One call instead of two: calls dominate the time of a single sample. None where a derivative is needed, for dtypes
+    other than float64, and in transforms and graphs.
     """
     if not _is_run_as_it_is() or arguments[3].shape != (tables.constants.numel() // 35, 10):
         return None
@@ -90,9 +91,9 @@ def call_physical_torque(tables: Tables, *arguments: Tensor) -> Tensor | None:
 
 
 def call_torque_slopes(tables: Tables, *arguments: Tensor) -> Tensor | None:
-    """Return the derivatives of inverse dynamics' torques by q, qd and qdd, (*batch, 3, n_dof, n_dof), as `call`.
+    """Return the derivatives of the inverse dynamics with respect to q, qd, qdd, (*batch, 3, n_dof, n_dof), as `call`.
 
-    None where these shall be differentiated themselves, too, and in transforms and graphs.
+    None where second derivatives are needed too, and in transforms and graphs.
     """
     if not _is_run_as_it_is():
         return None
@@ -104,9 +105,10 @@ def call_torque_slopes(tables: Tables, *arguments: Tensor) -> Tensor | None:
 
 
 def _seen(kernel: Kernel, arguments: tuple[Tensor, ...]) -> tuple[bool, bool, bool]:
-    """Say whether tensors are ordinary ones on the CPU, are float64 with states of one shape, and want derivatives.
+    """Return whether tensors are plain ones on the CPU, are float64 with states of one shape, and need derivatives.
 
-    One loop, since this is what a call of one sample spends its time on; nothing else is told of what is not ordinary.
+    All in one loop, since such checks dominate the time of a single sample. If the first is False, the others have no
+    meaning.
     """
     shape, exact, tracked = arguments[0].shape, True, False
     for k, x in enumerate(arguments):
@@ -118,19 +120,19 @@ def _seen(kernel: Kernel, arguments: tuple[Tensor, ...]) -> tuple[bool, bool, bo
 
 
 def _is_run_as_it_is() -> bool:
-    """Say whether kernels may be called here, neither for a graph nor by a transform."""
+    """Return whether kernels may be called directly: no graph is made and no transform is active."""
     return not (_refused or is_transformed() or not is_available())
 
 
 def _is_plainly_run() -> bool:
-    """Say whether kernels may be used, and nothing watches operations to make a graph or to differentiate forwards."""
+    """Return whether kernels may be used: no graph is made and no forward-mode differentiation is active."""
     return not (_refused or is_watched() or not is_available())
 
 
 def _in_graph(kernel: Kernel, tables: Tables, arguments: tuple[Tensor, ...]) -> Tensor | None:
     if kernel.name not in OPERATORS or _refused or _exporting() or not _fits(kernel, arguments) or not is_available():
         return None
-    # Operators do not know torch.func's derivatives.
+    # Operators have no derivatives for torch.func.
     if not _nothing_but_batches():
         return None
     return OPERATORS[kernel.name](*_exact(kernel, arguments), *tables).to(arguments[0].dtype)
@@ -158,7 +160,7 @@ def _exact(kernel: Kernel, arguments: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
 
 
 def _exporting() -> bool:
-    """Say whether a graph is made for others to run; before torch 2.7 nothing tells, so every graph counts as one."""
+    """Return whether a graph is exported; before torch 2.7 this is unknown, so every graph counts as exported."""
     told = getattr(torch.compiler, "is_exporting", None)
     return told is None or told()
 
@@ -169,7 +171,7 @@ def _nothing_but_batches() -> bool:
 
 
 def _levels() -> set[TransformType]:
-    """Return the kinds of torch.func's transforms that are at work."""
+    """Return the kinds of torch.func transforms that are active."""
     if not torch._C._are_functorch_transforms_active():
         return set()
     return {level.key() for level in get_interpreter_stack() or ()}

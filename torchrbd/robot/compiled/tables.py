@@ -1,4 +1,4 @@
-"""A robot as the kernels read it: integers and numbers, the fields of `Node` and `Constants` in motion.h."""
+"""A robot as the kernels read it: tables of integers and numbers, the fields of `Node` and `Constants` in motion.h."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Tables(NamedTuple):
 
 
 NO_ROBOT = Tables(torch.empty(0, dtype=torch.int64), torch.empty(0, dtype=torch.float64))
-"""For kernels that are of no robot."""
+"""For kernels that do not depend on a robot."""
 
 
 def build_tables(geometry: Geometry) -> Tables:
