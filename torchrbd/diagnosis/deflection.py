@@ -83,7 +83,7 @@ class _Rows:
         return np.concatenate([part - part.mean() for part in parts])
 
 
-def deflections(prepared: Prepared, model: FittedModel) -> tuple[Deflection, ...]:
+def joint_deflections(prepared: Prepared, model: FittedModel) -> tuple[Deflection, ...]:
     """Return what is to be said of each joint that has an encoder behind the gear in some recording.
 
     Args:
@@ -223,8 +223,8 @@ def _inertial_share(rows: _Rows, B: np.ndarray, model: FittedModel, joint: int) 
     X = np.column_stack((A @ B[:, 1:], A[:, _ACCELERATION], A[:, _LOAD]))
     moments, rigid = X.T @ X, np.r_[: X.shape[1] - 2, X.shape[1] - 1]
     other = moments[np.ix_(rigid, rigid)]
-    beside, left = (_errors(m[None], _solved(m)[None]).item() for m in (other, moments))
-    return 1.0 - left / beside if beside > _RANK * moments[-1, -1] else 0.0
+    without, left = (_errors(m[None], _solved(m)[None]).item() for m in (other, moments))
+    return 1.0 - left / without if without > _RANK * moments[-1, -1] else 0.0
 
 
 def _unpredicted(rows: _Rows, w: np.ndarray) -> float:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.friction import Friction, ordinary_friction, weighed_beside
+from torchrbd.diagnosis.friction import Friction, ordinary_friction, weighed_given
 from torchrbd.diagnosis.residual import has_friction
 from torchrbd.diagnosis.sharpening import known_shapes
 from torchrbd.diagnosis.terms import Explanation
@@ -64,8 +64,8 @@ class Extended:
         terms, before = tuple(self.terms[k] for k in kept), self.found
         fit = before.fit.extended([before.fit.extra[k] for k in kept])
         found = replace(before, fit=fit, terms=tuple(before.terms[k] for k in kept))
-        beside, laws = _friction_beside(found)
-        friction = tuple(weighed_beside(f, beside, self.model.columns.robot, laws) for f in self.friction)
+        given, laws = _friction_given(found)
+        friction = tuple(weighed_given(f, given, self.model.columns.robot, laws) for f in self.friction)
         early = (*self.first.proper_terms[: len(self.friction)], *(c for c in terms if not has_friction(c)))
         late = tuple(c for c in terms if has_friction(c))
         first = fit_with_shapes(self.prepared, early)
@@ -85,8 +85,8 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     """
     columns = prepared.columns
     own = [t.own.candidate for t in found.terms]
-    beside, laws = _friction_beside(found)
-    friction = ordinary_friction(beside, columns, may, laws)
+    given, laws = _friction_given(found)
+    friction = ordinary_friction(given, columns, may, laws)
     # Nothing is larger than the likelihood believes; of two kinds at one place, than of the larger.
     believed: dict[tuple[str, Site], np.ndarray] = {}
     for t in found.terms:
@@ -110,11 +110,11 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     return Extended(prepared, found, first, model, friction, terms, left_open)
 
 
-def _friction_beside(found: Explanation) -> tuple[Likelihood, list[Candidate]]:
+def _friction_given(found: Explanation) -> tuple[Likelihood, list[Candidate]]:
     """Return the likelihood that friction is weighed in, and its laws: without curves that could pass for it."""
     own = [t.own.candidate for t in found.terms]
     early = [e for e, c in zip(found.fit.extra, own, strict=True) if not has_friction(c)]
-    fit = found.fit if len(early) == len(own) else found.fit.extended(early).settled
+    fit = found.fit if len(early) == len(own) else found.fit.extended(early).refit
     return fit.with_heavy_tails, [c for c in own if not has_friction(c)]
 
 
@@ -133,5 +133,5 @@ def with_late(prepared: Prepared, first: FittedModel, late: Sequence[Candidate])
         laplace=torch.block_diag(first.laplace, covariance),
         covariance=torch.block_diag(first.covariance, covariance),
         prior_covariance=torch.block_diag(first.prior_covariance, size.square().diag()),
-        scatter=None if first.scatter is None else first.scatter.beside(at, covariance),
+        scatter=None if first.scatter is None else first.scatter.with_coefficients(at, covariance),
     )

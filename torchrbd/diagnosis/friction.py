@@ -78,7 +78,7 @@ def ordinary_friction(
     return tuple(found)
 
 
-def weighed_beside(one: Friction, fit: Likelihood, robot: RobotModel, laws: Sequence[Candidate]) -> Friction:
+def weighed_given(one: Friction, fit: Likelihood, robot: RobotModel, laws: Sequence[Candidate]) -> Friction:
     """Return the same friction with its evidence in another likelihood and beside other laws."""
     assert one.candidate.joint is not None
     evidence = _evidence(fit, robot, one.candidate.effect.id, one.candidate.joint, laws)

@@ -73,12 +73,12 @@ def carried(fit: Likelihood) -> Rows:
     return fit.machine.rows.around(own.pi, own.friction, own.rest_width)
 
 
-def told(fit: Likelihood, rows: Rows, candidate: Candidate) -> Hypothesis | None:
+def hypothesis_of(fit: Likelihood, rows: Rows, candidate: Candidate) -> Hypothesis | None:
     """Return the evidence of one candidate whose shape, or window, is known."""
-    return averaged(fit, rows, [candidate])
+    return average_over_shapes(fit, rows, [candidate])
 
 
-def agreed(fit: Likelihood, rows: Rows, one: Hypothesis, *, plausible: bool = True) -> Hypothesis:
+def agree_shape(fit: Likelihood, rows: Rows, one: Hypothesis, *, plausible: bool = True) -> Hypothesis:
     """Return a candidate's evidence with the shape that its coefficients ask for, as long as that is likelier.
 
     Args:
@@ -90,7 +90,7 @@ def agreed(fit: Likelihood, rows: Rows, one: Hypothesis, *, plausible: bool = Tr
     for _ in range(_MOST_STEPS if one.candidate.effect.follows else 0):
         c = one.candidate
         shape = c.effect.agreeing(torch.from_numpy(one.coefficients), c.shape)
-        then = told(fit, rows, rows.columns.candidate(c.effect, c.site, shape))
+        then = hypothesis_of(fit, rows, rows.columns.candidate(c.effect, c.site, shape))
         must = plausible and not _allowed(one, fit, rows, one.coefficients[None])
         if then is None or (then.log_evidence < one.log_evidence + LEAST_GAIN and not must):
             break
@@ -106,12 +106,12 @@ def believed(fit: Likelihood, rows: Rows, candidate: Candidate) -> tuple[np.ndar
     return coefficient_std(candidate, rows.rms(candidate), fit.machine.torque_rms)
 
 
-def averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hypothesis | None:
+def average_over_shapes(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hypothesis | None:
     """Return the evidence of an effect at a place, averaged over its shapes and sizes; None if no torque feels it."""
     known = [(c, F) for c in candidates if np.isfinite(F := rows.features(c)).all()]
     if not known:
         return None
-    S, r = fit.beside(known[0][0].place, np.concatenate([F for _, F in known]))
+    S, r = fit.precision_and_score(known[0][0].place, np.concatenate([F for _, F in known]))
     at = np.arange(len(r)).reshape(len(known), -1)
     S, r = S[at[:, :, None], at[:, None, :]], r[at]
     felt = np.flatnonzero(S.any(axis=(1, 2)))
@@ -130,7 +130,7 @@ def averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hy
 
 def again(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis | None:
     """Return a hypothesis beside another fit, its shape and window as they are; what they have cost stays paid."""
-    one = told(fit, rows, h.candidate)
+    one = hypothesis_of(fit, rows, h.candidate)
     return None if one is None else replace(one, log_evidence=one.log_evidence + h.paid, tried=h.tried, paid=h.paid)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from torchrbd.deadline import time_limited
-from torchrbd.diagnosis.hypotheses import Hypothesis, carried, told, whole
+from torchrbd.diagnosis.hypotheses import Hypothesis, carried, hypothesis_of, whole
 from torchrbd.diagnosis.screening import is_clocks
 from torchrbd.diagnosis.search import explained
 from torchrbd.diagnosis.terms import Explanation
@@ -138,13 +138,13 @@ class Ranking:
         if is_clocks(e, site, rows):
             return next((h.log_evidence for h in self.first if (h.effect, h.joints) == (e.id, ())), 0.0)
         candidate = rows.columns.candidate(e, site, known)
-        one = told(base, rows, candidate)
+        one = hypothesis_of(base, rows, candidate)
         return -math.inf if one is None else with_own_noise(base, rows, one).log_evidence
 
 
 @time_limited
 @single_threaded()
-def rank(
+def rank_hypotheses(
     robot: RobotModel | str | Path | bytes,
     recordings: Sources,
     *,
@@ -208,7 +208,7 @@ def rank(
     Raises:
         InputError: a robot, recording or option that cannot be used.
     """
-    robot, sources, settings = read_arguments(robot, recordings, given(locals()), "rank")
+    robot, sources, settings = read_arguments(robot, recordings, given(locals()), "rank_hypotheses")
     reading, _ = read(robot, sources, settings, progress)
     held = {recording.name for recording in reading.recordings[len(sources) :]}
 
@@ -264,8 +264,8 @@ def _ranking(found: Explanation, band: float, clocks: Clocks, effects: Sequence[
     fit, robot = found.base, found.rows.columns.robot
     late = _of_all(clocks, effects)
 
-    def shown(hypotheses: Sequence[Hypothesis], beside: Likelihood) -> tuple[Ranked, ...]:
-        every = [*(_ranked(h, beside, robot) for h in hypotheses[:_SHOWN]), *late]
+    def shown(hypotheses: Sequence[Hypothesis], given: Likelihood) -> tuple[Ranked, ...]:
+        every = [*(_ranked(h, given, robot) for h in hypotheses[:_SHOWN]), *late]
         return tuple(sorted(every, key=lambda h: -h.log_evidence)[:_SHOWN])
 
     two = TwoEstimates(fit)

@@ -8,7 +8,7 @@ from torchrbd.deadline import is_over
 from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.explain import Explained, explain
 from torchrbd.diagnosis.extending import Extended, extended
-from torchrbd.diagnosis.proof import confirmed, over_blocks
+from torchrbd.diagnosis.held_out_checks import held_out_ratio, over_blocks
 from torchrbd.diagnosis.ranking import Ranking
 from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, strongest_first
 from torchrbd.diagnosis.search import explained
@@ -20,20 +20,20 @@ from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.reading import Progress
 
 
-def is_refuted(told: Explained, asked: Prepared) -> bool:
+def is_refuted(first: Explained, asked: Prepared) -> bool:
     """Say whether held-out time refutes what is told beside ordinary friction.
 
     Args:
         told: of the extended model.
         asked: the data without it.
     """
-    return bool(told.model.terms) and refuted(told.model.prepared, told.model.model, asked, shown_of(told.model))
+    return bool(first.model.terms) and refuted(first.model.prepared, first.model.model, asked, shown_of(first.model))
 
 
 def shown_of(extended: Extended) -> Ratio | None:
-    """Return how large held-out time has what a model adds to the plain one, see ``confirmed``."""
+    """Return how large held-out time has what a model adds to the plain one, see ``held_out_ratio``."""
     prepared = extended.prepared
-    return confirmed(prepared.judging, extended.model, prepared.fit(prepared.columns.urdf_friction).x)
+    return held_out_ratio(prepared.judging, extended.model, prepared.fit(prepared.columns.urdf_friction).x)
 
 
 def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Ratio | None) -> bool:
@@ -45,7 +45,7 @@ def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Rati
     Args:
         prepared, model: with what was found.
         asked: the same data without it; its model is the plain one.
-        there: how large held-out time has what was found, see ``confirmed``.
+        there: how large held-out time has what was found, see ``held_out_ratio``.
     """
     plain = asked.fit(asked.columns.urdf_friction)
     found, without = nmse_of_blocks(prepared.judging, model.x), nmse_of_blocks(asked.judging, plain.x)
@@ -54,7 +54,7 @@ def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Rati
 
 
 def friction_alone(
-    prepared: Prepared, told: Explained, ranked: Ranking, settings: Settings, progress: Progress
+    prepared: Prepared, first: Explained, ranked: Ranking, settings: Settings, progress: Progress
 ) -> Explained:
     """Return what is told where a search has found nothing, what it had found being set apart.
 
@@ -66,12 +66,12 @@ def friction_alone(
         progress: told how far the work is.
     """
     alike = with_machine(prepared, settings, with_friction(settings), progress, ranked.clocks)
-    return _instead(told, extended(alike, ranked.explanation, [e.id for e in settings.chosen_effects()], progress))
+    return _instead(first, extended(alike, ranked.explanation, [e.id for e in settings.chosen_effects()], progress))
 
 
-def what_counts(told: Explained) -> Explained:
+def what_counts(first: Explained) -> Explained:
     """Return what is told without the terms that are set apart: they are not in the model then."""
-    return _instead(told, told.model.without(told.apart))
+    return _instead(first, first.model.without(first.apart))
 
 
 def functions_alone(
@@ -98,12 +98,12 @@ def functions_alone(
     return tuple(one for one in functions(model) if one.where.recordings is None)
 
 
-def _instead(told: Explained, model: Extended) -> Explained:
+def _instead(first: Explained, model: Extended) -> Explained:
     """Return what is told of another model; what was told of the first, and is not of this one, is set apart."""
     other = explain(model)
-    known = {_kind(f) for f in (*other.findings, *other.trifling)}
-    apart = [f for f in (*told.findings, *told.trifling) if _kind(f) not in known]
-    return replace(other, trifling=strongest_first((*apart, *other.trifling)))
+    known = {_kind(f) for f in (*other.findings, *other.not_confirmed)}
+    apart = [f for f in (*first.findings, *first.not_confirmed) if _kind(f) not in known]
+    return replace(other, not_confirmed=strongest_first((*apart, *other.not_confirmed)))
 
 
 def _kind(one: Finding) -> tuple[object, ...]:

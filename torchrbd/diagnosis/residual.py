@@ -15,7 +15,7 @@ from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, minimize_scalar
 from scipy.signal import detrend, periodogram
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, averaged
+from torchrbd.diagnosis.hypotheses import Hypothesis, average_over_shapes
 from torchrbd.effects import Site, Window
 from torchrbd.effects.smooth_torque import HUM, SMOOTH, SmoothTorque
 from torchrbd.likelihood.columns import Candidate
@@ -35,7 +35,7 @@ def curves(fit: Likelihood, rows: Rows) -> list[Hypothesis]:
 
 def curves_at(fit: Likelihood, rows: Rows, joints: Collection[int]) -> list[Hypothesis]:
     """Return functions of each signal at some joints beside a fit."""
-    found = (averaged(fit, rows, [c]) for c in _candidates(rows) if c.site.joint in joints)
+    found = (average_over_shapes(fit, rows, [c]) for c in _candidates(rows) if c.site.joint in joints)
     return [h for h in found if h is not None]
 
 
@@ -62,7 +62,7 @@ def _tones(fit: Likelihood, rows: Rows) -> Iterator[Hypothesis | None]:
     inside = rows.recording == rows.recordings.index(name)
     shape = {"frequency": _peak(fit.residual(j)[inside], rows.t[inside], near, reach)}
     for recordings in dict.fromkeys(((name,), tuple(rows.seen_recordings))):
-        h = averaged(fit, rows, [rows.columns.candidate(HUM, Site(j, recordings=recordings), shape)])
+        h = average_over_shapes(fit, rows, [rows.columns.candidate(HUM, Site(j, recordings=recordings), shape)])
         yield None if h is None else replace(h, log_evidence=h.log_evidence - tried, paid=h.paid - tried)
 
 

@@ -21,7 +21,7 @@ from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
 from torchrbd.diagnosis.screening import lasting, refined, restarted, screened
 from torchrbd.diagnosis.sharpening import at_summit, sharpened
 from torchrbd.diagnosis.terms import Explanation, Term
-from torchrbd.diagnosis.weighing import at_a_glance, learnt_with, with_own_noise
+from torchrbd.diagnosis.weighing import learnt_with, quick_evidence, with_own_noise
 from torchrbd.effects import Effect, Site
 from torchrbd.effects.base import ShowsBodies
 from torchrbd.effects.smooth_torque import HUM
@@ -53,7 +53,7 @@ def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int
     """
     search = _Search(carried(base), effects, report)
     first = search.leading(base)
-    fit, terms, last = search.settled(base, *search.added(base, base, [], [], first))
+    fit, terms, last = search.swap_and_drop(base, *search.added(base, base, [], [], first))
     for _ in range(_LOADS):
         if is_over():
             break
@@ -61,7 +61,7 @@ def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int
         if now is fit:
             break
         rivals, found = [list(term.rivals) for term in terms], search.leading(now, chosen)
-        fit, terms, last = search.settled(base, *search.added(base, now, chosen, rivals, found))
+        fit, terms, last = search.swap_and_drop(base, *search.added(base, now, chosen, rivals, found))
     return Explanation(base, fit, search.rows, terms, first, last, len(first))
 
 
@@ -87,7 +87,7 @@ class _Search:
     def __init__(self, rows: Rows, effects: Sequence[Effect], report: Callable[[int], None]) -> None:
         self.rows, self.effects, self.report = rows, effects, report
         # What leads beside normal noise where nothing is explained, and what acts for a time: steps look heavy-tailed.
-        self.beside_normal: list[Hypothesis] | None = None
+        self.given_normal_noise: list[Hypothesis] | None = None
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return hypotheses, the likeliest first."""
@@ -109,7 +109,7 @@ class _Search:
             hidden: of them, what may hide at a glance, and leads whatever it seems to be worth.
         """
         first = {k for k, h in enumerate(found) if h.candidate in [one.candidate for one in hidden]}
-        now, done = [at_a_glance(fit, self.rows, h) for h in found], set[int]()
+        now, done = [quick_evidence(fit, self.rows, h) for h in found], set[int]()
         while now and not is_over():
             odds = np.array([log_odds(h, self.rows) for h in now])
             lead = {int(odds.argmax()), int(np.argmax([h.log_evidence for h in now]))}
@@ -132,11 +132,11 @@ class _Search:
         for _ in range(_TURNS if len(done) > 1 else 0):
             first = max(done, key=lambda k: log_odds(now[k], self.rows))
             best = now[first]
-            beside = learnt_with(fit, self.rows, best).extended(fit.extra)
-            level = again(beside, self.rows, best)
+            given = learnt_with(fit, self.rows, best).extended(fit.extra)
+            level = again(given, self.rows, best)
             rivals = [k for k in done if k != first and meet(now[k].candidate, best.candidate)]
             for k in rivals:
-                one = again(beside, self.rows, now[k])
+                one = again(given, self.rows, now[k])
                 if one is None or level is None or not np.isfinite(now[k].log_evidence):
                     continue
                 worth = best.log_evidence + one.log_evidence - level.log_evidence
@@ -159,13 +159,13 @@ class _Search:
         while likely and len(near) < _LEADING:
             one = refined(fit, self.rows, likely.pop(0))
             near += [] if one.candidate in present else [one]
-        if self.beside_normal is None:
+        if self.given_normal_noise is None:
             plain = fit.with_normal_noise
             others = [] if plain is fit else self.sought(plain, known)
             brief = [h for h in others[_LEADING:] if h.candidate.site.window is not None]
-            self.beside_normal = [refined(plain, self.rows, h) for h in (*others[:_LEADING], *brief[:_LEADING])]
+            self.given_normal_noise = [refined(plain, self.rows, h) for h in (*others[:_LEADING], *brief[:_LEADING])]
         seen = {h.candidate for h in near} | present
-        others = [again(fit, self.rows, h) for h in self.beside_normal if h.name not in known]
+        others = [again(fit, self.rows, h) for h in self.given_normal_noise if h.name not in known]
         # Where nothing is explained yet, noise has the colour of all that is left out.
         hidden = self.hidden(fit, known, 1 if chosen else _HIDDEN)
         near += [h for h in (*others, *hidden) if h is not None and h.candidate not in seen]
@@ -214,7 +214,7 @@ class _Search:
 
     def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
         """Return the model with chosen hypotheses, all else learnt beside them."""
-        fit = base.extended([h.extra(base, self.rows) for h in chosen]).settled
+        fit = base.extended([h.extra(base, self.rows) for h in chosen]).refit
         for k, h in enumerate(chosen):
             fit = self.felt_through(fit, k, h)
         return fit
@@ -243,8 +243,8 @@ class _Search:
         found = list(chosen)
         for k, h in enumerate(found):
             c = h.candidate
-            told = not varied(self.rows.columns, c) and agrees(c, torch.from_numpy(h.coefficients))
-            if c.effect.uses_load and not told:
+            linear = not varied(self.rows.columns, c) and agrees(c, torch.from_numpy(h.coefficients))
+            if c.effect.uses_load and not linear:
                 others = [*found[:k], *found[k + 1 :]]
                 rest = self.with_terms(base, others) if others else base
                 found[k] = self.best_shaped(rest, h)
@@ -275,7 +275,7 @@ class _Search:
             return fit
         C = self.rows.through_bodies(effect, fit.coefficients(k))
         machine = fit.machine.felt_through(C, pi.numpy())
-        return Likelihood(machine, fit.hyper, fit.extra).settled
+        return Likelihood(machine, fit.hyper, fit.extra).refit
 
     def added(
         self,
@@ -306,7 +306,7 @@ class _Search:
             seen.append(found[1:])
             chosen = [*chosen, found[0]]
             self.report(len(chosen))
-            fit = fit.extended([*fit.extra, found[0].extra(fit, self.rows)]).settled
+            fit = fit.extended([*fit.extra, found[0].extra(fit, self.rows)]).refit
             fit = self.felt_through(fit, len(chosen) - 1, found[0])
             if found[0].candidate.effect.uses_load:
                 fit, chosen = self.with_own_load(base, fit, chosen)
@@ -330,7 +330,7 @@ class _Search:
             chosen, seen = [*chosen[:k], *chosen[k + 1 :]], [*seen[:k], *seen[k + 1 :]]
             fit = self.with_terms(base, chosen)
 
-    def settled(
+    def swap_and_drop(
         self,
         base: Likelihood,
         fit: Likelihood,
@@ -364,7 +364,7 @@ class _Search:
                 if needless:
                     chosen, seen = [*chosen[:k], *chosen[k + 1 :]], [*seen[:k], *seen[k + 1 :]]
                     continue
-                if best is not own and self._beside_a_curve(base, chosen, own, best):
+                if best is not own and self._needed_with_curve(base, chosen, own, best):
                     chosen, seen = [*chosen, best], [*seen, [own]]
                     term = Term(own, tuple(h for h in term.rivals if h is not best))
                 elif best is not own:
@@ -380,16 +380,16 @@ class _Search:
                 break
         return fit, tuple(terms), last
 
-    def _beside_a_curve(
+    def _needed_with_curve(
         self, base: Likelihood, chosen: Sequence[Hypothesis], own: Hypothesis, best: Hypothesis
     ) -> bool:
         """Say whether a law that a curve would replace is needed beside it: then the curve is what the law lacks."""
         if not is_curve(best.candidate) or is_curve(own.candidate) or len(chosen) >= MOST_TERMS:
             return False
         others = [h for h in chosen if h.candidate != own.candidate]
-        beside = self.with_terms(base, [*others, best])
-        then = again(beside, self.rows, own)
-        return then is not None and log_odds(at_a_glance(beside, self.rows, then), self.rows) > 0.0
+        given = self.with_terms(base, [*others, best])
+        then = again(given, self.rows, own)
+        return then is not None and log_odds(quick_evidence(given, self.rows, then), self.rows) > 0.0
 
     def _judged_again(self, base: Likelihood, chosen: Sequence[Hypothesis], k: int, seen: Sequence[Hypothesis]) -> Term:
         """Return a term and its rivals beside all other terms.

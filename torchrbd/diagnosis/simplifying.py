@@ -43,7 +43,7 @@ def simplified(model: Extended, prepared: Prepared, may: Sequence[str], progress
         old if new.own.name == term.own.name else new.own.extra(found.fit, found.rows)
         for new, term, old in zip(terms, found.terms, found.fit.extra, strict=True)
     ]
-    fit = found.fit.extended(extra).settled
+    fit = found.fit.extended(extra).refit
     return simplified(extended(prepared, replace(found, fit=fit, terms=terms), may, progress), prepared, may, progress)
 
 

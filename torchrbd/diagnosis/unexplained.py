@@ -13,10 +13,10 @@ from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.explain import torque_rms
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.negligible import LEAST_TORQUE
 from torchrbd.diagnosis.residual import depends_on, is_curve
-from torchrbd.diagnosis.results import Finding, Proof, Region, Unexplained, Where
+from torchrbd.diagnosis.results import Finding, HeldOutCheck, Region, Unexplained, Where
 from torchrbd.diagnosis.terms import Explanation
-from torchrbd.diagnosis.trifling import LEAST_TORQUE
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.likelihood.columns import Candidate
@@ -32,17 +32,19 @@ _MUCH = 0.01
 _LASTS = 2.0
 
 
-def unexplained(extended: Extended, findings: Sequence[Finding], proofs: Sequence[Proof]) -> tuple[Unexplained, ...]:
+def unexplained(
+    extended: Extended, findings: Sequence[Finding], held_out_checks: Sequence[HeldOutCheck]
+) -> tuple[Unexplained, ...]:
     """Return what no known effect explains.
 
     Args:
         extended: the fit with what was found.
         findings: what has a name.
-        proofs: what the extended model is worth on held-out time.
+        held_out_checks: how the extended model predicts held-out data.
     """
     nameless = (*functions(extended), *tones(extended.found), *_drifting(extended.found))
-    told = {joint for one in (*findings, *nameless) for joint in one.joints}
-    return (*nameless, *_silent(extended, proofs, told))
+    reported = {joint for one in (*findings, *nameless) for joint in one.joints}
+    return (*nameless, *_silent(extended, held_out_checks, reported))
 
 
 def functions(extended: Extended) -> list[Unexplained]:
@@ -103,14 +105,16 @@ def _curve(extended: Extended, term: Candidate) -> Unexplained:
     return Unexplained((name,), signals, where, share, curve, sizes={"torque_rms": carried}, unit=unit)
 
 
-def _silent(extended: Extended, proofs: Sequence[Proof], told: Collection[str]) -> Iterator[Unexplained]:
+def _silent(
+    extended: Extended, held_out_checks: Sequence[HeldOutCheck], reported: Collection[str]
+) -> Iterator[Unexplained]:
     """Yield joints whose held-out torque is predicted badly, by errors that have a memory.
 
-    Much of it, or, where nothing is ``told``, clearly more than the fit itself misses. White errors are noise, of which
-    some motions make more than others.
+    "Badly" is a large NMSE or, at joints where nothing is ``reported``, an error clearly above that of the fit. White
+    errors are noise, of which some motions make more than others.
     """
     prepared, x = extended.prepared, extended.model.x
-    lasting = {p.joint for p in proofs if p.memory_s["extended"] > _LASTS * p.white_s}
+    lasting = {p.joint for p in held_out_checks if p.memory_s["extended"] > _LASTS * p.white_s}
     seen, unseen = judge(prepared.training, x).rmse, judge(prepared.judging, x)
     for name, rmse in unseen.rmse.items():
         if name not in lasting:
@@ -118,7 +122,7 @@ def _silent(extended: Extended, proofs: Sequence[Proof], told: Collection[str]) 
         if unseen.nmse[name] > _MUCH:
             sizes = {"nmse": unseen.nmse[name]}
             yield Unexplained((name,), (), Where(), 1.0, kind="error", sizes=sizes)
-        elif name in seen and name not in told and rmse > _LARGER * seen[name]:
+        elif name in seen and name not in reported and rmse > _LARGER * seen[name]:
             share = 1.0 - (seen[name] / rmse) ** 2
             sizes = {"ratio": rmse / seen[name]}
             yield Unexplained((name,), (), Where(), share, kind="larger error", sizes=sizes)

@@ -25,23 +25,23 @@ def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     the other: each has the better of both.
     """
     at = h.extra(fit, rows).joints
-    one = sized(fit, rows, h, lambda model: model.settled_at(at))
-    base, extended = fit.settled_at(at), one.extended
+    one = sized(fit, rows, h, lambda model: model.refit_at(at))
+    base, extended = fit.refit_at(at), one.extended
     dispersion, widths = extended.hyper.dispersion, (base.hyper.rest_width, extended.hyper.rest_width)
     with_it, without = [extended], [base.dispersed(dispersion)]
     if not np.allclose(*widths):
-        with_it.append(one.beside.settled_with(widths[0]).dispersed(dispersion))
-        without.append(fit.settled_with(widths[1]).dispersed(dispersion))
+        with_it.append(one.with_term.refit_with(widths[0]).dispersed(dispersion))
+        without.append(fit.refit_with(widths[1]).dispersed(dispersion))
     return _weighed(one, rows, with_it, without)
 
 
 def learnt_with(fit: Likelihood, rows: Rows, h: Hypothesis) -> Likelihood:
     """Return the model with a hypothesis, and all that is learnt learnt beside it."""
     extra = h.extra(fit, rows)
-    return fit.extended((*fit.extra, extra)).settled_at(extra.joints)
+    return fit.extended((*fit.extra, extra)).refit_at(extra.joints)
 
 
-def at_a_glance(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+def quick_evidence(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis with the noise learnt beside it, and nothing else: some nats off, but soon.
 
     That of all joints is: what bodies do in the place of an effect is noise at others too.
@@ -62,7 +62,7 @@ class Sized(NamedTuple):
 
     hypothesis: Hypothesis
     average: float
-    beside: Likelihood
+    with_term: Likelihood
     extended: Likelihood
 
 
@@ -73,8 +73,8 @@ def sized(fit: Likelihood, rows: Rows, h: Hypothesis, learn: Callable[[Likelihoo
     """
     sizes, positive = set[float](), h.candidate.effect.prior.positive
     while True:
-        beside = fit.extended((*fit.extra, h.extra(fit, rows)))
-        extended = learn(beside)
+        with_term = fit.extended((*fit.extra, h.extra(fit, rows)))
+        extended = learn(with_term)
         own, sizes = extended.extended(fit.extra), {*sizes, h.scale}
         # What touches no torque that is measured is worth what it was.
         now = again(own, rows, h) or h
@@ -83,7 +83,7 @@ def sized(fit: Likelihood, rows: Rows, h: Hypothesis, learn: Callable[[Likelihoo
         h = now
     std = np.sqrt(extended.coefficients_covariance(len(fit.extra)).diagonal())
     signs = float(truncated(extended.coefficients(len(fit.extra)), std, positive))
-    return Sized(h, now.log_evidence - signs - (extended.log_evidence - own.log_evidence), beside, extended)
+    return Sized(h, now.log_evidence - signs - (extended.log_evidence - own.log_evidence), with_term, extended)
 
 
 def _weighed(one: Sized, rows: Rows, with_it: Sequence[Likelihood], without: Sequence[Likelihood]) -> Hypothesis:

@@ -26,7 +26,7 @@ from torchrbd.threads import single_threaded
 _MOST_SAMPLES = 600
 _LEAST_HARMONICS, _MOST_HARMONICS = 2, 100
 # Rivals whose expected log Bayes factor is less than this stay open [nats].
-_TOLD = 3.0
+_SEPARATE = 3.0
 
 
 @single_threaded()
@@ -164,5 +164,5 @@ def _notes(separations: Sequence[Separation]) -> list[str]:
         f"{one.one} and {one.other} may stay open: the expected log Bayes factor is {one.log_bayes_factor:.1f}; "
         "they are the same on any such motion, or other limits are needed"
         for one in separations
-        if one.log_bayes_factor < _TOLD
+        if one.log_bayes_factor < _SEPARATE
     ]

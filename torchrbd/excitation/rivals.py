@@ -163,6 +163,6 @@ def _everywhere(site: Site) -> Site:
     return replace(site, window=None, recordings=None)
 
 
-def terms_beside(model: RigidBodyDynamics, question: Question) -> Sequence[Term]:
+def other_terms(model: RigidBodyDynamics, question: Question) -> Sequence[Term]:
     """Return the terms of a model that a question is not about."""
     return [term for term in model.terms if not question.asks_of(term)]

@@ -28,7 +28,7 @@ from torchrbd.effects.plain_friction import plain_friction
 from torchrbd.excitation.conditioning import REST_PART, Conditioning
 from torchrbd.excitation.limits import Limits
 from torchrbd.excitation.results import Separation
-from torchrbd.excitation.rivals import Known, Question, Rival, terms_beside
+from torchrbd.excitation.rivals import Known, Question, Rival, other_terms
 from torchrbd.likelihood.sizes import inertial_scale
 
 # Coefficients may be so many times what the first recordings gave; a shape may differ by this part; slopes by steps.
@@ -133,7 +133,7 @@ class Separating:
         friction = [each.unsqueeze(2) * x for x in (signals.qd, direction, direction.abs())]
         terms = [
             self._placed(phi, term.site.joint)
-            for term in terms_beside(self.known.model, question)
+            for term in other_terms(self.known.model, question)
             for phi in term.effect.features_at(signals, term.site, term.shape).values()
         ]
         free = self._white(torch.cat((*friction, *(x.unsqueeze(0) for x in terms))))

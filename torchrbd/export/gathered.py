@@ -96,11 +96,11 @@ def named(term: Term, robot: RobotModel) -> str:
     """Return what a term is called in a sentence: effect, place and values."""
     site, values = term.site, term.parameters_by_name()
     prismatic = site.joint is not None and bool(robot.prismatic[site.joint])
-    told = ", ".join(
+    listed = ", ".join(
         f"{name} {value:.4g} {term.effect.unit(name, prismatic=prismatic)}".removesuffix(" 1")
         for name, value in values.items()
     )
-    return f"{term.effect.words} at {site.name(robot)}" + (f" ({told})" if len(values) <= _MOST_NUMBERS else "")
+    return f"{term.effect.words} at {site.name(robot)}" + (f" ({listed})" if len(values) <= _MOST_NUMBERS else "")
 
 
 def refuse_negative(joint: str, name: str, value: float) -> None:

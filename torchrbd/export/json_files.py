@@ -66,48 +66,53 @@ def write_parameters(result: Identification, path: Path) -> None:
 def write_diagnosis(result: Diagnosis, path: Path) -> None:
     """Write verdict, fits, findings and what is left unexplained.
 
-    findings: strongest first (those likelier than not, then the others, by gain in both): list of effect, joints and
-        links (none of either: the whole robot), probability, log_evidence_gain, parameters by name (value, std, unit,
-        urdf, and at_least where the data give only a lower bound (95 %): value and std are null then), where
-        (recordings, time_s, region: null for everywhere), indistinguishable_from (effect, joints, links,
-        depends_on, parameters by name that it would have there [SI], probability given that one of those that explain
-        the same is there; the likeliest first), nmse_before and nmse_after by joint, statement, depends_on (signals of
-        other joints), curve: the function that shows it best, or null, family, family_probability, laws (effect and
-        probability, of those that explain the same, given that one of them is there), torque_rms by joint, share (of
-        its joint's squared error that it removes), judged_on (where nmse and share are from: "held-out time"; "own
-        time", each half of it predicted by a fit to the other, where held-out time sees nothing of it; "", nmse empty,
-        where that is too short), confirmed (the part of what it adds that held-out time shows: value, low and high of
-        95 %; 1 is all of it; null where that holds too little of it).
-    confirmed: the same of all that the extended model adds to a rigid body with plain friction.
-    trifling: effects as likely as findings that unseen time does not show, in the same form.
+    Keys besides those of all files (see ``_head``):
+
+    findings: a list: those likelier than not, then the others; in both, by the held-out error that they remove. Keys:
+        effect, joints, links (both empty: the whole robot), probability, log_evidence_gain [nats];
+        parameters: by name: value, std, unit, urdf, at_least (a 95 % lower bound where the data give no more; value
+            and std are null then);
+        where: recordings, time_s, region; null for everywhere;
+        indistinguishable_from: effect, joints, links, depends_on, parameters by name in its place [SI], probability
+            given that one of the effects that explain the same is present; the likeliest first;
+        nmse_before, nmse_after: by joint;
+        statement: a sentence; depends_on: signals of other joints; curve: the function that shows it best, or null;
+        family, family_probability; laws: effects that explain the same, each with its probability given one of them;
+        torque_rms: by joint; share: of its joint's squared error that it removes;
+        judged_on: the data of nmse and share. "held-out data"; "own window": each half of the effect's window is
+            predicted by a fit to the other half, as held-out data has none of it; "": too short, nmse is empty;
+        held_out_ratio: torque of the effect on held-out data over that fitted: value, low and high (95 %). 1: the same.
+            null if held-out data has too little of it.
+    held_out_ratio: the same of all that the extended model adds to a rigid body with baseline friction.
+    not_confirmed: effects as likely as findings that held-out data does not show, in the same form.
     unexplained: list of joints, depends_on, where, share, statement, curve.
     curve: signal ("q_joint2", "t", ...), at, torque and std, lists of one length in the order of drawing.
-    locations: where models and robot differ, named or not: list of model ("rigid_body", re-fitted, with friction and an
-        offset at every joint, or "extended"), joints, links, where (as in findings), depends_on, form ("level",
+    locations: where models and robot differ, named or not: list of model ("rigid_body": re-fitted, with friction and an
+        offset at every joint; or "extended"), joints, links, where (as in findings), depends_on, form ("level",
         "friction", "load", "payload", "force"), course ("abrupt", "slow", ""), gain (log-likelihood), torque_rms and
-        share by joint, curve or null, attack (force [N] in the base's axes, point [m] in the
-        link's frame, a standard deviation for each) or null, statement.
-    residual_maps: RMS of what a model leaves over the noise, by bins: list of model, signal ("t", "q", "qd"),
+        share by joint, curve or null, attack (force [N] in the base's axes, point [m] in the link's frame, a standard
+        deviation for each) or null, statement.
+    residual_maps: RMS of a model's residual over the noise, by bins: list of model, signal ("t", "q", "qd"),
         recording, edges and level, a row per joint.
-    limits: what was looked for and not found: list of effect, joints, links, depends_on, and of the first parameter
-        that the data tell: parameter (name), value and std beside what was found, none (what it is if the effect is not
-        there), unit, and shape, the nonlinear parameters at which this holds. Effects that act for a time only, and
-        those that the model imitates, are not among them.
-    deflections: what encoders behind the gears show: list of joint, stiffness (value, std, unit) or null, the stiffness
-        that it has at least, lost_motion, delay, inertial_share of the load, rms of the deflection, probability and
-        log_evidence_gain of the spring, nmse_before and nmse_after of the deflection on held-out time, load, deflection
+    detection_limits: effects that were looked for and not found: list of effect, joints, links, depends_on, parameter
+        (the first that the data identify), its value and std given the findings, none (its value if the effect is
+        absent), unit, and shape (nonlinear parameters for which this holds). Effects that act for a time only are left
+        out, and those that the model absorbs.
+    joint_deflections: what encoders behind the gears show: list of joint, stiffness (value, std, unit) or null,
+        stiffness_at_least, lost_motion, delay, inertial_share of the load, rms of the deflection, probability and
+        log_evidence_gain of the spring, nmse_before and nmse_after of the deflection on held-out data, load, deflection
         and deflection_std (lists of one length), statement.
-    simulated: recordings of a simulator that stood for the URDF, in the order of the recordings; empty without.
-    proofs: what the extended model is worth on held-out torque, by joint: over (by model, the part of its squared error
-        that is left: value, low and high of 95 % by a bootstrap over blocks), memory_s (by model, the integrated
-        autocorrelation time of the errors) and white_s (that of white noise).
-    ranking: what was considered, by its evidence, or null if that could not be told: band_hz, up to which torques were
+    simulated: recordings of a simulator that replaced the URDF's prediction, in the order of the recordings, or empty.
+    held_out_checks: how the extended model predicts held-out torque, by joint: over (by model, squared error relative
+        to it: value, low and high of 95 % by a bootstrap over blocks), memory_s (by model, integrated autocorrelation
+        time of the errors) and white_s (that of white noise).
+    ranking: hypotheses by their evidence, or null if that could not be computed: band_hz, up to which torques were
         compared; considered, the number of effects at their places; delay_s, by recording, how much later the torque is
         than the motion (value, std); misfit, by joint, whether whitened rows and plain least squares agree on its
-        friction (Hausman's test: statistic, dof, p_value); and four lists of hypotheses: ordinary (friction of each
-        joint, which every machine has), first (the best 30 beside rigid body and ordinary friction), adopted (what was
-        taken into the model, one after the other), last (the best 30 beside these, and the adopted ones among them).
-        A hypothesis: effect, joints and links (none of either: the whole robot), log_evidence (against leaving it out,
+        friction (Hausman's test: statistic, dof, p_value); and four lists of hypotheses: ordinary (baseline friction of
+        each joint), first (the best 30 given rigid body and baseline friction), adopted (those taken into the model,
+        in order), last (the best 30 given these, adopted ones included).
+        A hypothesis: effect, joints and links (both empty: the whole robot), log_evidence (against leaving it out,
         in nats), parameters by name (SI units), other (the joint on whose motion it depends) or null, window
         (recording, from_s, to_s) or null, and shape, its nonlinear parameters.
     """
@@ -118,15 +123,15 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
             "verdict": result.verdict,
             "statement": result.statement,
             "findings": [_finding(f) for f in result.findings],
-            "confirmed": None if result.confirmed is None else asdict(result.confirmed),
-            "trifling": [_finding(f) for f in result.trifling],
+            "held_out_ratio": None if result.held_out_ratio is None else asdict(result.held_out_ratio),
+            "not_confirmed": [_finding(f) for f in result.not_confirmed],
             "unexplained": [_stated(u) for u in result.unexplained],
             "locations": [_stated(x) for x in result.locations],
             "residual_maps": [asdict(m) for m in result.maps],
-            "limits": [asdict(x) for x in result.limits],
-            "deflections": [_stated(x) for x in result.deflections],
+            "detection_limits": [asdict(x) for x in result.detection_limits],
+            "joint_deflections": [_stated(x) for x in result.joint_deflections],
             "simulated": list(result.simulated),
-            "proofs": [asdict(x) for x in result.proofs],
+            "held_out_checks": [asdict(x) for x in result.held_out_checks],
             "refuted": result.refuted,
             "next_effect": None if result.next_effect is None else asdict(result.next_effect),
             "ranking": None if result.ranking is None else _ranking(result.ranking),

@@ -126,7 +126,7 @@ def identify(
     suspected = suspicions(prepared)
     prepared = with_machine(prepared, settings, fitted, progress)
     terms = term_candidates(prepared.columns, [e.id for e in fitted])
-    check_seen(settings.told_effects(), prepared.columns)
+    check_seen(settings.requested_effects(), prepared.columns)
     prepared, terms = refined(prepared, terms, progress)
     progress("fitting", 0.0)
     models = {"rigid_body": prepared.fit()}

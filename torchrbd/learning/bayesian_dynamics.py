@@ -113,15 +113,15 @@ class BayesianDynamics(nn.Module):
         self.physics, self.kappa = copy.deepcopy(physics).requires_grad_(False), kappa
         start, n_inertial = flatten(self.physics), physics.raw_inertia.numel()
         bodies = physics.physical.nonzero().flatten().tolist()
-        told = [k for k, b in enumerate(bodies) if robot.body_names[b] not in trust]
+        fitted = [k for k, b in enumerate(bodies) if robot.body_names[b] not in trust]
         self.register_buffer("centre", start.clone())
         self.register_buffer("prior_mean", start.clone())
         self.register_buffer("prior_std", start.new_ones(len(start) - n_inertial) * term_std)
         # Which of the physical bodies are free; where free coordinates are in theta and in x.
         ten = torch.arange(PARAMETERS_PER_BODY)
         terms = torch.arange(len(start) - n_inertial)
-        self.register_buffer("free_bodies", torch.tensor(told, dtype=torch.long))
-        in_theta = [PARAMETERS_PER_BODY * k + ten for k in told]
+        self.register_buffer("free_bodies", torch.tensor(fitted, dtype=torch.long))
+        in_theta = [PARAMETERS_PER_BODY * k + ten for k in fitted]
         self.register_buffer("free", torch.cat((*in_theta, n_inertial + terms)))
         self.register_buffer("linear", linear_entries(self.physics)[self.free])
         noise = start.new_ones(robot.n_dof) if noise_std is None else noise_std.to(start)
@@ -153,9 +153,9 @@ class BayesianDynamics(nn.Module):
             own = slice(PARAMETERS_PER_BODY * b, PARAMETERS_PER_BODY * (b + 1))
             bayes.prior_mean[_of_body(k)] = to_log_cholesky(prior.mean[own])
         at = linear_positions(model, fit)
-        told = torch.nonzero(at >= 0).flatten()
-        bayes.prior_mean[n_inertial + told] = prior.mean[at[told]]
-        bayes.prior_std[told] = prior.scale.diagonal()[at[told]]
+        fitted = torch.nonzero(at >= 0).flatten()
+        bayes.prior_mean[n_inertial + fitted] = prior.mean[at[fitted]]
+        bayes.prior_std[fitted] = prior.scale.diagonal()[at[fitted]]
         values, axes = torch.linalg.eigh(fitted_covariance(fit, torch.cat((prior.inertial, at))))
         kept = values > 0
         bayes._start_from(bayes.whitening, axes[:, kept] * values[kept].sqrt())
@@ -171,8 +171,8 @@ class BayesianDynamics(nn.Module):
         physics, own = RigidBodyDynamics.load(path), read_model(path).posterior
         if not own:
             raise InputError(f"{path}: holds a model without a posterior; RigidBodyDynamics.load reads it")
-        bodies, told = physics.physical.nonzero().flatten().tolist(), own["free_bodies"].tolist()
-        trust = [physics.robot.body_names[b] for k, b in enumerate(bodies) if k not in told]
+        bodies, fitted = physics.physical.nonzero().flatten().tolist(), own["free_bodies"].tolist()
+        trust = [physics.robot.body_names[b] for k, b in enumerate(bodies) if k not in fitted]
         bayes = cls(physics, kappa=float(own.pop("kappa")), trust=trust)
         bayes._start_from(own["whitening"], own["spread"])
         bayes.load_state_dict(own | {f"physics.{k}": v for k, v in physics.state_dict().items()})

@@ -131,7 +131,7 @@ def _finding_card(finding: Finding, pictures: Pictures) -> Card:
         finding, joint if joint in pictures.joints else None, (*regions, *finding.depends_on, *own), pictures
     )
     where = when(finding.where, pictures.unit_of)
-    return Card(finding, title[0].upper() + title[1:], equation, where, _told(finding), _doubt(finding), shown)
+    return Card(finding, title[0].upper() + title[1:], equation, where, _joints_shown(finding), _doubt(finding), shown)
 
 
 def _doubt(finding: Finding) -> str:
@@ -144,13 +144,13 @@ def _doubt(finding: Finding) -> str:
     return ""
 
 
-def _told(finding: Finding) -> list[str]:
+def _joints_shown(finding: Finding) -> list[str]:
     """Return the joints whose error changes with a finding, its own first, then by fall; or the one that falls most."""
     fall = {j: b - finding.nmse_after[j] for j, b in finding.nmse_before.items() if j in finding.nmse_after}
     best = most_changed(finding)
-    told = [j for j in sorted(fall, key=lambda j: -fall[j]) if abs(fall[j]) > CHANGED * finding.nmse_after[j]]
-    told.sort(key=lambda j: j not in finding.joints)
-    return told[:MOST_ERRORS] or ([best] if best else [])
+    changed = [j for j in sorted(fall, key=lambda j: -fall[j]) if abs(fall[j]) > CHANGED * finding.nmse_after[j]]
+    changed.sort(key=lambda j: j not in finding.joints)
+    return changed[:MOST_ERRORS] or ([best] if best else [])
 
 
 def _pictures(

@@ -63,9 +63,9 @@ class Pictures:
         names = list(result.robot.joint_names)
         prismatic = [bool(result.robot.prismatic[names.index(j)]) for j in self.joints]
         self.units = [Units("N", "m") if p else Units("N m", "rad") for p in prismatic]
-        told = result.fits["urdf"].nmse
+        known = result.fits["urdf"].nmse
         self.measured = [
-            bool(np.isfinite(self.series.measured[:, i]).any()) if seen else j in told
+            bool(np.isfinite(self.series.measured[:, i]).any()) if seen else j in known
             for i, j in enumerate(self.joints)
         ]
         self._keys = count(1)

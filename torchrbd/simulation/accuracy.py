@@ -91,8 +91,10 @@ def motion_errors(
         rolled = list(_rolled(reading, wanted, models, progress))
     except (InputError, PhysicalError) as error:
         return MotionErrors((), (f"motion was not simulated: {error}",))
-    told = [_told(k, unseen[k], [errors for length, errors in rolled if length == k], names) for k in LENGTHS_S]
-    found = tuple(one for one in told if one.windows)
+    errors_by_length = [
+        _motion_error(k, unseen[k], [errors for length, errors in rolled if length == k], names) for k in LENGTHS_S
+    ]
+    found = tuple(one for one in errors_by_length if one.windows)
     return MotionErrors(found, _notes(models, reading.robot) if found else (_NOTHING,))
 
 
@@ -145,7 +147,9 @@ def _errors(
             yield length, {name: torch.where(measured, x, torch.nan).numpy() for name, x in roots.items()}
 
 
-def _told(length: float, held_out: bool, errors: Sequence[dict[str, np.ndarray]], joints: Sequence[str]) -> MotionError:
+def _motion_error(
+    length: float, held_out: bool, errors: Sequence[dict[str, np.ndarray]], joints: Sequence[str]
+) -> MotionError:
     """Summarise the errors of windows of one length."""
     windows, spreads = {}, dict[str, dict[str, Spread]]()
     for j, joint in enumerate(joints):

@@ -140,15 +140,15 @@ def driving(t: np.ndarray, signals: Mapping[str, np.ndarray], at: np.ndarray) ->
 
     Positions are cubic between samples, with the velocities there; all else is linear.
     """
-    told = {}
+    resampled = {}
     for name, x in signals.items():
         if name == "q":
-            told[name] = CubicHermiteSpline(t, x, signals["qd"])(at)
+            resampled[name] = CubicHermiteSpline(t, x, signals["qd"])(at)
         elif name in ("qd", "qdd", "temperature"):
-            told[name] = make_interp_spline(t, x, k=1)(at)
+            resampled[name] = make_interp_spline(t, x, k=1)(at)
         else:
-            told[name] = np.diff(make_interp_spline(t, x, k=1).antiderivative()(at), axis=0) / (at[1] - at[0])
-    return {name: torch.from_numpy(x) for name, x in told.items()}
+            resampled[name] = np.diff(make_interp_spline(t, x, k=1).antiderivative()(at), axis=0) / (at[1] - at[0])
+    return {name: torch.from_numpy(x) for name, x in resampled.items()}
 
 
 def pieces(

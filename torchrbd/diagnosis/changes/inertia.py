@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from torchrbd.diagnosis.changes.reading import Inertia
-from torchrbd.diagnosis.changes.results import INERTIAL_TRIFLE, Difference, Load, difference
+from torchrbd.diagnosis.changes.results import NEGLIGIBLE_INERTIA, Difference, Load, difference
 from torchrbd.diagnosis.results import Quantity
 from torchrbd.parameters import PARAMETERS_PER_BODY
 
@@ -32,13 +32,13 @@ def inertial_differences(one: Inertia | None, other: Inertia | None) -> dict[str
     """Return the combinations that both tell; None where they cannot be compared."""
     if one is None or other is None or not one.alike(other):
         return None
-    told = _told(one, other)
+    informed = _informed_by_data(one, other)
     # A combination that happens to be small is as large as what it is made of.
     size, found = np.abs(one.K) @ np.maximum(np.abs(one.pi), np.abs(other.pi)), {}
-    for k in told:
+    for k in informed:
         quantities = [Quantity(float(i.beta[k]), float(i.covariance[k, k]) ** 0.5, i.units[k]) for i in (one, other)]
         found[one.expressions[k]] = difference(
-            quantities[0], quantities[1], float(size[k]), trifle=INERTIAL_TRIFLE, among=len(told)
+            quantities[0], quantities[1], float(size[k]), negligible=NEGLIGIBLE_INERTIA, among=len(informed)
         )
     return found
 
@@ -52,15 +52,15 @@ def load_like(one: Inertia | None, other: Inertia | None, bodies: Sequence[str])
     """
     if one is None or other is None or not one.alike(other):
         return None
-    told = _told(one, other)
-    if not told:
+    informed = _informed_by_data(one, other)
+    if not informed:
         return None
-    C = (one.covariance + other.covariance)[np.ix_(told, told)]
+    C = (one.covariance + other.covariance)[np.ix_(informed, informed)]
     size = np.sqrt(C.diagonal())
-    root = np.linalg.cholesky(C / np.outer(size, size) + 1e-9 * np.eye(len(told)))
+    root = np.linalg.cholesky(C / np.outer(size, size) + 1e-9 * np.eye(len(informed)))
     d, K = (
         solve_triangular(root, x, lower=True)
-        for x in ((other.beta - one.beta)[told] / size, one.K[told] / size[:, None])
+        for x in ((other.beta - one.beta)[informed] / size, one.K[informed] / size[:, None])
     )
     found = [
         (*_load(d, K[:, first : first + PARAMETERS_PER_BODY]), bodies[first])
@@ -73,7 +73,7 @@ def load_like(one: Inertia | None, other: Inertia | None, bodies: Sequence[str])
     return Load(tuple(links), best[1], best[2])
 
 
-def _told(one: Inertia, other: Inertia) -> list[int]:
+def _informed_by_data(one: Inertia, other: Inertia) -> list[int]:
     """Return the rows that both data sets tell."""
     return np.flatnonzero(np.maximum(one.share, other.share) < MOST_OF_URDF).tolist()
 

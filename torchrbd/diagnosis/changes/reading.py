@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from torchrbd.diagnosis.results import Diagnosis, Finding, Limit, Unexplained
+from torchrbd.diagnosis.results import DetectionLimit, Diagnosis, Finding, Unexplained
 from torchrbd.errors import InputError
 from torchrbd.rebuilding import read_json, rebuilt
 
@@ -58,7 +58,7 @@ class Side:
     cutoff_hz: float
     findings: tuple[Finding, ...]
     unexplained: tuple[Unexplained, ...]
-    limits: tuple[Limit, ...]
+    detection_limits: tuple[DetectionLimit, ...]
     simulated: tuple[str, ...]
     inertia: Inertia | None
     bodies: tuple[str, ...]
@@ -108,7 +108,7 @@ def _of_diagnosis(result: Diagnosis, name: str) -> Side:
         one.cutoff_hz,
         result.findings,
         result.unexplained,
-        result.limits,
+        result.detection_limits,
         result.simulated,
         inertia,
         tuple(own[c].owner for c in columns),
@@ -127,7 +127,7 @@ def _of_file(path: Path) -> Side:
             for key, kind in (
                 ("findings", tuple[Finding, ...]),
                 ("unexplained", tuple[Unexplained, ...]),
-                ("limits", tuple[Limit, ...]),
+                ("detection_limits", tuple[DetectionLimit, ...]),
                 ("simulated", tuple[str, ...]),
             )
         }

@@ -21,9 +21,9 @@ from torchrbd.diagnosis.results import Alternative, Quantity, Where
 from torchrbd.display import Remark, Stated, brief, few
 
 # Parts of a parameter's size: what is no change, and how large changes are.
-TRIFLE, CHANGE = 0.02, 0.3
+NEGLIGIBLE, CHANGE = 0.02, 0.3
 # A combination of inertial parameters is as large as all bodies in it; a load that matters is a small part of that.
-INERTIAL_TRIFLE = 0.005
+NEGLIGIBLE_INERTIA = 0.005
 # An effect that one data set has and the other lacks moves what else there is at the joint. Over 12 robots diagnosed
 # from two recordings each (null tier of the concealed benchmark), 11 of 40 such parameters differed by more than 3 std,
 # at most by 10, and 2 of 89 where the effects were the same.
@@ -31,7 +31,7 @@ WIDER = 4.0
 # A limit stands beside other effects and may have another shape.
 LOOSER = 2.0
 # What nobody can tell has this probability.
-UNTOLD = 0.5
+UNKNOWN = 0.5
 # Probabilities from which on a parameter has changed, and up to which it has not.
 CERTAIN, UNLIKELY = 0.95, 0.2
 # One or two combinations alone stood out in 3 of 38 pairs of recordings of one robot: a body that changes moves more.
@@ -139,7 +139,7 @@ def difference(
     *,
     right: float = 1.0,
     wider: float = 1.0,
-    trifle: float = TRIFLE,
+    negligible: float = NEGLIGIBLE,
     among: int = 1,
 ) -> Difference:
     """Return a parameter's difference and the probability that it changed.
@@ -153,15 +153,15 @@ def difference(
         among: how many parameters there are any one of which may have changed.
     """
     d, std = after.value - before.value, wider * math.hypot(before.std, after.std)
-    p = right * probability_of_change(d, std, size, trifle, among) + (1.0 - right) * UNTOLD
+    p = right * probability_of_change(d, std, size, negligible, among) + (1.0 - right) * UNKNOWN
     return Difference(before, after, d, std, p)
 
 
-def probability_of_change(d: float, std: float, size: float, trifle: float = TRIFLE, among: int = 1) -> float:
+def probability_of_change(d: float, std: float, size: float, negligible: float = NEGLIGIBLE, among: int = 1) -> float:
     """Return the probability p of a change by d; NaN without a standard deviation."""
     if not (math.isfinite(d) and math.isfinite(std) and std > 0):
         return math.nan
-    same, changed = std**2 + (trifle * size) ** 2, std**2 + (CHANGE * size) ** 2
+    same, changed = std**2 + (negligible * size) ** 2, std**2 + (CHANGE * size) ** 2
     log_odds = 0.5 * math.log(changed / same) - 0.5 * d**2 * (1.0 / same - 1.0 / changed) + math.log(among)
     return 1.0 / (1.0 + math.exp(min(log_odds, 50.0)))
 

@@ -37,7 +37,7 @@ from scipy.special import stdtr
 
 from torchrbd.diagnosis.changes.inertia import MOST_OF_URDF
 from torchrbd.diagnosis.changes.reading import Inertia
-from torchrbd.diagnosis.changes.results import INERTIAL_TRIFLE, TRIFLE
+from torchrbd.diagnosis.changes.results import NEGLIGIBLE, NEGLIGIBLE_INERTIA
 from torchrbd.diagnosis.fleet.results import Deviation, Member
 from torchrbd.diagnosis.results import Quantity
 
@@ -59,7 +59,7 @@ class _Values:
     values: np.ndarray
     std: np.ndarray
     size: float
-    trifle: float
+    negligible: float
 
     @property
     def off(self) -> np.ndarray:
@@ -109,7 +109,7 @@ def deviations(group: Sequence[Member]) -> dict[str, list[Deviation]]:
         z = one.off / spread
         share = np.maximum((scatter / spread) ** 4, _LEAST_SHARE)
         chance = 2.0 * tests * stdtr(_EFFICIENCY * (len(one.robots) - 1) * len(alike) / share, -np.abs(z))
-        differs = (chance < LEVEL) & (np.abs(one.off) > one.trifle * one.size)
+        differs = (chance < LEVEL) & (np.abs(one.off) > one.negligible * one.size)
         for k in np.flatnonzero(differs).tolist():
             value = Quantity(float(one.values[k]), float(one.std[k]), one.unit)
             numbers = float(np.median(one.values)), float(spread[k]), float(z[k]), float(chance[k])
@@ -141,20 +141,20 @@ def _inertial(group: Sequence[Member]) -> Iterable[_Values]:
         robots = np.array([i for i, one in enumerate(group) if one.inertia.share[k] < MOST_OF_URDF], dtype=int)
         own = [group[i].inertia for i in robots]
         values, std = np.array([x.beta[k] for x in own]), np.sqrt([x.covariance[k, k] for x in own])
-        yield _Values(name, "inertia", first.units[k], robots, values, std, float(size[k]), INERTIAL_TRIFLE)
+        yield _Values(name, "inertia", first.units[k], robots, values, std, float(size[k]), NEGLIGIBLE_INERTIA)
 
 
 def _terms(group: Sequence[Member]) -> Iterable[_Values]:
     names = dict.fromkeys(name for one in group for name in one.terms)
     for name in names:
-        robots = np.array([i for i, one in enumerate(group) if _told(one.terms, name)], dtype=int)
+        robots = np.array([i for i, one in enumerate(group) if _has_estimate(one.terms, name)], dtype=int)
         own = [group[i].terms[name] for i in robots]
         values, std = np.array([q.value for q in own]), np.array([q.std for q in own])
         size = float(np.abs(np.median(values))) if len(own) else 0.0
-        yield _Values(name, _kind(name), own[0].unit if own else "", robots, values, std, size, TRIFLE)
+        yield _Values(name, _kind(name), own[0].unit if own else "", robots, values, std, size, NEGLIGIBLE)
 
 
-def _told(terms: Mapping[str, Quantity], name: str) -> bool:
+def _has_estimate(terms: Mapping[str, Quantity], name: str) -> bool:
     return name in terms and bool(np.isfinite(terms[name].value)) and terms[name].std > 0
 
 

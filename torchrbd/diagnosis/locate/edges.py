@@ -78,9 +78,9 @@ def edge_equations(
             at, count = one.members, len(one.members)
             cross[:, at] += (X[one.rows].T @ one.white.T).reshape(-1, count, K)
             score[at] += (one.white @ e[one.rows]).reshape(count, K)
-            beside = (firsts[:, one.rows] @ one.white.T).reshape(-1, K, count, K)[number]
-            alone[:, :, at] += beside
-            alone[at] += beside.transpose(2, 3, 0, 1)
+            mixed = (firsts[:, one.rows] @ one.white.T).reshape(-1, K, count, K)[number]
+            alone[:, :, at] += mixed
+            alone[at] += mixed.transpose(2, 3, 0, 1)
             for other in near[: k + 1]:
                 both = one.times(other).reshape(count, K, -1, K).transpose(0, 2, 1, 3)
                 alone[at[:, None], :, other.members] += both

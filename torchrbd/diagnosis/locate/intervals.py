@@ -68,11 +68,11 @@ def gains(
     score = (u[a] - u[b]) / size
     if K == 1:
         g = _between(G[:, 0], a, b) / size**2 + LEAST_SHARE
-        told = score / g
+        coefficients = score / g
     else:
         g = _between(G.transpose(0, 2, 1, 3), a, b) / (size[:, :, None] * size[:, None]) + LEAST_SHARE * np.eye(K)
-        told = np.linalg.solve(g, score[..., None])[..., 0]
-    return a, b, 0.5 * (score * told).sum(1) - 0.5 * K * np.log(max(m, 2)) - np.log(max(searched, 1))
+        coefficients = np.linalg.solve(g, score[..., None])[..., 0]
+    return a, b, 0.5 * (score * coefficients).sum(1) - 0.5 * K * np.log(max(m, 2)) - np.log(max(searched, 1))
 
 
 def _between(G: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -34,13 +34,13 @@ def locate(fit: Fit, model: str = "rigid_body") -> tuple[tuple[Location, ...], t
     rows, parts = search.fit.rows, search.parts
     # Sizes are those of a plain fit: one that expects drift leaves levels that mean nothing.
     plain = Rows(rows.samples, rows.prior, (np.zeros_like(rows.noise[0]), rows.noise[1]))
-    quiet = search.beside(parts, plain).leftover()
+    quiet = search.fit_with(parts, plain).residual()
     found = []
     for part in parts:
         others = [p for p in parts if p is not part]
-        left = search.beside(others, plain).leftover()
-        found.append(_location(search, part, search.beside(others), left, quiet, model))
-    left = _counted(search.beside((), plain).leftover(), rows)
+        left = search.fit_with(others, plain).residual()
+        found.append(_location(search, part, search.fit_with(others), left, quiet, model))
+    left = _counted(search.fit_with((), plain).residual(), rows)
     maps = residual_maps(search.scene, left, _std(_counted(quiet, rows)), model)
     return tuple(sorted(found, key=lambda x: -x.gain)), maps
 

@@ -104,7 +104,7 @@ class Search:
                 part = replace(part, region=region)
             self.parts, self.fit = (*self.parts, part), fit
 
-    def beside(self, parts: Sequence[Part], rows: Rows | None = None) -> Fit:
+    def fit_with(self, parts: Sequence[Part], rows: Rows | None = None) -> Fit:
         """Return the fit of the terms and some parts, whitened as the last one if no rows are given."""
         return Fit(rows or self.fit.rows, self.fit.terms, [e for part in parts for e in part.extra])
 
@@ -214,7 +214,7 @@ def each_body(fit: Fit, features: np.ndarray, seen: Sequence[int]) -> Iterator[t
     G, alone, u = fit.equations({j: features[:, j].reshape(-1, M) for j in seen})
     for body in range(n_bodies):
         at = slice(body * K, (body + 1) * K)
-        gain, w = _told(G[at, at], alone.diagonal()[at], u[at])
+        gain, w = _gain_of(G[at, at], alone.diagonal()[at], u[at])
         yield gain, body, w
 
 
@@ -223,7 +223,7 @@ def common_noise(fit: Fit) -> Colour:
 
     It serves to find candidates; what these are worth is judged with the joint's own noise, estimated beside them.
     """
-    rows, left = fit.rows, fit.leftover()
+    rows, left = fit.rows, fit.residual()
     seen = np.flatnonzero(rows.counts)
     filters, scale = rows.noise[0].copy(), rows.noise[1].copy()
     common = np.median(filters[seen], axis=0)
@@ -249,10 +249,10 @@ def log_likelihood(fit: Fit) -> float:
 def coefficients(fit: Fit, phi: Mapping[int, np.ndarray]) -> tuple[float, np.ndarray]:
     """Return gain and coefficients (K,) of features (K, M) that joints share."""
     G, alone, u = fit.equations(phi)
-    return _told(G, alone.diagonal(), u)
+    return _gain_of(G, alone.diagonal(), u)
 
 
-def _told(G: np.ndarray, alone: np.ndarray, u: np.ndarray) -> tuple[float, np.ndarray]:
+def _gain_of(G: np.ndarray, alone: np.ndarray, u: np.ndarray) -> tuple[float, np.ndarray]:
     w = Posterior(G + LEAST_SHARE * np.diag(np.maximum(alone, 1e-300)), u).z
     return 0.5 * float(w @ u), w
 

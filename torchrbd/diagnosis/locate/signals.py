@@ -159,9 +159,9 @@ def _smooth(signal: Signal, B: np.ndarray, G: np.ndarray, alone: np.ndarray, u: 
     theta = _THETA[:, None]
     evidence = 0.5 * (theta * z**2 / (1 + theta * g) - np.log1p(theta * g)).sum(1)
     best = int(evidence.argmax())
-    told = _THETA[best] * g > 1.0
+    significant = _THETA[best] * g > 1.0
     prior = _THETA[best] / (1 + _THETA[best] * g)
     T = V / size[:, None]
     w, std = T @ (prior * z), np.sqrt((T**2 * prior).sum(1))
     gain = max(0.0, float(evidence[best]))
-    return Smooth(signal, gain, T[:, told].T @ B, knots_of(signal.v, signal.knots), w, std)
+    return Smooth(signal, gain, T[:, significant].T @ B, knots_of(signal.v, signal.knots), w, std)

@@ -92,7 +92,7 @@ class Fit:
         z = self.x[[first + self.places.index((term.place, label)) for label in term.labels]]
         return z * self.rows.widths_of(term)
 
-    def leftover(self) -> np.ndarray:
+    def residual(self) -> np.ndarray:
         """Return the leftover as it is, (n, M) [N m] or [N]."""
         samples, rows = self.rows.samples, self.rows
         left = samples.tau - samples.rigid @ self.pi.numpy()
@@ -111,7 +111,7 @@ class Fit:
 
     def noise(self) -> Colour:
         """Return the noise that makes this leftover white."""
-        left, rows = self.leftover(), self.rows
+        left, rows = self.residual(), self.rows
         filters, scale = np.zeros((len(left), ORDER)), np.ones(len(left))
         Q = self.posterior.half(self.X.T)
         for j, index in enumerate(rows.index):

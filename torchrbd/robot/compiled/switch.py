@@ -159,8 +159,8 @@ def _exact(kernel: Kernel, arguments: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
 
 def _exporting() -> bool:
     """Say whether a graph is made for others to run; before torch 2.7 nothing tells, so every graph counts as one."""
-    told = getattr(torch.compiler, "is_exporting", None)
-    return told is None or told()
+    is_exporting = getattr(torch.compiler, "is_exporting", None)
+    return is_exporting is None or is_exporting()
 
 
 @_constant_in_graphs

@@ -13,7 +13,7 @@ from torchrbd.diagnosis.curves import driven_by
 from torchrbd.diagnosis.explain import places
 from torchrbd.diagnosis.hypotheses import SHARED, Hypothesis, believed, whole
 from torchrbd.diagnosis.residual import is_curve
-from torchrbd.diagnosis.results import Limit
+from torchrbd.diagnosis.results import DetectionLimit
 from torchrbd.diagnosis.terms import Explanation
 
 # A parameter is told by the data, and not by the prior, if the data leave less than this part of the prior's variance.
@@ -21,17 +21,17 @@ _MOST_OF_PRIOR = 0.25
 _DIGITS = 4
 
 
-def limits(found: Explanation) -> tuple[Limit, ...]:
+def detection_limits(found: Explanation) -> tuple[DetectionLimit, ...]:
     """Return what the data say of each effect at each place that is not in the model, in its best shape.
 
     Effects that act for a time only are left out, and what the data do not tell from the prior.
     """
     absent = [h for h in found.last if h.candidate.site.always and not is_curve(h.candidate)]
-    told = (_limit(found, h) for h in absent)
-    return tuple(sorted(filter(None, told), key=lambda one: (one.joints, one.links, one.effect)))
+    each = (_limit(found, h) for h in absent)
+    return tuple(sorted(filter(None, each), key=lambda one: (one.joints, one.links, one.effect)))
 
 
-def _limit(found: Explanation, h: Hypothesis) -> Limit | None:
+def _limit(found: Explanation, h: Hypothesis) -> DetectionLimit | None:
     """Return the first parameter that moves with the coefficients; its std by the delta method."""
     c, robot = h.candidate, found.rows.columns.robot
     prior = torch.from_numpy(believed(found.fit, found.rows, c)[0])
@@ -52,7 +52,7 @@ def _limit(found: Explanation, h: Hypothesis) -> Limit | None:
             return None
         joints, links = places(robot, c)
         prismatic = c.site.joint is not None and bool(robot.prismatic[c.site.joint])
-        return Limit(
+        return DetectionLimit(
             effect=c.effect.id,
             joints=joints,
             links=links,

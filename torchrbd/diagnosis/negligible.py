@@ -16,9 +16,9 @@ LEAST_TORQUE, _LEAST_SHARE = 0.01, 0.1
 
 
 def split_negligible(
-    told: Sequence[tuple[Candidate, Finding]],
+    found: Sequence[tuple[Candidate, Finding]],
     error_without: Callable[[Sequence[Candidate]], Mapping[str, float]],
-    trifling: Callable[[Candidate, Finding], bool],
+    negligible: Callable[[Candidate, Finding], bool],
 ) -> tuple[list[tuple[Candidate, Finding]], list[tuple[Candidate, Finding]]]:
     """Set findings apart, one after the other, that held-out time does not need.
 
@@ -29,12 +29,12 @@ def split_negligible(
     Args:
         told: terms and what is told of them; their errors are given here.
         error_without: nmse by joint of the model without some terms.
-        trifling: says whether a term is, of what is told of it, with its errors with it and without it.
+        negligible: says whether a term is, from its finding, with the errors with it and without it.
 
     Returns:
         Those that count, their errors beside all others that do, and those that are set apart, the first of them first.
     """
-    kept, apart, after = list(told), list[tuple[Candidate, Finding]](), error_without([])
+    kept, apart, after = list(found), list[tuple[Candidate, Finding]](), error_without([])
     least = math.fsum(after.values())
     while True:
         gone, may_go = [term for term, _ in apart], dict[int, float]()
@@ -47,7 +47,7 @@ def split_negligible(
                 nmse_after={name: x for name, (_, x) in own.items()},
             )
             kept[k], total = (term, one), math.fsum(before.values())
-            if trifling(term, one) and least >= (1.0 - NO_CHANGE) * total:
+            if negligible(term, one) and least >= (1.0 - NO_CHANGE) * total:
                 may_go[k] = total
         if not may_go:
             return kept, apart
