@@ -1,6 +1,6 @@
-"""What was looked for and not found: how large it would be beside what was, and how large it could have been unseen.
+"""Detection limits: how large an effect that was not found could be, given the findings.
 
-"Not found" is no proof of absence; a value of 0.02 with a std of 0.05 is one.
+"Not found" alone proves nothing; a value of 0.02 with a std of 0.05 shows that the effect is small.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import DetectionLimit
 from torchrbd.diagnosis.terms import Explanation
 
-# A parameter is told by the data, and not by the prior, if the data leave less than this part of the prior's variance.
+# A parameter is identified by the data if its posterior variance is below this part of its prior variance.
 _MOST_OF_PRIOR = 0.25
 _DIGITS = 4
 
 
 def detection_limits(found: Explanation) -> tuple[DetectionLimit, ...]:
-    """Return what the data say of each effect at each place that is not in the model, in its best shape.
+    """Return an estimate for each effect at each place that is not in the model, in its best shape.
 
-    Effects that act for a time only are left out, and what the data do not tell from the prior.
+    Effects that act for a time only are left out, and parameters that the data does not identify.
     """
     absent = [h for h in found.last if h.candidate.site.always and not is_curve(h.candidate)]
     each = (_limit(found, h) for h in absent)

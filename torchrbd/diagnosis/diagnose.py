@@ -102,7 +102,7 @@ def diagnose(
         time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
             fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
             short. Default: none.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
@@ -130,7 +130,7 @@ def diagnose(
     explained, alone, base = explain(model), (), ranked
     full, plainly = explained.model, worthless or is_refuted(explained, asked)
     if plainly and explained.apart and not worthless:
-        # Bodies and friction may have taken the other side of what is set apart.
+        # Bodies and friction may have absorbed the opposite of the effects that are not confirmed.
         explained = what_counts(explained)
         plainly = not explained.model.terms or is_refuted(explained, asked)
     if plainly:

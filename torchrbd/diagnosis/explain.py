@@ -41,7 +41,7 @@ from torchrbd.likelihood.block_statistics import Block
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.robot import RobotModel
 
-# A law is told of, and an alternative, if it is so probable among what explains the same.
+# Laws and alternatives of this probability, among the effects that explain the same, are reported.
 _LEAST_LAW = 0.05
 LARGEST_PROBABILITY = 0.999
 _FRICTION = "friction"
@@ -81,7 +81,7 @@ def explain(extended: Extended) -> Explained:
 
     fits, every = _Fits(extended), _terms_and_findings(extended)
     own_time = {term: fits.in_its_time(term, one) for term, one in every if not fits.held_out_sees(term)}
-    # What was there too briefly to be divided, no unseen time has shown.
+    # Held-out data does not show an effect that was there too briefly to be divided.
     unseen = {term for term, one in own_time.items() if not one.judged_on or one.share < NO_CHANGE}
     kept, apart = split_negligible(
         every, fits.error_without, lambda term, one: term in unseen or is_negligible(one, extended)
@@ -94,20 +94,20 @@ def explain(extended: Extended) -> Explained:
 
     others = [term for term, _ in apart]
     kept = [(term, proven(term, one, others, own_time)) for term, one in kept]
-    # What was sought, and its own joints are told worse with, stands in for something that others need: it stays there.
+    # A term that was added and makes its own joints worse is a proxy for something that others need: it stays there.
     stand_ins = [(term, one) for term, one in kept if term in extended.terms and contradicted(one)]
     kept = [(term, one) for term, one in kept if term not in dict(stand_ins)]
-    # What its own time shows is set apart where held-out time is told worse with it.
+    # A term confirmed in its own window is still not confirmed if held-out data is predicted worse with it.
     not_confirmed = completed([*((term, proven(term, one, [], unseen)) for term, one in apart), *stand_ins])
     others += [term for term, _ in stand_ins]
-    # What laws of friction take is ordinary friction's; what held-out time contradicts is nobody's.
+    # Baseline friction takes over what laws of friction had; nothing takes over what held-out data contradicts.
     leave = {term for term, one in apart if term.effect.family == _FRICTION or contradicted(one)}
     gone = leave.intersection(extended.terms)
     if gone:
         extended = extended.without(gone)
         fits, judged = _Fits(extended), dict(kept)
         left = [(term, one) for term, one in _terms_and_findings(extended) if term not in others]
-        # Friction that these laws stood in for was not told before.
+        # Friction for which these laws were a proxy was not reported before.
         new = [pair for pair in left if pair[0] not in judged]
         new, more = split_negligible(new, fits.error_without, lambda _, one: is_negligible(one, extended))
         not_confirmed += completed([(term, proven(term, one, [], unseen)) for term, one in more])
@@ -129,7 +129,7 @@ def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[t
 
 
 def _terms_and_findings(extended: Extended) -> list[tuple[Candidate, Finding]]:
-    """Return what is likelier than not, or whose family is, with what is told of it."""
+    """Return terms that are likelier than not, or whose family is, with their findings."""
     reading = extended.prepared.reading
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
     return [
@@ -140,7 +140,7 @@ def _terms_and_findings(extended: Extended) -> list[tuple[Candidate, Finding]]:
 
 
 def _judged_as(judged: Finding, one: Finding) -> Finding:
-    """Return a finding with what unseen time says of it elsewhere."""
+    """Return a finding with its errors on held-out data elsewhere."""
     taken = ("nmse_before", "nmse_after", "judged_on", "held_out_ratio")
     return replace(one, **{name: getattr(judged, name) for name in taken})
 
@@ -154,9 +154,9 @@ class _Fits:
         self._fitted = {frozenset[Candidate](): self.first}
 
     def without(self, gone: Sequence[Candidate]) -> FittedModel:
-        """Return the model without some terms, and what is nothing without them.
+        """Return the model without some terms, and without those that need them.
 
-        Laws that refine ordinary friction go with it; curves that could pass for it are not in this model.
+        Laws that refine baseline friction go with it; curves that could be a proxy for it are not in this model.
         """
         key = frozenset(gone)
         if key not in self._fitted:
@@ -178,9 +178,9 @@ class _Fits:
         return term.site.always or any(out and _acts_in(b, term.site) for b, out in zip(blocks, held_out, strict=True))
 
     def in_its_time(self, term: Candidate, one: Finding) -> Finding:
-        """Return what is told of a term with nmse on the blocks in which it acts, each half told by a fit to the other.
+        """Return a finding with NMSE on the blocks in which it acts; each half is predicted by a fit to the other half.
 
-        Neither fit of a half has seen it, every other block. Judged on nothing if there is only one.
+        Neither fit uses its own half; both use all other blocks. A single block gives no NMSE.
         """
         statistics, held_out = self.prepared.statistics, self.prepared.held_out
         inside = torch.tensor([_acts_in(block, term.site) for block in statistics.blocks])
@@ -200,7 +200,7 @@ class _Fits:
         return replace(one, nmse_before=before, nmse_after=after, judged_on=OWN_TIME)
 
     def held_out_ratio(self, term: Candidate, finding: Finding, others: Sequence[Candidate]) -> Ratio | None:
-        """Return the part of what a term adds that held-out time shows, others being left out."""
+        """Return the ratio of a term's torque on held-out data to that fitted, without some other terms."""
         names = self.prepared.robot.joint_names
         joints = None if term.place is None else [names.index(name) for name in finding.joints]
         return held_out_ratio(self.prepared.judging, self.without(others), self.without([*others, term]).x, joints)
@@ -374,7 +374,7 @@ def _std_left_open(term: Candidate, extended: Extended) -> dict[str, float]:
 
 
 def _alternatives(term: Candidate, sure: Inclusion, extended: Extended) -> tuple[Alternative, ...]:
-    """Return what a term cannot be told from, the likeliest first, with the parameters that it would have."""
+    """Return the effects that cannot be distinguished from a term, the likeliest first, with their parameters."""
     model, fit, own = extended.model, extended.found.fit, (term.effect.id, replace(term.site, window=None))
     alike = [(h.candidate, whole(h.candidate, h.coefficients, fit), p) for h, p in sure.laws if h.name != own]
     if term.effect.id == UNEVEN:

@@ -46,8 +46,8 @@ class Ranked:
 
     Attributes:
         effect: its id.
-        joints, links: where; none of both if it acts on the whole robot.
-        log_evidence: against leaving it out, in nats, averaged over shapes, sizes and stretches of time.
+        joints, links: where; both empty if it acts on the whole robot.
+        log_evidence: against leaving it out, in nats, averaged over shapes, sizes and windows of time.
         parameters: physical ones, by name, SI units.
         other: the joint on whose motion it depends, if that is another one.
         window: recording, from and to [s], where it acts for a time.
@@ -75,16 +75,16 @@ class Ranking:
 
     Attributes:
         band_hz: up to which torques were compared.
-        ordinary: friction of each joint, which every machine has: evidence against leaving it out. Where ``misfit``
-            says that its law is wrong, coefficients are those of plain least squares, which predict.
-        delay_s: by recording, how much later the torque is than the motion beside what was adopted, and its standard
+        ordinary: baseline friction of each joint: evidence against leaving it out. Where ``misfit`` says that its law
+            is wrong, coefficients are those of plain least squares, which predict.
+        delay_s: by recording, how much later the torque is than the motion, given what was adopted, and its standard
             deviation.
-        first: beside a rigid body with ordinary friction.
+        first: given a rigid body with baseline friction.
         adopted: those that were taken into the model, one after the other.
-        last: beside these; the adopted ones among them, each against leaving it out.
+        last: given these; the adopted ones among them, each against leaving it out.
         considered: number of effects at their places.
         misfit: by joint, whether whitened rows and plain least squares agree on its friction (Hausman's test).
-        clocks: what tells the delays.
+        clocks: the model that estimates the delays.
         explanation: what was found, with all that was considered.
     """
 
@@ -115,7 +115,7 @@ class Ranking:
         window: tuple[str, float, float] | None = None,
         **more: Any,
     ) -> float:
-        """Return the log evidence of one hypothesis that is told, its noise learnt with it; its size is averaged over.
+        """Return the log evidence of one given hypothesis, averaged over its size; the noise is learnt with it.
 
         Args:
             effect_id: of the effect; ``effect`` does as well.
@@ -203,7 +203,7 @@ def rank_hypotheses(
         time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
             fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
             short. Default: none.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
@@ -225,7 +225,7 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
         reading: how they are read; its cut-off does not matter unless the settings name one.
         settings: the user's choices.
         kept_back: what of them is held out.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
     """
     robot, effects = reading.robot, settings.chosen_effects()
     surveys = [reading.surveys[k] for k in not_held_out(reading, kept_back)]

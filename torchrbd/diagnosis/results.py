@@ -60,10 +60,10 @@ class Where:
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect that this data cannot tell from the finding; ``depends_on`` as there.
+    """An effect that this data cannot distinguish from the finding; ``depends_on`` as there.
 
-    ``parameters`` are what it would have in the finding's place, in SI units, ``probability`` is given that one of
-    those that explain the same is there; neither counts in comparisons.
+    ``parameters`` are those that it would have in the finding's place, in SI units. ``probability`` is given that one
+    of the effects that explain the same is there. Neither counts in comparisons.
     """
 
     effect: str
@@ -107,12 +107,12 @@ class Deflection(Stated):
 
     Attributes:
         joint: which.
-        stiffness: of the spring between motor and link, None if none is seen.
+        stiffness: of the spring between motor and link; None if there is no evidence of one.
         stiffness_at_least: lower end of its one-sided interval.
-        lost_motion: by what the link stays behind when the motor turns back.
+        lost_motion: how far the link stays behind when the motor turns back.
         delay: how much later than the motor's the link's encoder is read.
-        inertial_share: part of the load, as far as nothing else imitates it, that follows the joint's own acceleration
-            while the model has no rotor inertia there: what of it is the rotor's winds no spring.
+        inertial_share: part of the load that follows the joint's own acceleration and that nothing else absorbs, if the
+            model has no rotor inertia there. What of it belongs to the rotor winds no spring.
         rms: of the deflection, less its mean in each recording.
         probability, log_evidence_gain: of the spring, from left-out blocks of the deflection.
         nmse_before, nmse_after: NMSE of the deflection on held-out data without the spring and with it; NaN if nothing
@@ -285,7 +285,7 @@ class NextEffect:
 
 @dataclass(frozen=True)
 class Attack:
-    """A force on a link: [N] in the base's axes, at a point [m] of the link's frame; standard deviations beside.
+    """A force on a link: [N] in the base's axes, at a point [m] of the link's frame; each with its standard deviation.
 
     For a payload the force is its weight, the point its centre of mass.
     """
@@ -298,11 +298,11 @@ class Attack:
 
 @dataclass(frozen=True)
 class Location(Stated):
-    """A place where a model and the robot differ, found without a name for what is there.
+    """A place where a model and the robot differ, located without naming an effect.
 
     Attributes:
-        model: whose leftover: "rigid_body", re-fitted with an offset and friction at every joint, or "extended".
-        joints: where it acts, the one where it stands out most first.
+        model: whose residual: "rigid_body", re-fitted with an offset and friction at every joint, or "extended".
+        joints: where it acts, the joint with the clearest residual first.
         links: the link on which a payload or force explains it best; else none.
         where: recordings, times and region; None where it is not confined.
         depends_on: signals that it follows, e.g. "q_joint2"; "t" if only the time matters.
@@ -311,8 +311,9 @@ class Location(Stated):
         course: "abrupt" (begins or ends at once), "slow" (comes and goes gradually), "bursts", or "" if time does not
             matter.
         gain: log-likelihood that it gains, beyond the costs of its freedom and of the search.
-        torque_rms: per joint, RMS over all samples of what the model cannot absorb of its torque, [N m] or [N].
-        share: per joint, part of the leftover's power that it is.
+        torque_rms: per joint, RMS over all samples of the part of its torque that the model cannot absorb, [N m] or
+            [N].
+        share: per joint, its part of the residual's power.
         curve: how it depends on the first signal, if it does.
         attack: force and point of attack, if it is on a link.
         unit: of its torque.
@@ -335,14 +336,14 @@ class Location(Stated):
 
 @dataclass(frozen=True)
 class ResidualMap:
-    """How large the leftover of a model is where, joint by joint, over the noise: 1 is noise.
+    """RMS of a model's residual over the noise, by joint and by bins of a signal; 1 is noise.
 
     Attributes:
         model: as in ``Location``.
         signal: "t", "q" or "qd" (each joint's own).
         recording: which one, for time; "" for all.
         edges: per joint, B + 1 edges of the bins, [s, rad, m, ...].
-        level: per joint, RMS of the leftover in each bin over the standard deviation of the noise; NaN where empty.
+        level: per joint, RMS of the residual in each bin over the standard deviation of the noise; NaN where empty.
     """
 
     model: str
@@ -354,13 +355,13 @@ class ResidualMap:
 
 @dataclass(frozen=True)
 class DetectionLimit:
-    """An effect that was looked for and not found: how large it would be beside what was, in its best shape.
+    """An effect that was looked for and not found: how large it could be, given the findings, in its best shape.
 
     Attributes:
         effect, joints, links, depends_on: as of a ``Finding``.
-        parameter: the first of its parameters that the data tell.
+        parameter: the first of its parameters that the data identifies.
         value, std: of that parameter.
-        none: what it is if the effect is not there: zero, one for a gain, Coulomb friction for a static friction.
+        none: its value if the effect is absent: zero, one for a gain, Coulomb friction for a static friction.
         unit: SI unit.
         shape: its nonlinear parameters, at which this holds.
     """

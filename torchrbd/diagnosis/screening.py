@@ -1,4 +1,4 @@
-"""Every effect at every place, beside a likelihood, and what lies between the shapes of the grid."""
+"""Every effect at every place, given a likelihood, also at shapes between those of the grid."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FINE = 9
 
 
 def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
-    """Return every effect at every place beside a fit, for a time and in some recordings too, greatest evidence first.
+    """Return every effect at every place given a fit, for a time and in some recordings too, greatest evidence first.
 
     Args:
         fit: the base.
@@ -40,7 +40,7 @@ def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hyp
 
 
 def lasting(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
-    """Return every effect at every place beside a fit, there all the time; see ``screened``."""
+    """Return every effect at every place given a fit, if it acts all the time; see ``screened``."""
     robot, found = rows.columns.robot, list[Hypothesis | None]()
     for e in (e for e in effects if e.id not in ORDINARY):
         for site in e.sites(robot):
@@ -75,7 +75,7 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
 
 
 def restarted(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis | None:
-    """Return a hypothesis at the shape, on its grid or near it, that leads beside independent rows; None without any.
+    """Return a hypothesis at the shape, on its grid or near it, that is best with white noise; None without any.
 
     What is not explained has coloured the noise, which hides the shape that explains it.
     """

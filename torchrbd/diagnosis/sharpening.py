@@ -1,11 +1,11 @@
-"""Shapes of the leading hypotheses, beside the noise, bodies and friction that go with them.
+"""Shapes of the leading hypotheses, given the noise, bodies and friction that are learnt with them.
 
-Those of a fit without an effect stand in for it, best where its shape is not the true one: beside them evidence is flat
-in the shape. Beside what is learnt with the effect it is not, and Gauss-Newton steps lead to its summit,
+Noise, bodies and friction of a fit without an effect absorb it, most of all at wrong shapes: given them, the evidence
+is flat in the shape. Given those that are learnt with the effect it is not, and Gauss-Newton steps lead to the maximum,
 
     tau(theta + d) = sum_k w_k phi_k(theta) + d sum_k w_k dphi_k / dtheta
 
-What averaging over shapes costs is what it has cost at the first refinement, where the whole grid was looked at.
+The cost of averaging over shapes is that of the first refinement, where the whole grid was tried.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _WORSE = 2.0
 
 
 def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis beside a fit, at the shape that is best beside what is learnt with it; steps in time stay."""
+    """Return a hypothesis given a fit, at the best shape given what is learnt with it; steps in time stay."""
     free = varied(rows.columns, h.candidate) or h.candidate.effect.follows
     if not free or h.candidate.site.window is not None:
         return h
@@ -68,7 +68,7 @@ def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
 def known_shapes(
     fit: Likelihood, rows: Rows, terms: Sequence[Candidate]
 ) -> dict[tuple[str, Site], dict[str, tuple[float, float]]]:
-    """Return by effect and site what a fit tells of its terms' shapes beside all else, mean and standard deviation."""
+    """Return by effect and site a fit's estimate of its terms' shapes given all else, mean and standard deviation."""
     at, extras = list[tuple[ShapeSlope, Axis]](), list[Extra]()
     for k, c in enumerate(terms):
         free = varied(rows.columns, c)

@@ -1,9 +1,9 @@
-"""Stretches of time, and recordings, in which something may act: which, the whitened rows say.
+"""Windows of time, and recordings, in which an effect may act: the whitened rows say which.
 
-Moments of a stretch are differences of sums over the rows before its edges, those of several recordings are sums of
-theirs, so that all of them cost one pass. What comes and goes gradually shows in the rows between its edges; what does
-so at once shows at the edges as well, and there most of all where noise is coloured. Stretches that begin and end with
-blocks of time are judged without their edges, those between moments at which the innovations jump with them.
+Moments of a window are differences of sums over the rows before its edges. Those of several recordings are sums of
+theirs. All of them therefore cost one pass. What comes and goes gradually shows in the rows between its edges. What
+does so at once shows at the edges as well, and most of all there if noise is coloured. Windows that begin and end with
+blocks of time are judged without their edges; those between moments at which the innovations jump, with them.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
 
-# Edges of the stretches of time in which something may act, spread over a recording.
+# Edges of the windows of time in which something may act, spread over a recording.
 _MOST_EDGES = 33
 # Moments at which something may begin or end for good, and those at which the innovations jump that are looked at.
 _MOST_TIMES, _JUMPS = 300, 16
-# Moments are told apart by so many rows.
+# Every how many rows a moment is tried as an edge.
 _ROW_STEP = 2
 # What is there for more than this part of a recording is there always.
 _MOST_OF_TIME = 0.9
@@ -36,10 +36,10 @@ _MOST_RECORDINGS = 8
 
 
 def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
-    """Yield an effect at every place where it may act for a time, averaged over the stretches of each recording.
+    """Yield an effect at every place where it may act for a time, averaged over the windows of each recording.
 
-    What comes and stays, or is there and goes, is as likely as what comes and goes, and another hypothesis; when, is
-    told to some rows. Either may do so at once or gradually.
+    What comes and stays, or is there and goes, is as likely as what comes and goes, and another hypothesis; its edge is
+    known to some rows. Either may happen at once or gradually.
     """
     for name in rows.seen_recordings:
         sites = [site for site in e.sites(rows.columns.robot, (Window(name),)) if site.window is not None]
@@ -57,12 +57,12 @@ def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | 
 def _either(
     gradually: tuple[Hypothesis, float] | None, at_once: tuple[Hypothesis, float] | None, count: int
 ) -> Hypothesis | None:
-    """Return a hypothesis that comes and goes gradually or at once, both as likely, of so many stretches in all."""
+    """Return a hypothesis that comes and goes gradually or at once, both as likely, of so many windows in all."""
     if gradually is None and at_once is None:
         return None
     evidence = [] if gradually is None else [gradually[0].log_evidence]
     if at_once is not None:
-        # That of the stretches that are not looked at is none.
+        # Windows that are not tried have no evidence.
         evidence.append(at_once[0].log_evidence + math.log(at_once[0].tried / count))
     best, alone = max((one for one in (gradually, at_once) if one is not None), key=lambda one: one[1])
     # Half of what comes or goes has one end.
@@ -73,8 +73,8 @@ def _either(
 def in_recordings(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
     """Yield an effect that comes and goes at every place in some of the recordings, averaged over which and shapes.
 
-    Some of them and all others differ by what stands for the effect in all, an offset by what friction has of one: both
-    are as likely, and two hypotheses, those that have the first recording and those that lack it.
+    An effect in some recordings and an effect in all others differ by the effect in all, which friction absorbs if it
+    is an offset. Both are as likely, and two hypotheses: those that have the first recording and those that lack it.
     """
     names = rows.seen_recordings
     if not e.comes_and_goes or not 1 < len(names) <= _MOST_RECORDINGS:
@@ -141,7 +141,7 @@ def _one_by_one(parts: tuple[np.ndarray, np.ndarray, np.ndarray], count: int) ->
 
 @dataclass(frozen=True)
 class Windows:
-    """Stretches of one recording.
+    """Windows of one recording.
 
     Attributes:
         times: (B + 1,) edges [s], from -inf to inf.
@@ -216,12 +216,12 @@ def _pairs(begin: np.ndarray, end: np.ndarray, longest: int) -> np.ndarray:
 def weigh_windows(
     fit: Likelihood, rows: Rows, candidate: Candidate, kinds: Sequence[Windows]
 ) -> list[tuple[Hypothesis, float] | None]:
-    """Average over stretches of time that touch torques, of one recording and several kinds.
+    """Average over windows of time that touch torques, of one recording and several kinds.
 
-    Moments of a stretch are differences of those before its edges, which all kinds share.
+    Moments of a window are differences of those before its edges, which all kinds share.
 
     Returns:
-        For each kind its hypothesis, and the evidence of the best stretch.
+        For each kind its hypothesis, and the evidence of the best window.
     """
     always = rows.columns.candidate(candidate.effect, replace(candidate.site, window=None), candidate.shape)
     F, place = rows.features(always), candidate.place
@@ -250,7 +250,7 @@ def _average_over_windows(
     std: np.ndarray,
     scales: np.ndarray,
 ) -> tuple[Hypothesis, float] | None:
-    """Average over stretches, given the sums before their edges and standard deviations (K,) with multiples (S,)."""
+    """Average over windows, given the sums before their edges and standard deviations (K,) with multiples (S,)."""
     V, gram, passed, score = sums
     begin, end = stretches.pairs.T
     own = (gram[end] + gram[begin]) - (passed + passed.transpose(0, 2, 1))[begin]
@@ -292,7 +292,7 @@ def _shared(V: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
 def _sums(edges: Edges, F: np.ndarray, gradually: np.ndarray, at_once: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return the moments of what ends at edges, at times (B,) [s] gradually and then at others (E,) at once.
 
-    The rows before an edge are those of the features; where something ends at once, those around it are others.
+    The rows before an edge are those of the features. If something ends at once, the rows around it differ.
 
     Returns:
         L^-1 X'G (B + E, P, K), G'G, G'C (B + E, K, K) and G'e (B + E, K) of what ends there, G, and what goes on, C.

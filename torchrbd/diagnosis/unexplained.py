@@ -1,4 +1,4 @@
-"""What has no name: curves without a law that the search has taken, and joints whose unseen torque is told badly."""
+"""Residuals without a name: curves without a law, and joints whose held-out torque is predicted badly."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ def unexplained(
 
 
 def functions(extended: Extended) -> list[Unexplained]:
-    """Return smooth functions that held-out time shows, or that are of one recording.
+    """Return smooth functions that held-out data shows, or that are of one recording.
 
-    Others are in the model, and told with all that was considered.
+    Others are in the model, and listed in the ranking.
     """
     every = [_curve(extended, term) for term in extended.terms if is_curve(term) and term.effect is not HUM]
     return [one for one in every if one.share >= NO_CHANGE or one.where.recordings is not None]
 
 
 def tones(found: Explanation) -> list[Unexplained]:
-    """Return tones of the recordings that were fitted, of which those held out tell nothing."""
+    """Return tones of the fitted recordings, of which held-out recordings say nothing."""
     return [_tone(found, term.own) for term in found.terms if term.own.candidate.effect is HUM]
 
 
@@ -129,11 +129,11 @@ def _silent(
 
 
 def only_where_fitted(full: Extended, plain: Extended) -> Iterator[Unexplained]:
-    """Yield joints of which a model explains much in the time that was fitted, though held-out time refutes it.
+    """Yield joints that a model explains much better on fitted data, though held-out data refutes it.
 
     Args:
         full: with what was found.
-        plain: the same data, told without it.
+        plain: the same data, predicted without it.
     """
     with_it, without = (judge(each.prepared.training, each.model.x).rmse for each in (full, plain))
     for name, rmse in without.items():

@@ -70,7 +70,7 @@ def excite(
         starts: how many times the optimiser is started.
         seed: of these starts.
         gravity: (3,) in the base's axes [m/s^2]; that of the diagnosis with one.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
 
     Raises:
         InputError: a robot, diagnosis or option that cannot be used, or limits that no motion was found to keep.

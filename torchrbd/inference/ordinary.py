@@ -50,7 +50,7 @@ def with_machine(
         prepared: the data.
         settings: the user's choices.
         effects: that are fitted.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
         known: clocks and likelihood in the wide band, if they have been learnt.
     """
     frictionless = not any(e.id in PLAIN_OR_UNEVEN for e in effects)

@@ -136,7 +136,7 @@ def prepare(
         recordings: files, opened recordings or data in memory to fit.
         settings: the user's choices.
         effects: physics to have columns for.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
 
     Raises:
         RobotError, RecordingError, OptionError: input that cannot be used.

@@ -82,7 +82,7 @@ def motion_errors(
         blocks: stretches of time to look at.
         held_out: of each, whether no fit has seen it; the others are looked at too where these hold too few windows.
         models: by name.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
     """
     names, kept = reading.robot.joint_names, [block for block, held in zip(blocks, held_out, strict=True) if held]
     unseen = {length: len(starts(kept, length, _MOST_WINDOWS)) >= _FEWEST_WINDOWS for length in LENGTHS_S}

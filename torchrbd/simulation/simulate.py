@@ -136,7 +136,7 @@ def simulate(
         rate_hz: samples a second; the recording's by default.
         mapping: YAML file of other column names and units.
         cutoff_hz: band limit of the recorded motion [Hz]; chosen from the data by default.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
 
     Raises:
         RecordingError: a recording that cannot be used, or that has no torque, or nothing at that time.

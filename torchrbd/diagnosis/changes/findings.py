@@ -162,7 +162,7 @@ def _timed(finding: Finding) -> bool:
 
 
 def _may_be(finding: Finding, other: Finding) -> bool:
-    """Say whether the data of a finding cannot tell it from another."""
+    """Say whether the data of a finding cannot distinguish it from another."""
     alike = Alternative(other.effect, other.joints, other.links, other.depends_on)
     return alike in finding.indistinguishable_from
 

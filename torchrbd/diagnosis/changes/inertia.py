@@ -1,10 +1,10 @@
-"""What changed in the rigid body: combinations of inertial parameters that both recordings tell, and a load like it.
+"""What changed in the rigid body: combinations of inertial parameters that both data sets identify, and a load.
 
 With d the difference of the base parameters beta = K pi and C the sum of their covariances, a mass m at c on body b is
 
     d = K_b p(m, c) + noise,   p = m [1, c, |c|^2 1 - c c']
 
-which is sought on every body; the one that explains d best, if it explains it, says what a person would say.
+Every body is tried. The load that explains d best is reported, if it explains d.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from torchrbd.diagnosis.changes.results import NEGLIGIBLE_INERTIA, Difference, L
 from torchrbd.diagnosis.results import Quantity
 from torchrbd.parameters import PARAMETERS_PER_BODY
 
-# Told by the URDF for more than this part, a combination is not the data's.
+# Above this share of information from the prior, a combination is not identified by the data.
 MOST_OF_URDF = 0.2
 # A load explains a change if no more than this part of it is left; links that leave so little more are as good.
 LEFT, CLEARER = 0.2, 10.0
@@ -29,7 +29,7 @@ SURE = 3.0
 
 
 def inertial_differences(one: Inertia | None, other: Inertia | None) -> dict[str, Difference] | None:
-    """Return the combinations that both tell; None where they cannot be compared."""
+    """Return the combinations that both identify; None where they cannot be compared."""
     if one is None or other is None or not one.alike(other):
         return None
     informed = _informed_by_data(one, other)
@@ -74,7 +74,7 @@ def load_like(one: Inertia | None, other: Inertia | None, bodies: Sequence[str])
 
 
 def _informed_by_data(one: Inertia, other: Inertia) -> list[int]:
-    """Return the rows that both data sets tell."""
+    """Return the rows that both data sets identify."""
     return np.flatnonzero(np.maximum(one.share, other.share) < MOST_OF_URDF).tolist()
 
 

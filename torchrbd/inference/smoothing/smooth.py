@@ -84,7 +84,7 @@ def smooth(
         start: a fit on filtered states.
         noise: of the positions, and what it does to that fit.
         kept_back: tells of a recording's name and times (O,) which are held out: there the torque is not looked at.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
     """
     found: list[tuple[Stretch, ...]] = []
     for k, recording in enumerate(reading.recordings):
