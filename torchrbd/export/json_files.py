@@ -25,22 +25,23 @@ _NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
 def write_parameters(result: Identification, path: Path) -> None:
     """Write every parameter with its uncertainty, and what is identified only in combination.
 
-    Beside what all files have (see ``_head``):
+    Keys besides those of all files (see ``_head``):
 
-    parameters: list of name, owner (body or joint), unit, urdf, value, std, prior_share (0 told by the data, 1 by the
-        URDF alone), status, suggestion. std and prior_share are null for an estimator without intervals.
+    parameters: list of name, owner (body or joint), unit, urdf, value, std, prior_share (share of information from the
+        prior: 0 the data alone, 1 the URDF alone), status, suggestion. std and prior_share are null for an estimator
+            without intervals.
     base_parameters: list of expression (four digits), unit, urdf, value, std, prior_share: the combinations of
-        inertial parameters that the robot's motion can tell.
+        inertial parameters that motion can identify.
     base_combination: the same in full digits: columns (names of inertial parameters) and matrix K, a row per base
         parameter: base parameters = K times inertial parameters.
     base_covariance: of the base parameters, rows and columns in their order, [product of the two units]; or null.
     combinations: what is identified of parameters that are not identified alone, in words.
     noise: per joint position, from_position, torque: standard deviations of the recorded position [rad, m], of the
-        torque predicted from filtered positions for their noise alone, and of the torque that is left [N m, N].
+        torque predicted from filtered positions for their noise alone, and of the residual torque [N m, N].
     noise_std: the last of these alone.
     states, regime: "filtered" or "smoothed", and why.
     verdict: "identified"; "doubtful", there are ``doubts``; "worse" than the URDF on held-out data; "suspect": the
-        recordings do not mean what they say, or the model predicts held-out torque no better than a constant.
+        recordings seem to mean something else, or the model predicts held-out torque no better than a constant.
     """
     _write(
         path,
@@ -216,8 +217,8 @@ def _head(result: Identification) -> dict[str, Any]:
         it is so), alternatives.
     suspicions_tested: what was looked for.
     simulation: how far models, rolled forward from recorded states under recorded torque, move from the recorded
-        positions: list, by length, of window_s, held_out (whether no fit has seen the windows; where too little is
-        held out, they lie anywhere), windows (their number by joint), and errors by model
+        positions: list, by length, of window_s, held_out (whether the windows are held-out data; where too
+        little is held out, they lie anywhere), windows (their number by joint), and errors by model
         (those of fit, and "constant_velocity") and joint: root mean square over a window, its median, low and high
         quartile over the windows, null where motions are lost, [rad] or [m] by unit. Empty where it is not known.
     """

@@ -128,7 +128,7 @@ def _dynamics(model: RigidBodyDynamics, joint: int) -> dict[str, float]:
 
 
 def _write_dynamics(joint: etree._Element, values: dict[str, float]) -> None:
-    """Give a joint the friction that is told and no other."""
+    """Give a joint the friction of the model and no other."""
     for old in joint.findall("dynamics"):
         for name in _FRICTION:
             old.attrib.pop(name, None)
