@@ -28,7 +28,7 @@ from torchrbd.recordings.contents import digest
 from torchrbd.report.fleet import write_fleet_report
 from torchrbd.report.text.numbers import number
 
-# What a robot's files were made from, beside them; the last that is written.
+# The inputs of a robot's files, saved with them; this one is written last.
 _MADE_FROM = "made_from.json"
 # That the table names.
 _MOST_ROBOTS = 40
