@@ -35,7 +35,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Card:
-    """A finding or something unexplained; ``line`` is a remark, or empty; ``errors`` are the joints to tell of."""
+    """A finding or an unexplained residual; ``line``: a remark, or empty; ``errors``: joints whose errors it shows."""
 
     item: Finding | Unexplained
     title: str
@@ -159,9 +159,9 @@ def _pictures(
     signals: Sequence[str],
     pictures: Pictures,
 ) -> list[Picture]:
-    """Draw the curve of an item, and the residual at a joint: in its stretch of time, or against a state.
+    """Draw the curve of an item, and the residual at a joint: in its window of time, or against a state.
 
-    The state is the first of ``signals`` that is one, or the most telling if there is no curve.
+    The state is the first of ``signals`` that is one, or the most informative if there is no curve.
     """
     if name is None or not pictures.drawn:
         return []
@@ -186,7 +186,7 @@ def _pictures(
 
 
 def _sense(identifier: str, curve: Curve) -> Sense | None:
-    """Return how a curve's torque acts if its signal, and at most the direction of motion, tell it."""
+    """Return how a curve's torque acts if its signal, and at most the direction of motion, determines it."""
     known = known_effects().get(identifier)
     if known is None:
         return None

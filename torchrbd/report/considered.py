@@ -37,7 +37,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Step:
-    """Hypotheses beside one model, best first; ``more`` were considered and are not shown."""
+    """Hypotheses given one model, best first; ``more`` were considered and are not shown."""
 
     title: str
     condition: str

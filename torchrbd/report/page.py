@@ -48,7 +48,7 @@ def write_report(result: Identification | Diagnosis, path: Path) -> None:
 
 @dataclass(frozen=True)
 class JointFigures:
-    """Torque against time, the stretch that it shows in words, whether findings are marked, residual against states."""
+    """Torque against time, what its window is called, whether findings are marked, residual against states."""
 
     time: Markup
     words: str
@@ -214,7 +214,7 @@ class Page:
 
     @property
     def suggestions(self) -> dict[str, list[str]]:
-        """What to record next, with the names of the parameters that it would tell; longest lists first."""
+        """What to record next, with the names of the parameters that it would identify; longest lists first."""
         found: dict[str, list[str]] = {}
         for p in self.result.parameters:
             if p.suggestion:
