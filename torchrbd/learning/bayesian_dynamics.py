@@ -59,7 +59,7 @@ _LEAST_NOISE = 1e-6
 
 
 class BayesianDynamics(nn.Module):
-    """A robot that knows how well it is known.
+    """A robot with a posterior over its parameters.
 
         bayes = BayesianDynamics.from_diagnosis(torchrbd.diagnose("robot.urdf", "monday.csv"))
         mean, parameter_std, noise_std = bayes.predict(q, qd, qdd)
@@ -76,7 +76,7 @@ class BayesianDynamics(nn.Module):
     Args:
         physics: where it starts, around which the prior is, and whose bodies and terms are free; copied.
         kappa: weight of the prior's divergence from the bodies of ``physics``.
-        term_std: prior standard deviation of every coefficient around its start, in its own unit; ``whiten`` tells it
+        term_std: prior standard deviation of every coefficient around its start, in its own unit; ``whiten`` sets it
             from torques.
         noise_std: (n_dof,) standard deviations of the torque to start from [N m, N]; 1 if None.
         trust: bodies that are known, by name.
@@ -200,7 +200,7 @@ class BayesianDynamics(nn.Module):
 
     @property
     def noise_std(self) -> Tensor:
-        """Standard deviation of the torque beside the model's (n_dof,) [N m, N]."""
+        """Standard deviation of the torque around the model's (n_dof,) [N m, N]."""
         return self.raw_noise.exp()
 
     @property
@@ -261,8 +261,8 @@ class BayesianDynamics(nn.Module):
         Args:
             q, qd, qdd, tau: (*batch, n_dof).
             t: as of ``forward``.
-            n_samples: how many independent samples the batch stands for: all of the data where it is a minibatch,
-                fewer than there are where noise is correlated; its own number by default.
+            n_samples: how many independent samples the batch represents: all of the data if it is a minibatch, fewer
+                if noise is correlated. Default: the number of its samples.
         """
         mean = self(q, qd, qdd, t)
         variance = self.noise_std.square().to(mean)
@@ -287,7 +287,7 @@ class BayesianDynamics(nn.Module):
 
             W W' = N (J'(sum_i A_i' A_i / sigma^2) J + prior curvature)^-1,   V V' = (the same in x)^-1,   J = dx/dtheta
 
-        so that a plain gradient step on -ELBO / N is a Gauss-Newton step. Noise starts from what is left of the torque,
+        so that a plain gradient step on -ELBO / N is a Gauss-Newton step. Noise starts from the residual of the torque,
         and the prior of coefficients is as wide as ten times the joint's torque would make it. Where the mean has gone
         far, whiten again, and give an optimiser the new parameters.
 
