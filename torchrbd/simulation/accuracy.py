@@ -1,8 +1,8 @@
-"""How far models move from what was recorded, rolled forward from recorded states under recorded torque.
+"""How far models move from the recorded motion, rolled forward from recorded states under recorded torque.
 
 A small torque error may be a large one of motion, and the other way round: a joint with much friction stays where it is
-whatever its inertia. Errors are those of positions, their root mean square over a window; a window in which a motion is
-lost counts as infinite. Open loops of unstable robots diverge: windows are told by their median and quartiles.
+whatever its inertia. Errors are the root mean square of positions over a window; a window in which a motion is lost
+counts as infinite. Open loops of unstable robots diverge: the median and quartiles over windows are reported.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ class MotionError:
 
     Attributes:
         window_s: their length.
-        held_out: whether no fit has seen them; too little is held out, if not.
+        held_out: whether the windows are held-out data; if not, too little is held out.
         windows: how many, by joint; fewer where a joint's torque is not in every recording.
-        errors: by model ("urdf", "rigid_body", "extended", and "constant_velocity" beside them) and joint, the root
+        errors: by model ("urdf", "rigid_body", "extended", and "constant_velocity" for comparison) and joint, the root
             mean square over a window.
     """
 
@@ -79,8 +79,8 @@ def motion_errors(
 
     Args:
         reading: the recordings.
-        blocks: stretches of time to look at.
-        held_out: of each, whether no fit has seen it; the others are looked at too where these hold too few windows.
+        blocks: blocks of time to simulate.
+        held_out: whether each is held out; the others are used too where these hold too few windows.
         models: by name.
         progress: called with the stage and the part of it that is done.
     """

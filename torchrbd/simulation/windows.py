@@ -1,4 +1,4 @@
-"""Which stretches of recordings are rolled forward, and what drives a model through them.
+"""Windows of recordings that are rolled forward, and what drives a model through them.
 
 The torque of a step is the mean over it of the recorded torque, linear between samples: no impulse is lost or late, as
 with a torque that is held from one sample to the next.
@@ -37,7 +37,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Windows:
-    """Stretches of recordings, all in steps of ``STEP_S``.
+    """Windows of recordings, all in steps of ``STEP_S``.
 
     Attributes:
         starts: (W,) where they begin.
