@@ -135,8 +135,8 @@ def build(compiler: list[str], source: Source, folder: Path) -> Path:
     if library.exists():
         return library
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder) as folder_beside:
-        built = Path(folder_beside) / f"{name}.so"
+    with tempfile.TemporaryDirectory(dir=folder) as work:
+        built = Path(work) / f"{name}.so"
         for flags in FLAGS:
             command = [*compiler, *flags, str(source.folder / source.files[0]), "-o", str(built), "-lm"]
             done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS)
@@ -168,7 +168,7 @@ def _compiler() -> list[str] | None:
 
 
 def _machine() -> str:
-    """Return what tells processors apart that understand different instructions: home folders are shared."""
+    """Return a text that differs between processors with different instructions: home folders are shared."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

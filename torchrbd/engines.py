@@ -56,7 +56,7 @@ class Engine:
         Args:
             work: done on one task; it can be pickled, as can tasks and values.
             tasks: any number of them.
-            told: of each attempt that is the last of its task.
+            on_result: called with each attempt that is the last of its task.
 
         Returns:
             the last attempts, in the order of the tasks.

@@ -1,4 +1,4 @@
-"""Work on many tasks on every core: this process and helpers beside it, so that nobody waits until those have started.
+"""Work on many tasks on every core: this process works while its helpers start.
 
 Helpers are new Pythons that talk through pipes. They are not forked, since torch may hold threads and devices, and do
 not run the caller's script anew, which then needs no ``if __name__ == "__main__"``.
@@ -60,7 +60,7 @@ def side_by_side(
         work: done on one task.
         tasks: any number of them; one alone has no helpers.
         jobs: processes in all. Default: one for each core that this process may use.
-        told: of each attempt, in this thread, between the tasks that are done here.
+        on_result: called with each attempt, in this thread, between the tasks that are done here.
 
     Returns:
         attempts in the order of the tasks.
