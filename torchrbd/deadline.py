@@ -92,7 +92,7 @@ def finish_soon() -> None:
 
 
 def is_over() -> bool:
-    """Say whether work is to be left out now; whoever asks and is told so leaves it out."""
+    """Say whether work is to be left out now; a caller that gets True leaves it out."""
     limit = _LIMIT.get()
     if limit is None:
         return False

@@ -1,4 +1,4 @@
-"""Work on many tasks on every core: this process and helpers beside it, so that nobody waits until those have started.
+"""Work on many tasks on every core: this process works while its helpers start.
 
 Helpers are new Pythons that talk through pipes. They are not forked, since torch may hold threads and devices, and do
 not run the caller's script anew, which then needs no ``if __name__ == "__main__"``.
@@ -48,7 +48,7 @@ def side_by_side(
     tasks: Sequence[Task],
     *,
     jobs: int | None = None,
-    told: Callable[[Attempt[Value]], None] = lambda _: None,
+    on_result: Callable[[Attempt[Value]], None] = lambda _: None,
 ) -> list[Attempt[Value]]:
     """Do the work on each task; an error of one does not stop the others.
 
@@ -60,14 +60,14 @@ def side_by_side(
         work: done on one task.
         tasks: any number of them; one alone has no helpers.
         jobs: processes in all. Default: one for each core that this process may use.
-        told: of each attempt, in this thread, between the tasks that are done here.
+        on_result: called with each attempt, in this thread, between the tasks that are done here.
 
     Returns:
         attempts in the order of the tasks.
 
     Raises:
         OptionError: ``jobs`` is not a whole number above 0.
-        Exception: what ``told`` raises, and KeyboardInterrupt; helpers are then ended.
+        Exception: what ``on_result`` raises, and KeyboardInterrupt; helpers are then ended.
     """
     waiting, done = deque(enumerate(tasks)), SimpleQueue[tuple[int, Attempt[Value] | None]]()
     found: dict[int, Attempt[Value]] = {}
@@ -76,7 +76,7 @@ def side_by_side(
         while len(found) < len(tasks):
             k, attempt = _next(waiting, done)
             found[k] = attempted(work, tasks[k]) if attempt is None else attempt
-            told(found[k])
+            on_result(found[k])
     if problems:
         warnings.warn(f"all was done in one process; helpers cannot be used: {problems[0]}", stacklevel=2)
     return [found[k] for k in range(len(tasks))]

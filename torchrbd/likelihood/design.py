@@ -20,7 +20,7 @@ from torchrbd.likelihood.noise import Noise
 # Columns are brief that are zero but for this part of the rows.
 _BRIEF = 0.1
 
-Beside = Sequence[tuple[int, Extra]]
+Extras = Sequence[tuple[int, Extra]]
 """What stands beside a machine at one joint, each with the number of its first coefficient."""
 
 
@@ -84,27 +84,27 @@ class Bare:
 class Design:
     """Columns of a joint: further ones (K, M) and then those of the machine, multiples ``size`` (K + P,) of these.
 
-    ``own`` (K + P,) says which coefficients they have, ``beside`` whose the further ones are.
+    ``own`` (K + P,) says which coefficients they have, ``extras`` whose the further ones are.
     """
 
     bare: Bare
-    beside: Beside
+    extras: Extras
     further: np.ndarray
     own: np.ndarray
     size: np.ndarray
 
     @staticmethod
-    def of(bare: Bare, beside: Beside, joint: int) -> Design:
+    def of(bare: Bare, extras: Extras, joint: int) -> Design:
         """Return the columns of a machine at a joint, and what stands beside them there."""
-        parts = [e.at(joint) * e.std[:, None] for _, e in beside]
+        parts = [e.at(joint) * e.std[:, None] for _, e in extras]
         further = np.concatenate((np.zeros((0, len(bare.target))), *parts))
-        own = np.concatenate([*(first + np.arange(len(e.std)) for first, e in beside), bare.own])
-        return Design(bare, beside, further, own, np.ones(len(own)))
+        own = np.concatenate([*(first + np.arange(len(e.std)) for first, e in extras), bare.own])
+        return Design(bare, extras, further, own, np.ones(len(own)))
 
-    def has(self, beside: Beside) -> bool:
+    def has(self, extras: Extras) -> bool:
         """Say whether just this stands beside the machine."""
-        pairs = zip(self.beside, beside, strict=False)
-        return len(self.beside) == len(beside) and all(k == i and e is one for (k, e), (i, one) in pairs)
+        pairs = zip(self.extras, extras, strict=False)
+        return len(self.extras) == len(extras) and all(k == i and e is one for (k, e), (i, one) in pairs)
 
     def sized(self, size: np.ndarray) -> Design:
         """Return the same columns with other sizes (K + P,)."""

@@ -16,7 +16,7 @@ from torchrbd.recordings import TILE_ROWS, Filtering, Recording, States, Survey,
 from torchrbd.robot import RobotModel
 
 Progress = Callable[[str, float], None]
-"""Told what is being done and which part (0 to 1) of it is done."""
+"""Called with the stage of the work and the part (0 to 1) of it that is done."""
 
 StateEstimate = Callable[[States], States]
 """Replaces the filtered states of a tile by better ones."""
