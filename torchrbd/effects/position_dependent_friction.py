@@ -36,7 +36,7 @@ class PositionDependentFriction(JointEffect):
     prior = CoefficientPrior("It resists motion; the region may be sticky or worn smooth.", positive=(0,))
     export_note = "frictionloss is that outside of the region; MJCF has no friction that depends on position"
     exported_in_part = True
-    urdf_note = "friction is that outside of the region; what is else in it is left out"
+    urdf_note = "friction is that outside of the region; the difference inside is left out"
     # Widths as fractions of the range (wider ones are a curvature over all of it); steps of the centre in widths.
     _WIDTHS, _STEP = (0.08, 0.18, 0.4), 0.7
 
