@@ -17,7 +17,10 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class PositionDependentFriction(JointEffect):
-    """tau += (c + (c_0 - c) exp(-((q - q_0) / w)^2)) sign(qd): c_0 at the centre q_0, c far from it, both >= 0."""
+    """tau += (c + (c_0 - c) exp(-((q - q_0) / w)^2)) sign(qd), with c_0 >= 0 and c >= 0.
+
+    Friction is c_0 at the centre q_0 and c far from it; w is the width of the region.
+    """
 
     id = "position_dependent_friction"
     family = "friction"

@@ -19,7 +19,10 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class StribeckFriction(JointEffect):
-    """tau += sign(qd) (c + (s - c) exp(-(qd / v_s)^2)) with static friction s >= Coulomb friction c >= 0."""
+    """tau += sign(qd) (c + (s - c) exp(-(qd / v_s)^2)) with static friction s >= Coulomb friction c >= 0.
+
+    v_s is the Stribeck speed: at a few times this speed, friction is close to c.
+    """
 
     id = "stribeck_friction"
     family = "friction"

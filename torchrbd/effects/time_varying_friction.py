@@ -18,7 +18,10 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class TimeVaryingFriction(JointEffect):
-    """tau += (c_end + (c_start - c_end) exp(-t/T)) sign(qd) with c_end, c_start >= 0; t from the recording's start."""
+    """tau += (c_end + (c_start - c_end) exp(-t/T)) sign(qd), with c_end >= 0 and c_start >= 0.
+
+    t is the time from the recording's start, T the time constant.
+    """
 
     id = "time_varying_friction"
     family = "friction"
