@@ -39,7 +39,7 @@ _EDGE_S = 1.0
 
 def ranked(seed: int, index: int, seconds: float, rate_hz: float) -> dict[str, Any]:
     """Simulate one recording, rank all hypotheses, and return those with evidence and how many were considered."""
-    from torchrbd.diagnosis.ranking import rank
+    from torchrbd.diagnosis.ranking import rank_hypotheses
 
     rng = np.random.default_rng([seed, index, int(rate_hz)])
     robot = draw_arm(rng, "development")
@@ -55,7 +55,7 @@ def ranked(seed: int, index: int, seconds: float, rate_hz: float) -> dict[str, A
         urdf, file = Path(folder) / "robot.urdf", Path(folder) / "null.parquet"
         urdf.write_text(with_wrong_inertials(rng, robot, 0.2).urdf)
         pq.write_table(table, file)
-        found = rank(urdf, file)
+        found = rank_hypotheses(urdf, file)
     first = [(h.effect, [*h.joints, *h.links], h.log_evidence) for h in found.first]
     return {"robot": robot.name, "considered": found.considered, "first": first, "adopted": len(found.adopted)}
 

@@ -143,8 +143,8 @@ def summary() -> str:
         ["effect of 15 % added to a real recording: named, or its family", i["size_15"]],
         ["effect of 8 % added to a real recording: named, or its family", i["size_8"]],
         ["the same: false findings per recording", i["false_findings_a_case"]],
-        ["`torchrbd.rank`, effect of 8 %: first in the list, or its class", r["named"]],
-        ["`torchrbd.rank`, nothing hidden: greatest log evidence", r["greatest_null_evidence"]],
+        ["`torchrbd.rank_hypotheses`, effect of 8 %: first in the list, or its class", r["named"]],
+        ["`torchrbd.rank_hypotheses`, nothing hidden: greatest log evidence", r["greatest_null_evidence"]],
     ]
     return markdown(["question", "result", "required"], [[words, part(x), x.get("asked", "")] for words, x in rows])
 

@@ -36,7 +36,7 @@ def numbers(parameters: Mapping[str, float]) -> str:
 def show(robot: str, folder: Path, out: Console) -> None:
     """Rank one robot and print what leads."""
     start = time.perf_counter()
-    found = torchrbd.rank(folder / "robot.urdf", [folder / name for name in RECORDINGS[robot]])
+    found = torchrbd.rank_hypotheses(folder / "robot.urdf", [folder / name for name in RECORDINGS[robot]])
     out.print(f"\n[bold]{robot}[/bold]: up to {found.band_hz:g} Hz, {time.perf_counter() - start:.1f} s")
     for name, (delay, std) in found.delay_s.items():
         out.print(f"torque of {name} later by {1e3 * delay:.2f} ± {1.96e3 * std:.2f} ms")

@@ -95,7 +95,7 @@ def show_kuka(folder: Path) -> None:
             measure(1000.0 * d.delay.value, 1960.0 * d.delay.std),
         ]
         for name, diagnosis in results.items()
-        for d in diagnosis.deflections
+        for d in diagnosis.joint_deflections
     ]
     head = ["joint", "", "stiffness, ± 95 % or at least", "deflection unpredicted, held out", "delay [ms]"]
     print_table(head, sorted(springs))

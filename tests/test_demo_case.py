@@ -127,7 +127,7 @@ def test_the_demo_has_one_finding_and_says_one_thing(tmp_path, capsys):
     saved = json.loads((tmp_path / "diagnosis.json").read_text())
     (finding,) = saved["findings"]
     assert (finding["effect"], finding["joints"]) == ("coulomb_friction", ["joint3"])
-    assert (saved["trifling"], saved["ranking"]["adopted"]) == ([], [])
+    assert (saved["not_confirmed"], saved["ranking"]["adopted"]) == ([], [])
     coulomb = finding["parameters"]["coulomb"]
     assert coulomb["value"] == pytest.approx(2.4, abs=2 * coulomb["std"])
     console, page = capsys.readouterr().out, (tmp_path / "report.html").read_text()

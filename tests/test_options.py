@@ -26,7 +26,7 @@ OF_TORQUE = {"time", "joints", "payload", "mapping", "cutoff_hz"}
 FUNCTIONS: dict[Callable[..., Any], set[str]] = {
     torchrbd.identify: EVERY,
     torchrbd.diagnose: EVERY,
-    torchrbd.rank: EVERY,
+    torchrbd.rank_hypotheses: EVERY,
     torchrbd.identify_many: EVERY,
     torchrbd.compare_estimators: EVERY - {"estimator"},
     torchrbd.write_statistics: OF_MOMENTS,

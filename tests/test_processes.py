@@ -86,7 +86,7 @@ def test_both_work_and_results_are_in_order(tmp_path: Path) -> None:
     seen: list[tuple[Attempt, int]] = []
     work = partial(together, tmp_path)
     tasks = [float(k) for k in range(20)]
-    found = side_by_side(work, tasks, jobs=2, told=lambda one: seen.append((one, get_ident())))
+    found = side_by_side(work, tasks, jobs=2, on_result=lambda one: seen.append((one, get_ident())))
     assert [one.value[0] for one in found if one.value] == [math.sqrt(task) for task in tasks]
     assert {one.value[1] for one in found if one.value} == {os.getpid(), *helpers_in(tmp_path)}
     assert len(helpers_in(tmp_path)) == 1
@@ -164,7 +164,7 @@ def test_what_is_raised_while_told_ends_all(error: type[BaseException], tmp_path
 
     start = time.monotonic()
     with pytest.raises(error):
-        side_by_side(partial(hangs_in_helper, os.getpid(), tmp_path), [1, 2, 3], jobs=2, told=stop)
+        side_by_side(partial(hangs_in_helper, os.getpid(), tmp_path), [1, 2, 3], jobs=2, on_result=stop)
     assert time.monotonic() - start < LONG_S / 2
     (helper,) = helpers_in(tmp_path)
     assert not lives(helper)

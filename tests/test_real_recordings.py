@@ -32,10 +32,10 @@ def check_kuka(diagnosis: Diagnosis) -> None:
 
 def check_gears(diagnosis: Diagnosis) -> None:
     """The second encoders are read 3 ms late, and tell of springs three and more times as stiff as without that."""
-    assert [d.joint for d in diagnosis.deflections] == ["A1", "A2", "A3"]
-    springs = [d for d in diagnosis.deflections if d.stiffness is not None]
+    assert [d.joint for d in diagnosis.joint_deflections] == ["A1", "A2", "A3"]
+    springs = [d for d in diagnosis.joint_deflections if d.stiffness is not None]
     assert len(springs) >= 2
-    for d in diagnosis.deflections:
+    for d in diagnosis.joint_deflections:
         assert d.delay.value == pytest.approx(3e-3, abs=2e-4)
         assert d.stiffness_at_least > 4e6
     for d in springs:

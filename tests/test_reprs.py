@@ -53,7 +53,7 @@ def simulated() -> torchrbd.SimulatedMotion:
 MADE: dict[type, tuple[Callable[[], Any], str]] = {
     torchrbd.BaseRegression: (lambda: torchrbd.BaseRegression(robot()), "samples=0"),
     torchrbd.BayesianDynamics: (lambda: torchrbd.BayesianDynamics(model()), "random3"),
-    torchrbd.Comparison: (lambda: torchrbd.Comparison("arm", JOINTS, "a", "b", "long " * 99, ()), "before='a'"),
+    torchrbd.Comparison: (lambda: torchrbd.Comparison("arm", JOINTS, "a", "b", ()), "before='a'"),
     torchrbd.Diagnosis: (diagnosis, "verdict='missing_physics'"),
     torchrbd.DynamicsRegressor: (lambda: torchrbd.DynamicsRegressor(robot()), "random3"),
     torchrbd.EstimatorComparison: (estimators, "mean_nmse=['wls: 0.25'], failed=['iv']"),

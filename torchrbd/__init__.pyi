@@ -1,4 +1,4 @@
-from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare, diagnose, rank
+from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare, diagnose, rank_hypotheses
 from torchrbd.effects import known_effects, register
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.excitation import Excitation, excite
@@ -71,7 +71,7 @@ __all__ = [
     "not_exported",
     "open_recording",
     "parameter_groups",
-    "rank",
+    "rank_hypotheses",
     "read_mapping",
     "register",
     "replay",

@@ -91,8 +91,8 @@ def library(source: Source) -> ctypes.CDLL | None:
     try:
         loaded = _load(compiler, source)
     except (OSError, subprocess.SubprocessError) as error:
-        told = getattr(error, "stderr", None) or str(error)
-        _LOG.debug("no compiled kernels: %s: %s", shlex.join(compiler), told.strip())
+        output = getattr(error, "stderr", None) or str(error)
+        _LOG.debug("no compiled kernels: %s: %s", shlex.join(compiler), output.strip())
         return None
     for name, arguments in source.functions.items():
         function = getattr(loaded, name)
@@ -135,8 +135,8 @@ def build(compiler: list[str], source: Source, folder: Path) -> Path:
     if library.exists():
         return library
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder) as beside:
-        built = Path(beside) / f"{name}.so"
+    with tempfile.TemporaryDirectory(dir=folder) as work:
+        built = Path(work) / f"{name}.so"
         for flags in FLAGS:
             command = [*compiler, *flags, str(source.folder / source.files[0]), "-o", str(built), "-lm"]
             done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS)
@@ -173,5 +173,5 @@ def _machine() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         lines = []
-    told = {line for line in lines if line.startswith(("flags", "Features", "CPU part", "model name"))}
-    return "\n".join((platform.machine(), platform.processor(), *sorted(told)))
+    output = {line for line in lines if line.startswith(("flags", "Features", "CPU part", "model name"))}
+    return "\n".join((platform.machine(), platform.processor(), *sorted(output)))

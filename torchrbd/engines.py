@@ -49,14 +49,14 @@ class Engine:
         self,
         work: Callable[[Task], Value],
         tasks: Sequence[Task],
-        told: Callable[[Attempt[Value]], None] = lambda _: None,
+        on_result: Callable[[Attempt[Value]], None] = lambda _: None,
     ) -> list[Attempt[Value]]:
         """Do the work on each task; an error of one does not stop the others.
 
         Args:
             work: done on one task; it can be pickled, as can tasks and values.
             tasks: any number of them.
-            told: of each attempt that is the last of its task.
+            on_result: called with each attempt that is the last of its task.
 
         Returns:
             the last attempts, in the order of the tasks.
@@ -65,12 +65,12 @@ class Engine:
             OptionError: the engine cannot be used.
         """
         if self.name == "dask":
-            return _by_dask(self, work, tasks, told)
-        return _by_processes(self, work, tasks, told)
+            return _by_dask(self, work, tasks, on_result)
+        return _by_processes(self, work, tasks, on_result)
 
 
 def _by_processes(
-    engine: Engine, work: Callable[[Task], Value], tasks: Sequence[Task], told: Callable[[Attempt[Value]], None]
+    engine: Engine, work: Callable[[Task], Value], tasks: Sequence[Task], on_result: Callable[[Attempt[Value]], None]
 ) -> list[Attempt[Value]]:
     found: dict[int, Attempt[Value]] = {}
     left = list(range(len(tasks)))
@@ -79,9 +79,9 @@ def _by_processes(
 
         def tell(one: Attempt[Value], last: bool = last) -> None:
             if last or not _again(one):
-                told(one)
+                on_result(one)
 
-        attempts = side_by_side(work, [tasks[k] for k in left], jobs=engine.jobs, told=tell)
+        attempts = side_by_side(work, [tasks[k] for k in left], jobs=engine.jobs, on_result=tell)
         found |= dict(zip(left, attempts, strict=True))
         left = [k for k in left if _again(found[k])]
         if not left:
@@ -111,7 +111,7 @@ class _Attempted(Generic[Task, Value]):
 
 
 def _by_dask(
-    engine: Engine, work: Callable[[Task], Value], tasks: Sequence[Task], told: Callable[[Attempt[Value]], None]
+    engine: Engine, work: Callable[[Task], Value], tasks: Sequence[Task], on_result: Callable[[Attempt[Value]], None]
 ) -> list[Attempt[Value]]:
     with _client(engine) as client:
         from distributed import as_completed
@@ -125,7 +125,7 @@ def _by_dask(
             except Exception as error:
                 one = Attempt(None, RuntimeError(f"its worker died again and again ({error})"), 0.0)
             found[futures[future]] = one
-            told(one)
+            on_result(one)
     return [found[k] for k in range(len(tasks))]
 
 

@@ -29,10 +29,10 @@ ESTIMATORS = {
 """Estimators by name, each in a few words."""
 
 OF_RECORDINGS = ("auto", "physical", "smoother")
-"""Estimators that tell how sure they are, with the recordings at hand: what a search for effects needs."""
+"""Estimators with uncertainties that work on the recordings: what a search for effects needs."""
 
 WITH_INTERVALS = (*OF_RECORDINGS, "moments")
-"""Estimators that tell how sure they are."""
+"""Estimators with uncertainties."""
 
 COMPARABLE = tuple(name for name in ESTIMATORS if name not in ("auto", "moments"))
 """What can be compared: "auto" is a choice between "physical" and "smoother", "moments" sees less than "physical"."""

@@ -48,7 +48,7 @@ def side_by_side(
     tasks: Sequence[Task],
     *,
     jobs: int | None = None,
-    told: Callable[[Attempt[Value]], None] = lambda _: None,
+    on_result: Callable[[Attempt[Value]], None] = lambda _: None,
 ) -> list[Attempt[Value]]:
     """Do the work on each task; an error in one does not stop the others.
 
@@ -60,14 +60,14 @@ def side_by_side(
         work: done on one task.
         tasks: any number of them; a single one uses no helpers.
         jobs: number of processes. Default: one for each core that this process may use.
-        told: callback for each attempt, in this thread, between the tasks that are processed here.
+        on_result: called with each attempt, in this thread, between the tasks that are processed here.
 
     Returns:
         attempts in the order of the tasks.
 
     Raises:
         OptionError: ``jobs`` is not a whole number above 0.
-        Exception: of the callback, and KeyboardInterrupt; helpers are then ended.
+        Exception: what ``on_result`` raises, and KeyboardInterrupt; helpers are then ended.
     """
     waiting, done = deque(enumerate(tasks)), SimpleQueue[tuple[int, Attempt[Value] | None]]()
     found: dict[int, Attempt[Value]] = {}
@@ -76,7 +76,7 @@ def side_by_side(
         while len(found) < len(tasks):
             k, attempt = _next(waiting, done)
             found[k] = attempted(work, tasks[k]) if attempt is None else attempt
-            told(found[k])
+            on_result(found[k])
     if problems:
         warnings.warn(f"all was done in one process; helpers cannot be used: {problems[0]}", stacklevel=2)
     return [found[k] for k in range(len(tasks))]

@@ -66,7 +66,7 @@ def true_shape(effect: Effect, known: Mapping[str, float]) -> Shape | None:
     return shape if shape.keys() <= known.keys() else None
 
 
-def told_effects(truth: Json, robot: RobotModel) -> list[Effect]:
+def requested_effects(truth: Json, robot: RobotModel) -> list[Effect]:
     """Return what the library has of a case's effects, told where and how they are."""
     known, found = known_effects(), []
     for number, true in enumerate((*truth["effects"], *truth["background"])):
@@ -90,7 +90,7 @@ def offered(robot: RobotModel, found: Json) -> set[str]:
 def oracle_errors(urdf: Path, fit: Iterable[Path], holdout: Iterable[Path], truth: Json) -> dict[str, float] | None:
     """Return the held-out nmse per joint of the oracle; None if the library lacks one of the concealed effects."""
     robot = RobotModel.from_urdf(urdf)
-    told_all = told_effects(truth, robot)
+    told_all = requested_effects(truth, robot)
     if len(told_all) < len(truth["effects"]) + len(truth["background"]):
         return None
     settings = Settings.from_mapping({"holdout": list(holdout)}, "oracle")

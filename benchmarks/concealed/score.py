@@ -122,7 +122,7 @@ def score_case(truth: Json, diagnosis: Json, seconds: float, oracle: Json | None
     false = [f for f, j in zip(findings, judged, strict=True) if not j.right]
     named = {j.effect: (f, j) for f, j in zip(findings, judged, strict=True) if j.effect is not None}
     effects = tuple(_effect_score(e, diagnosis, truth, named.get(k)) for k, e in enumerate(truth["effects"]))
-    there = diagnosis.get("confirmed") if not false and all(e.in_class for e in effects) else None
+    there = diagnosis.get("held_out_ratio") if not false and all(e.in_class for e in effects) else None
     return CaseScore(
         case=truth["id"],
         tier=truth["tier"],

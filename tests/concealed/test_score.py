@@ -262,12 +262,12 @@ def test_times_of_what_is_left_count_where_nothing_is_named() -> None:
 
 
 def test_how_large_held_out_time_has_it_is_judged_where_all_of_it_is_right() -> None:
-    there = {"confirmed": {"value": 1.1, "low": 0.9, "high": 1.3}}
+    there = {"held_out_ratio": {"value": 1.1, "low": 0.9, "high": 1.3}}
     right, wrong = (diagnosis(finding(name, "b")) | there for name in ("torque_ripple", "joint_spring"))
     scores = [score_case(truth(effect("torque_ripple", "b")), told, 1.0) for told in (right, wrong)]
     assert [(s.slope, s.slope_covers) for s in scores] == [(1.1, True), (None, None)]
     off = score_case(
-        truth(effect("torque_ripple", "b")), right | {"confirmed": {**there["confirmed"], "low": 1.05}}, 1.0
+        truth(effect("torque_ripple", "b")), right | {"held_out_ratio": {**there["held_out_ratio"], "low": 1.05}}, 1.0
     )
     assert case_figures([*scores, off])["its interval holds one"].value == 0.5
 

@@ -42,7 +42,7 @@ def test_late_torque_of_all_joints_is_a_finding(tmp_path) -> None:
 
 def test_clocks_that_agree_are_none() -> None:
     diagnosis = found()
-    assert not [f for f in (*diagnosis.findings, *diagnosis.trifling) if f.effect == "time_delay"]
+    assert not [f for f in (*diagnosis.findings, *diagnosis.not_confirmed) if f.effect == "time_delay"]
 
 
 def test_a_command_that_all_actuators_follow_is_a_lag() -> None:

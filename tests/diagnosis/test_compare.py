@@ -16,8 +16,8 @@ from simulated import Motion, joint_names, record
 import torchrbd
 from torchrbd.diagnosis.changes.inertia import inertial_differences, load_like
 from torchrbd.diagnosis.changes.reading import Inertia, rebuilt, side_of
-from torchrbd.diagnosis.changes.results import CHANGE, TRIFLE, Change, Comparison, probability_of_change
-from torchrbd.diagnosis.results import Alternative, Curve, Finding, Limit, Quantity, Region, Unexplained, Where
+from torchrbd.diagnosis.changes.results import CHANGE, NEGLIGIBLE, Change, Comparison, probability_of_change
+from torchrbd.diagnosis.results import Alternative, Curve, DetectionLimit, Finding, Quantity, Region, Unexplained, Where
 from torchrbd.export import write_changes
 from torchrbd.parameters import base_parameters
 from torchrbd.report import write_changes_report
@@ -31,8 +31,10 @@ def finding(effect: str, joint: str = "joint2", /, **parameters: tuple[float, fl
     return Finding(effect, (joint,), (), 0.999, 90.0, quantities, Where(), (), {joint: 0.1}, {joint: 0.01})
 
 
-def limit(effect: str, parameter: str, value: float, std: float, joint: str = "joint2", none: float = 0.0) -> Limit:
-    return Limit(effect, (joint,), (), (), parameter, value, std, none, "N m", {})
+def limit(
+    effect: str, parameter: str, value: float, std: float, joint: str = "joint2", none: float = 0.0
+) -> DetectionLimit:
+    return DetectionLimit(effect, (joint,), (), (), parameter, value, std, none, "N m", {})
 
 
 def coulomb(value: float, std: float = 0.01, **other: float) -> Finding:
@@ -43,14 +45,14 @@ def folder(
     tmp_path: Path,
     name: str,
     findings: tuple[Finding, ...] = (),
-    limits: tuple[Limit, ...] = (),
+    detection_limits: tuple[DetectionLimit, ...] = (),
     unexplained: tuple[Unexplained, ...] = (),
     **other: object,
 ) -> Path:
     """Write a diagnosis.json as other tools would find it."""
     content = {
         "schema": 1, "robot": "arm", "joints": list(JOINTS), "recordings": [f"{name}.csv"], "cutoff_hz": 5.0,
-        "findings": [asdict(f) for f in findings], "limits": [asdict(x) for x in limits],
+        "findings": [asdict(f) for f in findings], "detection_limits": [asdict(x) for x in detection_limits],
         "unexplained": [asdict(u) for u in unexplained], "simulated": [],
     }  # fmt: skip
     (tmp_path / name).mkdir()
@@ -74,7 +76,7 @@ def test_probability_is_bayes_rule(d: float, std: float, size: float) -> None:
     """Against the mixture integrated over the true difference."""
     true = np.linspace(-4 * size, 4 * size, 400_001)
     seen = norm.pdf(d, true, std)
-    same, changed = (np.trapezoid(seen * norm.pdf(true, 0.0, part * size), true) for part in (TRIFLE, CHANGE))
+    same, changed = (np.trapezoid(seen * norm.pdf(true, 0.0, part * size), true) for part in (NEGLIGIBLE, CHANGE))
     assert probability_of_change(d, std, size) == pytest.approx(changed / (same + changed), rel=1e-6)
 
 
@@ -133,7 +135,7 @@ def test_new_and_gone_are_certain_if_the_other_data_would_have_shown_them(
 ) -> None:
     there, not_there = (
         {"findings": (coulomb(1.2, 0.05),)},
-        {"limits": (limit("coulomb_friction", "coulomb", 0.02, 0.05),)},
+        {"detection_limits": (limit("coulomb_friction", "coulomb", 0.02, 0.05),)},
     )
     sides = (not_there, there) if direction == "after" else (there, not_there)
     change = only(compared(tmp_path, *sides))
@@ -143,7 +145,7 @@ def test_new_and_gone_are_certain_if_the_other_data_would_have_shown_them(
 
 
 @pytest.mark.parametrize(
-    ("limits", "words"),
+    ("detection_limits", "words"),
     [
         ((), "does not say which size it could have detected"),
         ((limit("coulomb_friction", "coulomb", 0.1, 2.0),), "The other data could not detect it"),
@@ -152,8 +154,10 @@ def test_new_and_gone_are_certain_if_the_other_data_would_have_shown_them(
     ],
     ids=["no limit", "loose", "about as large", "larger than what was found"],
 )
-def test_not_found_is_no_proof_of_absence(limits: tuple[Limit, ...], words: str, tmp_path: Path) -> None:
-    change = only(compared(tmp_path, {"limits": limits}, {"findings": (coulomb(1.2, 0.05),)}))
+def test_not_found_is_no_proof_of_absence(
+    detection_limits: tuple[DetectionLimit, ...], words: str, tmp_path: Path
+) -> None:
+    change = only(compared(tmp_path, {"detection_limits": detection_limits}, {"findings": (coulomb(1.2, 0.05),)}))
     assert (change.found, change.verdict) == ("after", "open")
     assert words in change.statement
 
@@ -164,13 +168,15 @@ def test_a_limit_counts_for_its_shape_only(tmp_path: Path) -> None:
     for name, speed, verdict in (("near", 0.19, "changed"), ("far", 0.6, "open")):
         (tmp_path / name).mkdir()
         known = replace(limit("stribeck_friction", "static", 1.2, 0.03, none=1.2), shape={"stribeck_speed": speed})
-        change = only(compared(tmp_path / name, {"limits": (known,)}, {"findings": (found,)}))
+        change = only(compared(tmp_path / name, {"detection_limits": (known,)}, {"findings": (found,)}))
         assert change.verdict == verdict
 
 
 def test_what_acts_for_a_time_is_of_its_recording(tmp_path: Path) -> None:
     load = replace(finding("payload", mass=(2.0, 0.1)), where=Where(("after.csv",), ((3.0, 8.0),)))
-    change = only(compared(tmp_path, {"limits": (limit("payload", "mass", 0.0, 0.1),)}, {"findings": (load,)}))
+    change = only(
+        compared(tmp_path, {"detection_limits": (limit("payload", "mass", 0.0, 0.1),)}, {"findings": (load,)})
+    )
     assert change.verdict == "open"
     assert "in a window of time" in change.statement
 
@@ -188,7 +194,10 @@ def test_another_name_is_no_change(tmp_path: Path) -> None:
 
 def test_friction_in_motion_is_compared_where_more_of_it_is_seen(tmp_path: Path) -> None:
     stribeck = finding("stribeck_friction", coulomb=(1.2, 0.01), static=(2.0, 0.05), stribeck_speed=(0.2, 0.02))
-    before = {"findings": (coulomb(1.2),), "limits": (limit("stribeck_friction", "static", 1.21, 0.03, none=1.2),)}
+    before = {
+        "findings": (coulomb(1.2),),
+        "detection_limits": (limit("stribeck_friction", "static", 1.21, 0.03, none=1.2),),
+    }
     result = compared(tmp_path, before, {"findings": (stribeck,)})
     by_effect = {c.effect: c for c in result.changes}
     assert by_effect["coulomb_friction"].found == "both"

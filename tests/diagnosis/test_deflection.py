@@ -8,7 +8,7 @@ from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, joint_names, multisine
 
 import torchrbd
-from torchrbd.diagnosis.deflection import deflections
+from torchrbd.diagnosis.deflection import joint_deflections
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.effects import effect
 from torchrbd.inference.identify import read_arguments
@@ -66,7 +66,7 @@ def found(urdf, recordings, effects=FRICTION, **options):
     """Return the deflections by joint, of a model with these effects at all joints."""
     robot, sources, settings = read_arguments(urdf.encode(), recordings, options, "diagnose")
     prepared = prepare(robot, sources, settings, [effect(name) for name in effects])
-    return {d.joint: d for d in deflections(prepared, prepared.fit(prepared.columns.candidates))}
+    return {d.joint: d for d in joint_deflections(prepared, prepared.fit(prepared.columns.candidates))}
 
 
 @pytest.fixture(scope="module")

@@ -55,7 +55,7 @@ def with_curves(
     found = ranked.explanation
     own = {h.candidate.effect.id: h for h in curves(found.fit, found.rows) if h.candidate.site == Site(0)}
     terms = tuple(Term(own[name], ()) for name in wanted)
-    fit = found.base.extended([own[name].extra(found.base, found.rows) for name in wanted]).settled
+    fit = found.base.extended([own[name].extra(found.base, found.rows) for name in wanted]).refit
     return extended(prepared, replace(found, terms=terms, fit=fit), may, lambda *_: None)
 
 
@@ -139,7 +139,7 @@ def test_friction_that_a_law_stands_in_for_is_sure_without_it() -> None:
     assert plain.terms == ()
     (law,) = (h for h in plain.first if h.name == ("power_law_friction", Site(0)))
     with_law = replace(
-        plain, terms=(Term(law, ()),), fit=plain.base.extended([law.extra(plain.base, plain.rows)]).settled
+        plain, terms=(Term(law, ()),), fit=plain.base.extended([law.extra(plain.base, plain.rows)]).refit
     )
     never, model = (extended(prepared, found, MAY, lambda *_: None) for found in (plain, with_law))
     again = model.without(model.terms)

@@ -26,7 +26,7 @@ from likelihood.fits import (
 from scipy.special import logsumexp
 from simulated import Motion, joint_names
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, again, told
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, hypothesis_of
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.ranking import _ranked
 from torchrbd.diagnosis.screening import ORDINARY, refined, screened
@@ -136,9 +136,9 @@ def test_a_noise_that_suits_both_models_is_evidence_for_neither() -> None:
     fit = fitted()
     rows, worse = carried(fit), fit.extended(fit.extra)
     h = screened(fit, rows, ALL)[0]
-    louder = fit.settled.with_(noise=tuple(replace(n, sigma=1.3 * n.sigma) for n in fit.settled.hyper.noise))
-    worse.__dict__["settled"] = louder
-    assert fit.settled.log_evidence - louder.log_evidence > 20.0
+    louder = fit.refit.with_(noise=tuple(replace(n, sigma=1.3 * n.sigma) for n in fit.refit.hyper.noise))
+    worse.__dict__["refit"] = louder
+    assert fit.refit.log_evidence - louder.log_evidence > 20.0
     expected = with_own_noise(fit, rows, h).log_evidence
     assert with_own_noise(worse, rows, h).log_evidence == pytest.approx(expected, abs=1.0)
 
@@ -178,7 +178,7 @@ def test_load_that_is_taken_up_is_found_with_its_time() -> None:
     assert window.end_s > 19.0
     # Edges near the best one share its evidence, and are paid for.
     assert best.tried == found[0].tried
-    alone = told(fit, rows, refined(fit, rows, found[0]).candidate)
+    alone = hypothesis_of(fit, rows, refined(fit, rows, found[0]).candidate)
     assert alone is not None
     assert refined(fit, rows, found[0]).log_evidence < alone.log_evidence - 2.0
     assert abs(best.coefficients[0] - MASS) < 4 * best.std[0]
@@ -198,7 +198,7 @@ def test_refined_cell_replaces_the_grids_best() -> None:
     h, c = found[0], found[0].candidate
 
     def evidence(order: float) -> float:
-        one = told(fit, rows, rows.columns.candidate(c.effect, c.site, {"order": order}))
+        one = hypothesis_of(fit, rows, rows.columns.candidate(c.effect, c.site, {"order": order}))
         assert one is not None
         return one.log_evidence
 
@@ -224,7 +224,7 @@ def test_shapes_that_were_tried_are_paid_for() -> None:
     fit, rows, found = leading(RIPPLE)
     h, c = found[0], found[0].candidate
     shapes = c.effect.shapes(rows.columns.scale(c.site))
-    each = [told(fit, rows, rows.columns.candidate(c.effect, c.site, s)) for s in shapes]
+    each = [hypothesis_of(fit, rows, rows.columns.candidate(c.effect, c.site, s)) for s in shapes]
     assert h.tried == len(shapes) == len(each)
     evidence = [one.log_evidence for one in each if one is not None]
     assert h.log_evidence == pytest.approx(logsumexp(evidence) - np.log(len(evidence)), abs=1e-6)
@@ -237,7 +237,7 @@ def test_what_averaging_has_cost_stays_paid_beside_another_fit(torque) -> None:
     # Stretches are screened without the edges of what begins and ends in them.
     always = [h for h in found if h.candidate.site.always]
     for h in (*always[:5], refined(fit, rows, found[0])):
-        one, alone = again(fit, rows, h), told(fit, rows, h.candidate)
+        one, alone = again(fit, rows, h), hypothesis_of(fit, rows, h.candidate)
         assert one is not None
         assert alone is not None
         assert one.candidate == h.candidate
@@ -278,7 +278,7 @@ def test_size_is_averaged_over() -> None:
     c = found[0].candidate
     F = rows.features(c)
     std, scales = coefficient_std(c, rows.rms(c), fit.machine.torque_rms)
-    each = [added(*fit.beside(1, F), std * k, positive=(0,)).log_evidence for k in scales]
+    each = [added(*fit.precision_and_score(1, F), std * k, positive=(0,)).log_evidence for k in scales]
     assert found[0].log_evidence == pytest.approx(logsumexp(each) - np.log(len(scales)), abs=1e-6)
     assert found[0].scale == scales[int(np.argmax(each))]
 
@@ -312,7 +312,7 @@ def test_effect_without_features_is_no_hypothesis() -> None:
         Site(0),
         **dict(effect("thermal_viscosity").shapes(replace(rows.columns.scales[0], temperature=(20.0, 30.0)))[0]),
     )
-    assert told(fit, rows, c) is None
+    assert hypothesis_of(fit, rows, c) is None
 
 
 def test_offset_of_a_torque_is_no_drift() -> None:

@@ -10,7 +10,7 @@ from likelihood.arms import recorded
 from likelihood.fits import DELAY_S, OPTIONS, URDF, at_joint, fitted, with_friction
 from simulated import joint_names, with_wrong_inertials
 
-from torchrbd.diagnosis.ranking import Ranking, _of_all, rank
+from torchrbd.diagnosis.ranking import Ranking, _of_all, rank_hypotheses
 from torchrbd.effects.registry import known_effects
 from torchrbd.errors import InputError
 from torchrbd.likelihood.clocks import Clocks
@@ -28,7 +28,7 @@ def found() -> Ranking:
     """Return the ranking of an arm with two concealed effects; another recording is held out."""
     recording = recorded(URDF, 2, with_friction(CONCEALED), delay_s=DELAY_S, **OPTIONS)
     other = recorded(URDF, 5, lambda m: 50.0 + 0.0 * m.q, name="other", **OPTIONS)
-    return rank(GIVEN, recording, holdout=[other])
+    return rank_hypotheses(GIVEN, recording, holdout=[other])
 
 
 @pytest.mark.parametrize(("late_s", "may"), [(0.004, {"time_delay"}), (-0.004, {"time_delay", "actuator_lag"})])
@@ -47,7 +47,7 @@ def test_torque_that_all_joints_have_early_may_be_a_delay_or_a_lag(late_s: float
 @pytest.fixture(scope="module")
 def nothing() -> Ranking:
     """Return the ranking of an arm without any effect."""
-    return rank(GIVEN, recorded(URDF, 2, with_friction(), **OPTIONS))
+    return rank_hypotheses(GIVEN, recorded(URDF, 2, with_friction(), **OPTIONS))
 
 
 def test_what_is_there_is_adopted_and_nothing_else(found: Ranking) -> None:
@@ -119,7 +119,7 @@ def test_ordinary_friction_and_clock_are_told(found: Ranking) -> None:
 def test_clocks_that_are_far_apart_are_brought_together() -> None:
     """All torques come 30 ms late, three samples: they are read again by so much earlier."""
     recording = recorded(URDF, 2, with_friction(), delay_s=0.03, **OPTIONS)
-    late = rank(GIVEN, recording, effects=["time_delay", "rotor_inertia", "joint_spring"])
+    late = rank_hypotheses(GIVEN, recording, effects=["time_delay", "rotor_inertia", "joint_spring"])
     assert late.delay_s["simulated"][0] == pytest.approx(0.03, abs=5e-4)
     first = late.first[0]
     assert (first.effect, first.joints, first.links) == ("time_delay", (), ())
@@ -136,7 +136,10 @@ def test_recording_that_is_held_out_says_nothing_of_the_band(found: Ranking) -> 
     recording = recorded(URDF, 2, with_friction(), **{**OPTIONS, "duration_s": 10.0})
     slow = recorded(URDF, 5, name="slow", **{**OPTIONS, "rate_hz": 20.0, "fastest_hz": 3.0, "encoder_noise": 1e-3})
     some = {"effects": ["rotor_inertia", "quadratic_drag"]}
-    with_it, without = rank(GIVEN, recording, holdout=[slow], **some), rank(GIVEN, recording, **some)
+    with_it, without = (
+        rank_hypotheses(GIVEN, recording, holdout=[slow], **some),
+        rank_hypotheses(GIVEN, recording, **some),
+    )
     assert with_it.band_hz == without.band_hz
     assert with_it.first == without.first
     assert with_it.delay_s == without.delay_s
@@ -151,7 +154,9 @@ def test_recording_that_is_held_out_is_not_looked_at(found: Ranking) -> None:
 def test_effects_that_are_chosen_are_the_only_ones() -> None:
     recording = recorded(URDF, 2, with_friction(), **{**OPTIONS, "duration_s": 10.0})
     told: list[float] = []
-    some = rank(GIVEN, recording, effects=["rotor_inertia", "base_tilt"], progress=lambda _, part: told.append(part))
+    some = rank_hypotheses(
+        GIVEN, recording, effects=["rotor_inertia", "base_tilt"], progress=lambda _, part: told.append(part)
+    )
     assert {h.effect for h in some.first} == {"rotor_inertia", "base_tilt"}
     assert some.considered == 3
     assert some.adopted == ()
@@ -164,8 +169,8 @@ def test_effects_that_are_chosen_are_the_only_ones() -> None:
 def test_input_that_cannot_be_used_is_refused(found: Ranking) -> None:
     recording = recorded(URDF, 2, **{**OPTIONS, "duration_s": 5.0})
     with pytest.raises(InputError, match="no effect is left"):
-        rank(GIVEN, recording, effects=["base_tilt"], exclude=["base_tilt"])
+        rank_hypotheses(GIVEN, recording, effects=["base_tilt"], exclude=["base_tilt"])
     with pytest.raises(InputError, match="joint9"):
-        rank(GIVEN, recording, joints=["joint9"])
+        rank_hypotheses(GIVEN, recording, joints=["joint9"])
     with pytest.raises(InputError, match="no_such_effect"):
         found.evidence_of("no_such_effect", [FIRST])

@@ -14,6 +14,7 @@ from likelihood.fits import candidate, carried, fitted
 from torchrbd.diagnosis import search
 from torchrbd.diagnosis.explain import likeliest_left
 from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.results import NextEffect
 from torchrbd.diagnosis.search import MOST_TERMS
 from torchrbd.diagnosis.terms import Explanation, Term
 from torchrbd.effects import Site, Window
@@ -68,7 +69,7 @@ def settled(
 
     monkeypatch.setattr(search, "again", again)
     monkeypatch.setattr(search, "curves_at", lambda fit, *_: [made(c) for c in curve if c not in fit])
-    for learnt in ("at_a_glance", "with_own_noise"):
+    for learnt in ("quick_evidence", "with_own_noise"):
         monkeypatch.setattr(search, learnt, lambda fit, rows, h: h)
 
     def made(name: str) -> Hypothesis:
@@ -78,7 +79,7 @@ def settled(
 
     at = Table(rows, (), lambda _: None)
     none = cast(Any, frozenset())
-    fit, terms, _ = at.settled(
+    fit, terms, _ = at.swap_and_drop(
         none,
         cast(Any, frozenset(chosen)),
         [made(c) for c in chosen],
@@ -188,7 +189,7 @@ def test_rivals_of_what_leads_are_learnt_anew_as_it_is(rows: Rows, monkeypatch: 
         learnt.append(letter(h))
         return replace(h, log_evidence=then[letter(h)])
 
-    monkeypatch.setattr(search, "at_a_glance", lambda fit, rows, h: replace(h, log_evidence=first[letter(h)]))
+    monkeypatch.setattr(search, "quick_evidence", lambda fit, rows, h: replace(h, log_evidence=first[letter(h)]))
     monkeypatch.setattr(search, "with_own_noise", with_own_noise)
     found = [Hypothesis(candidate(rows, *SITES[name]), 99.0, np.zeros(2), np.ones(2), 1.0, 1) for name in first]
     judged = Table(rows, (), lambda _: None).judged(cast(Any, frozenset()), found)
@@ -199,7 +200,7 @@ def test_rivals_of_what_leads_are_learnt_anew_as_it_is(rows: Rows, monkeypatch: 
 def test_what_hides_at_a_glance_is_learnt_with_what_leads(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
     """A law that leads beside independent rows may seem to be nothing beside the noise that it has coloured."""
     glance, then = {"A": 28.0, "C": -3.0, "D": -2.0}, {"A": 13.0, "C": 57.0, "D": 99.0}
-    monkeypatch.setattr(search, "at_a_glance", lambda fit, rows, h: replace(h, log_evidence=glance[letter(h)]))
+    monkeypatch.setattr(search, "quick_evidence", lambda fit, rows, h: replace(h, log_evidence=glance[letter(h)]))
     monkeypatch.setattr(search, "with_own_noise", lambda fit, rows, h: replace(h, log_evidence=then[letter(h)]))
     found = [Hypothesis(candidate(rows, *SITES[name]), 99.0, np.zeros(2), np.ones(2), 1.0, 1) for name in glance]
     judged = Table(rows, (), lambda _: None).judged(cast(Any, frozenset()), found, found[1:2])
@@ -213,7 +214,7 @@ def test_rivals_are_judged_at_their_best_shape(rows: Rows, monkeypatch: pytest.M
         def shaped(self, fit: Likelihood, h: Hypothesis) -> list[Hypothesis]:
             return [h, replace(h, log_evidence=h.log_evidence + 60.0)] if letter(h) == "B" else [h]
 
-    monkeypatch.setattr(search, "at_a_glance", lambda fit, rows, h: h)
+    monkeypatch.setattr(search, "quick_evidence", lambda fit, rows, h: h)
     monkeypatch.setattr(search, "with_own_noise", lambda fit, rows, h: h)
     worth = {"A": 76.0, "B": 47.0}
     found = [Hypothesis(candidate(rows, *SITES[name]), w, np.zeros(2), np.ones(2), 1.0, 1) for name, w in worth.items()]
@@ -264,11 +265,11 @@ def test_a_term_that_is_swapped_for_another_time_is_that_of_the_model(rows: Rows
 
     monkeypatch.setattr(search, "again", again)
     monkeypatch.setattr(search, "curves_at", lambda *_: [])
-    for learnt in ("at_a_glance", "with_own_noise"):
+    for learnt in ("quick_evidence", "with_own_noise"):
         monkeypatch.setattr(search, learnt, lambda fit, rows, h: h)
     monkeypatch.setattr(Table, "with_terms", lambda self, base, chosen: [h.candidate for h in chosen])
     at = Table(rows, (), lambda _: None)
-    fit, (term,), _ = at.settled(cast(Any, []), cast(Any, [early.candidate]), [early], [[late]], [])
+    fit, (term,), _ = at.swap_and_drop(cast(Any, []), cast(Any, [early.candidate]), [early], [[late]], [])
     assert term.own.candidate == late.candidate
     assert cast(Any, fit) == [late.candidate]
 
@@ -302,7 +303,7 @@ def test_no_more_terms_are_added_than_a_person_would_read(rows: Rows, monkeypatc
     # What is left, and likelier than not, is told.
     chance = replace(sure, log_evidence=0.0)
     found = Explanation(fitted(), fitted(), rows, (), [], [sure, chance], 3)
-    assert likeliest_left(found) == f"joint spring at {rows.columns.robot.joint_names[0]}"
+    assert likeliest_left(found) == NextEffect(0, "joint_spring", (rows.columns.robot.joint_names[0],))
     for_a_time = candidate(rows, "payload", Site(body=1, window=Window("simulated", 1.0)))
     found = replace(found, last=[replace(sure, candidate=for_a_time)])
     assert likeliest_left(found) == f"payload on {rows.columns.robot.body_names[1]} for a time in simulated"

@@ -5,7 +5,7 @@ import pytest
 from likelihood.fits import Motion, at_joint, fitted
 from scipy.optimize import minimize
 
-from torchrbd.diagnosis.hypotheses import carried, told
+from torchrbd.diagnosis.hypotheses import carried, hypothesis_of
 from torchrbd.diagnosis.screening import screened
 from torchrbd.diagnosis.sharpening import at_summit, known_shapes, sharpened
 from torchrbd.effects import Site
@@ -35,12 +35,12 @@ def test_summit_is_that_of_a_general_optimiser(case) -> None:
 
     def loss(x: np.ndarray) -> float:
         shape = dict(zip(("dead_centre", "crank_ratio"), x.tolist(), strict=True))
-        return -told(fit, rows, rows.columns.candidate(coarse.candidate.effect, Site(0), shape)).log_evidence
+        return -hypothesis_of(fit, rows, rows.columns.candidate(coarse.candidate.effect, Site(0), shape)).log_evidence
 
     start = [best.candidate.shape[name] for name in ("dead_centre", "crank_ratio")]
     found = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-3})
     assert best.log_evidence > -found.fun - 0.5
-    assert best.log_evidence > told(fit, rows, coarse.candidate).log_evidence + 1.0
+    assert best.log_evidence > hypothesis_of(fit, rows, coarse.candidate).log_evidence + 1.0
     # What averaging over the grid has cost stays paid.
     assert (best.paid, best.tried) == (coarse.paid, coarse.tried)
 
@@ -62,7 +62,7 @@ def test_hypotheses_without_a_shape_stay(case) -> None:
 def test_what_a_fit_tells_of_shapes_holds_the_truth(case) -> None:
     fit, rows, coarse = case
     best = sharpened(fit, rows, coarse)
-    model = fit.extended([best.extra(fit, rows)]).settled
+    model = fit.extended([best.extra(fit, rows)]).refit
     (found,) = known_shapes(model, rows, [best.candidate]).values()
     assert set(found) == {"dead_centre", "crank_ratio"}
     for name, truth in (("dead_centre", DEAD_CENTRE), ("crank_ratio", RATIO)):

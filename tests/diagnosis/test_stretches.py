@@ -14,8 +14,8 @@ from scipy.special import logsumexp
 from simulated import Motion
 
 from torchrbd.diagnosis.edges import Edges
-from torchrbd.diagnosis.hypotheses import averaged, told
-from torchrbd.diagnosis.stretches import Stretches, in_recordings, in_stretches, in_windows, located
+from torchrbd.diagnosis.hypotheses import average_over_shapes, hypothesis_of
+from torchrbd.diagnosis.stretches import Windows, in_recordings, in_windows, located, weigh_windows
 from torchrbd.effects import JointScale, Shape, Site, Window
 from torchrbd.effects.registry import effect
 from torchrbd.effects.stribeck_friction import StribeckFriction
@@ -40,17 +40,17 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
     """Each stretch is judged as its whitened columns are, zero outside of it, beside the fit."""
     fit, rows = two_recordings
     c = candidate(rows, "payload", Site(body=1, window=Window("second")))
-    stretches = Stretches.of_blocks(rows, "second")
+    stretches = Windows.of_blocks(rows, "second")
     F, always = rows.features(c), candidate(rows, "payload", Site(body=1))
     std, scales = coefficient_std(always, rows.rms(always), fit.machine.torque_rms)
     expected, best = [], -np.inf
     for begin, end in stretches.times[stretches.pairs]:
         inside = (rows.t >= begin) & (rows.t < end) & (rows.recording == 1)
         columns = {j: fit.hyper.noise[j].white(F[:, j]) * inside[i] for j, i in enumerate(fit.index)}
-        S, r = fit.gaussian.beside(columns)
+        S, r = fit.gaussian.precision_and_score(columns)
         own = [added(S, r, k * std, c.effect.prior.positive).log_evidence for k in scales]
         expected, best = expected + own, max(best, logsumexp(own) - np.log(len(own)))
-    (found,) = in_stretches(fit, rows, c, [stretches])
+    (found,) = weigh_windows(fit, rows, c, [stretches])
     assert found is not None
     got, one = found
     assert one == pytest.approx(best, abs=1e-6)
@@ -63,7 +63,7 @@ def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Ro
     # A load is believed to be as heavy, however long it is carried.
     np.testing.assert_allclose(got.extra(fit, rows).std, got.scale * std)
     for begin, end in ((1.0, 3.0), (-np.inf, np.inf)):
-        one = told(fit, rows, candidate(rows, "payload", Site(body=1, window=Window("second", begin, end))))
+        one = hypothesis_of(fit, rows, candidate(rows, "payload", Site(body=1, window=Window("second", begin, end))))
         assert one is not None
         np.testing.assert_allclose(one.extra(fit, rows).std, one.scale * std)
 
@@ -84,7 +84,7 @@ def test_recordings_in_which_an_effect_is_are_averaged_over(two_recordings: tupl
             F = rows.features(always)
             std, scales = coefficient_std(always, rows.rms(always), fit.machine.torque_rms)
             inside = (rows.recording == rows.recordings.index(one))[fit.index[j]]
-            S, r = fit.gaussian.beside({j: fit.hyper.noise[j].white(F) * inside})
+            S, r = fit.gaussian.precision_and_score({j: fit.hyper.noise[j].white(F) * inside})
             every += [added(S, r, k * std, e.prior.positive).log_evidence for k in scales]
         # The other one is another hypothesis, and as likely.
         assert h.log_evidence == pytest.approx(logsumexp(every) - np.log(2 * len(every)), abs=1e-6)
@@ -112,7 +112,7 @@ def test_effect_without_shapes_is_no_hypothesis_in_some_recordings(two_recording
 
     fit, rows = two_recordings
     assert [h for h in in_recordings(fit, rows, Slow()) if h is not None] == []
-    assert averaged(fit, rows, []) is None
+    assert average_over_shapes(fit, rows, []) is None
 
 
 @pytest.mark.parametrize(
@@ -129,10 +129,10 @@ def test_what_begins_and_ends_at_once_is_told_as_its_rows_are(
     t = rows.t[edges.inside]
     times = np.concatenate(([-np.inf], t[[40, 141, 250, 333]], [np.inf]))
     for pair in ((1, 2), (1, 4), (2, 3), (0, 3), (2, 5)):
-        one = Stretches(times, np.array([pair]), at_once=True)
-        (found,) = in_stretches(fit, rows, candidate(rows, name, replace(at, window=Window("second"))), [one])
+        one = Windows(times, np.array([pair]), at_once=True)
+        (found,) = weigh_windows(fit, rows, candidate(rows, name, replace(at, window=Window("second"))), [one])
         assert found is not None
-        exact = told(fit, rows, found[0].candidate)
+        exact = hypothesis_of(fit, rows, found[0].candidate)
         assert exact is not None
         assert found[0].log_evidence == pytest.approx(exact.log_evidence, rel=0.02, abs=0.1)
         window = found[0].candidate.site.window
@@ -197,7 +197,7 @@ def test_push_is_found_by_its_edges_where_noise_is_coloured(wandering: tuple[Lik
     window = best.candidate.site.window
     np.testing.assert_allclose((window.start_s, window.end_s), PUSHED_S, atol=rows.dt_out)
     c = candidate(rows, "external_wrench", Site(body=best.candidate.site.body, window=Window(name)))
-    (gradually,) = in_stretches(fit, rows, c, [Stretches.of_blocks(rows, name)])
+    (gradually,) = weigh_windows(fit, rows, c, [Windows.of_blocks(rows, name)])
     assert gradually is not None
     assert gradually[0].log_evidence < best.log_evidence - 5.0
 
@@ -216,11 +216,11 @@ def test_edges_on_both_sides_of_what_is_held_out_are_apart_by_rows() -> None:
     times = np.array([-np.inf, 1.0, before, behind, 12.0, np.inf])
     pairs = [tuple(p) for p in edges.apart(times, np.array([(1, 2), (2, 3), (1, 3), (3, 4), (2, 4)])).tolist()]
     assert pairs == [(1, 2), (1, 3), (3, 4), (2, 4)]
-    near = Stretches.near(edges, Window(name, before, behind))
+    near = Windows.near(edges, Window(name, before, behind))
     at = edges.at(near.times)
     assert len(near.pairs)
     assert (np.diff(at[near.pairs], axis=1) > 2 * edges.reach).all()
-    (found,) = in_stretches(fit, rows, candidate(rows, "payload", Site(body=1, window=Window(name))), [near])
+    (found,) = weigh_windows(fit, rows, candidate(rows, "payload", Site(body=1, window=Window(name))), [near])
     assert found is not None
 
 
@@ -230,16 +230,16 @@ def test_window_is_told_of_those_that_come_gradually_and_at_once(
     """Both are as likely, of the latter all that are not looked at have no evidence; one end is as likely as two."""
     fit, rows = two_recordings
     edges = Edges(fit, rows, "second")
-    both, one = Stretches.at_jumps(edges)
+    both, one = Windows.at_jumps(edges)
     n = int(edges.inside.sum()) // 2
-    gradually = Stretches.of_blocks(rows, "second"), Stretches.with_one_end(rows, "second")
+    gradually = Windows.of_blocks(rows, "second"), Windows.with_one_end(rows, "second")
     every = [h for h in in_windows(fit, rows, effect("payload")) if h is not None and h.candidate.site.body == 1]
     in_second = [h for h in every if h.candidate.site.window.recording == "second"]
     c = candidate(rows, "payload", Site(body=1, window=Window("second")))
     for h, kinds, count in zip(
         in_second, zip(gradually, (both, one), strict=True), (n * (n - 1) // 2, 2 * n), strict=True
     ):
-        soft, sharp = (found[0] for found in in_stretches(fit, rows, c, kinds) if found is not None)
+        soft, sharp = (found[0] for found in weigh_windows(fit, rows, c, kinds) if found is not None)
         looked_at = np.log(len(kinds[1].pairs) / count)
         expected = np.logaddexp(soft.log_evidence, sharp.log_evidence + looked_at) - np.log(4)
         assert h.log_evidence == pytest.approx(expected, abs=1e-6)
@@ -258,20 +258,20 @@ def test_located_window_pays_for_all_that_may_be(two_recordings: tuple[Likelihoo
     fit, rows = two_recordings
     edges = Edges(fit, rows, "second")
     h = max((h for h in in_windows(fit, rows, effect("payload")) if h is not None), key=lambda h: h.log_evidence)
-    near = Stretches.near(edges, h.candidate.site.window)
+    near = Windows.near(edges, h.candidate.site.window)
     found = located(fit, rows, h)
-    (each,) = in_stretches(fit, rows, candidate(rows, "payload", Site(body=1, window=Window("second"))), [near])
+    (each,) = weigh_windows(fit, rows, candidate(rows, "payload", Site(body=1, window=Window("second"))), [near])
     assert each is not None
     assert found.tried == h.tried
     assert found.paid == pytest.approx(each[0].paid + np.log(len(near.pairs) / h.tried))
-    alone = told(fit, rows, found.candidate)
+    alone = hypothesis_of(fit, rows, found.candidate)
     assert alone is not None
     assert found.log_evidence == pytest.approx(alone.log_evidence + found.paid)
 
 
 def test_stretches_cover_most_of_a_single_recording_at_most(two_recordings: tuple[Likelihood, Rows]) -> None:
     rows = carried(fitted())
-    stretches = Stretches.of_blocks(rows, rows.recordings[0])
+    stretches = Windows.of_blocks(rows, rows.recordings[0])
     n = len(stretches.times) - 1
     longest = int(0.9 * n)
     # What has one end is of another kind.
@@ -279,7 +279,7 @@ def test_stretches_cover_most_of_a_single_recording_at_most(two_recordings: tupl
     assert set(map(tuple, stretches.pairs.tolist())) == expected
     assert longest < n
     assert (np.diff(stretches.times) > 0).all()
-    whole = Stretches.of_blocks(two_recordings[1], "second")
+    whole = Windows.of_blocks(two_recordings[1], "second")
     assert (0, len(whole.times) - 1) in set(map(tuple, whole.pairs.tolist()))
 
 
@@ -289,7 +289,7 @@ def test_window_is_located_between_rows() -> None:
     name = rows.recordings[0]
     edges = Edges(fit, rows, name)
     for window in (Window(name, 6.0, 9.0), Window(name, 6.0), Window(name)):
-        near = Stretches.near(edges, window)
+        near = Windows.near(edges, window)
         begin, end = near.times[near.pairs].T
         assert (end > begin).all()
         reach = 2.0 * np.ptp(rows.t) / len(np.unique(rows.block))

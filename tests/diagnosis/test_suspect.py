@@ -112,7 +112,7 @@ def test_what_held_out_recordings_contradict_is_not_named(
         assert one.depends_on == (f"q_{NAMES[0]}",)
         assert one.share > 0.9
     assert "do not improve the prediction of held-out data" in diagnosis.statement
-    assert [f.effect for f in diagnosis.trifling] == ["joint_spring"]
+    assert [f.effect for f in diagnosis.not_confirmed] == ["joint_spring"]
 
 
 LESS, PERHAPS_ALL = Ratio(0.4, 0.2, 0.7), Ratio(0.4, -0.2, 1.1)
@@ -151,7 +151,7 @@ def test_friction_is_told_where_held_out_time_refutes_all_else(
     diagnosis = torchrbd.diagnose(URDF, recording)
     assert {f.effect for f in diagnosis.findings} <= {"coulomb_friction", "asymmetric_coulomb_friction"}
     assert {f.joints[0] for f in diagnosis.findings} >= set(NAMES[1:])
-    assert "joint_spring" in {f.effect for f in diagnosis.trifling}
+    assert "joint_spring" in {f.effect for f in diagnosis.not_confirmed}
     assert "do not improve the prediction of held-out data" in diagnosis.statement
 
 
@@ -175,7 +175,7 @@ def test_a_spring_that_is_gone_on_another_day_is_not_named_but_friction_is(array
         (value,) = one.parameters.values()
         true = 0.5 if one.effect == "coulomb_friction" else 0.3
         assert abs(value.value - true) < max(3.0 * value.std, 0.1 * true) or one.joints == (NAMES[0],)
-    assert ("joint_spring", (NAMES[0],)) in {(f.effect, f.joints) for f in diagnosis.trifling}
+    assert ("joint_spring", (NAMES[0],)) in {(f.effect, f.joints) for f in diagnosis.not_confirmed}
     assert NAMES[0] in {joint for u in diagnosis.unexplained for joint in u.joints}
     assert all(u.depends_on == () for u in diagnosis.unexplained)
 

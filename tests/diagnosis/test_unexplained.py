@@ -19,7 +19,7 @@ from torchrbd.diagnosis.friction import COULOMB as EVEN
 from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import is_curve
-from torchrbd.diagnosis.results import Proof, Unexplained, Where
+from torchrbd.diagnosis.results import HeldOutCheck, Unexplained, Where
 from torchrbd.diagnosis.unexplained import _drifting, _loud, _silent, unexplained
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.ordinary import with_friction as friction_of
@@ -250,7 +250,7 @@ def test_no_joint_that_is_told_badly_is_silent(
     )
     prepared = SimpleNamespace(training="training", judging="judging")
     model = SimpleNamespace(prepared=prepared, model=SimpleNamespace(x=None))
-    proof = Proof(FIRST, {}, {"extended": 0.3 if lasts else 0.1}, 0.1)
+    proof = HeldOutCheck(FIRST, {}, {"extended": 0.3 if lasts else 0.1}, 0.1)
     told = [one.statement for one in _silent(model, [proof], {FIRST} if named else set())]
     assert len(told) == bool(says)
     assert all(says in one for one in told)

@@ -141,21 +141,21 @@ def test_a_finding_says_its_family_its_laws_and_what_it_carries(found: Identific
     one = Finding(
         "stribeck_friction", ("a",), (), 0.6, 40.0, {}, Where(), (), {"a": 0.4, "b": 0.2}, {"a": 0.1, "b": 0.2},
         family="friction", family_probability=0.98, laws=(Law("stribeck_friction", 0.7), Law("quadratic_drag", 0.3)),
-        torque_rms={"a": 1.5}, confirmed=Ratio(0.9, 0.8, 1.0),
+        torque_rms={"a": 1.5}, held_out_ratio=Ratio(0.9, 0.8, 1.0),
     )  # fmt: skip
     small = replace(one, effect="torque_ripple", nmse_before={"a": 0.0}, laws=())
-    write_diagnosis(Diagnosis(found, "missing_physics", (one,), trifling=(small,)), tmp_path / "d")
+    write_diagnosis(Diagnosis(found, "missing_physics", (one,), not_confirmed=(small,)), tmp_path / "d")
     content = read(tmp_path / "d")
-    (told,), (trifling,) = content["findings"], content["trifling"]
+    (told,), (not_confirmed,) = content["findings"], content["not_confirmed"]
     assert (told["family"], told["family_probability"]) == ("friction", 0.98)
     assert told["laws"] == [
         {"effect": "stribeck_friction", "probability": 0.7},
         {"effect": "quadratic_drag", "probability": 0.3},
     ]
     assert told["torque_rms"] == {"a": 1.5}
-    assert (told["confirmed"], content["confirmed"]) == ({"value": 0.9, "low": 0.8, "high": 1.0}, None)
+    assert (told["held_out_ratio"], content["held_out_ratio"]) == ({"value": 0.9, "low": 0.8, "high": 1.0}, None)
     # The largest of its joints.
     assert told["share"] == pytest.approx(0.75)
-    assert trifling["effect"] == "torque_ripple"
-    assert (trifling["share"], trifling["laws"]) == (0.0, [])
-    assert trifling.keys() == told.keys()
+    assert not_confirmed["effect"] == "torque_ripple"
+    assert (not_confirmed["share"], not_confirmed["laws"]) == (0.0, [])
+    assert not_confirmed.keys() == told.keys()

@@ -47,7 +47,10 @@ def test_a_ranking_does_not_look_at_data_that_are_held_out() -> None:
     loud = table(SECOND)
     loud.iloc[:, -1] *= 100.0
     some = {"effects": ["rotor_inertia"]}
-    one, other = torchrbd.rank(GIVEN, FIRST, **some), torchrbd.rank(GIVEN, table(FIRST), holdout=[loud], **some)
+    one, other = (
+        torchrbd.rank_hypotheses(GIVEN, FIRST, **some),
+        torchrbd.rank_hypotheses(GIVEN, table(FIRST), holdout=[loud], **some),
+    )
     assert [h.log_evidence for h in other.first] == [h.log_evidence for h in one.first]
 
 

@@ -138,7 +138,7 @@ def test_noise_settles_where_the_fit_leaves_what_it_assumes() -> None:
             S @ torch.from_numpy(covariance) @ S.T,
         )
 
-    assumed, variance = with_noise(statistics, fit, rounds=30, settled=1e-8)
+    assumed, variance = with_noise(statistics, fit, rounds=30, tolerance=1e-8)
     assert assumed is variance
     assert 2 < len(fits) < 30
     _, x, covariance = fit(variance)

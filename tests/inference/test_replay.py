@@ -19,7 +19,7 @@ from simulated import Motion
 import torchrbd
 from torchrbd.effects import Effect, Site, Window, known_effects
 from torchrbd.errors import InputError, OptionError
-from torchrbd.export.urdf import urdf_unsaid
+from torchrbd.export.urdf import not_in_urdf
 from torchrbd.inference.physical.fitting import FittedModel, predict
 from torchrbd.inference.series import held_out_spans, torque_series
 from torchrbd.likelihood.columns import Candidate, Columns
@@ -151,7 +151,7 @@ def test_identified(off: dict[str, float], tmp_path: Path) -> None:
     )
     assert ("a command that actuators follow" in words) is ("lag_s" in off)
     comments = " ".join(str(c.text) for c in etree.fromstring(torchrbd.to_urdf(model)).iter(etree.Comment))
-    assert all(one in comments for one in urdf_unsaid(model) if "recordings" in one)
+    assert all(one in comments for one in not_in_urdf(model) if "recordings" in one)
     if not off:
         return
     model.conditions = {name: one.without_clock() for name, one in model.conditions.items()}

@@ -14,7 +14,7 @@ from torchrbd.effects import (
     Site,
     Window,
 )
-from torchrbd.effects.told import RequestedEffect, requested_sites
+from torchrbd.effects.requested import RequestedEffect, requested_sites
 from torchrbd.errors import OptionError
 from torchrbd.inference.identify import identify
 from torchrbd.recordings import Recording

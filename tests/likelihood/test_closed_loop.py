@@ -10,7 +10,7 @@ from likelihood.fits import carried
 from simulated import Motion, joint_names
 from vision_head.motion import sines
 
-from torchrbd.diagnosis.hypotheses import averaged
+from torchrbd.diagnosis.hypotheses import average_over_shapes
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect
 from torchrbd.likelihood.learning import learn
@@ -82,6 +82,6 @@ def fit() -> Likelihood:
 def test_no_joint_is_late(fit: Likelihood, name: str, joint: int) -> None:
     rows, e, site = carried(fit), effect(name), Site(joint=joint)
     shapes = e.shapes(rows.columns.scale(site))
-    found = averaged(fit, rows, [rows.columns.candidate(e, site, shape) for shape in shapes])
+    found = average_over_shapes(fit, rows, [rows.columns.candidate(e, site, shape) for shape in shapes])
     assert found is not None
     assert found.log_evidence < 5

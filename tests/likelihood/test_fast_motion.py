@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchrbd.diagnosis.hypotheses import carried, told
+from torchrbd.diagnosis.hypotheses import carried, hypothesis_of
 from torchrbd.effects import Site, effect
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import read
@@ -40,7 +40,7 @@ def learnt(folder: Path, monkeypatch: pytest.MonkeyPatch, step: float) -> Likeli
         monkeypatch.setattr(case, name, value)
     case.record(folder, seed=3, effect="coulomb_friction", joint="joint3", value=2.4)
     urdf = ROOT / "torchrbd" / "demo" / "arm.urdf"
-    robot, sources, settings = read_arguments(urdf, [folder / "fit.parquet"], {}, "rank")
+    robot, sources, settings = read_arguments(urdf, [folder / "fit.parquet"], {}, "rank_hypotheses")
     reading, _ = read(robot, sources, settings, lambda *_: None)
 
     def kept_back(_: str, t: torch.Tensor) -> torch.Tensor:
@@ -61,6 +61,6 @@ def test_dry_friction_is_not_taken_for_an_elastic_joint(tmp_path, monkeypatch, s
     for joint in range(3):
         for hz, compliance in shapes:
             shape = {"bandwidth": hz, "compliance": compliance, "link_friction": 0.0}
-            found = told(fit, rows, rows.columns.candidate(spring, Site(joint), shape))
+            found = hypothesis_of(fit, rows, rows.columns.candidate(spring, Site(joint), shape))
             assert found is not None
             assert found.log_evidence < FEW, (joint, hz)

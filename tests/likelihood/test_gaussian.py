@@ -120,7 +120,7 @@ def test_added_columns_raise_the_density_by_their_evidence(at: tuple[int, ...]) 
     columns, rows = extra(2, blocks, at)
     std = np.array([0.3, 2.0])
     got = Gaussian(blocks, N_COEFFICIENTS)
-    S, r = got.beside(columns)
+    S, r = got.precision_and_score(columns)
     one = added(S, r, std)
     whole = np.concatenate((X, rows * std), 1)
     assert one.log_evidence == pytest.approx(log_density(whole, y) - log_density(X, y), rel=1e-9)
@@ -134,7 +134,7 @@ def test_precision_and_score_are_those_of_the_rows_that_the_model_leaves() -> No
     X, y = stacked(blocks)
     columns, rows = extra(3, blocks, (0, 1))
     V = np.linalg.inv(np.eye(len(y)) + X @ X.T)
-    S, r = Gaussian(blocks, N_COEFFICIENTS).beside(columns)
+    S, r = Gaussian(blocks, N_COEFFICIENTS).precision_and_score(columns)
     np.testing.assert_allclose(S, rows.T @ V @ rows, rtol=1e-9)
     np.testing.assert_allclose(r, rows.T @ V @ y, rtol=1e-9)
 
@@ -145,7 +145,7 @@ def test_coefficient_that_is_not_negative_is_integrated_over_the_half_line(sign:
     blocks = problem(4)
     X, y = stacked(blocks)
     columns, rows = extra(4, blocks, (1,), 1)
-    S, r = Gaussian(blocks, N_COEFFICIENTS).beside({1: sign * columns[1]})
+    S, r = Gaussian(blocks, N_COEFFICIENTS).precision_and_score({1: sign * columns[1]})
     c, cov = sign * rows[:, 0], X @ X.T + np.eye(len(y))
     base = log_density(X, y)
 
@@ -168,8 +168,10 @@ def test_evidence_does_not_depend_on_the_units_of_a_coefficient() -> None:
     blocks = problem(5)
     columns, _ = extra(5, blocks, (0, 2))
     got, unit, std = Gaussian(blocks, N_COEFFICIENTS), np.array([1e4, 1e-3]), np.array([0.3, 2.0])
-    one = added(*got.beside(columns), std, positive=(1,))
-    other = added(*got.beside({j: C / unit[:, None] for j, C in columns.items()}), std * unit, positive=(1,))
+    one = added(*got.precision_and_score(columns), std, positive=(1,))
+    other = added(
+        *got.precision_and_score({j: C / unit[:, None] for j, C in columns.items()}), std * unit, positive=(1,)
+    )
     assert other.log_evidence == pytest.approx(one.log_evidence, rel=1e-9)
     np.testing.assert_allclose(other.mean, one.mean * unit, rtol=1e-9)
 
@@ -189,7 +191,7 @@ def test_among_is_the_model_that_was_built_without() -> None:
     assert got.log_evidence == pytest.approx(alone.log_evidence, rel=1e-12)
     np.testing.assert_allclose(got.z, alone.z, rtol=1e-10)
     columns, _ = extra(6, blocks, (0, 1))
-    for one, other in zip(got.beside(columns), alone.beside(columns), strict=True):
+    for one, other in zip(got.precision_and_score(columns), alone.precision_and_score(columns), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
     for j in range(3):
         assert got.used(j) == pytest.approx(alone.used(j))
@@ -288,7 +290,7 @@ def test_what_joints_have_alone_may_be_eliminated_first() -> None:
     assert got.log_evidence == pytest.approx(dense.log_evidence, rel=1e-12)
     assert [got.used(j) for j in range(3)] == pytest.approx([dense.used(j) for j in range(3)], rel=1e-10)
     columns, _ = extra(13, blocks, (0, 2))
-    for one, other in zip(got.beside(columns), dense.beside(columns), strict=True):
+    for one, other in zip(got.precision_and_score(columns), dense.precision_and_score(columns), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9)
     held = problem(50, (4, 0, 7))
     assert got.log_density(held) == pytest.approx(dense.log_density(held), rel=1e-10)

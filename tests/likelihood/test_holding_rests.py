@@ -8,7 +8,7 @@ from likelihood.arms import recorded, rows_of, wrong_robot
 from likelihood.fits import COULOMB, OPTIONS, URDF, VISCOUS, WIDTH, at_joint, carried, with_friction
 from simulated import Motion, inverse_dynamics, multisine
 
-from torchrbd.diagnosis.hypotheses import averaged
+from torchrbd.diagnosis.hypotheses import average_over_shapes
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect
 from torchrbd.likelihood.extra import Extra
@@ -70,7 +70,7 @@ def test_joint_that_sticks_is_not_late(sticking: Likelihood) -> None:
     for name in ("actuator_lag", "stribeck_friction"):
         e, site = effect(name), Site(joint=0)
         shapes = e.shapes(rows.columns.scale(site))
-        found = averaged(sticking, rows, [rows.columns.candidate(e, site, shape) for shape in shapes])
+        found = average_over_shapes(sticking, rows, [rows.columns.candidate(e, site, shape) for shape in shapes])
         assert found is not None
         assert found.log_evidence < 5
 

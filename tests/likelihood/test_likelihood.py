@@ -106,10 +106,10 @@ def test_widths_are_told_anew_where_columns_are_and_are_elsewhere_as_given(fit: 
     assert extra.joints == [1]
     given = 3.0 * fit.hyper.rest_width
     beside = fit.with_(rest_width=given).extended((extra,))
-    found = beside.settled_at(extra.joints).hyper.rest_width
+    found = beside.refit_at(extra.joints).hyper.rest_width
     assert found[0] == given[0]
-    assert found[1] == pytest.approx(fit.settled.hyper.rest_width[1], rel=0.3)
-    np.testing.assert_array_equal(beside.settled_with(given).hyper.rest_width, given)
+    assert found[1] == pytest.approx(fit.refit.hyper.rest_width[1], rel=0.3)
+    np.testing.assert_array_equal(beside.refit_with(given).hyper.rest_width, given)
     whole = np.zeros((1, *fit.machine.rows.qd.shape))
     whole[0, 0] = 1.0
     assert Extra(None, whole, np.ones(1)).joints == [0]
@@ -161,7 +161,7 @@ def test_columns_beside_raise_the_evidence_by_what_was_said(fit: Likelihood) -> 
     for place, c in ((1, candidate(rows, "quadratic_drag", Site(1))), (None, candidate(rows, "base_tilt", Site()))):
         F = rows.features(c)
         std = 0.1 * np.ones(len(F))
-        one = added(*fit.beside(place, F), std)
+        one = added(*fit.precision_and_score(place, F), std)
         beside = fit.extended([Extra(place, F, std)])
         assert beside.log_evidence - fit.log_evidence == pytest.approx(one.log_evidence, abs=1e-6)
         np.testing.assert_allclose(beside.coefficients(0), one.mean, rtol=1e-6, atol=1e-12)
@@ -174,10 +174,10 @@ def test_columns_beside_raise_the_evidence_by_what_was_said(fit: Likelihood) -> 
 def test_features_are_judged_together_as_one_by_one(fit: Likelihood) -> None:
     rows = carried(fit)
     parts = [rows.features(candidate(rows, "torque_ripple", Site(0), order=m)) for m in (3.0, 5.0, 8.0)]
-    S, r = fit.beside(0, np.concatenate(parts))
+    S, r = fit.precision_and_score(0, np.concatenate(parts))
     for k, F in enumerate(parts):
         here = slice(2 * k, 2 * k + 2)
-        one, score = fit.beside(0, F)
+        one, score = fit.precision_and_score(0, F)
         np.testing.assert_allclose(S[here, here], one, rtol=1e-9)
         np.testing.assert_allclose(r[here], score, rtol=1e-9, atol=1e-9)
 
@@ -237,9 +237,9 @@ def test_dispersion_is_one_for_white_rows_and_more_for_errors_that_last(fit: Lik
 
 def test_dispersed_rows_count_less(fit: Likelihood) -> None:
     F = np.sin(np.arange(len(fit.machine.rows.t)) / 7.0)[None]
-    S, _ = fit.beside(0, F)
+    S, _ = fit.precision_and_score(0, F)
     base = fit.hyper.dispersion
-    T, _ = fit.dispersed(4.0 * base).beside(0, F)
+    T, _ = fit.dispersed(4.0 * base).precision_and_score(0, F)
     assert T[0, 0] == pytest.approx(S[0, 0] / 4, rel=0.2)
     again = fit.dispersed(4.0 * base).dispersed(base)
     assert again.log_evidence == pytest.approx(fit.log_evidence)
@@ -307,8 +307,8 @@ def test_a_model_is_freed_as_soon_as_nothing_needs_it() -> None:
     gc.disable()
     try:
         fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [recording])))
-        assert fit.settled.least_squares.with_normal_noise.with_heavy_tails.friction.shape == (2, 3)
-        watched = weakref.ref(fit), weakref.ref(fit.machine), weakref.ref(fit.settled)
+        assert fit.refit.least_squares.with_normal_noise.with_heavy_tails.friction.shape == (2, 3)
+        watched = weakref.ref(fit), weakref.ref(fit.machine), weakref.ref(fit.refit)
         del fit
         assert [one() for one in watched] == [None, None, None]
     finally:

@@ -68,7 +68,7 @@ def test_least_squares_is_plain_whatever_the_noise() -> None:
     heavy = fit.with_(noise=tuple(replace(n, tail=tail_of(rare)) for n in fit.hyper.noise))
     plain, other = TwoEstimates(fit), TwoEstimates(heavy)
     at = fit.machine.ordinary(0)
-    std = np.sqrt(plain.told(at)[1].diagonal())
+    std = np.sqrt(plain.estimate(at)[1].diagonal())
     assert (np.abs(other.ordinary - plain.ordinary)[at] < 0.1 * std).all()
     assert (np.abs(other.efficient - plain.efficient)[at] > 0.1 * std).any()
 
@@ -109,14 +109,14 @@ def test_where_the_two_disagree_the_truth_may_be_either() -> None:
     fit, rng = right(), np.random.default_rng(5)
     bent, well = TwoEstimates(other_law := drawn(fit, rng, bend=0.3)), TwoEstimates(one := drawn(fit, rng))
     at, other = fit.machine.ordinary(0), fit.machine.timing
-    (mean, C), apart = bent.told(at), (bent.ordinary - bent.efficient)[at]
+    (mean, C), apart = bent.estimate(at), (bent.ordinary - bent.efficient)[at]
     np.testing.assert_allclose(mean, bent.efficient[at] + 0.5 * apart)
     assert (C.diagonal() >= 0.25 * apart**2).all()
     # The efficient estimate is sure that the other one is wrong; between them nothing is.
     alone = other_law.gaussian.against(at, bent.ordinary[at])
     assert alone > 10.0 > bent.against(at, bent.ordinary[at])
     assert well.test(other).p_value >= MISFIT
-    np.testing.assert_allclose(well.told(other)[1], one.gaussian.covariance(other))
+    np.testing.assert_allclose(well.estimate(other)[1], one.gaussian.covariance(other))
     assert well.against(other) == pytest.approx(one.gaussian.against(other))
 
 

@@ -158,10 +158,10 @@ def test_laws_that_explain_the_same_are_told_with_their_family(tmp_path):
 def test_what_held_out_data_does_not_confirm_has_its_own_section(tmp_path):
     result = diagnosis(("joint1", "joint2"))
     small = replace(result.findings[0], effect="torque_ripple")
-    page = render(replace(result, trifling=(small,)), tmp_path)
+    page = render(replace(result, not_confirmed=(small,)), tmp_path)
     part = page.partition('id="not-confirmed"')[2].partition("</section>")[0]
     assert "Torque ripple at joint2 (in hold.csv, 4.0 to 7.0 s)" in " ".join(Text(f"<body>{part}</body>").words)
     assert page.index("<h2>Held-out torque error</h2>") < page.index('id="not-confirmed"'), "first what was found"
-    alone = render(replace(result, findings=(), unexplained=(), trifling=(small,)), tmp_path)
+    alone = render(replace(result, findings=(), unexplained=(), not_confirmed=(small,)), tmp_path)
     assert "Torque ripple at joint2" in alone
     assert 'id="not-confirmed"' not in render(result, tmp_path)

@@ -61,7 +61,7 @@ def test_what_is_likely_but_not_shown_stands_apart_and_many_numbers_are_counted(
     whole = replace(
         one, effect="base_tilt", joints=(), parameters={f"p{k}": one.parameters["coulomb"] for k in range(9)}
     )
-    text = words(replace(result, findings=(whole,), trifling=(one, whole), unexplained=()))
+    text = words(replace(result, findings=(whole,), not_confirmed=(one, whole), unexplained=()))
     assert "whole robot (in hold.csv, 4.0 to 7.0 s) tilted base p0 1.000 ± 0.024 N m" in text
     assert "5 more 98 %" in text
     assert "not confirmed on held-out data: Coulomb friction at joint2; tilted base on the whole robot." in text
@@ -83,7 +83,7 @@ def test_names_are_escaped() -> None:
     odd: Finding = replace(one, joints=(evil,), effect="<img>", parameters={"<i>": one.parameters["coulomb"]})
     left = replace(result.unexplained[0], depends_on=(evil,))
     for shown in (
-        replace(result, findings=(odd,), unexplained=(left,), trifling=(odd,)),
+        replace(result, findings=(odd,), unexplained=(left,), not_confirmed=(odd,)),
         with_friction(result),
         replace(result.identification, held_out=evil),
     ):

@@ -26,9 +26,9 @@ from torchrbd.diagnosis.results import (
     Deflection,
     Diagnosis,
     Finding,
+    HeldOutCheck,
     Location,
     NextEffect,
-    Proof,
     Quantity,
     Ratio,
     Region,
@@ -104,11 +104,13 @@ def findings() -> list[Finding]:
     half, ratio = {"joint1": 0.5}, Ratio(0.9, 0.8, 1.0)
     rivals = tuple(Alternative(name, ("joint2",)) for name in (*known_effects(),))
     size = {"size": Quantity(1.6, 0.004, "N m")}
-    base = Finding("backlash", ("joint1",), (), 0.9, 9.0, size, Where(), rivals, half, {"joint1": 0.1}, confirmed=ratio)
+    base = Finding(
+        "backlash", ("joint1",), (), 0.9, 9.0, size, Where(), rivals, half, {"joint1": 0.1}, held_out_ratio=ratio
+    )
     load = Where(("load.csv",), ((2.0, 8.0),))
     found = [replace(base, effect=name) for name in known_effects()]
     found += [replace(base, probability=0.3), replace(base, adds_to_all=True, where=load)]
-    found += [replace(base, nmse_after=half), replace(base, confirmed=Ratio(0.1, -0.2, 0.4))]
+    found += [replace(base, nmse_after=half), replace(base, held_out_ratio=Ratio(0.1, -0.2, 0.4))]
     found += [replace(base, judged_on=OWN_TIME), replace(base, nmse_before={}, nmse_after={}, judged_on="")]
     found += [replace(base, parameters={"p": Quantity(0.1, 9.0, "kg"), "r": Quantity(0.1, 9.0, "kg")})]
     found += [replace(base, effect="geometry_error", variant=Variant("upper", 0.42, 0.3))]
@@ -159,11 +161,11 @@ def diagnoses() -> list[Diagnosis]:
     memory = dict.fromkeys(("urdf", "rigid_body", "extended"), 0.1)
     full = replace(
         whole, findings=tuple(findings()), unexplained=tuple(unexplained()), locations=tuple(locations()),
-        proofs=(Proof("joint1", over, memory, 0.1),), confirmed=Ratio(0.5, 0.4, 0.6), refuted=True,
+        held_out_checks=(HeldOutCheck("joint1", over, memory, 0.1),), held_out_ratio=Ratio(0.5, 0.4, 0.6), refuted=True,
         next_effect=NextEffect(12, "torque_ripple", ("joint1",), recording="a.csv"), ranking=ranking(JOINTS),
-        trifling=tuple(findings()[:3]), deflections=(deflection(), deflection(stiffness=None)),
+        not_confirmed=tuple(findings()[:3]), joint_deflections=(deflection(), deflection(stiffness=None)),
     )  # fmt: skip
-    one = [replace(full, findings=(f,), proofs=()) for f in full.findings]
+    one = [replace(full, findings=(f,), held_out_checks=()) for f in full.findings]
     others = ("consistent", "parameters", "unexplained", "suspect")
     return [full, with_friction(whole), *one, *(replace(full, verdict=v, findings=()) for v in others)]
 

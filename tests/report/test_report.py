@@ -10,7 +10,7 @@ from report.fabricated import HEADLINE, diagnosis, identification
 from report.rendered import Text, render
 from shortened import slow_but
 
-from torchrbd.diagnosis.results import Diagnosis, Proof, Ratio
+from torchrbd.diagnosis.results import Diagnosis, HeldOutCheck, Ratio
 from torchrbd.inference.verdict import verdict_of
 from torchrbd.report.text.numbers import change, number, sentence
 from torchrbd.report.text.verdict import worth
@@ -198,7 +198,10 @@ def test_worth_of_the_extended_model_is_shown_where_it_has_something(tmp_path):
     worse = {"rigid_body": Ratio(1.15, 1.08, 1.2), "urdf": Ratio(0.9, 0.7, 1.1)}
     result = replace(
         result,
-        proofs=(Proof("joint2", over, memory, 0.0999), Proof("joint3", worse, memory | {"extended": 0.4}, 0.0999)),
+        held_out_checks=(
+            HeldOutCheck("joint2", over, memory, 0.0999),
+            HeldOutCheck("joint3", worse, memory | {"extended": 0.4}, 0.0999),
+        ),
     )
     page = render(result, tmp_path)
     text = " ".join(Text(page).words).replace("\N{NO-BREAK SPACE}", " ")
@@ -207,7 +210,7 @@ def test_worth_of_the_extended_model_is_shown_where_it_has_something(tmp_path):
     assert "White noise below 5 Hz has 0.1 s" in text
     cells = re.findall(r'<td class="([^"]*)">[^<]* to ', page)
     assert [" ".join(c.split()) for c in cells] == ["group best", "best", "group worse", ""]
-    for without in (replace(result, findings=()), replace(result, proofs=()), result.identification):
+    for without in (replace(result, findings=()), replace(result, held_out_checks=()), result.identification):
         assert "autocorrelation" not in render(without, tmp_path)
 
 
@@ -216,7 +219,9 @@ def test_one_line_says_what_findings_are_worth():
 
     def told(*parts: float) -> str:
         ratios = ({"rigid_body": Ratio(x, 0.9 * x, 1.1 * x), "urdf": Ratio(x, x, x)} for x in parts)
-        return worth(replace(result, proofs=tuple(Proof(f"j{k}", r, memory, 0.1) for k, r in enumerate(ratios))))
+        return worth(
+            replace(result, held_out_checks=tuple(HeldOutCheck(f"j{k}", r, memory, 0.1) for k, r in enumerate(ratios)))
+        )
 
     begin = "Squared error on held-out data relative to the re-fitted rigid body, with 95 % intervals: "
     assert told(0.5, 1.0, 0.2) == f"{begin}20 % (18 to 22) at j2 and 50 % (45 to 55) at j0."

@@ -140,7 +140,7 @@ def test_what_held_out_data_does_not_confirm_is_not_in_the_headline() -> None:
     sure, here = finding("backlash", "joint1"), {"joint2": 0.3}
     unseen = finding("payload", links=("hand",), judged_on=OWN_TIME)
     useless = finding("joint_spring", "joint2", nmse_before=here, nmse_after=here)
-    elsewhere = finding("torque_ripple", "joint2", confirmed=Ratio(0.3, -0.2, 0.8))
+    elsewhere = finding("torque_ripple", "joint2", held_out_ratio=Ratio(0.3, -0.2, 0.8))
     assert head(unseen, useless, elsewhere, sure) == "The URDF lacks backlash at joint1."
     assert "Not confirmed on held-out data: 3 of 4 findings." in result(unseen, useless, elsewhere, sure).statement
     assert "held-out data does not confirm it" in head(unseen, useless, elsewhere)
@@ -184,7 +184,7 @@ def test_unlikely_findings_stay_out_of_the_headline() -> None:
 
 def test_the_statement_has_the_errors_and_what_remains() -> None:
     left = Unexplained(("joint6", "joint5"), (), Where(), 0.1)
-    more = {"confirmed": Ratio(1.0, 0.9, 1.1), "next_effect": NextEffect(12, "stribeck_friction", ("joint1",))}
+    more = {"held_out_ratio": Ratio(1.0, 0.9, 1.1), "next_effect": NextEffect(12, "stribeck_friction", ("joint1",))}
     said = replace(result(finding("backlash", "joint1"), **more), unexplained=(left,)).statement
     assert "On held-out data the torque of the findings is 1.00 (95 %: 0.90 to 1.10) times that fitted." in said
     assert "A residual at joint5 and joint6 is unexplained." in said
@@ -288,7 +288,7 @@ def test_a_sentence_says_what_it_is_worth_where_it_is_worth_most() -> None:
     }
     for one in (finding("base_tilt", **worth), finding("backlash", "joint1", **worth)):
         assert one.statement.endswith("The NMSE of joint2 on held-out data falls from 0.500 to 0.100 with it.")
-    there = finding("backlash", "joint1", **worth, confirmed=Ratio(-0.204, -1.0, 0.5))
+    there = finding("backlash", "joint1", **worth, held_out_ratio=Ratio(-0.204, -1.0, 0.5))
     assert there.statement.endswith(
         "Its torque there is −0.20 (95 %: −1.00 to 0.50) times that fitted. Not confirmed on held-out data."
     )

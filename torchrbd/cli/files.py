@@ -15,7 +15,7 @@ from torchrbd.report.text.verdict import suspicion_comments
 
 REPORT = "report.html"
 IDENTIFIED = ("parameters.json", "identified.urdf", "model.safetensors")
-"""What an identification leaves beside the report."""
+"""Files that an identification writes, besides the report."""
 
 
 def write_results(result: Identification | Diagnosis | EstimatorComparison, folder: Path) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from torchrbd.recordings.contents import digest
 from torchrbd.report.fleet import write_fleet_report
 from torchrbd.report.text.numbers import number
 
-# What a robot's files were made from, beside them; the last that is written.
+# The inputs of a robot's files, saved with them; this one is written last.
 _MADE_FROM = "made_from.json"
 # That the table names.
 _MOST_ROBOTS = 40
@@ -72,8 +72,11 @@ def identify_fleet(robots: Sequence[RobotEntry], output: Path, engine: Engine, p
         if not _is_there(output / one.name, made_from):
             tasks.append((one, made_from))
     there = len(robots) - len(tasks) - len(failed)
-    work, told = WithEffects(partial(_identify, output.absolute())), counted(progress, len(tasks), f"{there} there, ")
-    for (one, _), attempt in zip(tasks, engine.done(work, tasks, told), strict=True):
+    work, notable = (
+        WithEffects(partial(_identify, output.absolute())),
+        counted(progress, len(tasks), f"{there} there, "),
+    )
+    for (one, _), attempt in zip(tasks, engine.done(work, tasks, notable), strict=True):
         if attempt.error is not None:
             failed[one.name] = reason(attempt.error)
     return failed
@@ -137,14 +140,14 @@ def _print(result: FleetComparison) -> None:
     """Print the robots that differ, changed or failed."""
     out = Console(highlight=False)
     out.print(result.statement, markup=False)
-    told = [one for one in result.members if one.deviations or one.changes or one.error]
+    notable = [one for one in result.members if one.deviations or one.changes or one.error]
     table = Table(Column("robot", no_wrap=True), "verdict", Column("nmse", justify="right"), "what")
-    for one in told[:_MOST_ROBOTS]:
+    for one in notable[:_MOST_ROBOTS]:
         table.add_row(Text(one.name), one.verdict, number(one.nmse), Text(one.statement, overflow="fold"))
-    if told:
+    if notable:
         out.print(table)
-    if len(told) > _MOST_ROBOTS:
-        out.print(f"and {len(told) - _MOST_ROBOTS} more in fleet.json", markup=False)
+    if len(notable) > _MOST_ROBOTS:
+        out.print(f"and {len(notable) - _MOST_ROBOTS} more in fleet.json", markup=False)
 
 
 def _reasons(failed: Mapping[str, str]) -> str:

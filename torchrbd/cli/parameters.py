@@ -95,7 +95,7 @@ Gravity: TypeAlias = Annotated[
 def with_options(names: Iterable[str] = Options.names()) -> Callable[[Command], Command]:
     """Give a command the options of these names; it gets those that the user gave as keyword arguments ``**options``.
 
-    A decorator. None stands for an option that was not given.
+    A decorator. None means that an option was not given.
     """
     wanted, keyword = set(names), inspect.Parameter.KEYWORD_ONLY
     added = [

@@ -44,7 +44,7 @@ def merge(files: Sequence[Path], output: Path) -> None:
 
 @contextmanager
 def _folder(output: Path, own: Ranks) -> Iterator[None]:
-    """Hold the folder: one run at a time, whose first process stands for all."""
+    """Hold the folder: one run at a time, represented by its first process."""
     if own.first:
         with OutputFolder(output):
             own.wait()

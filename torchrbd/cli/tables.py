@@ -47,7 +47,10 @@ def print_diagnosis(result: Diagnosis) -> None:
     if folded:
         _print_plain(folded, out)
     _print_findings([f for f in special if not f.held_out], recordings, "not confirmed on held-out data", out)
-    for statement in (*(d.statement for d in result.deflections), *(rest.statement for rest in result.unexplained)):
+    for statement in (
+        *(d.statement for d in result.joint_deflections),
+        *(rest.statement for rest in result.unexplained),
+    ):
         out.print(statement, markup=False)
     _print_fits(result.identification, out, model_words(result), worth(result))
 
@@ -69,10 +72,10 @@ def _times(where: Where, recordings: int) -> list[str]:
     """Return when and in which recordings something acts, in short lines; many of them are counted."""
     if where.recordings is not None and len(where.recordings) > _MOST_RECORDINGS:
         counted = f"in {len(where.recordings)} of {recordings} recordings"
-        told = ", ".join(filter(None, (counted, when(replace(where, recordings=None)))))
+        lines = ", ".join(filter(None, (counted, when(replace(where, recordings=None)))))
     else:
-        told = when(where)
-    return wrap(told, _WIDEST, break_on_hyphens=False)
+        lines = when(where)
+    return wrap(lines, _WIDEST, break_on_hyphens=False)
 
 
 def _print_plain(rows: Sequence[PlainRow], out: Console) -> None:
@@ -172,9 +175,9 @@ def print_changes(result: Comparison) -> None:
     table = Table("what", Column("parameter", overflow="fold"), *map(_right, titles))
     for change in result.changes:
         for row, (name, d) in enumerate(shown(change)):
-            told = next(q for q in (d.after, d.before) if q is not None)
+            lines = next(q for q in (d.after, d.before) if q is not None)
             values = ("–" if q is None else number(q.value) for q in (d.before, d.after))
-            difference = signed(d), unit(told.unit), certainty(d.probability)
+            difference = signed(d), unit(lines.unit), certainty(d.probability)
             table.add_row(Text(title(change) if row == 0 else ""), Text(name.replace("_", " ")), *values, *difference)
     if table.row_count:
         out.print(table)

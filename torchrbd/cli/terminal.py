@@ -13,7 +13,7 @@ _PLAIN = {
     "±": "+/-", "\N{MINUS SIGN}": "-", "–": "-", "→": "->", "·": "*", "°": "deg", "≠": "!=", "✓": "ok", "✗": "x",
     "\N{NO-BREAK SPACE}": " ", "\N{NARROW NO-BREAK SPACE}": " ", "⁻": "-", "…": "...",
 }  # fmt: skip
-"""What stands for characters that a terminal's encoding lacks."""
+"""Replaces characters that a terminal's encoding lacks."""
 
 
 def _plainly(error: UnicodeError) -> tuple[str, int]:
@@ -38,7 +38,7 @@ def speak_plainly() -> None:
 
 
 def fall_silent() -> None:
-    """Send what is left to be written nowhere, since Python would fail on it once more when it ends."""
+    """Discard output that is not written yet: Python would fail on it once more when it ends."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -3,15 +3,15 @@
 from torchrbd.diagnosis.changes.compare import compare
 from torchrbd.diagnosis.changes.results import Change, Comparison, Difference
 from torchrbd.diagnosis.diagnose import diagnose
-from torchrbd.diagnosis.ranking import Ranked, Ranking, rank
+from torchrbd.diagnosis.ranking import Ranked, Ranking, rank_hypotheses
 from torchrbd.diagnosis.results import (
     Alternative,
     Attack,
     Curve,
     Deflection,
+    DetectionLimit,
     Diagnosis,
     Finding,
-    Limit,
     Location,
     Quantity,
     Region,
@@ -27,10 +27,10 @@ __all__ = [
     "Comparison",
     "Curve",
     "Deflection",
+    "DetectionLimit",
     "Diagnosis",
     "Difference",
     "Finding",
-    "Limit",
     "Location",
     "Quantity",
     "Ranked",
@@ -41,5 +41,5 @@ __all__ = [
     "Where",
     "compare",
     "diagnose",
-    "rank",
+    "rank_hypotheses",
 ]

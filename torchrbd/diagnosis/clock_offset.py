@@ -65,8 +65,8 @@ def clock_offset(ranked: Ranking, extended: Extended, identification: Identifica
 
 def _offset(ranked: Ranking, prepared: Prepared) -> tuple[float, float]:
     """Return by how much later the torque is read, and its standard deviation [s], the same for all recordings."""
-    told = {name: late for name, late in (prepared.late or {}).items() if name in prepared.fitted}
-    return of_one_machine(told or ranked.delay_s, [""])[""]
+    known = {name: late for name, late in (prepared.late or {}).items() if name in prepared.fitted}
+    return of_one_machine(known or ranked.delay_s, [""])[""]
 
 
 def _is_offset(h: Ranked) -> bool:

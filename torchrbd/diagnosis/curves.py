@@ -28,8 +28,8 @@ def driven_by(term: Candidate, robot: RobotModel) -> tuple[str, ...]:
 def fitted_curve(model: FittedModel, term: Candidate) -> Curve | None:
     """Return a term as a function of one signal, y = J w with the standard deviation sqrt(diag(J cov(w) J')).
 
-    The coefficients enter linearly; the shape is taken as known. None if no signal of one joint tells the torque, or
-    when it acts beside that.
+    The coefficients enter linearly; the shape is taken as known. None if the torque is not a function of one signal of
+    one joint.
     """
     site, columns = term.site, model.columns
     if site.joint is None:

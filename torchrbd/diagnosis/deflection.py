@@ -1,22 +1,26 @@
-"""What an encoder behind the gear says: by how much a joint yields to its load.
+"""What an encoder behind the gear shows: by how much a joint yields to its load.
 
 The motor's position q and the link's q_link, each as its encoder reads it, differ by
 
     e = q - q_link = tau_load / k + h sign(qd) + T (qd - T/2 qdd) + a sin(q) + b cos(q) + o
 
-with k the stiffness; h half of the lost motion, or what friction behind the spring winds it up by; T how much later
-the link's encoder is read; a, b one wave a turn of an eccentric disc (a prismatic joint has a scale, a q, in its
-place); and o where an encoder's zero is, one for each recording. Viscous friction makes the torque follow qd, so that a
-delay that was left out would look like a soft gear. All but the spring is always fitted; the spring counts if it
-predicts blocks that were left out by as much better as an effect in the torque must.
+- k: the stiffness.
+- h: half of the lost motion, or the wind-up by friction behind the spring.
+- T: how much later the link's encoder is read.
+- a, b: one wave a turn of an eccentric disc; a prismatic joint has a scale, a q, instead.
+- o: the zero of an encoder, one for each recording.
 
-tau_load is what acts on the link in the extended model: rigid body, loads, forces, springs. The friction that was found
-is taken for the motor's; what of it is the link's is in h and T. The torque that was measured is not used: it has the
-motor's friction in it.
+Viscous friction makes the torque follow qd, so that without T a delay would look like a soft gear. All terms but the
+spring are always fitted. The spring counts if it predicts left-out blocks better, by as much as an effect in the torque
+must.
+
+tau_load is what acts on the link in the extended model: rigid body, loads, forces, springs. All friction that was found
+is taken to act at the motor; the part that acts at the link goes into h and T. The measured torque is not used, as it
+holds the motor's friction.
 
 Not guaranteed: gravity's load on a link that only it moves is one wave a turn too. Where the motion is so slow that
-gravity is all of the load, nothing tells a spring from an eccentric disc, and the interval says so. A rotor's inertia
-that the rigid body has absorbed, as it does at the first joint, counts as load and makes the spring look stiffer.
+gravity is the whole load, a spring cannot be distinguished from an eccentric disc; the interval is wide then. A rotor
+inertia that the rigid body absorbs, as at the first joint, counts as load and makes the spring look stiffer.
 """
 
 from __future__ import annotations
@@ -34,7 +38,7 @@ from torchrbd.inference.preparation import Prepared
 from torchrbd.likelihood.gaussian import Posterior
 from torchrbd.recordings import States, tiles
 
-# What acts on the link and so loads the spring, beside the rigid body.
+# What acts on the link and so loads the spring, besides the rigid body.
 LINK_SIDE = frozenset(
     ("payload", "external_wrench", "joint_spring", "one_sided_spring", "counterbalance", "base_tilt", "geometry_error")
 )
@@ -83,7 +87,7 @@ class _Rows:
         return np.concatenate([part - part.mean() for part in parts])
 
 
-def deflections(prepared: Prepared, model: FittedModel) -> tuple[Deflection, ...]:
+def joint_deflections(prepared: Prepared, model: FittedModel) -> tuple[Deflection, ...]:
     """Return what is to be said of each joint that has an encoder behind the gear in some recording.
 
     Args:
@@ -216,15 +220,15 @@ def _load_std(total: np.ndarray, YX: np.ndarray, w: np.ndarray, model: FittedMod
 
 
 def _inertial_share(rows: _Rows, B: np.ndarray, model: FittedModel, joint: int) -> float:
-    """Return the part of the load, beside other columns, that follows the acceleration; zero with a rotor's inertia."""
+    """Return the part of the load, given other columns, that follows the acceleration; zero with a rotor inertia."""
     if any(c.effect.id == "rotor_inertia" and c.place == joint for c in model.proper_terms):
         return 0.0
     A = rows.A[~rows.held]
     X = np.column_stack((A @ B[:, 1:], A[:, _ACCELERATION], A[:, _LOAD]))
     moments, rigid = X.T @ X, np.r_[: X.shape[1] - 2, X.shape[1] - 1]
     other = moments[np.ix_(rigid, rigid)]
-    beside, left = (_errors(m[None], _solved(m)[None]).item() for m in (other, moments))
-    return 1.0 - left / beside if beside > _RANK * moments[-1, -1] else 0.0
+    without, left = (_errors(m[None], _solved(m)[None]).item() for m in (other, moments))
+    return 1.0 - left / without if without > _RANK * moments[-1, -1] else 0.0
 
 
 def _unpredicted(rows: _Rows, w: np.ndarray) -> float:

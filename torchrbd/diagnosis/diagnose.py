@@ -7,13 +7,14 @@ from pathlib import Path
 
 from torchrbd.deadline import is_over, time_limited
 from torchrbd.diagnosis.clock_offset import clock_offset
-from torchrbd.diagnosis.deflection import deflections
+from torchrbd.diagnosis.deflection import joint_deflections
+from torchrbd.diagnosis.detection_limits import detection_limits
 from torchrbd.diagnosis.explain import explain, likeliest_left, reported
 from torchrbd.diagnosis.extending import Extended, extended
-from torchrbd.diagnosis.limits import limits
+from torchrbd.diagnosis.held_out_checks import held_out_checks
 from torchrbd.diagnosis.locate import locate
+from torchrbd.diagnosis.negligible import is_negligible
 from torchrbd.diagnosis.posterior import refit_matters
-from torchrbd.diagnosis.proof import proofs
 from torchrbd.diagnosis.ranking import ranking, without_terms
 from torchrbd.diagnosis.refuting import friction_alone, functions_alone, is_refuted, shown_of, what_counts
 from torchrbd.diagnosis.results import Diagnosis, Finding, Location, ResidualMap, Unexplained, strongest_first
@@ -23,7 +24,6 @@ from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.simplifying import simplified
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect
-from torchrbd.diagnosis.trifling import is_negligible
 from torchrbd.diagnosis.unexplained import only_where_fitted, tones, unexplained
 from torchrbd.effects import Site, effect
 from torchrbd.effects.registry import PLAIN
@@ -102,7 +102,7 @@ def diagnose(
         time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
             fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
             short. Default: none.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
@@ -127,28 +127,28 @@ def diagnose(
     worthless = tells_nothing(model.prepared, model.model)
     if worthless and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
         return suspect(asked, settings, progress, suspected, ranked)
-    told, alone, base = explain(model), (), ranked
-    full, plainly = told.model, worthless or is_refuted(told, asked)
-    if plainly and told.apart and not worthless:
-        # Bodies and friction may have taken the other side of what is set apart.
-        told = what_counts(told)
-        plainly = not told.model.terms or is_refuted(told, asked)
+    explained, alone, base = explain(model), (), ranked
+    full, plainly = explained.model, worthless or is_refuted(explained, asked)
+    if plainly and explained.apart and not worthless:
+        # Bodies and friction may have absorbed the opposite of the effects that are not confirmed.
+        explained = what_counts(explained)
+        plainly = not explained.model.terms or is_refuted(explained, asked)
     if plainly:
         base = without_terms(ranked, settings.chosen_effects())
-        told = friction_alone(asked, told, base, settings, progress)
+        explained = friction_alone(asked, explained, base, settings, progress)
         alone = (*tones(found), *(() if worthless else functions_alone(asked, ranked, settings, progress)))
-    there = None if plainly else shown_of(told.model)
-    findings, trifling, model = told.findings, told.trifling, told.model
+    there = None if plainly else shown_of(explained.model)
+    findings, not_confirmed, model = explained.findings, explained.not_confirmed, explained.model
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)
-    springs = deflections(model.prepared, model.model)
+    springs = joint_deflections(model.prepared, model.model)
     late = clock_offset(base, model, identification)
     if late is not None and is_negligible(late, model):
-        trifling = strongest_first((*trifling, late))
+        not_confirmed = strongest_first((*not_confirmed, late))
     elif late is not None:
         findings = strongest_first((*findings, late))
     findings = with_springs(findings, springs)
-    proof = proofs(identification.series, identification.cutoff_hz)
+    proof = held_out_checks(identification.series, identification.cutoff_hz)
     rest = (*alone, *unexplained(model, () if plainly else findings, proof))
     if plainly:
         known = {joint for one in rest for joint in one.joints}
@@ -158,7 +158,7 @@ def diagnose(
     identification = marked(identification)
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))
     simulations = tuple(one.name for one in prepared.reading.simulated)
-    absent = limits(found)
+    absent = detection_limits(found)
     return Diagnosis(
         identification,
         verdict,
@@ -171,8 +171,8 @@ def diagnose(
         simulations,
         proof,
         ranking=reported(ranked, model),
-        trifling=trifling,
-        confirmed=there if findings else None,
+        not_confirmed=not_confirmed,
+        held_out_ratio=there if findings else None,
         refuted=plainly,
         next_effect=likeliest_left(found),
     )

@@ -1,8 +1,8 @@
 """Edges: the rows at which something begins or ends, and how the innovations jump there.
 
-What begins at a moment is a step, low-passed as all rows are, and whitened: of coloured noise, which a step is unlike,
-the innovations leap at its edges, and say little in between. Features change slowly beside that, so that the rows
-around an edge are those of a low-passed step times the features.
+What begins at once is a step, low-passed and whitened like all rows. A step is unlike coloured noise: the innovations
+jump at its edges and are small in between. Features change slowly in comparison. The rows around an edge are therefore
+those of a low-passed step times the features:
 
     G_e = white(F s_e),   s_e = 1 before the edge e, 0 behind it, low-passed between
 
@@ -21,7 +21,7 @@ from scipy.linalg import convolution_matrix
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
 
-# Rows between two edges that are told apart; less than this of a step is rounding.
+# Least number of rows between two edges; less than this of a step is rounding.
 _APART, _ROUNDING = 3, 1e-9
 
 

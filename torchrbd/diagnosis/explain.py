@@ -14,9 +14,10 @@ from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.estimate_evidence import estimate_evidence
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.friction import COULOMB, UNEVEN, Friction
+from torchrbd.diagnosis.held_out_checks import held_out_ratio
 from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, whole
+from torchrbd.diagnosis.negligible import contradicted, is_negligible, split_negligible
 from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds, probability_of
-from torchrbd.diagnosis.proof import confirmed
 from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import (
@@ -32,7 +33,6 @@ from torchrbd.diagnosis.results import (
     strongest_first,
 )
 from torchrbd.diagnosis.terms import Explanation
-from torchrbd.diagnosis.trifling import contradicted, is_negligible, split_negligible
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.effects import Site, effect
 from torchrbd.inference.physical.fitting import FittedModel, judge, nmse_weights
@@ -41,7 +41,7 @@ from torchrbd.likelihood.block_statistics import Block
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.robot import RobotModel
 
-# A law is told of, and an alternative, if it is so probable among what explains the same.
+# Laws and alternatives of this probability, among the effects that explain the same, are reported.
 _LEAST_LAW = 0.05
 LARGEST_PROBABILITY = 0.999
 _FRICTION = "friction"
@@ -51,18 +51,18 @@ _TWO_SIDED, _ONE_SIDED = 1.96, 1.645
 
 @dataclass(frozen=True)
 class Explained:
-    """What is told of what was found.
+    """The report on the terms that were found.
 
     Attributes:
-        findings: that count, the largest gain first.
-        trifling: others that are as certain, but trifling, all of these together, or that stand in for something else.
-        model: without laws of friction that are trifling: what they take is ordinary friction's, which is told; and
-            without what held-out time contradicts, unless other joints need it.
-        apart: terms of the model that are trifling.
+        findings: those that count, the largest gain first.
+        not_confirmed: others as likely that are negligible (all of them together) or a proxy for another effect.
+        model: without negligible laws of friction, whose torque baseline friction takes over and reports; and without
+            terms that held-out data contradicts, unless other joints need them.
+        apart: terms of the model that are negligible.
     """
 
     findings: tuple[Finding, ...]
-    trifling: tuple[Finding, ...]
+    not_confirmed: tuple[Finding, ...]
     model: Extended
     apart: tuple[Candidate, ...]
 
@@ -79,9 +79,9 @@ def explain(extended: Extended) -> Explained:
             found.append(replace(one, adds_to_all=more, variant=another_variant(one, robot)))
         return strongest_first(found)
 
-    fits, every = _Fits(extended), _told(extended)
+    fits, every = _Fits(extended), _terms_and_findings(extended)
     own_time = {term: fits.in_its_time(term, one) for term, one in every if not fits.held_out_sees(term)}
-    # What was there too briefly to be divided, no unseen time has shown.
+    # Held-out data does not show an effect that was there too briefly to be divided.
     unseen = {term for term, one in own_time.items() if not one.judged_on or one.share < NO_CHANGE}
     kept, apart = split_negligible(
         every, fits.error_without, lambda term, one: term in unseen or is_negligible(one, extended)
@@ -90,32 +90,32 @@ def explain(extended: Extended) -> Explained:
     def proven(term: Candidate, one: Finding, others: Sequence[Candidate], by_own: Collection[Candidate]) -> Finding:
         if term in by_own:
             return _judged_as(own_time[term], one)
-        return replace(one, confirmed=fits.confirmed(term, one, others))
+        return replace(one, held_out_ratio=fits.held_out_ratio(term, one, others))
 
     others = [term for term, _ in apart]
     kept = [(term, proven(term, one, others, own_time)) for term, one in kept]
-    # What was sought, and its own joints are told worse with, stands in for something that others need: it stays there.
+    # A term that was added and makes its own joints worse is a proxy for something that others need: it stays there.
     stand_ins = [(term, one) for term, one in kept if term in extended.terms and contradicted(one)]
     kept = [(term, one) for term, one in kept if term not in dict(stand_ins)]
-    # What its own time shows is set apart where held-out time is told worse with it.
-    trifling = completed([*((term, proven(term, one, [], unseen)) for term, one in apart), *stand_ins])
+    # A term confirmed in its own window is still not confirmed if held-out data is predicted worse with it.
+    not_confirmed = completed([*((term, proven(term, one, [], unseen)) for term, one in apart), *stand_ins])
     others += [term for term, _ in stand_ins]
-    # What laws of friction take is ordinary friction's; what held-out time contradicts is nobody's.
+    # Baseline friction takes over what laws of friction had; nothing takes over what held-out data contradicts.
     leave = {term for term, one in apart if term.effect.family == _FRICTION or contradicted(one)}
     gone = leave.intersection(extended.terms)
     if gone:
         extended = extended.without(gone)
         fits, judged = _Fits(extended), dict(kept)
-        left = [(term, one) for term, one in _told(extended) if term not in others]
-        # Friction that these laws stood in for was not told before.
+        left = [(term, one) for term, one in _terms_and_findings(extended) if term not in others]
+        # Friction for which these laws were a proxy was not reported before.
         new = [pair for pair in left if pair[0] not in judged]
         new, more = split_negligible(new, fits.error_without, lambda _, one: is_negligible(one, extended))
-        trifling += completed([(term, proven(term, one, [], unseen)) for term, one in more])
+        not_confirmed += completed([(term, proven(term, one, [], unseen)) for term, one in more])
         kept = [(term, _judged_as(judged[term], one)) for term, one in left if term in judged]
         kept += [(term, proven(term, one, [t for t, _ in more], unseen)) for term, one in new]
         others += [term for term, _ in more]
     still = tuple(term for term in extended.terms if term in others)
-    return Explained(completed(_once(kept, extended.model.columns)), trifling, extended, still)
+    return Explained(completed(_once(kept, extended.model.columns)), not_confirmed, extended, still)
 
 
 def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[tuple[Candidate, Finding]]:
@@ -128,8 +128,8 @@ def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[t
     return [pair for pair, (one, own) in zip(kept, every, strict=True) if not is_part(one, own)]
 
 
-def _told(extended: Extended) -> list[tuple[Candidate, Finding]]:
-    """Return what is likelier than not, or whose family is, with what is told of it."""
+def _terms_and_findings(extended: Extended) -> list[tuple[Candidate, Finding]]:
+    """Return terms that are likelier than not, or whose family is, with their findings."""
     reading = extended.prepared.reading
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
     return [
@@ -140,8 +140,8 @@ def _told(extended: Extended) -> list[tuple[Candidate, Finding]]:
 
 
 def _judged_as(judged: Finding, one: Finding) -> Finding:
-    """Return a finding with what unseen time says of it elsewhere."""
-    taken = ("nmse_before", "nmse_after", "judged_on", "confirmed")
+    """Return a finding with its errors on held-out data elsewhere."""
+    taken = ("nmse_before", "nmse_after", "judged_on", "held_out_ratio")
     return replace(one, **{name: getattr(judged, name) for name in taken})
 
 
@@ -154,9 +154,9 @@ class _Fits:
         self._fitted = {frozenset[Candidate](): self.first}
 
     def without(self, gone: Sequence[Candidate]) -> FittedModel:
-        """Return the model without some terms, and what is nothing without them.
+        """Return the model without some terms, and without those that need them.
 
-        Laws that refine ordinary friction go with it; curves that could pass for it are not in this model.
+        Laws that refine baseline friction go with it; curves that could be a proxy for it are not in this model.
         """
         key = frozenset(gone)
         if key not in self._fitted:
@@ -178,9 +178,9 @@ class _Fits:
         return term.site.always or any(out and _acts_in(b, term.site) for b, out in zip(blocks, held_out, strict=True))
 
     def in_its_time(self, term: Candidate, one: Finding) -> Finding:
-        """Return what is told of a term with nmse on the blocks in which it acts, each half told by a fit to the other.
+        """Return a finding with NMSE on the blocks in which it acts; each half is predicted by a fit to the other half.
 
-        Neither fit of a half has seen it, every other block. Judged on nothing if there is only one.
+        Neither fit uses its own half; both use all other blocks. A single block gives no NMSE.
         """
         statistics, held_out = self.prepared.statistics, self.prepared.held_out
         inside = torch.tensor([_acts_in(block, term.site) for block in statistics.blocks])
@@ -199,11 +199,11 @@ class _Fits:
         before, after = ({name: float(each[j] * weights[j]) for j, name in counted} for each in error)
         return replace(one, nmse_before=before, nmse_after=after, judged_on=OWN_TIME)
 
-    def confirmed(self, term: Candidate, told: Finding, others: Sequence[Candidate]) -> Ratio | None:
-        """Return the part of what a term adds that held-out time shows, others being left out."""
+    def held_out_ratio(self, term: Candidate, finding: Finding, others: Sequence[Candidate]) -> Ratio | None:
+        """Return the ratio of a term's torque on held-out data to that fitted, without some other terms."""
         names = self.prepared.robot.joint_names
-        joints = None if term.place is None else [names.index(name) for name in told.joints]
-        return confirmed(self.prepared.judging, self.without(others), self.without([*others, term]).x, joints)
+        joints = None if term.place is None else [names.index(name) for name in finding.joints]
+        return held_out_ratio(self.prepared.judging, self.without(others), self.without([*others, term]).x, joints)
 
 
 def _acts_in(block: Block, site: Site) -> bool:
@@ -374,7 +374,7 @@ def _std_left_open(term: Candidate, extended: Extended) -> dict[str, float]:
 
 
 def _alternatives(term: Candidate, sure: Inclusion, extended: Extended) -> tuple[Alternative, ...]:
-    """Return what a term cannot be told from, the likeliest first, with the parameters that it would have."""
+    """Return the effects that cannot be distinguished from a term, the likeliest first, with their parameters."""
     model, fit, own = extended.model, extended.found.fit, (term.effect.id, replace(term.site, window=None))
     alike = [(h.candidate, whole(h.candidate, h.coefficients, fit), p) for h, p in sure.laws if h.name != own]
     if term.effect.id == UNEVEN:

@@ -1,10 +1,10 @@
-"""The model with what was found: physically valid, in the band of the fit, as identification fits it.
+"""The extended model: physically valid, fitted in the band of identification.
 
-What the wide band tells of shapes, such as how often a ripple repeats, is their prior.
+What the wide band says of shapes, such as the frequency of a ripple, is their prior.
 
-Curves over a joint's own velocity, acceleration or load, which friction and inertia are linear in, and those of
-friction over any signal, of which Coulomb friction is one, are fitted to what all else leaves, so that none stands in
-for a part of these; what friction there is, is told without them:
+Friction and inertia are linear in a joint's own velocity, acceleration and load, and Coulomb friction is one of the
+friction curves over any signal. Such curves could absorb a part of friction and inertia. They are therefore fitted to
+the residual of all else, and friction is reported without them:
 
     w ~ N(0, D^2),   (C'C / s^2 + D^-2) w = C'(tau - X x) / s^2
 """
@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.friction import Friction, ordinary_friction, weighed_beside
+from torchrbd.diagnosis.friction import Friction, ordinary_friction, weighed_given
 from torchrbd.diagnosis.residual import has_friction
 from torchrbd.diagnosis.sharpening import known_shapes
 from torchrbd.diagnosis.terms import Explanation
@@ -34,16 +34,16 @@ from torchrbd.likelihood.reading import Progress
 
 @dataclass(frozen=True)
 class Extended:
-    """A model with ordinary friction and all that was found.
+    """A model with baseline friction and all that was found.
 
     Attributes:
         prepared: the data, with columns of all terms.
         found: by the search.
-        first: the fit of all but the curves that could stand in for a part of it.
-        model: the same with these, fitted to what it leaves.
-        friction: ordinary friction, in the order of the model's first terms.
+        first: the fit without the curves that could absorb a part of it.
+        model: the same with these curves, fitted to its residual.
+        friction: baseline friction, in the order of the model's first terms.
         terms: what was found, in the order of the explanation, their shapes final.
-        open: of each term, the covariance (K, K) of its coefficients in the likelihood, which leaves open what this fit
+        open: of each term, the covariance (K, K) of its coefficients in the likelihood. It includes what this fit
             takes as known: whether friction differs by direction, the level of a drift, the clocks.
     """
 
@@ -64,8 +64,8 @@ class Extended:
         terms, before = tuple(self.terms[k] for k in kept), self.found
         fit = before.fit.extended([before.fit.extra[k] for k in kept])
         found = replace(before, fit=fit, terms=tuple(before.terms[k] for k in kept))
-        beside, laws = _friction_beside(found)
-        friction = tuple(weighed_beside(f, beside, self.model.columns.robot, laws) for f in self.friction)
+        given, laws = _friction_given(found)
+        friction = tuple(weighed_given(f, given, self.model.columns.robot, laws) for f in self.friction)
         early = (*self.first.proper_terms[: len(self.friction)], *(c for c in terms if not has_friction(c)))
         late = tuple(c for c in terms if has_friction(c))
         first = fit_with_shapes(self.prepared, early)
@@ -75,18 +75,18 @@ class Extended:
 
 
 def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progress: Progress) -> Extended:
-    """Fit ordinary friction and what was found to all that is not held out.
+    """Fit baseline friction and what was found to all data that is not held out.
 
     Args:
         prepared: the data.
         found: what was found.
         may: ids of the effects that may be there.
-        progress: told how far the work is.
+        progress: called with how far the work is.
     """
     columns = prepared.columns
     own = [t.own.candidate for t in found.terms]
-    beside, laws = _friction_beside(found)
-    friction = ordinary_friction(beside, columns, may, laws)
+    given, laws = _friction_given(found)
+    friction = ordinary_friction(given, columns, may, laws)
     # Nothing is larger than the likelihood believes; of two kinds at one place, than of the larger.
     believed: dict[tuple[str, Site], np.ndarray] = {}
     for t in found.terms:
@@ -110,11 +110,11 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     return Extended(prepared, found, first, model, friction, terms, left_open)
 
 
-def _friction_beside(found: Explanation) -> tuple[Likelihood, list[Candidate]]:
-    """Return the likelihood that friction is weighed in, and its laws: without curves that could pass for it."""
+def _friction_given(found: Explanation) -> tuple[Likelihood, list[Candidate]]:
+    """Return the likelihood in which friction is weighed, and its laws: without curves that could be a proxy for it."""
     own = [t.own.candidate for t in found.terms]
     early = [e for e, c in zip(found.fit.extra, own, strict=True) if not has_friction(c)]
-    fit = found.fit if len(early) == len(own) else found.fit.extended(early).settled
+    fit = found.fit if len(early) == len(own) else found.fit.extended(early).refit
     return fit.with_heavy_tails, [c for c in own if not has_friction(c)]
 
 
@@ -133,5 +133,5 @@ def with_late(prepared: Prepared, first: FittedModel, late: Sequence[Candidate])
         laplace=torch.block_diag(first.laplace, covariance),
         covariance=torch.block_diag(first.covariance, covariance),
         prior_covariance=torch.block_diag(first.prior_covariance, size.square().diag()),
-        scatter=None if first.scatter is None else first.scatter.beside(at, covariance),
+        scatter=None if first.scatter is None else first.scatter.with_coefficients(at, covariance),
     )

@@ -1,9 +1,9 @@
-"""Ordinary friction of every joint: what of it the URDF leaves out, how sure that is, and whether directions differ.
+"""Baseline friction of every joint: how it differs from the URDF's, how certain that is, and whether directions differ.
 
-Coefficients are estimated in every model. The evidence for them is that of their density at what the URDF says, before
-the data and after (Savage and Dickey). That Coulomb friction differs by direction is as likely as not before the data:
-every model leaves it open, so that nothing is sought. Where a law that was found has the same column, theirs alone and
-the sum of both have to say otherwise than the URDF: each may stand in for a part of the other.
+Coefficients are estimated in every model. Their evidence is the ratio of densities at the URDF's value, prior over
+posterior (Savage and Dickey). That Coulomb friction differs by direction has prior odds of one: every model has both
+directions, so that nothing is searched. Where a law that was found has the same column, each may absorb a part of the
+other. Both the coefficients alone and the sums then have to differ from the URDF.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ def ordinary_friction(
     return tuple(found)
 
 
-def weighed_beside(one: Friction, fit: Likelihood, robot: RobotModel, laws: Sequence[Candidate]) -> Friction:
-    """Return the same friction with its evidence in another likelihood and beside other laws."""
+def weighed_given(one: Friction, fit: Likelihood, robot: RobotModel, laws: Sequence[Candidate]) -> Friction:
+    """Return the same friction with its evidence in another likelihood and given other laws."""
     assert one.candidate.joint is not None
     evidence = _evidence(fit, robot, one.candidate.effect.id, one.candidate.joint, laws)
     return replace(one, log_evidence=evidence, probability=probability_of(evidence))

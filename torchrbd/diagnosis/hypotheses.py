@@ -1,8 +1,8 @@
-"""A hypothesis: an effect at a place, and its evidence beside a likelihood, averaged over what it leaves open.
+"""A hypothesis: an effect at a place, and its evidence given a likelihood, averaged over its free choices.
 
     log B = log mean_(shape, window, size) p(tau | base, effect) / p(tau | base)
 
-so that the number of shapes and stretches of time that were tried is paid for.
+The mean pays for the number of shapes and windows of time that were tried.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from torchrbd.likelihood.sizes import coefficient_std
 
 # Columns that ordinary friction has too.
 SHARED = ("qd", "sign(qd)")
-# Draws that tell how much of a distribution physics allows, and the part of variances that is rounding.
+# Draws that estimate how much of a distribution physics allows, and the part of variances that is rounding.
 _DRAWS, _ROUNDING = 256, 1e-12
 # The gain [nats] that is worth another step of a shape, and how many there are towards one that agrees.
 LEAST_GAIN, _MOST_STEPS = 0.1, 10
@@ -73,16 +73,16 @@ def carried(fit: Likelihood) -> Rows:
     return fit.machine.rows.around(own.pi, own.friction, own.rest_width)
 
 
-def told(fit: Likelihood, rows: Rows, candidate: Candidate) -> Hypothesis | None:
+def hypothesis_of(fit: Likelihood, rows: Rows, candidate: Candidate) -> Hypothesis | None:
     """Return the evidence of one candidate whose shape, or window, is known."""
-    return averaged(fit, rows, [candidate])
+    return average_over_shapes(fit, rows, [candidate])
 
 
-def agreed(fit: Likelihood, rows: Rows, one: Hypothesis, *, plausible: bool = True) -> Hypothesis:
-    """Return a candidate's evidence with the shape that its coefficients ask for, as long as that is likelier.
+def agree_shape(fit: Likelihood, rows: Rows, one: Hypothesis, *, plausible: bool = True) -> Hypothesis:
+    """Return a candidate's evidence with the shape that agrees with its coefficients, while that is likelier.
 
     Args:
-        fit: beside which it stands.
+        fit: the evidence is conditional on it.
         rows: its rows.
         one: the candidate.
         plausible: go on, likelier or not, as long as physics does not allow it.
@@ -90,7 +90,7 @@ def agreed(fit: Likelihood, rows: Rows, one: Hypothesis, *, plausible: bool = Tr
     for _ in range(_MOST_STEPS if one.candidate.effect.follows else 0):
         c = one.candidate
         shape = c.effect.agreeing(torch.from_numpy(one.coefficients), c.shape)
-        then = told(fit, rows, rows.columns.candidate(c.effect, c.site, shape))
+        then = hypothesis_of(fit, rows, rows.columns.candidate(c.effect, c.site, shape))
         must = plausible and not _allowed(one, fit, rows, one.coefficients[None])
         if then is None or (then.log_evidence < one.log_evidence + LEAST_GAIN and not must):
             break
@@ -106,12 +106,12 @@ def believed(fit: Likelihood, rows: Rows, candidate: Candidate) -> tuple[np.ndar
     return coefficient_std(candidate, rows.rms(candidate), fit.machine.torque_rms)
 
 
-def averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hypothesis | None:
+def average_over_shapes(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hypothesis | None:
     """Return the evidence of an effect at a place, averaged over its shapes and sizes; None if no torque feels it."""
     known = [(c, F) for c in candidates if np.isfinite(F := rows.features(c)).all()]
     if not known:
         return None
-    S, r = fit.beside(known[0][0].place, np.concatenate([F for _, F in known]))
+    S, r = fit.precision_and_score(known[0][0].place, np.concatenate([F for _, F in known]))
     at = np.arange(len(r)).reshape(len(known), -1)
     S, r = S[at[:, :, None], at[:, None, :]], r[at]
     felt = np.flatnonzero(S.any(axis=(1, 2)))
@@ -129,20 +129,20 @@ def averaged(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hy
 
 
 def again(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis | None:
-    """Return a hypothesis beside another fit, its shape and window as they are; what they have cost stays paid."""
-    one = told(fit, rows, h.candidate)
+    """Return a hypothesis given another fit, with its shape, window and the evidence that these have cost."""
+    one = hypothesis_of(fit, rows, h.candidate)
     return None if one is None else replace(one, log_evidence=one.log_evidence + h.paid, tried=h.tried, paid=h.paid)
 
 
 def support(h: Hypothesis, fit: Likelihood, rows: Rows, mean: np.ndarray, covariance: np.ndarray) -> float:
-    """Return what the bounds of physics are worth: log of the posterior's share of what they allow, over the prior's.
+    """Return the evidence for physical bounds: log of the share of the posterior within them, over that of the prior.
 
     The prior of an effect's coefficients is Gaussian, truncated to parameters that are plausible; signs that
     coefficients must have count already.
 
     Args:
         h: the hypothesis.
-        fit: beside which it stands.
+        fit: the evidence is conditional on it.
         rows: its rows.
         mean, covariance: (K,) and (K, K), posterior of its coefficients.
     """

@@ -1,10 +1,10 @@
-"""How likely hypotheses are: evidence times prior odds, and what is left to their rivals, laws and families.
+"""How likely hypotheses are: evidence times prior odds; the rest goes to rivals, laws and families.
 
     o = odds(effect at a place) B,   p = o / (1 + sum over it and its rivals of o)
 
-with B = exp(log evidence) beside all other terms. Prior odds are those of the effect on a machine, by its card, shared
-out over its places; stretches of time and shapes share theirs within the evidence. Evidence is tempered by what it was
-worth on development arms, see ``calibration``.
+with B = exp(log evidence) given all other terms. Prior odds are those of the effect on a machine, by its card, shared
+among its places; windows of time and shapes share theirs within the evidence. Evidence is tempered by calibration on
+development arms, see ``calibration``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from torchrbd.robot import RobotModel
 _CERTAIN = 1e8
 # Standard deviation of the logarithm of how long something is there.
 _TIMES_STD = math.log(3.0)
-# How many of an effect are expected on a machine beside its ordinary friction.
+# How many of an effect are expected on a machine, besides baseline friction.
 EXPECTED = {"common": 0.1, "rare": 0.03, "unknown": 0.001}
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from torchrbd.deadline import time_limited
-from torchrbd.diagnosis.hypotheses import Hypothesis, carried, told, whole
+from torchrbd.diagnosis.hypotheses import Hypothesis, carried, hypothesis_of, whole
 from torchrbd.diagnosis.screening import is_clocks
 from torchrbd.diagnosis.search import explained
 from torchrbd.diagnosis.terms import Explanation
@@ -46,8 +46,8 @@ class Ranked:
 
     Attributes:
         effect: its id.
-        joints, links: where; none of both if it acts on the whole robot.
-        log_evidence: against leaving it out, in nats, averaged over shapes, sizes and stretches of time.
+        joints, links: where; both empty if it acts on the whole robot.
+        log_evidence: against leaving it out, in nats, averaged over shapes, sizes and windows of time.
         parameters: physical ones, by name, SI units.
         other: the joint on whose motion it depends, if that is another one.
         window: recording, from and to [s], where it acts for a time.
@@ -75,16 +75,16 @@ class Ranking:
 
     Attributes:
         band_hz: up to which torques were compared.
-        ordinary: friction of each joint, which every machine has: evidence against leaving it out. Where ``misfit``
-            says that its law is wrong, coefficients are those of plain least squares, which predict.
-        delay_s: by recording, how much later the torque is than the motion beside what was adopted, and its standard
+        ordinary: baseline friction of each joint: evidence against leaving it out. Where ``misfit`` says that its law
+            is wrong, coefficients are those of plain least squares, which predict.
+        delay_s: by recording, how much later the torque is than the motion, given what was adopted, and its standard
             deviation.
-        first: beside a rigid body with ordinary friction.
+        first: given a rigid body with baseline friction.
         adopted: those that were taken into the model, one after the other.
-        last: beside these; the adopted ones among them, each against leaving it out.
+        last: given these; the adopted ones among them, each against leaving it out.
         considered: number of effects at their places.
         misfit: by joint, whether whitened rows and plain least squares agree on its friction (Hausman's test).
-        clocks: what tells the delays.
+        clocks: the model that estimates the delays.
         explanation: what was found, with all that was considered.
     """
 
@@ -115,7 +115,7 @@ class Ranking:
         window: tuple[str, float, float] | None = None,
         **more: Any,
     ) -> float:
-        """Return the log evidence of one hypothesis that is told, its noise learnt with it; its size is averaged over.
+        """Return the log evidence of one given hypothesis, averaged over its size; the noise is learnt with it.
 
         Args:
             effect_id: of the effect; ``effect`` does as well.
@@ -138,13 +138,13 @@ class Ranking:
         if is_clocks(e, site, rows):
             return next((h.log_evidence for h in self.first if (h.effect, h.joints) == (e.id, ())), 0.0)
         candidate = rows.columns.candidate(e, site, known)
-        one = told(base, rows, candidate)
+        one = hypothesis_of(base, rows, candidate)
         return -math.inf if one is None else with_own_noise(base, rows, one).log_evidence
 
 
 @time_limited
 @single_threaded()
-def rank(
+def rank_hypotheses(
     robot: RobotModel | str | Path | bytes,
     recordings: Sources,
     *,
@@ -203,12 +203,12 @@ def rank(
         time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
             fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
             short. Default: none.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
     """
-    robot, sources, settings = read_arguments(robot, recordings, given(locals()), "rank")
+    robot, sources, settings = read_arguments(robot, recordings, given(locals()), "rank_hypotheses")
     reading, _ = read(robot, sources, settings, progress)
     held = {recording.name for recording in reading.recordings[len(sources) :]}
 
@@ -225,7 +225,7 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
         reading: how they are read; its cut-off does not matter unless the settings name one.
         settings: the user's choices.
         kept_back: what of them is held out.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
     """
     robot, effects = reading.robot, settings.chosen_effects()
     surveys = [reading.surveys[k] for k in not_held_out(reading, kept_back)]
@@ -264,8 +264,8 @@ def _ranking(found: Explanation, band: float, clocks: Clocks, effects: Sequence[
     fit, robot = found.base, found.rows.columns.robot
     late = _of_all(clocks, effects)
 
-    def shown(hypotheses: Sequence[Hypothesis], beside: Likelihood) -> tuple[Ranked, ...]:
-        every = [*(_ranked(h, beside, robot) for h in hypotheses[:_SHOWN]), *late]
+    def shown(hypotheses: Sequence[Hypothesis], given: Likelihood) -> tuple[Ranked, ...]:
+        every = [*(_ranked(h, given, robot) for h in hypotheses[:_SHOWN]), *late]
         return tuple(sorted(every, key=lambda h: -h.log_evidence)[:_SHOWN])
 
     two = TwoEstimates(fit)

@@ -41,8 +41,10 @@ def read_diagnosis(kind: type, folder: str | Path) -> dict[str, Any]:
 
 def _ranking(content: dict[str, Any], folder: Path) -> Ranking:
     lists = {name: tuple(_ranked(one) for one in content[name]) for name in ("ordinary", "first", "adopted", "last")}
-    # Typed as what they stand in for.
-    data: Any = Unsaved(folder, "the data that evidence is computed from", "use torchrbd.rank on the recordings")
+    # Typed as what they replace.
+    data: Any = Unsaved(
+        folder, "the data that evidence is computed from", "use torchrbd.rank_hypotheses on the recordings"
+    )
     return Ranking(
         band_hz=float(content["band_hz"]),
         delay_s={name: (float(one["value"]), float(one["std"])) for name, one in content["delay_s"].items()},

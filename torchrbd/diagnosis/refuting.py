@@ -1,4 +1,4 @@
-"""What held-out time refutes: the model with what was found predicts it worse than ordinary friction alone does."""
+"""What held-out data refutes: findings with which it is predicted worse than with baseline friction alone."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torchrbd.deadline import is_over
 from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.explain import Explained, explain
 from torchrbd.diagnosis.extending import Extended, extended
-from torchrbd.diagnosis.proof import confirmed, over_blocks
+from torchrbd.diagnosis.held_out_checks import held_out_ratio, over_blocks
 from torchrbd.diagnosis.ranking import Ranking
 from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, strongest_first
 from torchrbd.diagnosis.search import explained
@@ -20,32 +20,32 @@ from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.reading import Progress
 
 
-def is_refuted(told: Explained, asked: Prepared) -> bool:
-    """Say whether held-out time refutes what is told beside ordinary friction.
+def is_refuted(first: Explained, asked: Prepared) -> bool:
+    """Say whether held-out data refutes what was found besides baseline friction.
 
     Args:
-        told: of the extended model.
+        first: of the extended model.
         asked: the data without it.
     """
-    return bool(told.model.terms) and refuted(told.model.prepared, told.model.model, asked, shown_of(told.model))
+    return bool(first.model.terms) and refuted(first.model.prepared, first.model.model, asked, shown_of(first.model))
 
 
 def shown_of(extended: Extended) -> Ratio | None:
-    """Return how large held-out time has what a model adds to the plain one, see ``confirmed``."""
+    """Return the size on held-out data of what a model adds to the plain one, see ``held_out_ratio``."""
     prepared = extended.prepared
-    return confirmed(prepared.judging, extended.model, prepared.fit(prepared.columns.urdf_friction).x)
+    return held_out_ratio(prepared.judging, extended.model, prepared.fit(prepared.columns.urdf_friction).x)
 
 
 def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Ratio | None) -> bool:
-    """Say whether held-out time refutes what was found: the plain model predicts it better, joints taken together.
+    """Say whether held-out data refutes what was found: the plain model predicts it better, joints taken together.
 
-    By what counts, and either that is certain (blocks of time are drawn again), or it is that held-out time has less of
-    what was found.
+    The difference has to count. It also has to be certain (by a bootstrap over blocks of time), or held-out data has to
+    show less of what was found.
 
     Args:
         prepared, model: with what was found.
         asked: the same data without it; its model is the plain one.
-        there: how large held-out time has what was found, see ``confirmed``.
+        there: size of what was found on held-out data, see ``held_out_ratio``.
     """
     plain = asked.fit(asked.columns.urdf_friction)
     found, without = nmse_of_blocks(prepared.judging, model.x), nmse_of_blocks(asked.judging, plain.x)
@@ -54,36 +54,36 @@ def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Rati
 
 
 def friction_alone(
-    prepared: Prepared, told: Explained, ranked: Ranking, settings: Settings, progress: Progress
+    prepared: Prepared, first: Explained, ranked: Ranking, settings: Settings, progress: Progress
 ) -> Explained:
-    """Return what is told where a search has found nothing, what it had found being set apart.
+    """Return the findings of a search that has found nothing; what it had found becomes "not confirmed".
 
     Args:
         prepared: the data, as they were read.
-        told: what held-out time refutes.
+        first: what held-out data refutes.
         ranked: without its terms, see ``without_terms``.
         settings: the user's choices.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
     """
     alike = with_machine(prepared, settings, with_friction(settings), progress, ranked.clocks)
-    return _instead(told, extended(alike, ranked.explanation, [e.id for e in settings.chosen_effects()], progress))
+    return _instead(first, extended(alike, ranked.explanation, [e.id for e in settings.chosen_effects()], progress))
 
 
-def what_counts(told: Explained) -> Explained:
-    """Return what is told without the terms that are set apart: they are not in the model then."""
-    return _instead(told, told.model.without(told.apart))
+def what_counts(first: Explained) -> Explained:
+    """Return the findings of the model without the terms that are negligible."""
+    return _instead(first, first.model.without(first.apart))
 
 
 def functions_alone(
     prepared: Prepared, ranked: Ranking, settings: Settings, progress: Progress
 ) -> tuple[Unexplained, ...]:
-    """Return what smooth functions explain in the place of laws that held-out time refutes, unless it refutes them too.
+    """Return smooth functions in the place of laws that held-out data refutes, unless it refutes the functions too.
 
     Args:
         prepared: the data.
         ranked: what was considered.
         settings: the user's choices.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
     """
     if is_over():
         return ()
@@ -98,12 +98,12 @@ def functions_alone(
     return tuple(one for one in functions(model) if one.where.recordings is None)
 
 
-def _instead(told: Explained, model: Extended) -> Explained:
-    """Return what is told of another model; what was told of the first, and is not of this one, is set apart."""
+def _instead(first: Explained, model: Extended) -> Explained:
+    """Return the findings of another model; findings of the first that this one lacks become "not confirmed"."""
     other = explain(model)
-    known = {_kind(f) for f in (*other.findings, *other.trifling)}
-    apart = [f for f in (*told.findings, *told.trifling) if _kind(f) not in known]
-    return replace(other, trifling=strongest_first((*apart, *other.trifling)))
+    known = {_kind(f) for f in (*other.findings, *other.not_confirmed)}
+    apart = [f for f in (*first.findings, *first.not_confirmed) if _kind(f) not in known]
+    return replace(other, not_confirmed=strongest_first((*apart, *other.not_confirmed)))
 
 
 def _kind(one: Finding) -> tuple[object, ...]:

@@ -1,7 +1,7 @@
 """Torque without a law, as hypotheses: smooth functions of what a joint's residual may depend on, and tones.
 
-A tone is where the periodogram of what is left stands out most from its neighbourhood; that it may be at any frequency
-is paid for.
+A tone is where the periodogram of the residual exceeds its neighbourhood most. Its evidence pays for the free choice of
+the frequency.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, minimize_scalar
 from scipy.signal import detrend, periodogram
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, averaged
+from torchrbd.diagnosis.hypotheses import Hypothesis, average_over_shapes
 from torchrbd.effects import Site, Window
 from torchrbd.effects.smooth_torque import HUM, SMOOTH, SmoothTorque
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
 
-# Beyond these quantiles of a signal there are too few rows to tell a function.
+# Beyond these quantiles of a signal there are too few rows to estimate a function.
 _ENDS = (0.01, 0.99)
 # Slower than this it is drift, or the motion; width of the neighbourhood that a tone is compared with [Hz].
 _SLOWEST_HZ, _AROUND_HZ = 1.0, 1.5
 
 
 def curves(fit: Likelihood, rows: Rows) -> list[Hypothesis]:
-    """Return functions of each signal, and a tone, at every joint that has a torque, beside a fit."""
+    """Return functions of each signal, and a tone, at every joint that has a torque, given a fit."""
     return [*curves_at(fit, rows, range(rows.n_dof)), *(h for h in _tones(fit, rows) if h is not None)]
 
 
 def curves_at(fit: Likelihood, rows: Rows, joints: Collection[int]) -> list[Hypothesis]:
-    """Return functions of each signal at some joints beside a fit."""
-    found = (averaged(fit, rows, [c]) for c in _candidates(rows) if c.site.joint in joints)
+    """Return functions of each signal at some joints, given a fit."""
+    found = (average_over_shapes(fit, rows, [c]) for c in _candidates(rows) if c.site.joint in joints)
     return [h for h in found if h is not None]
 
 
@@ -62,7 +62,7 @@ def _tones(fit: Likelihood, rows: Rows) -> Iterator[Hypothesis | None]:
     inside = rows.recording == rows.recordings.index(name)
     shape = {"frequency": _peak(fit.residual(j)[inside], rows.t[inside], near, reach)}
     for recordings in dict.fromkeys(((name,), tuple(rows.seen_recordings))):
-        h = averaged(fit, rows, [rows.columns.candidate(HUM, Site(j, recordings=recordings), shape)])
+        h = average_over_shapes(fit, rows, [rows.columns.candidate(HUM, Site(j, recordings=recordings), shape)])
         yield None if h is None else replace(h, log_evidence=h.log_evidence - tried, paid=h.paid - tried)
 
 
@@ -85,7 +85,7 @@ def is_curve(candidate: Candidate) -> bool:
 
 
 def stands_in(candidate: Candidate) -> bool:
-    """Say whether a term is a curve over what friction and inertia are linear in: it could pass for a part of them."""
+    """Say whether a term is a curve over a signal in which friction or inertia is linear: it could absorb these."""
     effect = candidate.effect
     return isinstance(effect, SmoothTorque) and candidate.site.other is None and effect.signal in ("qd", "qdd", "load")
 

@@ -60,10 +60,10 @@ class Where:
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect that this data cannot tell from the finding; ``depends_on`` as there.
+    """An effect that this data cannot distinguish from the finding; ``depends_on`` as there.
 
-    ``parameters`` are what it would have in the finding's place, in SI units, ``probability`` is given that one of
-    those that explain the same is there; neither counts in comparisons.
+    ``parameters`` are those that it would have in the finding's place, in SI units. ``probability`` is given that one
+    of the effects that explain the same is there. Neither counts in comparisons.
     """
 
     effect: str
@@ -107,12 +107,12 @@ class Deflection(Stated):
 
     Attributes:
         joint: which.
-        stiffness: of the spring between motor and link, None if none is seen.
+        stiffness: of the spring between motor and link; None if there is no evidence of one.
         stiffness_at_least: lower end of its one-sided interval.
-        lost_motion: by what the link stays behind when the motor turns back.
+        lost_motion: how far the link stays behind when the motor turns back.
         delay: how much later than the motor's the link's encoder is read.
-        inertial_share: part of the load, as far as nothing else imitates it, that follows the joint's own acceleration
-            while the model has no rotor inertia there: what of it is the rotor's winds no spring.
+        inertial_share: part of the load that follows the joint's own acceleration and that nothing else absorbs, if the
+            model has no rotor inertia there. What of it belongs to the rotor winds no spring.
         rms: of the deflection, less its mean in each recording.
         probability, log_evidence_gain: of the spring, from left-out blocks of the deflection.
         nmse_before, nmse_after: NMSE of the deflection on held-out data without the spring and with it; NaN if nothing
@@ -175,7 +175,7 @@ class Finding(Stated):
         torque_rms: RMS of the torque that it carries, by joint [N m or N].
         judged_on: "held-out data"; "own window": cross-validated between two halves of the time in which it acts, as
             held-out data has none of it; or "", where that time is too short.
-        confirmed: its torque on held-out data over that fitted (1: the same); None where too little of it is there.
+        held_out_ratio: its torque on held-out data over that fitted (1: the same); None if too little there.
         adds_to_all: whether it adds to the same effect in all recordings.
         variant: set where a joint origin is so far off that the URDF may be another variant's.
         deflection: what the encoder behind the gear shows of it, for a spring.
@@ -198,7 +198,7 @@ class Finding(Stated):
     laws: tuple[Law, ...] = ()
     torque_rms: dict[str, float] = field(default_factory=dict)
     judged_on: str = HELD_OUT
-    confirmed: Ratio | None = None
+    held_out_ratio: Ratio | None = None
     adds_to_all: bool = False
     variant: Variant | None = None
     deflection: Deflection | None = None
@@ -231,11 +231,11 @@ class Finding(Stated):
 
     @property
     def held_out(self) -> bool:
-        """Whether held-out data confirm it: a joint's NMSE falls, and the interval of ``confirmed`` is above zero."""
+        """Whether held-out data shows it: a joint's NMSE falls, and ``held_out_ratio`` is significantly above zero."""
         if self.deflection is not None and not self.nmse_before:
             return self.deflection.held_out
         seen = self.judged_on == HELD_OUT and self.share >= NO_CHANGE
-        return seen and (self.confirmed is None or self.confirmed.low > 0.0)
+        return seen and (self.held_out_ratio is None or self.held_out_ratio.low > 0.0)
 
 
 def strongest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
@@ -285,7 +285,7 @@ class NextEffect:
 
 @dataclass(frozen=True)
 class Attack:
-    """A force on a link: [N] in the base's axes, at a point [m] of the link's frame; standard deviations beside.
+    """A force on a link: [N] in the base's axes, at a point [m] of the link's frame; each with its standard deviation.
 
     For a payload the force is its weight, the point its centre of mass.
     """
@@ -298,11 +298,11 @@ class Attack:
 
 @dataclass(frozen=True)
 class Location(Stated):
-    """A place where a model and the robot differ, found without a name for what is there.
+    """A place where a model and the robot differ, located without naming an effect.
 
     Attributes:
-        model: whose leftover: "rigid_body", re-fitted with an offset and friction at every joint, or "extended".
-        joints: where it acts, the one where it stands out most first.
+        model: whose residual: "rigid_body", re-fitted with an offset and friction at every joint, or "extended".
+        joints: where it acts, the joint with the clearest residual first.
         links: the link on which a payload or force explains it best; else none.
         where: recordings, times and region; None where it is not confined.
         depends_on: signals that it follows, e.g. "q_joint2"; "t" if only the time matters.
@@ -311,8 +311,9 @@ class Location(Stated):
         course: "abrupt" (begins or ends at once), "slow" (comes and goes gradually), "bursts", or "" if time does not
             matter.
         gain: log-likelihood that it gains, beyond the costs of its freedom and of the search.
-        torque_rms: per joint, RMS over all samples of what the model cannot absorb of its torque, [N m] or [N].
-        share: per joint, part of the leftover's power that it is.
+        torque_rms: per joint, RMS over all samples of the part of its torque that the model cannot absorb, [N m] or
+            [N].
+        share: per joint, its part of the residual's power.
         curve: how it depends on the first signal, if it does.
         attack: force and point of attack, if it is on a link.
         unit: of its torque.
@@ -335,14 +336,14 @@ class Location(Stated):
 
 @dataclass(frozen=True)
 class ResidualMap:
-    """How large the leftover of a model is where, joint by joint, over the noise: 1 is noise.
+    """RMS of a model's residual over the noise, by joint and by bins of a signal; 1 is noise.
 
     Attributes:
         model: as in ``Location``.
         signal: "t", "q" or "qd" (each joint's own).
         recording: which one, for time; "" for all.
         edges: per joint, B + 1 edges of the bins, [s, rad, m, ...].
-        level: per joint, RMS of the leftover in each bin over the standard deviation of the noise; NaN where empty.
+        level: per joint, RMS of the residual in each bin over the standard deviation of the noise; NaN where empty.
     """
 
     model: str
@@ -353,14 +354,14 @@ class ResidualMap:
 
 
 @dataclass(frozen=True)
-class Limit:
-    """An effect that was looked for and not found: how large it would be beside what was, in its best shape.
+class DetectionLimit:
+    """An effect that was looked for and not found: how large it could be, given the findings, in its best shape.
 
     Attributes:
         effect, joints, links, depends_on: as of a ``Finding``.
-        parameter: the first of its parameters that the data tell.
+        parameter: the first of its parameters that the data identifies.
         value, std: of that parameter.
-        none: what it is if the effect is not there: zero, one for a gain, Coulomb friction for a static friction.
+        none: its value if the effect is absent: zero, one for a gain, Coulomb friction for a static friction.
         unit: SI unit.
         shape: its nonlinear parameters, at which this holds.
     """
@@ -378,7 +379,7 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Proof:
+class HeldOutCheck:
     """What the extended model is worth at one joint, on torque that no fit has seen.
 
     Attributes:
@@ -398,21 +399,28 @@ class Proof:
 class Diagnosis(Displayed, Stated):
     """Verdict, findings, and the identification they belong to; a notebook shows it as a card.
 
-    ``findings`` that are likelier than not come first, then the others; in both, what removes most held-out error.
-
-    ``verdict`` is "consistent" (the URDF as given explains the data), "parameters" (a rigid body with other
-    parameters does), "missing_physics" (named effects are needed), "unexplained" (something is left that no known
-    effect explains, or held-out time contradicts what does) or "suspect" (the recordings do not mean what they say, or
-    no model predicts better than a constant: there are no findings; ``identification.suspicions`` has what is suspected
-    and what was tested).
-    ``locations`` say where models and robot differ, named or not; ``maps`` draw the same. ``limits`` say how large
-    what was not found could be, ``deflections`` what encoders behind the gears show. ``simulated`` names the
-    recordings of a simulator that stood for the URDF. ``proofs`` say what the extended model is worth on torque
-    that was held out. ``trifling`` are effects that are as likely as findings and that held-out time does not show:
-    they carry next to no torque, or other inertial parameters than the URDF's do as well. ``confirmed`` is the part of
-    the torque that the extended model adds to a rigid body with plain friction that held-out data shows: one if it is
-    right, None where that is not known. ``refuted`` says that held-out data is predicted better without what was found,
-    ``next_effect`` what else is likelier than not. ``ranking`` has all that was considered, by its evidence.
+    Attributes:
+        identification: the fitted model and its data.
+        verdict: "consistent": the URDF as given explains the data. "parameters": a rigid body with other parameters
+            does. "missing_physics": named effects are needed. "unexplained": no known effect explains a residual, or
+            held-out data contradicts the effect that does. "suspect": the recordings seem to mean something else, or
+            no model predicts better than a constant. There are no findings then; ``identification.suspicions`` lists
+            what was tested.
+        findings: named effects: those likelier than not, then the others; in both, by the held-out error removed.
+        unexplained: residuals that no known effect explains.
+        locations: where models and robot differ, named or not.
+        maps: the same as RMS of the residual over bins of time, position and velocity.
+        detection_limits: for effects that were not found, how large they could be.
+        joint_deflections: what encoders behind the gears show.
+        simulated: recordings of a simulator that were used as the prediction of the URDF.
+        held_out_checks: by joint, how the extended model predicts held-out torque.
+        ranking: all hypotheses that were considered, by their evidence.
+        not_confirmed: effects that are as likely as findings, but that held-out data does not show. They carry next to
+            no torque, or other inertial parameters explain the data as well.
+        held_out_ratio: torque that the extended model adds to a rigid body with baseline friction: its size on held-out
+            data over that fitted. 1 if it is right, None if unknown.
+        refuted: whether held-out data is predicted better without the findings.
+        next_effect: what else is likelier than not, if anything.
     """
 
     identification: Identification
@@ -421,13 +429,13 @@ class Diagnosis(Displayed, Stated):
     unexplained: tuple[Unexplained, ...] = field(default=())
     locations: tuple[Location, ...] = field(default=())
     maps: tuple[ResidualMap, ...] = field(default=())
-    limits: tuple[Limit, ...] = field(default=())
-    deflections: tuple[Deflection, ...] = field(default=())
+    detection_limits: tuple[DetectionLimit, ...] = field(default=())
+    joint_deflections: tuple[Deflection, ...] = field(default=())
     simulated: tuple[str, ...] = field(default=())
-    proofs: tuple[Proof, ...] = field(default=())
+    held_out_checks: tuple[HeldOutCheck, ...] = field(default=())
     ranking: Ranking | None = None
-    trifling: tuple[Finding, ...] = field(default=())
-    confirmed: Ratio | None = None
+    not_confirmed: tuple[Finding, ...] = field(default=())
+    held_out_ratio: Ratio | None = None
     refuted: bool = False
     next_effect: NextEffect | None = None
 

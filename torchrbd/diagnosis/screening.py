@@ -1,4 +1,4 @@
-"""Every effect at every place, beside a likelihood, and what lies between the shapes of the grid."""
+"""Every effect at every place, given a likelihood, also at shapes between those of the grid."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, again, agreed, averaged, mean_of, told
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, agree_shape, average_over_shapes, hypothesis_of, mean_of
 from torchrbd.diagnosis.stretches import in_recordings, in_windows, located
 from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.columns import Candidate
@@ -24,7 +24,7 @@ _FINE = 9
 
 
 def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
-    """Return every effect at every place beside a fit, for a time and in some recordings too, greatest evidence first.
+    """Return every effect at every place given a fit, for a time and in some recordings too, greatest evidence first.
 
     Args:
         fit: the base.
@@ -40,13 +40,13 @@ def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hyp
 
 
 def lasting(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
-    """Return every effect at every place beside a fit, there all the time; see ``screened``."""
+    """Return every effect at every place given a fit, if it acts all the time; see ``screened``."""
     robot, found = rows.columns.robot, list[Hypothesis | None]()
     for e in (e for e in effects if e.id not in ORDINARY):
         for site in e.sites(robot):
             if _may_be(e, site, rows):
                 grid = e.shapes(rows.columns.scale(site))
-                found.append(averaged(fit, rows, [rows.columns.candidate(e, site, shape) for shape in grid]))
+                found.append(average_over_shapes(fit, rows, [rows.columns.candidate(e, site, shape) for shape in grid]))
     return [h for h in found if h is not None]
 
 
@@ -54,7 +54,7 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis whose shape, or window, lies between those of the grid, averaged over the finer cell."""
     if h.candidate.site.window is not None:
         return located(fit, rows, h)
-    columns, at = rows.columns, told(fit, rows, h.candidate)
+    columns, at = rows.columns, hypothesis_of(fit, rows, h.candidate)
     if at is None:
         return h
     # What the average has of this shape is replaced by that of the cell around it, which axes share as factors.
@@ -65,7 +65,7 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
         now = at.candidate
         values = np.union1d(np.linspace(*axis.limits(now.shape[name]), _FINE), now.shape[name])
         near = [columns.candidate(now.effect, now.site, {**now.shape, name: float(v)}) for v in values]
-        found = _told(fit, rows, near)
+        found = _hypotheses_of(fit, rows, near)
         if not found:
             continue
         cell += mean_of(np.array([one.log_evidence for one in found])) - at.log_evidence
@@ -75,7 +75,7 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
 
 
 def restarted(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis | None:
-    """Return a hypothesis at the shape, on its grid or near it, that leads beside independent rows; None without any.
+    """Return a hypothesis at the shape, on its grid or near it, that is best with white noise; None without any.
 
     What is not explained has coloured the noise, which hides the shape that explains it.
     """
@@ -83,7 +83,7 @@ def restarted(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis | None:
     if c.site.window is not None or not varied(rows.columns, c):
         return None
     grid = [rows.columns.candidate(c.effect, c.site, shape) for shape in c.effect.shapes(rows.columns.scale(c.site))]
-    best = averaged(plain, rows, grid)
+    best = average_over_shapes(plain, rows, grid)
     return None if best is None else again(fit, rows, replace(refined(plain, rows, best), paid=h.paid))
 
 
@@ -94,7 +94,7 @@ def _or_agreeing(fit: Likelihood, rows: Rows, one: Hypothesis) -> Hypothesis:
         grid = [
             rows.columns.candidate(c.effect, c.site, shape) for shape in c.effect.shapes(rows.columns.scale(c.site))
         ]
-        found += [agreed(fit, rows, other, plausible=False) for other in _told(fit, rows, [c, *grid])]
+        found += [agree_shape(fit, rows, other, plausible=False) for other in _hypotheses_of(fit, rows, [c, *grid])]
     return max(found, key=lambda each: each.log_evidence)
 
 
@@ -103,9 +103,9 @@ def _less(total: float, part: float) -> float:
     return total + math.log(-math.expm1(part - total)) if part < total else -math.inf
 
 
-def _told(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> list[Hypothesis]:
+def _hypotheses_of(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> list[Hypothesis]:
     """Return the evidence of candidates one by one, without those that cannot be evaluated."""
-    return [one for c in candidates if (one := told(fit, rows, c)) is not None]
+    return [one for c in candidates if (one := hypothesis_of(fit, rows, c)) is not None]
 
 
 def _may_be(e: Effect, site: Site, rows: Rows) -> bool:

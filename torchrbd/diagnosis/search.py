@@ -1,9 +1,9 @@
-"""What explains the recordings beside ordinary physics: hypotheses added, swapped and dropped on evidence alone.
+"""Search for the effects that explain the recordings: hypotheses are added, swapped and dropped by evidence alone.
 
-The likeliest hypothesis is added while it is likelier than not, given how rare it is and how many places it has; then,
-beside all others, each stands against its rivals, and is swapped where one of them is likelier, or dropped where none
-is needed. Curves without a law are hypotheses as well, so rare that no law of as many places is displaced by one within
-three nats of it; they are looked at where laws have ended, and as rivals of the laws of their joint.
+The likeliest hypothesis is added while it is likelier than not, given how rare it is and how many places it has. Then
+each is compared with its rivals, given all others: it is swapped if a rival is likelier, and dropped if none is needed.
+Curves without a law are hypotheses as well. They are so rare that one replaces a law of as many places only if it has
+three nats more. They are tried after the laws, and as rivals of the laws of their joint.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
 from torchrbd.diagnosis.screening import lasting, refined, restarted, screened
 from torchrbd.diagnosis.sharpening import at_summit, sharpened
 from torchrbd.diagnosis.terms import Explanation, Term
-from torchrbd.diagnosis.weighing import at_a_glance, learnt_with, with_own_noise
+from torchrbd.diagnosis.weighing import learnt_with, quick_evidence, with_own_noise
 from torchrbd.effects import Effect, Site
 from torchrbd.effects.base import ShowsBodies
 from torchrbd.effects.smooth_torque import HUM
@@ -33,9 +33,9 @@ from torchrbd.likelihood.shapes import agrees, in_one_cell, varied
 # Hypotheses whose shapes are refined and whose noise is learnt anew, at each step.
 _LEADING = 5
 MOST_TERMS = 24
-# Laws of the joint that leads beside independent rows whose shapes are refined there.
+# Laws of the joint that are best with white noise, whose shapes are refined there.
 _HIDDEN = 3
-# Rivals of a term that are looked at beside all others, and those of them that are judged; sweeps over all terms.
+# Rivals of a term that are tried given all others, and those of them that are judged; sweeps over all terms.
 _RIVALS, _JUDGED, _SWEEPS = 12, 3, 2
 # How often the likeliest of several rivals may turn out to be another one.
 _TURNS = 2
@@ -47,13 +47,13 @@ def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int
     """Search among effects, and curves where they do not suffice.
 
     Args:
-        base: ordinary physics.
+        base: rigid body and baseline friction.
         effects: what may be there.
-        report: told after each step how many terms there are.
+        report: called after each step with the number of terms.
     """
     search = _Search(carried(base), effects, report)
     first = search.leading(base)
-    fit, terms, last = search.settled(base, *search.added(base, base, [], [], first))
+    fit, terms, last = search.swap_and_drop(base, *search.added(base, base, [], [], first))
     for _ in range(_LOADS):
         if is_over():
             break
@@ -61,7 +61,7 @@ def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int
         if now is fit:
             break
         rivals, found = [list(term.rivals) for term in terms], search.leading(now, chosen)
-        fit, terms, last = search.settled(base, *search.added(base, now, chosen, rivals, found))
+        fit, terms, last = search.swap_and_drop(base, *search.added(base, now, chosen, rivals, found))
     return Explanation(base, fit, search.rows, terms, first, last, len(first))
 
 
@@ -86,8 +86,8 @@ class _Search:
 
     def __init__(self, rows: Rows, effects: Sequence[Effect], report: Callable[[int], None]) -> None:
         self.rows, self.effects, self.report = rows, effects, report
-        # What leads beside normal noise where nothing is explained, and what acts for a time: steps look heavy-tailed.
-        self.beside_normal: list[Hypothesis] | None = None
+        # What leads with normal noise where nothing is explained, and what acts for a time: steps look heavy-tailed.
+        self.given_normal_noise: list[Hypothesis] | None = None
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return hypotheses, the likeliest first."""
@@ -96,20 +96,22 @@ class _Search:
     def judged(
         self, fit: Likelihood, found: Sequence[Hypothesis], hidden: Sequence[Hypothesis] = ()
     ) -> list[Hypothesis]:
-        """Return hypotheses beside a fit; those that lead, and their rivals, with all that is learnt learnt anew.
+        """Return hypotheses given a fit; for those that lead and their rivals, all that is learnt is learnt anew.
 
-        Their shapes are refined: between those of a grid a law seems to be worth less than a curve, which has none.
+        Their shapes are refined: between the shapes of a grid a law seems to be worth less than a curve, which has
+        none.
 
-        That of the greatest odds and that of the greatest evidence lead. At a glance what is not explained hides much
-        of a law, more of one than of another: what is likelier than not, and acts where a leader does, is its rival.
+        The hypotheses of the greatest odds and of the greatest evidence lead. With the noise of the fit without it,
+        what is not explained hides much of a law, more of one than of another. So each hypothesis that is likelier than
+        not, and acts where a leader does, is its rival.
 
         Args:
-            fit: beside which they stand.
+            fit: that they are added to.
             found: what is judged.
-            hidden: of them, what may hide at a glance, and leads whatever it seems to be worth.
+            hidden: those that may be hidden by that noise; they lead whatever their evidence seems to be.
         """
         first = {k for k, h in enumerate(found) if h.candidate in [one.candidate for one in hidden]}
-        now, done = [at_a_glance(fit, self.rows, h) for h in found], set[int]()
+        now, done = [quick_evidence(fit, self.rows, h) for h in found], set[int]()
         while now and not is_over():
             odds = np.array([log_odds(h, self.rows) for h in now])
             lead = {int(odds.argmax()), int(np.argmax([h.log_evidence for h in now]))}
@@ -123,20 +125,21 @@ class _Search:
         return self.side_by_side(fit, now, done)
 
     def side_by_side(self, fit: Likelihood, now: list[Hypothesis], done: Collection[int]) -> list[Hypothesis]:
-        """Return hypotheses, rivals of the likeliest against it beside the noise that is learnt with that one.
+        """Return hypotheses; rivals of the likeliest are compared with it given the noise that is learnt with it.
 
-        What rows count is learnt with each of them, to a hundredth of their evidence, which may be many nats. What is
-        worth nothing in the place of the likeliest, where both are weighed alike, is no rival, but there as well.
+        The weights of rows are learnt with each of them, to a hundredth of their evidence, which may be many nats. A
+        hypothesis without evidence in the place of the likeliest, both weighed alike, is no rival; it is present as
+        well.
         """
         now = list(now)
         for _ in range(_TURNS if len(done) > 1 else 0):
             first = max(done, key=lambda k: log_odds(now[k], self.rows))
             best = now[first]
-            beside = learnt_with(fit, self.rows, best).extended(fit.extra)
-            level = again(beside, self.rows, best)
+            given = learnt_with(fit, self.rows, best).extended(fit.extra)
+            level = again(given, self.rows, best)
             rivals = [k for k in done if k != first and meet(now[k].candidate, best.candidate)]
             for k in rivals:
-                one = again(beside, self.rows, now[k])
+                one = again(given, self.rows, now[k])
                 if one is None or level is None or not np.isfinite(now[k].log_evidence):
                     continue
                 worth = best.log_evidence + one.log_evidence - level.log_evidence
@@ -147,11 +150,11 @@ class _Search:
         return now
 
     def sought(self, fit: Likelihood, known: Collection[tuple[str, Site]]) -> list[Hypothesis]:
-        """Return laws beside a fit, the likeliest first, but those that are known."""
+        """Return laws given a fit, the likeliest first, without those that are known."""
         return self.ordered([h for h in screened(fit, self.rows, self.effects) if h.name not in known])
 
     def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
-        """Return laws beside a fit that are not in it, the leading ones with refined shapes and their own noise."""
+        """Return laws given a fit that are not in it, the leading ones with refined shapes and their own noise."""
         if is_over():
             return []
         known = _only_once(chosen, self.effects)
@@ -159,13 +162,13 @@ class _Search:
         while likely and len(near) < _LEADING:
             one = refined(fit, self.rows, likely.pop(0))
             near += [] if one.candidate in present else [one]
-        if self.beside_normal is None:
+        if self.given_normal_noise is None:
             plain = fit.with_normal_noise
             others = [] if plain is fit else self.sought(plain, known)
             brief = [h for h in others[_LEADING:] if h.candidate.site.window is not None]
-            self.beside_normal = [refined(plain, self.rows, h) for h in (*others[:_LEADING], *brief[:_LEADING])]
+            self.given_normal_noise = [refined(plain, self.rows, h) for h in (*others[:_LEADING], *brief[:_LEADING])]
         seen = {h.candidate for h in near} | present
-        others = [again(fit, self.rows, h) for h in self.beside_normal if h.name not in known]
+        others = [again(fit, self.rows, h) for h in self.given_normal_noise if h.name not in known]
         # Where nothing is explained yet, noise has the colour of all that is left out.
         hidden = self.hidden(fit, known, 1 if chosen else _HIDDEN)
         near += [h for h in (*others, *hidden) if h is not None and h.candidate not in seen]
@@ -175,10 +178,10 @@ class _Search:
         return [h for h in best if first[_alike(h)] is h]
 
     def hidden(self, fit: Likelihood, known: Collection[tuple[str, Site]], most: int) -> list[Hypothesis]:
-        """Return of each joint the law that leads beside independent rows: the noise that is learnt has its colour.
+        """Return for each joint the law that is best with white noise: the noise that is learnt has the law's colour.
 
-        The first of them, which leads them all, is the likeliest of its joint's leading laws, ``most`` of them, at
-        refined shapes. They are of the shape and size that they have there.
+        The first is the best of all. It is the likeliest of the ``most`` best laws of its joint, at refined shapes.
+        Shape and size are those with white noise.
         """
         plain, laws = fit.least_squares, dict[int | None, list[Hypothesis]]()
         for h in self.ordered([h for h in lasting(plain, self.rows, self.effects) if h.name not in known]):
@@ -192,18 +195,18 @@ class _Search:
         return found
 
     def offered(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return curves and tones beside a fit that a model may have: one for each joint and signal.
+        """Return curves and tones given a fit that a model may have: one for each joint and signal.
 
-        Of those that could pass for friction or inertia one for each joint, as two of them may cancel.
+        Of those that could absorb friction or inertia, one for each joint, as two of them may cancel.
         """
         known, taken = {h.name for h in chosen}, {h.candidate.joint for h in chosen if stands_in(h.candidate)}
         found = [h for h in curves(fit, self.rows) if h.name not in known]
         return [h for h in found if not (stands_in(h.candidate) and h.candidate.joint in taken)]
 
     def curves(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return the likeliest curves and tones beside a fit.
+        """Return the likeliest curves and tones given a fit.
 
-        Noise that was learnt without a curve has its colour: beside independent rows it is not hidden.
+        Noise that was learnt without a curve has its colour and hides it; white noise does not.
         """
         found, plain = self.offered(fit, chosen), fit.least_squares
         functions = {h.candidate: h for h in found if h.candidate.effect is not HUM}
@@ -213,8 +216,8 @@ class _Search:
         return self.judged(fit, [*(functions[c] for c in dict.fromkeys(first)), *tones])
 
     def with_terms(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> Likelihood:
-        """Return the model with chosen hypotheses, all else learnt beside them."""
-        fit = base.extended([h.extra(base, self.rows) for h in chosen]).settled
+        """Return the model with chosen hypotheses, all else learnt given them."""
+        fit = base.extended([h.extra(base, self.rows) for h in chosen]).refit
         for k, h in enumerate(chosen):
             fit = self.felt_through(fit, k, h)
         return fit
@@ -239,12 +242,12 @@ class _Search:
         return fit, chosen
 
     def reshaped(self, base: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return hypotheses; those that act through the load with the shapes that it asks for beside all others."""
+        """Return hypotheses; those that act through the load get the best shapes given all others."""
         found = list(chosen)
         for k, h in enumerate(found):
             c = h.candidate
-            told = not varied(self.rows.columns, c) and agrees(c, torch.from_numpy(h.coefficients))
-            if c.effect.uses_load and not told:
+            linear = not varied(self.rows.columns, c) and agrees(c, torch.from_numpy(h.coefficients))
+            if c.effect.uses_load and not linear:
                 others = [*found[:k], *found[k + 1 :]]
                 rest = self.with_terms(base, others) if others else base
                 found[k] = self.best_shaped(rest, h)
@@ -275,7 +278,7 @@ class _Search:
             return fit
         C = self.rows.through_bodies(effect, fit.coefficients(k))
         machine = fit.machine.felt_through(C, pi.numpy())
-        return Likelihood(machine, fit.hyper, fit.extra).settled
+        return Likelihood(machine, fit.hyper, fit.extra).refit
 
     def added(
         self,
@@ -285,15 +288,15 @@ class _Search:
         seen: list[list[Hypothesis]],
         found: list[Hypothesis],
     ) -> tuple[Likelihood, list[Hypothesis], list[list[Hypothesis]], list[Hypothesis]]:
-        """Add what is likelier than not, one after the other, and drop what is not needed any more.
+        """Add what is likelier than not, one after the other, and drop what is no longer needed.
 
         Args:
-            base, fit: ordinary physics, and the model so far.
-            chosen, seen: what is in it, and what was considered where each of these was added.
+            base, fit: rigid body with baseline friction, and the model so far.
+            chosen, seen: its terms, and what was considered where each of these was added.
             found: what may be added, the likeliest first.
 
         Returns:
-            The model, what is in it, what was considered there, and what is left.
+            The model, its terms, what was considered with each, and what was not added.
         """
         seen = list(seen)
         for _ in range(len(chosen), MOST_TERMS):
@@ -306,7 +309,7 @@ class _Search:
             seen.append(found[1:])
             chosen = [*chosen, found[0]]
             self.report(len(chosen))
-            fit = fit.extended([*fit.extra, found[0].extra(fit, self.rows)]).settled
+            fit = fit.extended([*fit.extra, found[0].extra(fit, self.rows)]).refit
             fit = self.felt_through(fit, len(chosen) - 1, found[0])
             if found[0].candidate.effect.uses_load:
                 fit, chosen = self.with_own_load(base, fit, chosen)
@@ -317,9 +320,9 @@ class _Search:
     def needed(
         self, base: Likelihood, fit: Likelihood, chosen: list[Hypothesis], seen: list[list[Hypothesis]]
     ) -> tuple[Likelihood, list[Hypothesis], list[list[Hypothesis]]]:
-        """Drop, the least likely first, what is not likelier than not any more beside the last that was added.
+        """Drop terms that are not likelier than not given the last that was added, the least likely first.
 
-        Of two forces of nearly the same time the second may do all that the first was there for.
+        Of two forces in nearly the same window the second may explain all that the first did.
         """
         while True:
             worth = [replace(h, log_evidence=fit.evidence_for(k) + h.paid) for k, h in enumerate(chosen[:-1])]
@@ -330,7 +333,7 @@ class _Search:
             chosen, seen = [*chosen[:k], *chosen[k + 1 :]], [*seen[:k], *seen[k + 1 :]]
             fit = self.with_terms(base, chosen)
 
-    def settled(
+    def swap_and_drop(
         self,
         base: Likelihood,
         fit: Likelihood,
@@ -338,7 +341,7 @@ class _Search:
         seen: list[list[Hypothesis]],
         last: list[Hypothesis],
     ) -> tuple[Likelihood, tuple[Term, ...], list[Hypothesis]]:
-        """Judge each term and its rivals beside all others; swap and drop until nothing changes.
+        """Judge each term and its rivals given all others; swap and drop until nothing changes.
 
         Once judged, a term is judged again where others that meet its rows have changed.
         """
@@ -348,7 +351,7 @@ class _Search:
             before, terms, changed_before, changed = terms, [], changed, []
             while (k := len(terms)) < len(chosen):
                 if is_over():
-                    # Beside the terms that were there when it was added.
+                    # Given the terms that were there when it was added.
                     terms += [Term(h, tuple(rivals[:_JUDGED])) for h, rivals in zip(chosen[k:], seen[k:], strict=True)]
                     break
                 now = chosen[k].candidate
@@ -364,7 +367,7 @@ class _Search:
                 if needless:
                     chosen, seen = [*chosen[:k], *chosen[k + 1 :]], [*seen[:k], *seen[k + 1 :]]
                     continue
-                if best is not own and self._beside_a_curve(base, chosen, own, best):
+                if best is not own and self._needed_with_curve(base, chosen, own, best):
                     chosen, seen = [*chosen, best], [*seen, [own]]
                     term = Term(own, tuple(h for h in term.rivals if h is not best))
                 elif best is not own:
@@ -380,21 +383,21 @@ class _Search:
                 break
         return fit, tuple(terms), last
 
-    def _beside_a_curve(
+    def _needed_with_curve(
         self, base: Likelihood, chosen: Sequence[Hypothesis], own: Hypothesis, best: Hypothesis
     ) -> bool:
-        """Say whether a law that a curve would replace is needed beside it: then the curve is what the law lacks."""
+        """Say whether a law that a curve would replace is needed with it: then the curve is what the law lacks."""
         if not is_curve(best.candidate) or is_curve(own.candidate) or len(chosen) >= MOST_TERMS:
             return False
         others = [h for h in chosen if h.candidate != own.candidate]
-        beside = self.with_terms(base, [*others, best])
-        then = again(beside, self.rows, own)
-        return then is not None and log_odds(at_a_glance(beside, self.rows, then), self.rows) > 0.0
+        given = self.with_terms(base, [*others, best])
+        then = again(given, self.rows, own)
+        return then is not None and log_odds(quick_evidence(given, self.rows, then), self.rows) > 0.0
 
     def _judged_again(self, base: Likelihood, chosen: Sequence[Hypothesis], k: int, seen: Sequence[Hypothesis]) -> Term:
-        """Return a term and its rivals beside all other terms.
+        """Return a term and its rivals given all other terms.
 
-        The likeliest curve of its joint is among them, but none that could pass for friction or inertia.
+        The likeliest curve of its joint is among them, but none that could absorb friction or inertia.
         """
         others, place = [h for i, h in enumerate(chosen) if i != k], chosen[k].candidate.place
         rest = self.with_terms(base, others) if others else base

@@ -1,11 +1,11 @@
-"""Shapes of the leading hypotheses, beside the noise, bodies and friction that go with them.
+"""Shapes of the leading hypotheses, given the noise, bodies and friction that are learnt with them.
 
-Those of a fit without an effect stand in for it, best where its shape is not the true one: beside them evidence is flat
-in the shape. Beside what is learnt with the effect it is not, and Gauss-Newton steps lead to its summit,
+Noise, bodies and friction of a fit without an effect absorb it, most of all at wrong shapes: given them, the evidence
+is flat in the shape. Given those that are learnt with the effect it is not, and Gauss-Newton steps lead to the maximum,
 
     tau(theta + d) = sum_k w_k phi_k(theta) + d sum_k w_k dphi_k / dtheta
 
-What averaging over shapes costs is what it has cost at the first refinement, where the whole grid was looked at.
+The cost of averaging over shapes is that of the first refinement, where the whole grid was tried.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, again, agreed, believed, told
+from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, again, agree_shape, believed, hypothesis_of
 from torchrbd.diagnosis.screening import refined
 from torchrbd.diagnosis.weighing import sized
 from torchrbd.effects import Site
@@ -35,7 +35,7 @@ _WORSE = 2.0
 
 
 def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis beside a fit, at the shape that is best beside what is learnt with it; steps in time stay."""
+    """Return a hypothesis given a fit, at the best shape given what is learnt with it; steps in time stay."""
     free = varied(rows.columns, h.candidate) or h.candidate.effect.follows
     if not free or h.candidate.site.window is not None:
         return h
@@ -48,37 +48,37 @@ def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
 
 def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis at the shape of the greatest evidence that Gauss-Newton steps find."""
-    best, free = told(fit, rows, h.candidate), varied(rows.columns, h.candidate)
+    best, free = hypothesis_of(fit, rows, h.candidate), varied(rows.columns, h.candidate)
     for _ in range(_STEPS if best is not None and free else 0):
         assert best is not None
         before, step = best, _step(fit, rows, h, best)
         for part in (0.5**k for k in range(_HALVINGS + 1)):
             shape = {name: now + part * step.get(name, 0.0) for name, now in before.candidate.shape.items()}
             site = before.candidate.site
-            next_one = told(fit, rows, rows.columns.candidate(before.candidate.effect, site, shape))
+            next_one = hypothesis_of(fit, rows, rows.columns.candidate(before.candidate.effect, site, shape))
             if next_one is not None and next_one.log_evidence > before.log_evidence:
-                best = agreed(fit, rows, next_one)
+                best = agree_shape(fit, rows, next_one)
                 break
         if best.log_evidence < before.log_evidence + LEAST_GAIN:
             break
-    best = None if best is None else agreed(fit, rows, best)
+    best = None if best is None else agree_shape(fit, rows, best)
     return h if best is None else replace(best, scale=h.scale, tried=h.tried, paid=h.paid)
 
 
 def known_shapes(
     fit: Likelihood, rows: Rows, terms: Sequence[Candidate]
 ) -> dict[tuple[str, Site], dict[str, tuple[float, float]]]:
-    """Return by effect and site what a fit tells of its terms' shapes beside all else, mean and standard deviation."""
+    """Return by effect and site a fit's estimate of its terms' shapes given all else, mean and standard deviation."""
     at, extras = list[tuple[ShapeSlope, Axis]](), list[Extra]()
     for k, c in enumerate(terms):
         free = varied(rows.columns, c)
         for slope in slopes(rows.columns, c, torch.from_numpy(fit.coefficients(k))):
             at.append((slope, free[slope.parameter]))
             extras.append(Extra(c.place, _features(rows, slope), np.array([free[slope.parameter].std])))
-    beside, found = fit.extended((*fit.extra, *extras)), dict[tuple[str, Site], dict[str, tuple[float, float]]]()
+    extended, found = fit.extended((*fit.extra, *extras)), dict[tuple[str, Site], dict[str, tuple[float, float]]]()
     for k, (slope, axis) in enumerate(at, len(fit.extra)):
-        value, std = slope.shape[slope.parameter], float(beside.coefficients_covariance(k)[0, 0]) ** 0.5
-        mean = float(np.clip(value + beside.coefficients(k)[0], *axis.limits(value)))
+        value, std = slope.shape[slope.parameter], float(extended.coefficients_covariance(k)[0, 0]) ** 0.5
+        mean = float(np.clip(value + extended.coefficients(k)[0], *axis.limits(value)))
         found.setdefault((slope.effect.id, slope.site), {})[slope.parameter] = mean, _WORSE * std
     return found
 
@@ -92,7 +92,7 @@ def _step(fit: Likelihood, rows: Rows, h: Hypothesis, now: Hypothesis) -> dict[s
     c, axes = now.candidate, varied(rows.columns, now.candidate)
     around = slopes(rows.columns, c, torch.from_numpy(now.coefficients))
     F = [_features(rows, s) for s in around]
-    S, r = fit.beside(c.place, np.concatenate((rows.features(c), *F)))
+    S, r = fit.precision_and_score(c.place, np.concatenate((rows.features(c), *F)))
     widths = np.array([axes[s.parameter].std for s in around])
     std = np.concatenate((believed(fit, rows, c)[0] * h.scale, widths))
     steps = dict[str, float]()

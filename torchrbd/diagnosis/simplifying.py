@@ -1,11 +1,11 @@
 """Laws no richer than their estimates: a spring whose stiffness may be zero is a constant torque.
 
-A law that has all columns of a rival at the same place, and some more, is the rival where the coefficients of these are
-zero. It is likelier than the rival by no more than what their estimates say, see ``estimate_evidence``:
+A law may have all columns of a rival at the same place, and some more. Where the coefficients of these are zero, it is
+the rival. It is likelier than the rival by no more than their estimates allow, see ``estimate_evidence``:
 
     log B(law) <= log B(rival) + log B(the other coefficients, given the law)
 
-Where the rival is then the likelier of the two, it takes the law's place in the model.
+If the rival is then the likelier of the two, it replaces the law in the model.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def simplified(model: Extended, prepared: Prepared, may: Sequence[str], progress
         model: the extended model.
         prepared: the data that it was made from.
         may: ids of effects that may be there.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
     """
     found = model.found
     every = zip(found.terms, model.terms, model.open, strict=True)
@@ -43,7 +43,7 @@ def simplified(model: Extended, prepared: Prepared, may: Sequence[str], progress
         old if new.own.name == term.own.name else new.own.extra(found.fit, found.rows)
         for new, term, old in zip(terms, found.terms, found.fit.extra, strict=True)
     ]
-    fit = found.fit.extended(extra).settled
+    fit = found.fit.extended(extra).refit
     return simplified(extended(prepared, replace(found, fit=fit, terms=terms), may, progress), prepared, may, progress)
 
 

@@ -1,9 +1,9 @@
-"""Stretches of time, and recordings, in which something may act: which, the whitened rows say.
+"""Windows of time, and recordings, in which an effect may act: the whitened rows say which.
 
-Moments of a stretch are differences of sums over the rows before its edges, those of several recordings are sums of
-theirs, so that all of them cost one pass. What comes and goes gradually shows in the rows between its edges; what does
-so at once shows at the edges as well, and there most of all where noise is coloured. Stretches that begin and end with
-blocks of time are judged without their edges, those between moments at which the innovations jump with them.
+Moments of a window are differences of sums over the rows before its edges. Those of several recordings are sums of
+theirs. All of them therefore cost one pass. What comes and goes gradually shows in the rows between its edges. What
+does so at once shows at the edges as well, and most of all there if noise is coloured. Windows that begin and end with
+blocks of time are judged without their edges; those between moments at which the innovations jump, with them.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from itertools import pairwise, product
 import numpy as np
 
 from torchrbd.diagnosis.edges import Edges
-from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, told
+from torchrbd.diagnosis.hypotheses import Hypothesis, believed, hypothesis_of, mean_of
 from torchrbd.effects import Effect, Window
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
 
-# Edges of the stretches of time in which something may act, spread over a recording.
+# Edges of the windows of time in which something may act, spread over a recording.
 _MOST_EDGES = 33
 # Moments at which something may begin or end for good, and those at which the innovations jump that are looked at.
 _MOST_TIMES, _JUMPS = 300, 16
-# Moments are told apart by so many rows.
-_TOLD_ROWS = 2
+# Every how many rows a moment is tried as an edge.
+_ROW_STEP = 2
 # What is there for more than this part of a recording is there always.
 _MOST_OF_TIME = 0.9
 # Of so many recordings all subsets are tried.
@@ -36,20 +36,20 @@ _MOST_RECORDINGS = 8
 
 
 def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
-    """Yield an effect at every place where it may act for a time, averaged over the stretches of each recording.
+    """Yield an effect at every place where it may act for a time, averaged over the windows of each recording.
 
-    What comes and stays, or is there and goes, is as likely as what comes and goes, and another hypothesis; when, is
-    told to some rows. Either may do so at once or gradually.
+    What comes and stays, or is there and goes, is as likely as what comes and goes, and another hypothesis; its edge is
+    known to some rows. Either may happen at once or gradually.
     """
     for name in rows.seen_recordings:
         sites = [site for site in e.sites(rows.columns.robot, (Window(name),)) if site.window is not None]
         if not sites:
             return
         edges = Edges(fit, rows, name)
-        kinds = Stretches.of_blocks(rows, name), Stretches.with_one_end(rows, name), *Stretches.at_jumps(edges)
-        moments = int(edges.inside.sum()) // _TOLD_ROWS
+        kinds = Windows.of_blocks(rows, name), Windows.with_one_end(rows, name), *Windows.at_jumps(edges)
+        moments = int(edges.inside.sum()) // _ROW_STEP
         for site in (s for s in sites if s.joint is None or rows.seen[s.joint]):
-            both, one, both_at_once, one_at_once = in_stretches(fit, rows, rows.columns.candidate(e, site, {}), kinds)
+            both, one, both_at_once, one_at_once = weigh_windows(fit, rows, rows.columns.candidate(e, site, {}), kinds)
             yield _either(both, both_at_once, moments * (moments - 1) // 2)
             yield _either(one, one_at_once, 2 * moments)
 
@@ -57,12 +57,12 @@ def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | 
 def _either(
     gradually: tuple[Hypothesis, float] | None, at_once: tuple[Hypothesis, float] | None, count: int
 ) -> Hypothesis | None:
-    """Return a hypothesis that comes and goes gradually or at once, both as likely, of so many stretches in all."""
+    """Return a hypothesis that comes and goes gradually or at once, both as likely, of so many windows in all."""
     if gradually is None and at_once is None:
         return None
     evidence = [] if gradually is None else [gradually[0].log_evidence]
     if at_once is not None:
-        # That of the stretches that are not looked at is none.
+        # Windows that are not tried have no evidence.
         evidence.append(at_once[0].log_evidence + math.log(at_once[0].tried / count))
     best, alone = max((one for one in (gradually, at_once) if one is not None), key=lambda one: one[1])
     # Half of what comes or goes has one end.
@@ -73,8 +73,8 @@ def _either(
 def in_recordings(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
     """Yield an effect that comes and goes at every place in some of the recordings, averaged over which and shapes.
 
-    Some of them and all others differ by what stands for the effect in all, an offset by what friction has of one: both
-    are as likely, and two hypotheses, those that have the first recording and those that lack it.
+    An effect in some recordings and an effect in all others differ by the effect in all, which friction absorbs if it
+    is an offset. Both are as likely, and two hypotheses: those that have the first recording and those that lack it.
     """
     names = rows.seen_recordings
     if not e.comes_and_goes or not 1 < len(names) <= _MOST_RECORDINGS:
@@ -116,14 +116,14 @@ def _in_some(
             if best is None or found.log_evidence[k, size] > best[0]:
                 at = replace(candidate.site, recordings=tuple(names[inside[k]].tolist()))
                 one = rows.columns.candidate(candidate.effect, at, candidate.shape)
-                told_alone = mean_of(found.log_evidence[k])
+                evidence_alone = mean_of(found.log_evidence[k])
                 best = (
                     found.log_evidence[k, size],
                     one,
                     found.mean[k, size],
                     found.std[k, size],
                     scales[size],
-                    told_alone,
+                    evidence_alone,
                 )
         if best is None:
             yield None
@@ -140,8 +140,8 @@ def _one_by_one(parts: tuple[np.ndarray, np.ndarray, np.ndarray], count: int) ->
 
 
 @dataclass(frozen=True)
-class Stretches:
-    """Stretches of one recording.
+class Windows:
+    """Windows of one recording.
 
     Attributes:
         times: (B + 1,) edges [s], from -inf to inf.
@@ -154,7 +154,7 @@ class Stretches:
     at_once: bool = False
 
     @staticmethod
-    def of_blocks(rows: Rows, recording: str) -> Stretches:
+    def of_blocks(rows: Rows, recording: str) -> Windows:
         """Return all that begin and end with blocks, or all of it; at most most of it where it is the only one."""
         inside = rows.recording == rows.recordings.index(recording)
         _, first = np.unique(rows.block[inside], return_index=True)
@@ -163,27 +163,27 @@ class Stretches:
         times[0] = -math.inf
         longest = math.floor(_MOST_OF_TIME * n) if inside.all() else n
         pairs = _pairs(np.arange(n + 1), np.arange(n + 1), longest)
-        return Stretches(times, pairs[(pairs[:, 0] > 0) == (pairs[:, 1] < n)])
+        return Windows(times, pairs[(pairs[:, 0] > 0) == (pairs[:, 1] < n)])
 
     @staticmethod
-    def with_one_end(rows: Rows, recording: str) -> Stretches:
+    def with_one_end(rows: Rows, recording: str) -> Windows:
         """Return all that begin between two rows and last, or lasted until then; each other row will do."""
         inside = rows.recording == rows.recordings.index(recording)
-        step = max(_TOLD_ROWS, math.ceil(inside.sum() / _MOST_TIMES))
+        step = max(_ROW_STEP, math.ceil(inside.sum() / _MOST_TIMES))
         times = np.concatenate(([-math.inf], rows.t[inside][step:-step:step], [math.inf]))
-        return Stretches(times, _one_ended(len(times)))
+        return Windows(times, _one_ended(len(times)))
 
     @staticmethod
-    def at_jumps(edges: Edges) -> tuple[Stretches, Stretches]:
+    def at_jumps(edges: Edges) -> tuple[Windows, Windows]:
         """Return all between moments at which innovations jump, and those that begin or end at one of them."""
         times = np.concatenate(([-math.inf], edges.rows.t[edges.jumps(_JUMPS)], [math.inf]))
         inner = np.arange(1, len(times) - 1)
         pairs = _pairs(inner, inner, len(times)), _one_ended(len(times))
-        both, one = (Stretches(times, edges.apart(times, each), at_once=True) for each in pairs)
+        both, one = (Windows(times, edges.apart(times, each), at_once=True) for each in pairs)
         return both, one
 
     @staticmethod
-    def near(edges: Edges, window: Window) -> Stretches:
+    def near(edges: Edges, window: Window) -> Windows:
         """Return those whose edges lie within a block of a window's."""
         rows = edges.rows
         t, blocks = rows.t[edges.inside], len(np.unique(rows.block[edges.inside]))
@@ -191,13 +191,13 @@ class Stretches:
         least, ends, jumps = t[0] + 0.5 * reach, [], rows.t[edges.jumps(_JUMPS)]
         for now in (window.start_s, window.end_s):
             low, high = max(now - reach, least), min(now + reach, t[-1] - 0.5 * reach)
-            told = math.isinf(now) or not low < high
+            fixed = math.isinf(now) or not low < high
             near = jumps[(jumps >= low) & (jumps <= high)]
-            ends.append(np.array([now]) if told else np.union1d(t[(t >= low) & (t <= high)][::_TOLD_ROWS], near))
+            ends.append(np.array([now]) if fixed else np.union1d(t[(t >= low) & (t <= high)][::_ROW_STEP], near))
         times = np.unique(np.concatenate((*ends, (-math.inf, math.inf))))
         begin, end = (np.searchsorted(times, e) for e in ends)
         pairs = edges.apart(times, _pairs(begin, end, len(times)))
-        return Stretches(times, pairs[times[pairs[:, 1]] - times[pairs[:, 0]] > 0.25 * reach], at_once=True)
+        return Windows(times, pairs[times[pairs[:, 1]] - times[pairs[:, 0]] > 0.25 * reach], at_once=True)
 
 
 def _one_ended(edges: int) -> np.ndarray:
@@ -213,15 +213,15 @@ def _pairs(begin: np.ndarray, end: np.ndarray, longest: int) -> np.ndarray:
     return pairs[(length > 0) & (length <= longest)]
 
 
-def in_stretches(
-    fit: Likelihood, rows: Rows, candidate: Candidate, kinds: Sequence[Stretches]
+def weigh_windows(
+    fit: Likelihood, rows: Rows, candidate: Candidate, kinds: Sequence[Windows]
 ) -> list[tuple[Hypothesis, float] | None]:
-    """Average over stretches of time that touch torques, of one recording and several kinds.
+    """Average over windows of time that touch torques, of one recording and several kinds.
 
-    Moments of a stretch are differences of those before its edges, which all kinds share.
+    Moments of a window are differences of those before its edges, which all kinds share.
 
     Returns:
-        For each kind its hypothesis, and the evidence of the best stretch.
+        For each kind its hypothesis, and the evidence of the best window.
     """
     always = rows.columns.candidate(candidate.effect, replace(candidate.site, window=None), candidate.shape)
     F, place = rows.features(always), candidate.place
@@ -238,31 +238,31 @@ def in_stretches(
     found = []
     for kind in kinds:
         at = np.searchsorted(times[kind.at_once], kind.times) + len(times[0]) * kind.at_once
-        found.append(_averaged(rows, candidate, kind, [x[at] for x in sums], std, np.array(multiples)))
+        found.append(_average_over_windows(rows, candidate, kind, [x[at] for x in sums], std, np.array(multiples)))
     return found
 
 
-def _averaged(
+def _average_over_windows(
     rows: Rows,
     candidate: Candidate,
-    stretches: Stretches,
+    stretches: Windows,
     sums: Sequence[np.ndarray],
     std: np.ndarray,
     scales: np.ndarray,
 ) -> tuple[Hypothesis, float] | None:
-    """Average over stretches, given the sums before their edges and standard deviations (K,) with multiples (S,)."""
+    """Average over windows, given the sums before their edges and standard deviations (K,) with multiples (S,)."""
     V, gram, passed, score = sums
     begin, end = stretches.pairs.T
     own = (gram[end] + gram[begin]) - (passed + passed.transpose(0, 2, 1))[begin]
     counts = np.trace(own, axis1=1, axis2=2) > 0
     if not counts.any():
         return None
-    told_by = V.transpose(0, 2, 1) @ V
-    S = own - told_by[end] - told_by[begin] + _shared(V, begin, end)
+    products = V.transpose(0, 2, 1) @ V
+    S = own - products[end] - products[begin] + _shared(V, begin, end)
     r = score[end] - score[begin]
     found = added(S[:, None], r[:, None], std * scales[:, None], candidate.effect.prior.positive)
-    told_of = np.where(counts[:, None], found.log_evidence, -math.inf)
-    k, size = np.unravel_index(int(told_of.argmax()), told_of.shape)
+    evidence_of = np.where(counts[:, None], found.log_evidence, -math.inf)
+    k, size = np.unravel_index(int(evidence_of.argmax()), evidence_of.shape)
     window = candidate.site.window
     assert window is not None
     edges = float(stretches.times[begin[k]]), float(stretches.times[end[k]])
@@ -292,7 +292,7 @@ def _shared(V: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
 def _sums(edges: Edges, F: np.ndarray, gradually: np.ndarray, at_once: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return the moments of what ends at edges, at times (B,) [s] gradually and then at others (E,) at once.
 
-    The rows before an edge are those of the features; where something ends at once, those around it are others.
+    The rows before an edge are those of the features. If something ends at once, the rows around it differ.
 
     Returns:
         L^-1 X'G (B + E, P, K), G'G, G'C (B + E, K, K) and G'e (B + E, K) of what ends there, G, and what goes on, C.
@@ -372,9 +372,9 @@ def located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     window = h.candidate.site.window
     assert window is not None
     always = replace(h.candidate, site=replace(h.candidate.site, window=Window(window.recording)))
-    stretches = Stretches.near(Edges(fit, rows, window.recording), window)
-    (near,) = in_stretches(fit, rows, always, [stretches]) if len(stretches.pairs) else (None,)
-    exact = None if near is None else told(fit, rows, near[0].candidate)
+    stretches = Windows.near(Edges(fit, rows, window.recording), window)
+    (near,) = weigh_windows(fit, rows, always, [stretches]) if len(stretches.pairs) else (None,)
+    exact = None if near is None else hypothesis_of(fit, rows, near[0].candidate)
     if near is None or exact is None:
         return h
     paid = near[1] - near[0].log_evidence - math.log(len(stretches.pairs) / h.tried)

@@ -19,12 +19,12 @@ def suspect(
     suspected: Suspicions,
     ranked: Ranking | None = None,
 ) -> Diagnosis:
-    """Return a diagnosis that tells of the input alone.
+    """Return a diagnosis of the recordings alone, without findings.
 
     Args:
         prepared: the data.
         settings: the user's choices.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
         suspected: of the recordings.
         ranked: what was considered, if it came to that.
     """

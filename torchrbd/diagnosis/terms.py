@@ -12,7 +12,7 @@ from torchrbd.likelihood.rows import Rows
 
 @dataclass(frozen=True)
 class Term:
-    """A hypothesis that stands in a model, and its rivals in its place, evidence all of it beside the other terms."""
+    """A hypothesis in a model, and its rivals in its place; all evidence is given the other terms."""
 
     own: Hypothesis
     rivals: tuple[Hypothesis, ...]
@@ -24,14 +24,14 @@ class Term:
 
 @dataclass(frozen=True)
 class Explanation:
-    """What was found.
+    """The terms that a search has found.
 
     Attributes:
-        base: ordinary physics alone.
+        base: rigid body and baseline friction alone.
         fit: with the terms, in their order.
         rows: those of the base, whose signals carry the load and friction of a fit.
-        terms: what stands in the model.
-        first, last: all other hypotheses beside the base, and beside the model, likeliest first.
+        terms: those of the model.
+        first, last: all other hypotheses given the base, and given the model, likeliest first.
         considered: number of hypotheses.
     """
 

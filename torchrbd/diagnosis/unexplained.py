@@ -1,4 +1,4 @@
-"""What has no name: curves without a law that the search has taken, and joints whose unseen torque is told badly."""
+"""Residuals without a name: curves without a law, and joints whose held-out torque is predicted badly."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.explain import torque_rms
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.negligible import LEAST_TORQUE
 from torchrbd.diagnosis.residual import depends_on, is_curve
-from torchrbd.diagnosis.results import Finding, Proof, Region, Unexplained, Where
+from torchrbd.diagnosis.results import Finding, HeldOutCheck, Region, Unexplained, Where
 from torchrbd.diagnosis.terms import Explanation
-from torchrbd.diagnosis.trifling import LEAST_TORQUE
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.likelihood.columns import Candidate
@@ -32,30 +32,32 @@ _MUCH = 0.01
 _LASTS = 2.0
 
 
-def unexplained(extended: Extended, findings: Sequence[Finding], proofs: Sequence[Proof]) -> tuple[Unexplained, ...]:
+def unexplained(
+    extended: Extended, findings: Sequence[Finding], held_out_checks: Sequence[HeldOutCheck]
+) -> tuple[Unexplained, ...]:
     """Return what no known effect explains.
 
     Args:
         extended: the fit with what was found.
         findings: what has a name.
-        proofs: what the extended model is worth on held-out time.
+        held_out_checks: how the extended model predicts held-out data.
     """
     nameless = (*functions(extended), *tones(extended.found), *_drifting(extended.found))
-    told = {joint for one in (*findings, *nameless) for joint in one.joints}
-    return (*nameless, *_silent(extended, proofs, told))
+    reported = {joint for one in (*findings, *nameless) for joint in one.joints}
+    return (*nameless, *_silent(extended, held_out_checks, reported))
 
 
 def functions(extended: Extended) -> list[Unexplained]:
-    """Return smooth functions that held-out time shows, or that are of one recording.
+    """Return smooth functions that held-out data shows, or that are of one recording.
 
-    Others are in the model, and told with all that was considered.
+    Others are in the model, and listed in the ranking.
     """
     every = [_curve(extended, term) for term in extended.terms if is_curve(term) and term.effect is not HUM]
     return [one for one in every if one.share >= NO_CHANGE or one.where.recordings is not None]
 
 
 def tones(found: Explanation) -> list[Unexplained]:
-    """Return tones of the recordings that were fitted, of which those held out tell nothing."""
+    """Return tones of the fitted recordings, of which held-out recordings say nothing."""
     return [_tone(found, term.own) for term in found.terms if term.own.candidate.effect is HUM]
 
 
@@ -103,14 +105,16 @@ def _curve(extended: Extended, term: Candidate) -> Unexplained:
     return Unexplained((name,), signals, where, share, curve, sizes={"torque_rms": carried}, unit=unit)
 
 
-def _silent(extended: Extended, proofs: Sequence[Proof], told: Collection[str]) -> Iterator[Unexplained]:
+def _silent(
+    extended: Extended, held_out_checks: Sequence[HeldOutCheck], reported: Collection[str]
+) -> Iterator[Unexplained]:
     """Yield joints whose held-out torque is predicted badly, by errors that have a memory.
 
-    Much of it, or, where nothing is ``told``, clearly more than the fit itself misses. White errors are noise, of which
-    some motions make more than others.
+    "Badly" is a large NMSE or, at joints where nothing is ``reported``, an error clearly above that of the fit. White
+    errors are noise, of which some motions make more than others.
     """
     prepared, x = extended.prepared, extended.model.x
-    lasting = {p.joint for p in proofs if p.memory_s["extended"] > _LASTS * p.white_s}
+    lasting = {p.joint for p in held_out_checks if p.memory_s["extended"] > _LASTS * p.white_s}
     seen, unseen = judge(prepared.training, x).rmse, judge(prepared.judging, x)
     for name, rmse in unseen.rmse.items():
         if name not in lasting:
@@ -118,18 +122,18 @@ def _silent(extended: Extended, proofs: Sequence[Proof], told: Collection[str]) 
         if unseen.nmse[name] > _MUCH:
             sizes = {"nmse": unseen.nmse[name]}
             yield Unexplained((name,), (), Where(), 1.0, kind="error", sizes=sizes)
-        elif name in seen and name not in told and rmse > _LARGER * seen[name]:
+        elif name in seen and name not in reported and rmse > _LARGER * seen[name]:
             share = 1.0 - (seen[name] / rmse) ** 2
             sizes = {"ratio": rmse / seen[name]}
             yield Unexplained((name,), (), Where(), share, kind="larger error", sizes=sizes)
 
 
 def only_where_fitted(full: Extended, plain: Extended) -> Iterator[Unexplained]:
-    """Yield joints of which a model explains much in the time that was fitted, though held-out time refutes it.
+    """Yield joints that a model explains much better on fitted data, though held-out data refutes it.
 
     Args:
         full: with what was found.
-        plain: the same data, told without it.
+        plain: the same data, predicted without it.
     """
     with_it, without = (judge(each.prepared.training, each.model.x).rmse for each in (full, plain))
     for name, rmse in without.items():

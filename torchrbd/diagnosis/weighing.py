@@ -18,33 +18,33 @@ from torchrbd.likelihood.rows import Rows
 
 
 def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis with all that is learnt at its joints learnt beside it.
+    """Return a hypothesis; all that is learnt at its joints is learnt with it.
 
-    Rows count by the scatter of the blocks that the larger model leaves. The priors of both are expanded around their
-    own fits: bodies and friction that stood in for the effect lie far off. Widths and noise that suit the one may suit
-    the other: each has the better of both.
+    Rows are weighted by the scatter of the blocks in the larger model's residual. The priors of both models are
+    expanded around their own fits, as bodies and friction that absorb the effect are far from the others. Widths and
+    noise of one model may suit the other: each gets the better of both.
     """
     at = h.extra(fit, rows).joints
-    one = sized(fit, rows, h, lambda model: model.settled_at(at))
-    base, extended = fit.settled_at(at), one.extended
+    one = sized(fit, rows, h, lambda model: model.refit_at(at))
+    base, extended = fit.refit_at(at), one.extended
     dispersion, widths = extended.hyper.dispersion, (base.hyper.rest_width, extended.hyper.rest_width)
     with_it, without = [extended], [base.dispersed(dispersion)]
     if not np.allclose(*widths):
-        with_it.append(one.beside.settled_with(widths[0]).dispersed(dispersion))
-        without.append(fit.settled_with(widths[1]).dispersed(dispersion))
+        with_it.append(one.with_term.refit_with(widths[0]).dispersed(dispersion))
+        without.append(fit.refit_with(widths[1]).dispersed(dispersion))
     return _weighed(one, rows, with_it, without)
 
 
 def learnt_with(fit: Likelihood, rows: Rows, h: Hypothesis) -> Likelihood:
-    """Return the model with a hypothesis, and all that is learnt learnt beside it."""
+    """Return the model with a hypothesis, all else learnt with it."""
     extra = h.extra(fit, rows)
-    return fit.extended((*fit.extra, extra)).settled_at(extra.joints)
+    return fit.extended((*fit.extra, extra)).refit_at(extra.joints)
 
 
-def at_a_glance(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis with the noise learnt beside it, and nothing else: some nats off, but soon.
+def quick_evidence(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis with only the noise learnt with it: fast, and some nats off.
 
-    That of all joints is: what bodies do in the place of an effect is noise at others too.
+    The noise of all joints is learnt, as bodies that absorb an effect make noise at other joints too.
     """
     one = sized(fit, rows, h, lambda model: model.renoised(dispersed=True))
     without = fit.with_new_noise.dispersed(one.extended.hyper.dispersion)
@@ -57,24 +57,24 @@ class Sized(NamedTuple):
     Attributes:
         hypothesis: with its size.
         average: what averaging over sizes, shapes and windows adds to the log evidence of the model with it.
-        beside, extended: that model, before all else is learnt beside it, and then.
+        with_term, extended: that model, before and after all else is learnt with it.
     """
 
     hypothesis: Hypothesis
     average: float
-    beside: Likelihood
+    with_term: Likelihood
     extended: Likelihood
 
 
 def sized(fit: Likelihood, rows: Rows, h: Hypothesis, learn: Callable[[Likelihood], Likelihood]) -> Sized:
-    """Return a hypothesis of the size that is likeliest beside what is learnt with it.
+    """Return a hypothesis of the size that is likeliest given what is learnt with it.
 
-    Beside the noise of a fit without it, which hides it, it seems to be small; prior beliefs that small hold it there.
+    The noise of a fit without it hides it, so that it seems to be small; a prior of that size would keep it small.
     """
     sizes, positive = set[float](), h.candidate.effect.prior.positive
     while True:
-        beside = fit.extended((*fit.extra, h.extra(fit, rows)))
-        extended = learn(beside)
+        with_term = fit.extended((*fit.extra, h.extra(fit, rows)))
+        extended = learn(with_term)
         own, sizes = extended.extended(fit.extra), {*sizes, h.scale}
         # What touches no torque that is measured is worth what it was.
         now = again(own, rows, h) or h
@@ -83,7 +83,7 @@ def sized(fit: Likelihood, rows: Rows, h: Hypothesis, learn: Callable[[Likelihoo
         h = now
     std = np.sqrt(extended.coefficients_covariance(len(fit.extra)).diagonal())
     signs = float(truncated(extended.coefficients(len(fit.extra)), std, positive))
-    return Sized(h, now.log_evidence - signs - (extended.log_evidence - own.log_evidence), beside, extended)
+    return Sized(h, now.log_evidence - signs - (extended.log_evidence - own.log_evidence), with_term, extended)
 
 
 def _weighed(one: Sized, rows: Rows, with_it: Sequence[Likelihood], without: Sequence[Likelihood]) -> Hypothesis:

@@ -100,8 +100,8 @@ class JointElasticity(Effect):
         return {f"elastic({band:.6g} Hz, {compliance:.6g}, {link:.3g}) {site.name(signals.robot)}": torque}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        told = {"bandwidth": 0.0, "compliance": 0.0, **shape, "link_friction": link_part(shape)}
-        shapes = {name: coefficients.new_tensor(value) for name, value in told.items()}
+        values = {"bandwidth": 0.0, "compliance": 0.0, **shape, "link_friction": link_part(shape)}
+        shapes = {name: coefficients.new_tensor(value) for name, value in values.items()}
         return {"stiffness": 1.0 / coefficients[0], **shapes}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:

@@ -182,10 +182,10 @@ class Signals:
         assert joint is not None
         warm = None if self.temperature is None else self.temperature[joint]
         carried = self.load[joint] if load else None
-        beside = None if carried is None or self.friction is None else self.friction_torque[joint]
+        own_friction = None if carried is None or self.friction is None else self.friction_torque[joint]
         states = self.q[joint], self.qd[joint], self.qdd[joint]
         before = self.turned[joint] if self.turned else None
-        return JointState(*states, self.rest_width[joint], carried, warm, self.t, beside, before)
+        return JointState(*states, self.rest_width[joint], carried, warm, self.t, own_friction, before)
 
     @computed_once
     def load(self) -> Tensor:

@@ -74,9 +74,9 @@ def crossing(x: Tensor, least: float) -> Tensor:
     The moments at which abs(x) crosses ``least`` are interpolated linearly between samples.
     """
     at = torch.arange(x.shape[-1], device=x.device).expand_as(x)
-    told = x.abs() > least if least > 0 else torch.ones_like(x, dtype=torch.bool)
-    last, end = torch.cummax(torch.where(told, at, -1), -1).values, x.shape[-1]
-    following = torch.cummin(torch.where(told, at, end).flip(-1), -1).values.flip(-1)
+    outside = x.abs() > least if least > 0 else torch.ones_like(x, dtype=torch.bool)
+    last, end = torch.cummax(torch.where(outside, at, -1), -1).values, x.shape[-1]
+    following = torch.cummin(torch.where(outside, at, end).flip(-1), -1).values.flip(-1)
     before, after = last.clamp_min(0), following.clamp_max(end - 1)
     # Before the first known sign, use the first one; after the last known sign, the last one.
     sign = torch.sign(x)
@@ -85,7 +85,7 @@ def crossing(x: Tensor, least: float) -> Tensor:
     start = before + _part(x, before, (before + 1).clamp_max(end - 1), least)
     stop = after - _part(x, after, (after - 1).clamp_min(0), least)
     line = begins + (ends - begins) * _quotient(at - start, stop - start)
-    return torch.where(told, sign, line)
+    return torch.where(outside, sign, line)
 
 
 def _part(x: Tensor, outer: Tensor, inner: Tensor, least: float) -> Tensor:

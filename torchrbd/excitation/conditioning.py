@@ -1,14 +1,14 @@
-"""How well a motion tells inertial parameters and friction from each other: condition numbers of its regressor.
+"""How well a motion separates inertial parameters and friction: condition numbers of its regressor.
 
     W = [Y_b  qd  sign(qd)]                                 a row for each sample and joint that moves
     kappa(W D) = sigma_max / sigma_min,   D = diag(1 / RMS of each column)
 
-Columns of unit size make the number one of the motion, not of units: within a factor of sqrt(columns) no other scaling
-of columns has a smaller one (van der Sluis, "Condition numbers and equilibration of matrices", Numerische Mathematik
-1969). It says how well columns are told from each other, but not how large they are: without scaling, small ones count
-against a motion. So a motion is designed by the mean of log kappa(W D), friction included, and log kappa(Y_b), less a
-little of the mean logarithm of all columns' RMS: of motions that tell as well apart the larger one. The optimiser sees
-smooth upper bounds, with lambda the eigenvalues of the normal matrix:
+With columns of unit size the number describes the motion, not the units: within a factor of sqrt(columns) no other
+scaling has a smaller one (van der Sluis, "Condition numbers and equilibration of matrices", Numerische Mathematik
+1969). It shows how well columns are separated, but not how large they are; without scaling, small columns count against
+a motion. The cost of a motion is therefore the mean of log kappa(W D), friction included, and log kappa(Y_b), less a
+small part of the mean logarithm of all columns' RMS: of motions that separate equally well, the larger one is better.
+The optimiser uses smooth upper bounds, with lambda the eigenvalues of the normal matrix:
 
     log kappa <= (1 / 2p) [log sum lambda^p + log sum lambda^-p]
 
@@ -72,7 +72,7 @@ class Conditioning:
         return torch.cat((Y, torch.diag_embed(speed), torch.diag_embed(torch.tanh(speed / self._rest_width))), -1)
 
     def objective(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Return what a motion is designed by, smooth: small where columns are told apart and large."""
+        """Return the cost of a motion, smooth: small where columns are well separated and large."""
         W, n = self.columns(q, qd, qdd).flatten(0, 1), len(self.independent)
         G = W.T @ W / len(W)
         size = G.diagonal().clamp_min(_LEAST).sqrt()

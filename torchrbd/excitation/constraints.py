@@ -26,7 +26,7 @@ Torque = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
 _RHO = 200.0
 # A point that is so far outside its box [m] is as bad as a joint that uses twice its limit; room that is left [m].
 _LENGTH, _ROOM = 0.25, 1e-3
-# Postures that tell which points move.
+# Postures at which it is found which points move.
 _POSTURES, _STILL = 64, 1e-9
 
 

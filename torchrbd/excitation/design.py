@@ -26,7 +26,7 @@ from torchrbd.threads import single_threaded
 _MOST_SAMPLES = 600
 _LEAST_HARMONICS, _MOST_HARMONICS = 2, 100
 # Rivals whose expected log Bayes factor is less than this stay open [nats].
-_TOLD = 3.0
+_SEPARATE = 3.0
 
 
 @single_threaded()
@@ -49,12 +49,12 @@ def excite(
     gravity: Sequence[float] | None = None,
     progress: Progress = lambda *_: None,
 ) -> Excitation:
-    """Design a motion that tells a robot's parameters, or what a diagnosis has left open.
+    """Design a motion that identifies a robot's parameters, or decides what a diagnosis has left open.
 
-    A Fourier series for every joint, from rest to rest, that keeps range, speed and torque of every joint and a box for
-    the links. Without a diagnosis it is that of the least condition numbers of the regressor that was found; with one,
-    that of the largest expected log Bayes factors between each finding and what it cannot be told from. Links may still
-    touch each other or what stands around: the URDF's shapes are not looked at.
+    The motion is a Fourier series for every joint, from rest to rest. It keeps range, speed and torque of every joint,
+    and a box for the links. Without a diagnosis, it has the least condition numbers of the regressor that were found.
+    With one, it has the largest expected log Bayes factors between each finding and the effects that cannot be
+    distinguished from it. Links may still touch each other or obstacles: the URDF's shapes are not used.
 
     Args:
         robot: a robot or its URDF.
@@ -70,7 +70,7 @@ def excite(
         starts: how many times the optimiser is started.
         seed: of these starts.
         gravity: (3,) in the base's axes [m/s^2]; that of the diagnosis with one.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
 
     Raises:
         InputError: a robot, diagnosis or option that cannot be used, or limits that no motion was found to keep.
@@ -135,7 +135,7 @@ def _read(robot: RobotModel | str | Path | bytes, known: Known | None, gravity: 
     """Return the robot, under the gravity of the diagnosis if there is one.
 
     Raises:
-        OptionError: gravity is told twice.
+        OptionError: gravity is given twice.
         InputError: robot and diagnosis have other joints.
     """
     if gravity is not None and (known is not None or isinstance(robot, RobotModel)):
@@ -164,5 +164,5 @@ def _notes(separations: Sequence[Separation]) -> list[str]:
         f"{one.one} and {one.other} may stay open: the expected log Bayes factor is {one.log_bayes_factor:.1f}; "
         "they are the same on any such motion, or other limits are needed"
         for one in separations
-        if one.log_bayes_factor < _TOLD
+        if one.log_bayes_factor < _SEPARATE
     ]

@@ -24,7 +24,7 @@ SAMPLES, FINE_SAMPLES = 20, 200
 _POSTURES, _DRAWS, _CENTRES, _STROKES = 512, 64, 0.8, 0.3
 # Samples for which a posture is held.
 _RESTING = 16
-# Excess that is told in per cent, in multiples of a limit.
+# Above this multiple of a limit, the excess is printed as a multiple, not in per cent.
 _FAR = 1e3
 _ITERATIONS, _TOLERANCE = 200, 1e-4
 # No coordinate of a motion within its limits is larger than sqrt(8): sines of the greatest speed.
@@ -151,7 +151,7 @@ def optimised(problem: Problem, starts: int, seed: int, report: Callable[[float]
         problem: what to solve.
         starts: how many.
         seed: of the starts.
-        report: told which part of the work is done.
+        report: called with the part of the work that is done.
 
     Raises:
         OptionError: no motion was found that keeps the limits; says which one was hardest.

@@ -41,7 +41,7 @@ class JointUse:
 
 @dataclass(frozen=True)
 class Separation:
-    """Two effects that a diagnosis could not tell apart, and what the motion is expected to say.
+    """Two effects that a diagnosis could not distinguish, and the expected evidence of the motion.
 
     Attributes:
         one, other: in words, with their places.
@@ -69,7 +69,7 @@ class Excitation:
         condition: condition numbers of the regressor that it makes.
         uses: joint by joint, what it uses of its limits.
         clearance: least distance of links' origins to the box [m]; NaN without one.
-        separations: what it tells apart of what a diagnosis has left open.
+        separations: pairs of effects that a diagnosis has left open, and how well it distinguishes them.
         notes: sentences for a person.
     """
 

@@ -1,4 +1,4 @@
-"""What a diagnosis has left open: findings, and the effects that they cannot be told from."""
+"""What a diagnosis has left open: findings, and the effects that cannot be distinguished from them."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _REMEDY = "give the folder that 'torchrbd diagnose -o' wrote, or diagnose the re
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect with the numbers that the first recordings give it.
+    """An effect with its estimate from the first recordings.
 
     Attributes:
-        words: its name and place; ``NOTHING`` if it stands for none.
-        effect, site, shape: as of a term; None and at no place if it stands for none.
+        words: its name and place; ``NOTHING`` for no effect.
+        effect, site, shape: as of a term; None and at no place for no effect.
         coefficients: w (K,).
         probability: given that one of the rivals is true.
     """
@@ -46,7 +46,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Question:
-    """What is to be told apart: a finding first, then its rivals."""
+    """Effects to distinguish: a finding first, then its rivals."""
 
     rivals: tuple[Rival, ...]
 
@@ -123,9 +123,9 @@ def _noise_of(file: Path) -> dict[str, float]:
 
 
 def _rivals(robot: RobotModel, finding: Finding) -> tuple[Rival, ...]:
-    """Return a finding, the effects that it cannot be told from, and nothing if that may be.
+    """Return a finding, the effects that cannot be distinguished from it, and no effect if that is possible.
 
-    Viscous and Coulomb friction are always in the model: with or without them is no question.
+    Viscous and Coulomb friction are always in the model and are never compared with no effect.
     """
     alike = [a for a in finding.indistinguishable_from if a.parameters]
     others = sum(a.probability for a in alike)
@@ -163,6 +163,6 @@ def _everywhere(site: Site) -> Site:
     return replace(site, window=None, recordings=None)
 
 
-def terms_beside(model: RigidBodyDynamics, question: Question) -> Sequence[Term]:
+def other_terms(model: RigidBodyDynamics, question: Question) -> Sequence[Term]:
     """Return the terms of a model that a question is not about."""
     return [term for term in model.terms if not question.asks_of(term)]

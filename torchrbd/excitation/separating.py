@@ -1,16 +1,16 @@
-"""How well a motion tells effects apart: the expected log Bayes factor of a recording of it.
+"""How well a motion distinguishes effects: the expected log Bayes factor of a recording of it.
 
 Torques, whitened by the noise that was learnt, are those of nuisances Z (inertial parameters around the URDF's,
 friction of every joint and all other terms of any size; z ~ N(0, 1)) and of one rival A or B, w_A ~ N(0, D_A^2):
 tau = Z z + Phi_A w_A + n. With M = 1 + Z'Z,
 
-    S_AB = Phi_A' Phi_B - Phi_A' Z M^-1 Z' Phi_B                   what nuisances cannot imitate
+    S_AB = Phi_A' Phi_B - Phi_A' Z M^-1 Z' Phi_B                   what nuisances cannot absorb
     E_A[log B_H] = 1/2 w_A' S_AH D_H K_H^-1 D_H S_HA w_A + 1/2 (k - tr K_H^-1) - 1/2 log det K_H,
     K_H = 1 + D_H S_HH D_H
 
-is the expected evidence of H against neither if A is true with coefficients w_A; the log Bayes factor of A against B is
-the difference E_A[log B_A] - E_A[log B_B]. It is that of the new recording alone. A rival's nonlinear shape may change
-by a fifth: the slopes of its torque by the shape are columns too.
+is the expected evidence of H against neither if A is true with coefficients w_A. The log Bayes factor of A against B is
+the difference E_A[log B_A] - E_A[log B_B], for the new recording alone. A rival's nonlinear shape may change by a
+fifth: the slopes of its torque by the shape are columns too.
 
 Source: MacKay, "Information Theory, Inference, and Learning Algorithms" (2003), ch. 28, for the evidence; its
     expectation by E[x'Ax] = tr(A cov(x)) + E[x]'A E[x].
@@ -28,7 +28,7 @@ from torchrbd.effects.plain_friction import plain_friction
 from torchrbd.excitation.conditioning import REST_PART, Conditioning
 from torchrbd.excitation.limits import Limits
 from torchrbd.excitation.results import Separation
-from torchrbd.excitation.rivals import Known, Question, Rival, terms_beside
+from torchrbd.excitation.rivals import Known, Question, Rival, other_terms
 from torchrbd.likelihood.sizes import inertial_scale
 
 # Coefficients may be so many times what the first recordings gave; a shape may differ by this part; slopes by steps.
@@ -133,7 +133,7 @@ class Separating:
         friction = [each.unsqueeze(2) * x for x in (signals.qd, direction, direction.abs())]
         terms = [
             self._placed(phi, term.site.joint)
-            for term in terms_beside(self.known.model, question)
+            for term in other_terms(self.known.model, question)
             for phi in term.effect.features_at(signals, term.site, term.shape).values()
         ]
         free = self._white(torch.cat((*friction, *(x.unsqueeze(0) for x in terms))))

@@ -53,7 +53,7 @@ class JointCheck:
 
 @dataclass(frozen=True)
 class FileCheck:
-    """An exported file beside its model.
+    """A comparison of an exported file with its model.
 
     Attributes:
         joints: in the robot's order.

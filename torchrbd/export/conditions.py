@@ -9,7 +9,7 @@ from torchrbd.model import OTHERS, Condition, RigidBodyDynamics
 from torchrbd.parameters import PARAMETERS_PER_BODY
 
 
-def conditions_unsaid(model: RigidBodyDynamics) -> tuple[str, ...]:
+def conditions_not_exported(model: RigidBodyDynamics) -> tuple[str, ...]:
     """Return how recordings were made that the model was fitted to or judged on, one sentence for those made alike."""
     names: dict[str, list[str]] = {}
     for name, condition in model.conditions.items():

@@ -19,7 +19,7 @@ from torchrbd.robot import RobotModel
 _SAME = 1e-9
 # Attributes of actuators and sensors alone.
 _IN_TIME = {"dyntype", "dynprm", "delay"}
-# Of more numbers a sentence tells none.
+# A sentence names the numbers of an effect only up to so many.
 _MOST_NUMBERS = 6
 
 
@@ -96,11 +96,11 @@ def named(term: Term, robot: RobotModel) -> str:
     """Return what a term is called in a sentence: effect, place and values."""
     site, values = term.site, term.parameters_by_name()
     prismatic = site.joint is not None and bool(robot.prismatic[site.joint])
-    told = ", ".join(
+    listed = ", ".join(
         f"{name} {value:.4g} {term.effect.unit(name, prismatic=prismatic)}".removesuffix(" 1")
         for name, value in values.items()
     )
-    return f"{term.effect.words} at {site.name(robot)}" + (f" ({told})" if len(values) <= _MOST_NUMBERS else "")
+    return f"{term.effect.words} at {site.name(robot)}" + (f" ({listed})" if len(values) <= _MOST_NUMBERS else "")
 
 
 def refuse_negative(joint: str, name: str, value: float) -> None:
@@ -153,7 +153,7 @@ def _add_element(
         (found.tendons if term.effect.whole_robot else couplings).append(_tendon(site.joint, site.other, given))
         return True
     if element == "dcmotor" and "lugre" in given and site.joint is not None:
-        # Without the motor's other constants there is no bristle; what is left of it is friction in motion.
+        # Without the motor's other constants there is no bristle; friction in motion remains.
         drives[0].frictionloss += _several(given["lugre"])[2]
     return False
 
@@ -209,9 +209,10 @@ def _divide(found: Gathered, gains: list[float], robot: RobotModel) -> None:
 def _couple(found: Gathered, kind: str, couplings: list[Tendon], gains: list[float], robot: RobotModel) -> None:
     """Write what couples pairs of joints as tendons.
 
-    A tendon acts on both joints, and beside the coupling on each joint by its own motion: that is taken from the
-    joint's own stiffness or damping. Two terms that say the same from both sides are one tendon. Joints that have less
-    damping than the coupling keep theirs, and no tendon couples them: one of negative damping would gain energy.
+    A tendon also acts on each joint by the joint's own motion, besides the coupling. That part is subtracted from the
+    joint's own stiffness or damping. Two terms that say the same from both sides are one tendon. If a joint has less
+    damping than the coupling, both joints keep theirs and no tendon couples them: a joint of negative damping would
+    gain energy.
     """
     crossed: dict[tuple[int, int], float] = {}
     for one in couplings:

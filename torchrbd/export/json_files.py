@@ -25,22 +25,23 @@ _NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
 def write_parameters(result: Identification, path: Path) -> None:
     """Write every parameter with its uncertainty, and what is identified only in combination.
 
-    Beside what all files have (see ``_head``):
+    Keys besides those of all files (see ``_head``):
 
-    parameters: list of name, owner (body or joint), unit, urdf, value, std, prior_share (0 told by the data, 1 by the
-        URDF alone), status, suggestion. std and prior_share are null for an estimator without intervals.
+    parameters: list of name, owner (body or joint), unit, urdf, value, std, prior_share (share of information from the
+        prior: 0 the data alone, 1 the URDF alone), status, suggestion. std and prior_share are null for an estimator
+            without intervals.
     base_parameters: list of expression (four digits), unit, urdf, value, std, prior_share: the combinations of
-        inertial parameters that the robot's motion can tell.
+        inertial parameters that motion can identify.
     base_combination: the same in full digits: columns (names of inertial parameters) and matrix K, a row per base
         parameter: base parameters = K times inertial parameters.
     base_covariance: of the base parameters, rows and columns in their order, [product of the two units]; or null.
     combinations: what is identified of parameters that are not identified alone, in words.
     noise: per joint position, from_position, torque: standard deviations of the recorded position [rad, m], of the
-        torque predicted from filtered positions for their noise alone, and of the torque that is left [N m, N].
+        torque predicted from filtered positions for their noise alone, and of the residual torque [N m, N].
     noise_std: the last of these alone.
     states, regime: "filtered" or "smoothed", and why.
     verdict: "identified"; "doubtful", there are ``doubts``; "worse" than the URDF on held-out data; "suspect": the
-        recordings do not mean what they say, or the model predicts held-out torque no better than a constant.
+        recordings seem to mean something else, or the model predicts held-out torque no better than a constant.
     """
     _write(
         path,
@@ -66,48 +67,53 @@ def write_parameters(result: Identification, path: Path) -> None:
 def write_diagnosis(result: Diagnosis, path: Path) -> None:
     """Write verdict, fits, findings and what is left unexplained.
 
-    findings: strongest first (those likelier than not, then the others, by gain in both): list of effect, joints and
-        links (none of either: the whole robot), probability, log_evidence_gain, parameters by name (value, std, unit,
-        urdf, and at_least where the data give only a lower bound (95 %): value and std are null then), where
-        (recordings, time_s, region: null for everywhere), indistinguishable_from (effect, joints, links,
-        depends_on, parameters by name that it would have there [SI], probability given that one of those that explain
-        the same is there; the likeliest first), nmse_before and nmse_after by joint, statement, depends_on (signals of
-        other joints), curve: the function that shows it best, or null, family, family_probability, laws (effect and
-        probability, of those that explain the same, given that one of them is there), torque_rms by joint, share (of
-        its joint's squared error that it removes), judged_on (where nmse and share are from: "held-out time"; "own
-        time", each half of it predicted by a fit to the other, where held-out time sees nothing of it; "", nmse empty,
-        where that is too short), confirmed (the part of what it adds that held-out time shows: value, low and high of
-        95 %; 1 is all of it; null where that holds too little of it).
-    confirmed: the same of all that the extended model adds to a rigid body with plain friction.
-    trifling: effects as likely as findings that unseen time does not show, in the same form.
+    Keys besides those of all files (see ``_head``):
+
+    findings: a list: those likelier than not, then the others; in both, by the held-out error that they remove. Keys:
+        effect, joints, links (both empty: the whole robot), probability, log_evidence_gain [nats];
+        parameters: by name: value, std, unit, urdf, at_least (a 95 % lower bound where the data give no more; value
+            and std are null then);
+        where: recordings, time_s, region; null for everywhere;
+        indistinguishable_from: effect, joints, links, depends_on, parameters by name in its place [SI], probability
+            given that one of the effects that explain the same is present; the likeliest first;
+        nmse_before, nmse_after: by joint;
+        statement: a sentence; depends_on: signals of other joints; curve: the function that shows it best, or null;
+        family, family_probability; laws: effects that explain the same, each with its probability given one of them;
+        torque_rms: by joint; share: of its joint's squared error that it removes;
+        judged_on: the data of nmse and share. "held-out data"; "own window": each half of the effect's window is
+            predicted by a fit to the other half, as held-out data has none of it; "": too short, nmse is empty;
+        held_out_ratio: torque of the effect on held-out data over that fitted: value, low and high (95 %). 1: the same.
+            null if held-out data has too little of it.
+    held_out_ratio: the same of all that the extended model adds to a rigid body with baseline friction.
+    not_confirmed: effects as likely as findings that held-out data does not show, in the same form.
     unexplained: list of joints, depends_on, where, share, statement, curve.
     curve: signal ("q_joint2", "t", ...), at, torque and std, lists of one length in the order of drawing.
-    locations: where models and robot differ, named or not: list of model ("rigid_body", re-fitted, with friction and an
-        offset at every joint, or "extended"), joints, links, where (as in findings), depends_on, form ("level",
+    locations: where models and robot differ, named or not: list of model ("rigid_body": re-fitted, with friction and an
+        offset at every joint; or "extended"), joints, links, where (as in findings), depends_on, form ("level",
         "friction", "load", "payload", "force"), course ("abrupt", "slow", ""), gain (log-likelihood), torque_rms and
-        share by joint, curve or null, attack (force [N] in the base's axes, point [m] in the
-        link's frame, a standard deviation for each) or null, statement.
-    residual_maps: RMS of what a model leaves over the noise, by bins: list of model, signal ("t", "q", "qd"),
+        share by joint, curve or null, attack (force [N] in the base's axes, point [m] in the link's frame, a standard
+        deviation for each) or null, statement.
+    residual_maps: RMS of a model's residual over the noise, by bins: list of model, signal ("t", "q", "qd"),
         recording, edges and level, a row per joint.
-    limits: what was looked for and not found: list of effect, joints, links, depends_on, and of the first parameter
-        that the data tell: parameter (name), value and std beside what was found, none (what it is if the effect is not
-        there), unit, and shape, the nonlinear parameters at which this holds. Effects that act for a time only, and
-        those that the model imitates, are not among them.
-    deflections: what encoders behind the gears show: list of joint, stiffness (value, std, unit) or null, the stiffness
-        that it has at least, lost_motion, delay, inertial_share of the load, rms of the deflection, probability and
-        log_evidence_gain of the spring, nmse_before and nmse_after of the deflection on held-out time, load, deflection
+    detection_limits: effects that were looked for and not found: list of effect, joints, links, depends_on, parameter
+        (the first that the data identify), its value and std given the findings, none (its value if the effect is
+        absent), unit, and shape (nonlinear parameters for which this holds). Effects that act for a time only are left
+        out, and those that the model absorbs.
+    joint_deflections: what encoders behind the gears show: list of joint, stiffness (value, std, unit) or null,
+        stiffness_at_least, lost_motion, delay, inertial_share of the load, rms of the deflection, probability and
+        log_evidence_gain of the spring, nmse_before and nmse_after of the deflection on held-out data, load, deflection
         and deflection_std (lists of one length), statement.
-    simulated: recordings of a simulator that stood for the URDF, in the order of the recordings; empty without.
-    proofs: what the extended model is worth on held-out torque, by joint: over (by model, the part of its squared error
-        that is left: value, low and high of 95 % by a bootstrap over blocks), memory_s (by model, the integrated
-        autocorrelation time of the errors) and white_s (that of white noise).
-    ranking: what was considered, by its evidence, or null if that could not be told: band_hz, up to which torques were
+    simulated: recordings of a simulator that replaced the URDF's prediction, in the order of the recordings, or empty.
+    held_out_checks: how the extended model predicts held-out torque, by joint: over (by model, squared error relative
+        to it: value, low and high of 95 % by a bootstrap over blocks), memory_s (by model, integrated autocorrelation
+        time of the errors) and white_s (that of white noise).
+    ranking: hypotheses by their evidence, or null if that could not be computed: band_hz, up to which torques were
         compared; considered, the number of effects at their places; delay_s, by recording, how much later the torque is
         than the motion (value, std); misfit, by joint, whether whitened rows and plain least squares agree on its
-        friction (Hausman's test: statistic, dof, p_value); and four lists of hypotheses: ordinary (friction of each
-        joint, which every machine has), first (the best 30 beside rigid body and ordinary friction), adopted (what was
-        taken into the model, one after the other), last (the best 30 beside these, and the adopted ones among them).
-        A hypothesis: effect, joints and links (none of either: the whole robot), log_evidence (against leaving it out,
+        friction (Hausman's test: statistic, dof, p_value); and four lists of hypotheses: ordinary (baseline friction of
+        each joint), first (the best 30 given rigid body and baseline friction), adopted (those taken into the model,
+        in order), last (the best 30 given these, adopted ones included).
+        A hypothesis: effect, joints and links (both empty: the whole robot), log_evidence (against leaving it out,
         in nats), parameters by name (SI units), other (the joint on whose motion it depends) or null, window
         (recording, from_s, to_s) or null, and shape, its nonlinear parameters.
     """
@@ -118,15 +124,15 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
             "verdict": result.verdict,
             "statement": result.statement,
             "findings": [_finding(f) for f in result.findings],
-            "confirmed": None if result.confirmed is None else asdict(result.confirmed),
-            "trifling": [_finding(f) for f in result.trifling],
+            "held_out_ratio": None if result.held_out_ratio is None else asdict(result.held_out_ratio),
+            "not_confirmed": [_finding(f) for f in result.not_confirmed],
             "unexplained": [_stated(u) for u in result.unexplained],
             "locations": [_stated(x) for x in result.locations],
             "residual_maps": [asdict(m) for m in result.maps],
-            "limits": [asdict(x) for x in result.limits],
-            "deflections": [_stated(x) for x in result.deflections],
+            "detection_limits": [asdict(x) for x in result.detection_limits],
+            "joint_deflections": [_stated(x) for x in result.joint_deflections],
             "simulated": list(result.simulated),
-            "proofs": [asdict(x) for x in result.proofs],
+            "held_out_checks": [asdict(x) for x in result.held_out_checks],
             "refuted": result.refuted,
             "next_effect": None if result.next_effect is None else asdict(result.next_effect),
             "ranking": None if result.ranking is None else _ranking(result.ranking),
@@ -211,8 +217,8 @@ def _head(result: Identification) -> dict[str, Any]:
         it is so), alternatives.
     suspicions_tested: what was looked for.
     simulation: how far models, rolled forward from recorded states under recorded torque, move from the recorded
-        positions: list, by length, of window_s, held_out (whether no fit has seen the windows; where too little is
-        held out, they lie anywhere), windows (their number by joint), and errors by model
+        positions: list, by length, of window_s, held_out (whether the windows are held-out data; where too
+        little is held out, they lie anywhere), windows (their number by joint), and errors by model
         (those of fit, and "constant_velocity") and joint: root mean square over a window, its median, low and high
         quartile over the windows, null where motions are lost, [rad] or [m] by unit. Empty where it is not known.
     """

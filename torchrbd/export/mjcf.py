@@ -9,7 +9,7 @@ from lxml import etree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from torchrbd.export.conditions import conditions_unsaid
+from torchrbd.export.conditions import conditions_not_exported
 from torchrbd.export.drive import Drive
 from torchrbd.export.gathered import Gathered, gather
 from torchrbd.export.inertials import inertial
@@ -43,7 +43,7 @@ def to_mjcf(model: RigidBodyDynamics) -> bytes:
     return _write(model)[0]
 
 
-def mjcf_unsaid(model: RigidBodyDynamics) -> tuple[str, ...]:
+def not_in_mjcf(model: RigidBodyDynamics) -> tuple[str, ...]:
     """Return what ``to_mjcf`` cannot write, in sentences.
 
     Raises:
@@ -61,7 +61,7 @@ def _write(model: RigidBodyDynamics) -> tuple[bytes, tuple[str, ...]]:
     upright = torch.eye(4, dtype=torch.float64)
     base = etree.SubElement(world, "body", {"name": _base_name(robot)} | _place(upright, found, None))
     _write_links(base, model, found, not_exported)
-    not_exported += [*_further(robot, found), *conditions_unsaid(model)]
+    not_exported += [*_further(robot, found), *conditions_not_exported(model)]
     root.extend(comment(words) for words in ("torchrbd: what this file lacks, or has otherwise:", *not_exported))
     etree.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     etree.SubElement(root, "option", gravity=text(robot.gravity.tolist()))

@@ -31,7 +31,7 @@ def check_rate(rate_hz: float) -> None:
 
 
 def check_samples(period_s: float, harmonics: int, periods: int, rate_hz: float) -> None:
-    """See that samples at a rate tell a motion, and that a file can hold them.
+    """Check that samples at a rate represent a motion, and that a file can hold them.
 
     Raises:
         OptionError: they do not, or it cannot.
@@ -122,7 +122,7 @@ def series_of(file: Path) -> Path:
 
 
 def write_motion(result: Excitation, file: Path, rate_hz: float, options: Mapping[str, Any]) -> Path:
-    """Write a motion as CSV, and its series beside it; return where that is."""
+    """Write a motion as CSV, and its series into a second file; return the path of that."""
     samples, series = motion_csv(result, rate_hz), series_of(file)
     for path in (file, series):
         check_file(path)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from torchrbd.errors import OptionError
-from torchrbd.export.mjcf import mjcf_unsaid, to_mjcf
-from torchrbd.export.urdf import to_urdf, urdf_unsaid
+from torchrbd.export.mjcf import not_in_mjcf, to_mjcf
+from torchrbd.export.urdf import not_in_urdf, to_urdf
 from torchrbd.model import RigidBodyDynamics
 
 FORMATS = {"urdf": to_urdf, "mjcf": to_mjcf}
@@ -35,4 +35,4 @@ def not_exported(model: RigidBodyDynamics, to: str = "mjcf") -> tuple[str, ...]:
     """
     if to not in FORMATS:
         raise OptionError(f"there is no format '{to}'; expected {' or '.join(FORMATS)}")
-    return mjcf_unsaid(model) if to == "mjcf" else urdf_unsaid(model)
+    return not_in_mjcf(model) if to == "mjcf" else not_in_urdf(model)

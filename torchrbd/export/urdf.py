@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchrbd.effects import Term
 from torchrbd.errors import PhysicalError, RobotError
-from torchrbd.export.conditions import conditions_unsaid
+from torchrbd.export.conditions import conditions_not_exported
 from torchrbd.export.gathered import named, refuse_negative
 from torchrbd.export.xml_text import comment, element_text
 from torchrbd.model import RigidBodyDynamics
@@ -51,13 +51,13 @@ def to_urdf(model: RigidBodyDynamics, warnings: Iterable[str] = ()) -> bytes:
         if index is not None:
             joint.extend(_comment(term, robot) for term in _left_out(model) if term.site.joint == index)
     root.extend(_comment(term, robot) for term in _left_out(model) if term.site.joint is None)
-    root.extend(comment(f"torchrbd: {words}") for words in conditions_unsaid(model))
+    root.extend(comment(f"torchrbd: {words}") for words in conditions_not_exported(model))
     root[:0] = [comment(f"torchrbd: WARNING: {words}") for words in warnings]
     etree.indent(root)
     return etree.tostring(root.getroottree(), xml_declaration=True, encoding="utf-8", pretty_print=True)
 
 
-def urdf_unsaid(model: RigidBodyDynamics) -> tuple[str, ...]:
+def not_in_urdf(model: RigidBodyDynamics) -> tuple[str, ...]:
     """Return what ``to_urdf`` cannot write, in sentences.
 
     Raises:
@@ -70,7 +70,7 @@ def urdf_unsaid(model: RigidBodyDynamics) -> tuple[str, ...]:
     if bool((robot.gravity != robot.gravity.new_tensor(STANDARD_GRAVITY)).any()):
         x, y, z = (f"{v:.4g}" for v in robot.gravity.tolist())
         sentences.append(f"gravity, which is {x} {y} {z} m/s^2 in the base's axes: set it in the simulator")
-    return (*sentences, *conditions_unsaid(model))
+    return (*sentences, *conditions_not_exported(model))
 
 
 def _shared_out(pi: Tensor, folded: tuple[FoldedLink, ...]) -> list[tuple[str, Tensor]]:
@@ -128,7 +128,7 @@ def _dynamics(model: RigidBodyDynamics, joint: int) -> dict[str, float]:
 
 
 def _write_dynamics(joint: etree._Element, values: dict[str, float]) -> None:
-    """Give a joint the friction that is told and no other."""
+    """Give a joint the friction of the model and no other."""
     for old in joint.findall("dynamics"):
         for name in _FRICTION:
             old.attrib.pop(name, None)

@@ -199,6 +199,6 @@ def _normal_equations(total: Tensor) -> tuple[Tensor, Tensor]:
     length = H.diagonal().sqrt()
     length = torch.where(length > 0, length, torch.ones_like(length))
     size, axes = torch.linalg.eigh(H / (length.unsqueeze(1) * length))
-    told = size > size[-1] * len(H) * torch.finfo(H.dtype).eps
-    root = axes * torch.where(told, size.clamp_min(1e-300).rsqrt(), torch.zeros_like(size)) / length.unsqueeze(1)
+    positive = size > size[-1] * len(H) * torch.finfo(H.dtype).eps
+    root = axes * torch.where(positive, size.clamp_min(1e-300).rsqrt(), torch.zeros_like(size)) / length.unsqueeze(1)
     return root @ (root.T @ h), root

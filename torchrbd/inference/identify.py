@@ -104,7 +104,7 @@ def identify(
         time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
             fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
             short. Default: none.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
@@ -126,7 +126,7 @@ def identify(
     suspected = suspicions(prepared)
     prepared = with_machine(prepared, settings, fitted, progress)
     terms = term_candidates(prepared.columns, [e.id for e in fitted])
-    check_seen(settings.told_effects(), prepared.columns)
+    check_seen(settings.requested_effects(), prepared.columns)
     prepared, terms = refined(prepared, terms, progress)
     progress("fitting", 0.0)
     models = {"rigid_body": prepared.fit()}
@@ -209,7 +209,7 @@ def summarise(
         prepared: the data.
         models: fitted ones by name, "rigid_body" first.
         settings: what the user asked for.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
         suspected: of the recordings.
     """
     suspected = with_late_torque(suspected, prepared)

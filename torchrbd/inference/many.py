@@ -176,8 +176,8 @@ def identify_and(
             raise OptionError(
                 f"{place}: {len(each)} robots for {len(recordings)} recordings; give one for all, or one for each"
             )
-    work, told = WithEffects(partial(_identified, then, options)), counted(progress, len(recordings))
-    return side_by_side(work, list(zip(each, recordings, strict=True)), jobs=jobs, told=told)
+    work, on_result = WithEffects(partial(_identified, then, options)), counted(progress, len(recordings))
+    return side_by_side(work, list(zip(each, recordings, strict=True)), jobs=jobs, on_result=on_result)
 
 
 def _identified(
@@ -209,12 +209,12 @@ def counted(progress: Progress, total: int, before: str = "") -> Callable[[Attem
         words = f"{before}identified {counts['identified']} of {total}{failed}"
         progress(words, sum(counts.values()) / max(1, total))
 
-    def told(attempt: Attempt[Any]) -> None:
+    def on_result(attempt: Attempt[Any]) -> None:
         counts["identified" if attempt.error is None else "failed"] += 1
         tell()
 
     tell()
-    return told
+    return on_result
 
 
 def _itself(identification: Identification, _: object) -> Identification:

@@ -29,7 +29,7 @@ from torchrbd.likelihood.urdf_prior import data_prior
 from torchrbd.model import OTHERS
 
 # Clocks that are apart by less than so many standard deviations are not.
-_TOLD = 3.0
+_SIGNIFICANT = 3.0
 
 
 def with_friction(settings: Settings) -> tuple[Effect, ...]:
@@ -50,7 +50,7 @@ def with_machine(
         prepared: the data.
         settings: the user's choices.
         effects: that are fitted.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
         known: clocks and likelihood in the wide band, if they have been learnt.
     """
     frictionless = not any(e.id in PLAIN_OR_UNEVEN for e in effects)
@@ -59,9 +59,9 @@ def with_machine(
     progress("learning clocks and friction", 0.0)
     held = frozenset(settings.held_bodies(prepared.robot))
     clocks = _learnt(prepared, held) if known is None else known
-    found, wide = _told_by_what_is_fast(prepared, clocks)
+    found, wide = _estimate_at_speed(prepared, clocks)
     late = {} if not found else of_one_machine(found, [*(r.name for r in prepared.recordings), OTHERS])
-    late = {name: (d, std) for name, (d, std) in late.items() if abs(d) > _TOLD * std}
+    late = {name: (d, std) for name, (d, std) in late.items() if abs(d) > _SIGNIFICANT * std}
     offsets = {name: d for name, (d, _) in late.items()}
     reading = prepared.reading if clocks is None else clocks.read_with(prepared.reading, offsets)
     prepared = replace(prepared, reading=reading, late=late)
@@ -96,7 +96,7 @@ def _learnt(prepared: Prepared, held: frozenset[str]) -> Clocks | None:
         return None
 
 
-def _told_by_what_is_fast(
+def _estimate_at_speed(
     prepared: Prepared, clocks: Clocks | None
 ) -> tuple[dict[str, tuple[float, float]], list[JointScale]]:
     """Return clocks and how wide friction's sign changes are, as whitened rows of a wide band tell them.

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchrbd.effects import Effect, Site
-from torchrbd.effects.told import requested_sites
+from torchrbd.effects.requested import requested_sites
 from torchrbd.errors import RecordingError
 from torchrbd.inference.data.bodies import check_masses
 from torchrbd.inference.data.holdout import held_out_blocks
@@ -136,7 +136,7 @@ def prepare(
         recordings: files, opened recordings or data in memory to fit.
         settings: the user's choices.
         effects: physics to have columns for.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
 
     Raises:
         RobotError, RecordingError, OptionError: input that cannot be used.
@@ -144,7 +144,7 @@ def prepare(
     check_masses(robot)
     reading, found = read(robot, recordings, settings, progress)
     opened, surveys, filtering, simulated = reading.recordings, reading.surveys, reading.filtering, reading.simulated
-    sites, windows = requested_sites(settings.told_effects(), robot, [r.name for r in opened])
+    sites, windows = requested_sites(settings.requested_effects(), robot, [r.name for r in opened])
     unloaded = [e for e in effects if not e.uses_load]
     columns = Columns(robot, unloaded, covered_scales(surveys, filtering), windows, sites=sites)
     used, held = reading.used, settings.held_bodies(robot)
@@ -208,7 +208,7 @@ def read(
     for k, recording in enumerate(opened):
         progress("looking through the recordings", k / len(opened))
         found.append(survey(recording))
-    surveys = [_told(one, noise) for one in found]
+    surveys = [_without_known_noise(one, noise) for one in found]
     filtering = Filtering(choose_cutoff(surveys) if settings.cutoff_hz is None else settings.cutoff_hz)
     opened, surveys, simulated = _simulated(robot, opened, surveys, simulations, filtering, progress)
     payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
@@ -242,7 +242,7 @@ def _simulated(
     return tuple(r for r, _ in kept), [s for _, s in kept], tuple(found)
 
 
-def _told(found: Survey, noise: np.ndarray) -> Survey:
+def _without_known_noise(found: Survey, noise: np.ndarray) -> Survey:
     """Return a survey with the position noise (n,) that the user knows; NaN leaves what was found."""
     return replace(found, q_noise_std=np.where(np.isnan(noise), found.q_noise_std, noise))
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchrbd.deadline import seconds_of
 from torchrbd.effects import Effect, effect, known_effects
-from torchrbd.effects.told import RequestedEffect
+from torchrbd.effects.requested import RequestedEffect
 from torchrbd.errors import OptionError, closest
 from torchrbd.options import Options, Payload
 from torchrbd.recordings import listed_sources
@@ -57,15 +57,15 @@ class Settings(Options):
                 values[key] = _number(values[key], kind, key, place)
         return cls(**values)
 
-    def told_effects(self) -> tuple[RequestedEffect, ...]:
+    def requested_effects(self) -> tuple[RequestedEffect, ...]:
         """Return the effects that were named and not excluded, with their places.
 
         Raises:
             OptionError: an id is unknown.
         """
         excluded = {effect(name).id for name in self.exclude}
-        told = (RequestedEffect.parse(text) for text in self.effects or ())
-        return tuple(one for one in told if one.effect.id not in excluded)
+        named = (RequestedEffect.parse(text) for text in self.effects or ())
+        return tuple(one for one in named if one.effect.id not in excluded)
 
     def chosen_effects(self) -> tuple[Effect, ...]:
         """Return the effects to search for.
@@ -73,9 +73,9 @@ class Settings(Options):
         Raises:
             OptionError: an id is unknown, or no effect is left.
         """
-        told = {one.effect.id: one.effect for one in self.told_effects()}
+        named = {one.effect.id: one.effect for one in self.requested_effects()}
         excluded = {effect(name).id for name in self.exclude}
-        wanted = known_effects() if self.effects is None else told
+        wanted = known_effects() if self.effects is None else named
         chosen = tuple(e for name, e in wanted.items() if name not in excluded)
         if not chosen:
             raise OptionError("no effect is left to look for; name others with 'effects' or exclude fewer")

@@ -59,7 +59,7 @@ _LEAST_NOISE = 1e-6
 
 
 class BayesianDynamics(nn.Module):
-    """A robot that knows how well it is known.
+    """A robot with a posterior over its parameters.
 
         bayes = BayesianDynamics.from_diagnosis(torchrbd.diagnose("robot.urdf", "monday.csv"))
         mean, parameter_std, noise_std = bayes.predict(q, qd, qdd)
@@ -76,7 +76,7 @@ class BayesianDynamics(nn.Module):
     Args:
         physics: where it starts, around which the prior is, and whose bodies and terms are free; copied.
         kappa: weight of the prior's divergence from the bodies of ``physics``.
-        term_std: prior standard deviation of every coefficient around its start, in its own unit; ``whiten`` tells it
+        term_std: prior standard deviation of every coefficient around its start, in its own unit; ``whiten`` sets it
             from torques.
         noise_std: (n_dof,) standard deviations of the torque to start from [N m, N]; 1 if None.
         trust: bodies that are known, by name.
@@ -113,15 +113,15 @@ class BayesianDynamics(nn.Module):
         self.physics, self.kappa = copy.deepcopy(physics).requires_grad_(False), kappa
         start, n_inertial = flatten(self.physics), physics.raw_inertia.numel()
         bodies = physics.physical.nonzero().flatten().tolist()
-        told = [k for k, b in enumerate(bodies) if robot.body_names[b] not in trust]
+        fitted = [k for k, b in enumerate(bodies) if robot.body_names[b] not in trust]
         self.register_buffer("centre", start.clone())
         self.register_buffer("prior_mean", start.clone())
         self.register_buffer("prior_std", start.new_ones(len(start) - n_inertial) * term_std)
         # Which of the physical bodies are free; where free coordinates are in theta and in x.
         ten = torch.arange(PARAMETERS_PER_BODY)
         terms = torch.arange(len(start) - n_inertial)
-        self.register_buffer("free_bodies", torch.tensor(told, dtype=torch.long))
-        in_theta = [PARAMETERS_PER_BODY * k + ten for k in told]
+        self.register_buffer("free_bodies", torch.tensor(fitted, dtype=torch.long))
+        in_theta = [PARAMETERS_PER_BODY * k + ten for k in fitted]
         self.register_buffer("free", torch.cat((*in_theta, n_inertial + terms)))
         self.register_buffer("linear", linear_entries(self.physics)[self.free])
         noise = start.new_ones(robot.n_dof) if noise_std is None else noise_std.to(start)
@@ -153,9 +153,9 @@ class BayesianDynamics(nn.Module):
             own = slice(PARAMETERS_PER_BODY * b, PARAMETERS_PER_BODY * (b + 1))
             bayes.prior_mean[_of_body(k)] = to_log_cholesky(prior.mean[own])
         at = linear_positions(model, fit)
-        told = torch.nonzero(at >= 0).flatten()
-        bayes.prior_mean[n_inertial + told] = prior.mean[at[told]]
-        bayes.prior_std[told] = prior.scale.diagonal()[at[told]]
+        fitted = torch.nonzero(at >= 0).flatten()
+        bayes.prior_mean[n_inertial + fitted] = prior.mean[at[fitted]]
+        bayes.prior_std[fitted] = prior.scale.diagonal()[at[fitted]]
         values, axes = torch.linalg.eigh(fitted_covariance(fit, torch.cat((prior.inertial, at))))
         kept = values > 0
         bayes._start_from(bayes.whitening, axes[:, kept] * values[kept].sqrt())
@@ -171,8 +171,8 @@ class BayesianDynamics(nn.Module):
         physics, own = RigidBodyDynamics.load(path), read_model(path).posterior
         if not own:
             raise InputError(f"{path}: holds a model without a posterior; RigidBodyDynamics.load reads it")
-        bodies, told = physics.physical.nonzero().flatten().tolist(), own["free_bodies"].tolist()
-        trust = [physics.robot.body_names[b] for k, b in enumerate(bodies) if k not in told]
+        bodies, fitted = physics.physical.nonzero().flatten().tolist(), own["free_bodies"].tolist()
+        trust = [physics.robot.body_names[b] for k, b in enumerate(bodies) if k not in fitted]
         bayes = cls(physics, kappa=float(own.pop("kappa")), trust=trust)
         bayes._start_from(own["whitening"], own["spread"])
         bayes.load_state_dict(own | {f"physics.{k}": v for k, v in physics.state_dict().items()})
@@ -200,7 +200,7 @@ class BayesianDynamics(nn.Module):
 
     @property
     def noise_std(self) -> Tensor:
-        """Standard deviation of the torque beside the model's (n_dof,) [N m, N]."""
+        """Standard deviation of the torque around the model's (n_dof,) [N m, N]."""
         return self.raw_noise.exp()
 
     @property
@@ -261,8 +261,8 @@ class BayesianDynamics(nn.Module):
         Args:
             q, qd, qdd, tau: (*batch, n_dof).
             t: as of ``forward``.
-            n_samples: how many independent samples the batch stands for: all of the data where it is a minibatch,
-                fewer than there are where noise is correlated; its own number by default.
+            n_samples: how many independent samples the batch represents: all of the data if it is a minibatch, fewer
+                if noise is correlated. Default: the number of its samples.
         """
         mean = self(q, qd, qdd, t)
         variance = self.noise_std.square().to(mean)
@@ -287,7 +287,7 @@ class BayesianDynamics(nn.Module):
 
             W W' = N (J'(sum_i A_i' A_i / sigma^2) J + prior curvature)^-1,   V V' = (the same in x)^-1,   J = dx/dtheta
 
-        so that a plain gradient step on -ELBO / N is a Gauss-Newton step. Noise starts from what is left of the torque,
+        so that a plain gradient step on -ELBO / N is a Gauss-Newton step. Noise starts from the residual of the torque,
         and the prior of coefficients is as wide as ten times the joint's torque would make it. Where the mean has gone
         far, whiten again, and give an optimiser the new parameters.
 

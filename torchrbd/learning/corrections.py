@@ -86,7 +86,7 @@ class Resistance(Correction):
     It is positive with qd, as all friction here is: the torque that the actuator must supply.
 
     Attributes:
-        width: (n,) speed below which the direction is not told, a fiftieth of the data's spread [rad/s, m/s].
+        width: (n,) speed below which the direction is uncertain, a fiftieth of the data's spread [rad/s, m/s].
     """
 
     width: Tensor

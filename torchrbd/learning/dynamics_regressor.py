@@ -37,12 +37,13 @@ class DynamicsRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
         minimise  sum_i sum_j w_i (tau_ij - Y_j(x_i) pi - friction_j(qd_ij))^2 / (2 sigma_j^2)  +  kappa D(pi | pi_URDF)
 
-    Joints are weighed by the noise sigma that the fit leaves, and D is the entropic divergence from the URDF, which is
-    infinite for what is no body: where the data tell nothing, the URDF's inertia stays, and few samples do.
+    Joints are weighed by the noise sigma, the standard deviation of the residual. D is the entropic divergence from the
+    URDF; it is infinite for inertias that no body can have. Where the data has no information, the URDF's inertia
+    stays, so that few samples suffice.
 
-    States are taken as they are and samples as independent. Noise in positions, and what differentiation makes of it,
-    biases this fit as any regression, and densely sampled torques look more certain than they are (a larger ``kappa``,
-    thinning or ``sample_weight`` helps); ``torchrbd.identify`` takes care of both where there are recordings.
+    States are taken as exact and samples as independent. Noise in positions, amplified by differentiation, biases this
+    fit like any regression. Densely sampled torques look more certain than they are: a larger ``kappa``, thinning or
+    ``sample_weight`` helps. ``torchrbd.identify`` handles both where there are recordings.
 
     Args:
         urdf: the robot, or its URDF.
@@ -55,7 +56,7 @@ class DynamicsRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     Attributes:
         model_: the fitted ``torchrbd.RigidBodyDynamics``, for gradients, simulation and export.
         robot_: the robot as its URDF has it; ``robot_.joint_names`` has the order of the joints in X and y.
-        noise_std_: (n,) standard deviation of the torque that the fit leaves [N m, N]; NaN where none was used.
+        noise_std_: (n,) standard deviation of the residual torque [N m, N]; NaN where none was used.
         n_features_in_: 3 n.
         feature_names_in_: of X's columns, if they have names.
 

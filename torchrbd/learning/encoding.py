@@ -1,6 +1,6 @@
-"""What a network beside the physics sees: angles as sine and cosine, rates and history, in the spread of the data.
+"""Inputs of a network that corrects the physics: angles as sine and cosine, rates and history, in the data's spread.
 
-One sample's features are all joints' q, then qd, then qdd, and then, for each of h steps back (the present one first),
+One sample's features are all joints' q, then qd, then qdd. Then, for each of h steps back (the present one first), come
 all joints' position errors q_ref - q and velocities: (3 + 2 h) n numbers, in SI units.
 """
 

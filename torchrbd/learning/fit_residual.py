@@ -174,11 +174,11 @@ def _settle(
 
 @torch.no_grad()
 def _borne_out(model: ResidualDynamics, validation: ResidualDataset) -> tuple[Tensor, float]:
-    """Return the part (n,) of the network's torque, 0 to 1, that new data surely bear out, and the error with it.
+    """Return the part (n,) of the network's torque, 0 to 1, that new data certainly confirms, and the error with it.
 
-    The part is the slope of the missing torque on the network's, less its standard error over stretches of time: where
-    a joint's residual is noise, or the network helps here and harms there, it had better say nothing. The error is the
-    mean square in units of noise.
+    The part is the slope of the missing torque on the network's, less its standard error over windows of time. It is
+    zero where a joint's residual is noise, or where the network helps here and harms there. The error is the mean
+    square in units of noise.
     """
     said = model.network_torque(validation.features.to(model.left_std.device)).cpu()
     missing, weight = model.left(validation) + said, validation.weight.double()

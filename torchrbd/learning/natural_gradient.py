@@ -30,7 +30,7 @@ _UNSEEN = 1e-12
 
 
 class NaturalGradient(torch.optim.Optimizer):
-    """An optimiser for the parameters of a ``RigidBodyDynamics``, in minibatches; a network beside it has its own.
+    """An optimiser for the parameters of a ``RigidBodyDynamics``, in minibatches; a network with it has its own.
 
         optimiser = NaturalGradient(model)
         schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda epoch: 1 / (1 + epoch))

@@ -1,8 +1,8 @@
-"""What of a torque the physics could have said itself.
+"""The part of a torque that the physics could explain itself.
 
 The physics' torque moves with its inertial parameters pi and its terms' coefficients w as d tau = [Y, Phi] d(pi, w). Of
-a torque at many samples, each joint weighed by its noise, the part in the span of these columns is physics' own; a
-network beside it should say the rest only.
+a torque at many samples, each joint weighed by its noise, the part in the span of these columns belongs to the physics.
+A network that corrects it should supply only the rest.
 
 Source: Györök et al., "Orthogonal projection-based regularization for efficient model augmentation", L4DC 2025, for
 state-space models; here the columns are those of inverse dynamics, each joint weighed by its noise.

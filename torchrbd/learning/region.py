@@ -1,7 +1,7 @@
-"""Where the data have been: the distance to the nearest of some points that cover them.
+"""The region of the data: the distance to the nearest of some points that cover it.
 
-The unit of distance is how far, in the median, a stretch of the data is from all other stretches: what a new motion of
-the same kind may be off. The region ends at twice that.
+The unit of distance is the median distance of one window of the data from all others: how far a new motion of the same
+kind may be. The region ends at twice that.
 """
 
 from __future__ import annotations

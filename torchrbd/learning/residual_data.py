@@ -111,13 +111,13 @@ def residual_dataset(
     mapping: str | Path | None = None,
     cutoff_hz: float | None = None,
 ) -> ResidualDataset:
-    """Return what a model leaves of recorded torques, as samples for a ``torch.utils.data.DataLoader``.
+    """Return the residual of recorded torques, as samples for a ``torch.utils.data.DataLoader``.
 
     Torque and the model's torque, computed from states at the recording's full rate, go through one low-pass filter and
     are thinned together; features are states in the same band. The model's residual on the recordings that it was
     fitted to is smaller than on new ones: keep some recordings, or time, from the fit.
 
-    Splits are stretches of time with gaps as long as the filters reach: "train", "validation" and "test" of the same
+    Splits are windows of time with gaps as long as the filters reach: "train", "validation" and "test" of the same
     recordings and ``fractions`` never share a sample of the raw recording. Cut-off and weights are those of all parts.
 
     Args:
@@ -186,7 +186,7 @@ def residual_dataset(
 
 
 def _arguments(diagnosis: Any, options: dict[str, Any]) -> tuple[RigidBodyDynamics, Settings, Tensor | None]:
-    """Return a copy of the model, settings, and the joints' noise (n,) if a fit has told it.
+    """Return a copy of the model, settings, and the joints' noise (n,) if a fit has estimated it.
 
     Raises:
         InputError: there is no model.

@@ -51,7 +51,7 @@ class TorqueShares:
 
 
 class ResidualDynamics(nn.Module):
-    """A rigid body with terms, and a network for what they leave.
+    """A rigid body with terms, and a network for the residual.
 
         tau = physics(q, qd, qdd) + fade(x) network(x)
 
@@ -63,16 +63,16 @@ class ResidualDynamics(nn.Module):
         torchrbd.fit_residual(model, train, validation=validation)
         tau = model(q, qd, qdd)
 
-    Fit the physics first. The network is then fitted to the rest, and penalised for torque that the physics could say
-    itself (``torchrbd.learning.PhysicsMetric``), so that it does not take the physics over. It sees sines and cosines
-    of angles, velocities and accelerations in units of their spread in the data, and history if asked for.
+    Fit the physics first. The network is then fitted to the residual. It is penalised for torque that the physics could
+    explain itself (``torchrbd.learning.PhysicsMetric``), so that it does not replace the physics. Its inputs are sines
+    and cosines of angles, velocities and accelerations in units of their spread in the data, and optionally history.
 
-    **Far from the data** it is silent: it fades out from one to two units of distance (``distance``), and beyond that
-    the model is its physics. With ``mode="frozen"`` it is therefore nowhere outside worse than the physics alone; in
-    the other modes the physics that stays is the one that was trained with the network.
+    **Far from the data** the network is silent: it fades out from one to two units of distance (``distance``), and
+    beyond that the model is its physics. With ``mode="frozen"`` it is never worse there than the physics alone. In the
+    other modes that physics is the one that was trained with the network.
 
-    **Uncertainty** (``std``) is a rule, not a posterior: near the data what is left there, and further away more, by
-    the size of the torque that the network was needed for, per unit of distance beyond the first:
+    **Uncertainty** (``std``) is a rule, not a posterior: the residual near the data. Further away it grows by the size
+    of the torque that the network supplies, per unit of distance beyond the first:
 
         std_j(x)^2 = left_j^2 + missing_j^2 max(0, s(x) - 1)^2
 
@@ -87,11 +87,11 @@ class ResidualDynamics(nn.Module):
             V(q), its torque dV/dq. All compose with ``torch.func``; torch.export cannot trace the last one's slopes.
         kinetic: of the kind "lagrangian", add kinetic energy too.
         history: steps of history among the features, the present one among them; of the clock of the data.
-        fade: whether the network is silent far from the data. Without it there is no promise outside.
+        fade: whether the network is silent far from the data. Without it nothing is guaranteed outside.
 
     Attributes:
-        left_std: (n,) root mean square of what both leave of the torque near the data [N m, N].
-        missing_std: (n,) of what the physics leaves.
+        left_std: (n,) root mean square of the residual torque of both near the data [N m, N].
+        missing_std: (n,) the same of the physics alone.
 
     Raises:
         InputError: a network that does not fit.
@@ -191,8 +191,8 @@ class ResidualDynamics(nn.Module):
     def distance(self, features: Tensor) -> Tensor:
         """Return how far features are from the training data, (*batch).
 
-        In the space of network inputs, to the nearest of up to 512 points that cover the data; 1 is how far a new
-        stretch of the same motion is: each stretch of the data from all others, in the median.
+        The distance is in the space of network inputs, to the nearest of up to 512 points that cover the data. Its unit
+        is the median distance of one window of the data from all others: that of a new window of the same motion.
         """
         return self.region(self.encoder(features))
 
@@ -222,7 +222,7 @@ class ResidualDynamics(nn.Module):
 
     @torch.no_grad()
     def left(self, dataset: ResidualDataset) -> Tensor:
-        """Return what is left of the measured torque on a data set, (N, n) [N m, N]."""
+        """Return the residual of the measured torque on a data set, (N, n) [N m, N]."""
         said = self.network_torque(dataset.features.to(self.left_std.device)).cpu()
         return dataset.residual - said - self._changed(dataset)
 

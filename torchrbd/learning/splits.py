@@ -1,8 +1,8 @@
-"""Time that is learned from, time to choose by, and time to judge by: whole stretches, with gaps between them.
+"""Training, validation and test time: whole windows, with gaps between them.
 
-Samples near in time are alike: were they split at random, a network would be judged on what it has seen. The time of
-all recordings, one after the other, is cut into equal rounds, each of which is first learned from, then chosen by, then
-judged by. Between two parts as much is left out as the filters reach.
+Samples near in time are alike: with a random split a network would be judged on samples that it has learnt. The time
+of all recordings, one after the other, is cut into equal rounds. Each round is first for training, then for validation,
+then for test. The gap between two parts is as long as the filters reach.
 """
 
 from __future__ import annotations

@@ -58,10 +58,10 @@ class Clocks:
     def delay_s(self) -> dict[str, tuple[float, float]]:
         """By recording, the delay of the torque relative to the motion, and its standard deviation [s]."""
         machine, size = self.fit.machine, self.fit.machine.timing_std
-        told = [self._estimates.told([k]) for k in machine.timing]
+        estimates = [self._estimates.estimate([k]) for k in machine.timing]
         return {
             name: (self.shift_s[name] - size * float(z[0]), size * float(np.sqrt(C[0, 0])))
-            for name, (z, C) in zip(machine.rows.seen_recordings, told, strict=True)
+            for name, (z, C) in zip(machine.rows.seen_recordings, estimates, strict=True)
         }
 
     @cached_property
@@ -122,9 +122,9 @@ def _command_odds(moved: Clocks) -> float:
 
     rows = fit.machine.rows.around(fit.pi, fit.hyper.friction, fit.hyper.rest_width)
     features, seen = rows.evaluated(beyond), [j for j, at in enumerate(fit.index) if len(at)]
-    beside = fit.extended([Extra(j, features[j : j + 1], np.ones(1)) for j in seen]).settled
-    g = np.array([beside.coefficients(k)[0] for k in range(len(seen))])
-    weight = np.array([1.0 / beside.coefficients_covariance(k)[0, 0] for k in range(len(seen))])
+    augmented = fit.extended([Extra(j, features[j : j + 1], np.ones(1)) for j in seen]).refit
+    g = np.array([augmented.coefficients(k)[0] for k in range(len(seen))])
+    weight = np.array([1.0 / augmented.coefficients_covariance(k)[0, 0] for k in range(len(seen))])
     mean = weight @ g / weight.sum()
     scatter = weight @ (g - mean) ** 2 / weight.sum() / max(1, len(seen) - 1)
     lag = float(np.mean([moved.shift_s[name] for name in rows.seen_recordings]))

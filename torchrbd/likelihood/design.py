@@ -20,7 +20,7 @@ from torchrbd.likelihood.noise import Noise
 # Columns that are nonzero in less than this fraction of the rows are stored as sparse.
 _BRIEF = 0.1
 
-Beside = Sequence[tuple[int, Extra]]
+Extras = Sequence[tuple[int, Extra]]
 """Additional columns at one joint, each with the index of its first coefficient."""
 
 
@@ -84,27 +84,27 @@ class Bare:
 class Design:
     """Columns of a joint: additional ones (K, M), then those of the machine, multiplied by ``size`` (K + P,).
 
-    ``own`` (K + P,) are their coefficients; ``beside`` are the additional columns.
+    ``own`` (K + P,) are their coefficients; ``extras`` are the additional columns.
     """
 
     bare: Bare
-    beside: Beside
+    extras: Extras
     further: np.ndarray
     own: np.ndarray
     size: np.ndarray
 
     @staticmethod
-    def of(bare: Bare, beside: Beside, joint: int) -> Design:
+    def of(bare: Bare, extras: Extras, joint: int) -> Design:
         """Return the columns of a machine at a joint, and the additional ones there."""
-        parts = [e.at(joint) * e.std[:, None] for _, e in beside]
+        parts = [e.at(joint) * e.std[:, None] for _, e in extras]
         further = np.concatenate((np.zeros((0, len(bare.target))), *parts))
-        own = np.concatenate([*(first + np.arange(len(e.std)) for first, e in beside), bare.own])
-        return Design(bare, beside, further, own, np.ones(len(own)))
+        own = np.concatenate([*(first + np.arange(len(e.std)) for first, e in extras), bare.own])
+        return Design(bare, extras, further, own, np.ones(len(own)))
 
-    def has(self, beside: Beside) -> bool:
+    def has(self, extras: Extras) -> bool:
         """Return whether exactly these are the additional columns."""
-        pairs = zip(self.beside, beside, strict=False)
-        return len(self.beside) == len(beside) and all(k == i and e is one for (k, e), (i, one) in pairs)
+        pairs = zip(self.extras, extras, strict=False)
+        return len(self.extras) == len(extras) and all(k == i and e is one for (k, e), (i, one) in pairs)
 
     def sized(self, size: np.ndarray) -> Design:
         """Return the same columns with other sizes (K + P,)."""

@@ -80,7 +80,7 @@ def with_noise(
     variance: Tensor | None = None,
     *,
     rounds: int,
-    settled: float = 0.0,
+    tolerance: float = 0.0,
     states: Tensor | None = None,
 ) -> tuple[F, Tensor]:
     """Alternate between a fit and an estimate of each joint's noise from its residual.
@@ -100,7 +100,7 @@ def with_noise(
     for _ in range(rounds):
         found, x, covariance = fit(variance)
         left = residual_variance(statistics, x, covariance, variance, states)
-        if bool(((left / variance).log()[torch.isfinite(left)].abs() < settled).all()):
+        if bool(((left / variance).log()[torch.isfinite(left)].abs() < tolerance).all()):
             return found, variance
         variance = left
     return fit(variance)[0], variance

@@ -240,7 +240,7 @@ class Gaussian(Posterior):
         scores = np.add.reduceat(b.X * e, np.flatnonzero(np.diff(part, prepend=-1)), axis=1).T @ coordinates
         return float((scores**2).sum() / kept.sum() / np.mean(e**2))
 
-    def beside(self, columns: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def precision_and_score(self, columns: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return precision S (K, K) and score r (K,) of whitened columns, (K, m) by joint."""
         K = len(next(iter(columns.values())))
         cross, own, r = np.zeros((len(self.z), K)), np.zeros((K, K)), np.zeros(K)
@@ -256,7 +256,7 @@ def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int]
     """Return the log evidence of additional columns with precision S (*batch, K, K) and score r (*batch, K).
 
     Args:
-        S, r: from ``Gaussian.beside``.
+        S, r: from ``Gaussian.precision_and_score``.
         std: (*batch, K) prior standard deviations of the coefficients.
         positive: indices of those that cannot be negative.
 

@@ -66,14 +66,14 @@ class Likelihood:
         sites[:, machine.resisting] = hyper.resists.reshape(3, -1)
         self._bodies = expanded(root * hyper.bodies, hyper.kappa)
         self.gaussian = Gaussian(whitened, sites.shape[1], self._bodies, sites, machine.local)
-        self._settled, self._residuals = dict[tuple[int, ...], Likelihood](), dict[int, np.ndarray]()
+        self._refits, self._residuals = dict[tuple[int, ...], Likelihood](), dict[int, np.ndarray]()
 
     def _design(self, joint: int, known: Design | None) -> Design:
-        beside = [(int(k), e) for k, e in zip(self._first, self.extra, strict=False) if e.at(joint) is not None]
-        if known is not None and known.has(beside):
+        extras = [(int(k), e) for k, e in zip(self._first, self.extra, strict=False) if e.at(joint) is not None]
+        if known is not None and known.has(extras):
             return known
         target, parts = self.machine.target[joint], (joint, self.hyper, self._slopes)
-        one = Design.of(known.bare if known else Bare.of(*self.machine.design(*parts), target), beside, joint)
+        one = Design.of(known.bare if known else Bare.of(*self.machine.design(*parts), target), extras, joint)
         return one.sized(self.machine.sizes(joint, one.own, self.hyper))
 
     def _block(self, joint: int, known: Design | None, block: Block | None) -> Block:
@@ -145,7 +145,7 @@ class Likelihood:
         """Return the coefficients (P_j,) of a joint's columns."""
         return self._designs[joint].own
 
-    def beside(self, place: int | None, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def precision_and_score(self, place: int | None, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return precision (K, K) and score (K,) of additional features given the fit.
 
         Args:
@@ -154,7 +154,11 @@ class Likelihood:
         """
         each = dict(enumerate(features.swapaxes(0, 1))) if place is None else {place: features}
         felt = {j: self.hyper.noise[j].white(F) for j, F in each.items() if len(self.index[j]) and F.any()}
-        return self.gaussian.beside(felt) if felt else (np.zeros((len(features),) * 2), np.zeros(len(features)))
+        return (
+            self.gaussian.precision_and_score(felt)
+            if felt
+            else (np.zeros((len(features),) * 2), np.zeros(len(features)))
+        )
 
     def dispersion(self, joint: int) -> float:
         """Return the scatter of a joint's scores over blocks of time, divided by that of white rows."""
@@ -358,20 +362,20 @@ class Likelihood:
         return self.renoised(dispersed=True)
 
     @cached_property
-    def settled(self) -> Likelihood:
+    def refit(self) -> Likelihood:
         """The same model with noise, widths, bodies and slopes learnt again, given its columns."""
         return self.renoised().rewidened().relinearised().renoised(dispersed=True)
 
-    def settled_with(self, widths: np.ndarray) -> Likelihood:
+    def refit_with(self, widths: np.ndarray) -> Likelihood:
         """Return the same model with noise and bodies learnt again, given widths (n,) [rad/s] or [m/s]."""
         return self.renoised().with_(rest_width=widths).plausible().renoised(dispersed=True)
 
-    def settled_at(self, joints: Sequence[int]) -> Likelihood:
+    def refit_at(self, joints: Sequence[int]) -> Likelihood:
         """Return the same model with noise, bodies and some joints' widths learnt again; slopes change little."""
         key = tuple(joints)
-        if key not in self._settled:
-            self._settled[key] = self.renoised().rewidened(key).plausible().renoised(dispersed=True)
-        return self._settled[key]
+        if key not in self._refits:
+            self._refits[key] = self.renoised().rewidened(key).plausible().renoised(dispersed=True)
+        return self._refits[key]
 
     def extended(self, extra: Sequence[Extra]) -> Likelihood:
         """Return the same model with other additional columns."""

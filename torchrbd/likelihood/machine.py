@@ -122,7 +122,7 @@ class Machine:
         # Bodies that a joint does not move have no columns there.
         self._moved = [np.flatnonzero(np.isin(self.inertial, own)) for own in rows.columns.inertial]
         self._rigid = [self._rigid_columns(j, Y) for j, Y in enumerate(rows.rigid)]
-        self.target = self._beside(self.mean)
+        self.target = self._target_given(self.mean)
         mass = rows.columns.robot.mass_matrix(torch.from_numpy(rows.q.T)).numpy()
         self._carried = np.einsum("mjk,k->jm", mass**2, rows.encoder_std**2)
         self._undirected = {k: rows.evaluated(partial(self._direction_std, k)) for k in STICKS}
@@ -144,7 +144,7 @@ class Machine:
         fitted = np.isin(self.rows.columns.inertial[joint], self.inertial)
         return (Y[:, fitted] @ self.scale[np.ix_(moved, moved)]).T
 
-    def _beside(self, pi: np.ndarray) -> np.ndarray:
+    def _target_given(self, pi: np.ndarray) -> np.ndarray:
         """Return the torques minus those of a rigid body with pi (n_params,), (n, M)."""
         return self.rows.tau - self.rows.load(pi)
 
@@ -159,7 +159,7 @@ class Machine:
         both = zip(self.rows.rigid, C, strict=True)
         other._rigid = [self._rigid_columns(j, Y + more) for j, (Y, more) in enumerate(both)]
         own = zip(C, self.rows.columns.inertial, strict=True)
-        other.target = self._beside(self.mean) + np.stack([more @ (pi - self.mean)[at] for more, at in own])
+        other.target = self._target_given(self.mean) + np.stack([more @ (pi - self.mean)[at] for more, at in own])
         return other
 
     def _direction_std(self, stick: float, signals: Signals) -> Tensor:

@@ -99,15 +99,15 @@ class TwoEstimates:
         # In coordinates in which C is one, V is the variance that least squares loses.
         size = np.sqrt(np.maximum(C.diagonal(), 1e-300))
         values, vectors = np.linalg.eigh(C / size / size[:, None])
-        told = values > _LEAST_DIRECTION
-        whole = (vectors[:, told] / np.sqrt(values[told])).T / size
+        resolved = values > _LEAST_DIRECTION
+        whole = (vectors[:, resolved] / np.sqrt(values[resolved])).T / size
         loss, axes = np.linalg.eigh(whole @ V @ whole.T)
         kept = loss > _LEAST_LOSS
         d = axes[:, kept].T @ whole @ (self.ordinary - self.efficient)[index]
         statistic, dof = float((d**2 / loss[kept]).sum()), int(kept.sum())
         return Misfit(statistic, dof, float(chi2.sf(statistic, dof)) if dof else 1.0)
 
-    def told(self, index: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def estimate(self, index: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return coefficients (K,) and their covariance: the efficient estimate, or the mean of both if they disagree.
 
         If they disagree, a law is wrong and either may be right: the uncertainty of the mean is then half their
@@ -123,7 +123,7 @@ class TwoEstimates:
 
         It is the Savage-Dickey density ratio, of an estimate that scatters by the actual noise.
         """
-        m, C = self.told(index)
+        m, C = self.estimate(index)
         return 0.5 * float(np.linalg.slogdet(C)[1] + (m - value) @ np.linalg.solve(C, m - value))
 
     def _covariances(self, index: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -41,7 +41,7 @@ def moving(qd: np.ndarray, block: np.ndarray, slow: np.ndarray) -> np.ndarray:
     return np.any(power >= slow[:, None] ** 2, axis=1)
 
 
-def told_by_motion(statistics: BlockStatistics) -> BlockStatistics:
+def without_columns_at_rest(statistics: BlockStatistics) -> BlockStatistics:
     """Return the statistics without the columns of a joint's own motion in blocks in which it is at rest."""
     rest = at_rest(statistics)
     moments = list(statistics.moments)

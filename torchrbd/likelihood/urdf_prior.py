@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchrbd.likelihood.block_statistics import BlockStatistics
 from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.resting import told_by_motion
+from torchrbd.likelihood.resting import without_columns_at_rest
 from torchrbd.parameters import BASIS, ORTHONORMAL, PARAMETERS_PER_BODY, is_extended, nearest_physical
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 
@@ -138,7 +138,7 @@ def data_prior(statistics: BlockStatistics, held: Collection[str], kappa: float)
     The features of a joint's own motion count where it moves. For a joint that never moves, they are those of unit
     motion.
     """
-    statistics = told_by_motion(statistics)
+    statistics = without_columns_at_rest(statistics)
     weight, _, square = statistics.torque.sum(0).unbind(-1)
     torque_rms = (square / weight.clamp_min(1e-300)).sqrt()
     return urdf_prior(statistics.columns, torque_rms, _feature_rms(statistics), held=held, kappa=kappa)

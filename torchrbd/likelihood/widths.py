@@ -28,6 +28,6 @@ def likeliest_width(machine: Machine, fit: Gaussian, noise: Noise, coulomb: floa
         width = float(np.hypot(part * machine.speed_rms[joint], machine.rows.speed_std[joint]))
         F = machine.sign(joint, width)
         std = np.append(machine.friction_std(joint, F), np.full(len(STICKS), coulomb))
-        S, r = rest.beside({joint: noise.white(np.concatenate((F, machine.held(joint, width))))})
+        S, r = rest.precision_and_score({joint: noise.white(np.concatenate((F, machine.held(joint, width))))})
         found.append((float(added(S, r, std).log_evidence), width))
     return max(found)[1]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 
 from torchrbd.effects import Effect, JointScale, Shape, Signals, Site, Term, effect
-from torchrbd.effects.told import RequestedEffect
+from torchrbd.effects.requested import RequestedEffect
 from torchrbd.errors import OptionError
 from torchrbd.robot import RobotModel
 
@@ -45,18 +45,18 @@ def starting_terms(robot: RobotModel, effects: Sequence[str]) -> list[Term]:
         OptionError: an unknown effect or place, or an effect that acts for a time only.
     """
     terms = []
-    for told in map(RequestedEffect.parse, effects):
-        if told.window is not None or not (sites := told.sites(robot, ())):
+    for one in map(RequestedEffect.parse, effects):
+        if one.window is not None or not (sites := one.sites(robot, ())):
             raise OptionError(
-                f"'{told.effect.id}' acts for a time only; a model that knows no recording can have no such term"
+                f"'{one.effect.id}' acts for a time only; a model that knows no recording can have no such term"
             )
         for site in sites:
-            shapes = told.effect.shapes(_scale(robot, site.joint or 0))
+            shapes = one.effect.shapes(_scale(robot, site.joint or 0))
             if not shapes:
-                raise OptionError(f"'{told.effect.id}' has no shape within the limits of '{robot.name}': leave it out")
+                raise OptionError(f"'{one.effect.id}' has no shape within the limits of '{robot.name}': leave it out")
             shape = shapes[len(shapes) // 2]
-            zeros = torch.zeros(_count(told.effect, robot, site, shape), dtype=torch.float64)
-            terms.append(Term(told.effect, site, zeros, shape))
+            zeros = torch.zeros(_count(one.effect, robot, site, shape), dtype=torch.float64)
+            terms.append(Term(one.effect, site, zeros, shape))
     return terms
 
 

@@ -126,8 +126,8 @@ def interpolated(t: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
     x = np.where(rests[at], 0.0, t - a.t[at]) / lasts[at]
     y = 1.0 - x
     path = a.q[at] * y**2 * (1 + 2 * x) + b.q[at] * x**2 * (1 + 2 * y) + lasts[at] * x * y * (v_a[at] * y - v_b[at] * x)
-    told = np.where(rests[at], held, np.clip(path, -0.5 * step, 0.5 * step))
-    return np.where((at >= 0) & (row <= b.row[at]), q + told, q)
+    correction = np.where(rests[at], held, np.clip(path, -0.5 * step, 0.5 * step))
+    return np.where((at >= 0) & (row <= b.row[at]), q + correction, q)
 
 
 def _falling(x: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ def guess(columns: Sequence[str], joints: Sequence[str] = ()) -> tuple[str | Non
     """
     time, groups = None, dict[str, dict[str, str]]()
     for column in columns:
-        signal, key = _told(column, joints)
+        signal, key = _guess(column, joints)
         if signal == "time" and time is None:
             time = column
         elif signal not in (None, "time") and key:
@@ -42,7 +42,7 @@ def guess(columns: Sequence[str], joints: Sequence[str] = ()) -> tuple[str | Non
     return time, dict(zip(names, numbered, strict=False))
 
 
-def _told(column: str, joints: Sequence[str]) -> tuple[str | None, str | None]:
+def _guess(column: str, joints: Sequence[str]) -> tuple[str | None, str | None]:
     """Return the signal and the joint, or the joint's number, in a column's name."""
     key = max((joint for joint in joints if joint in column), key=len, default=None)
     parts = [part.lower() for part in _PART.findall(column.replace(key, " ") if key else column)]

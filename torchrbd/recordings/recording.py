@@ -187,11 +187,11 @@ class Recording:
             first_row += len(t)
             others = np.ones(len(columns), dtype=bool)
             others[slots["t"]] = False
-            told = ~np.isnan(block[others]).all(axis=0)  # the others are rows of other topics
-            if not told.any():
+            present = ~np.isnan(block[others]).all(axis=0)  # the others are rows of other topics
+            if not present.any():
                 continue
-            if not told.all():
-                t, values = t[told], {key: value[told] for key, value in values.items()}
+            if not present.all():
+                t, values = t[present], {key: value[present] for key, value in values.items()}
             chunk = self._assemble(t - start, values)
             if chunk is not None:
                 yield chunk

@@ -35,7 +35,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Card:
-    """A finding or something unexplained; ``line`` is a remark, or empty; ``errors`` are the joints to tell of."""
+    """A finding or an unexplained residual; ``line``: a remark, or empty; ``errors``: joints whose errors it shows."""
 
     item: Finding | Unexplained
     title: str
@@ -131,7 +131,7 @@ def _finding_card(finding: Finding, pictures: Pictures) -> Card:
         finding, joint if joint in pictures.joints else None, (*regions, *finding.depends_on, *own), pictures
     )
     where = when(finding.where, pictures.unit_of)
-    return Card(finding, title[0].upper() + title[1:], equation, where, _told(finding), _doubt(finding), shown)
+    return Card(finding, title[0].upper() + title[1:], equation, where, _joints_shown(finding), _doubt(finding), shown)
 
 
 def _doubt(finding: Finding) -> str:
@@ -144,13 +144,13 @@ def _doubt(finding: Finding) -> str:
     return ""
 
 
-def _told(finding: Finding) -> list[str]:
+def _joints_shown(finding: Finding) -> list[str]:
     """Return the joints whose error changes with a finding, its own first, then by fall; or the one that falls most."""
     fall = {j: b - finding.nmse_after[j] for j, b in finding.nmse_before.items() if j in finding.nmse_after}
     best = most_changed(finding)
-    told = [j for j in sorted(fall, key=lambda j: -fall[j]) if abs(fall[j]) > CHANGED * finding.nmse_after[j]]
-    told.sort(key=lambda j: j not in finding.joints)
-    return told[:MOST_ERRORS] or ([best] if best else [])
+    changed = [j for j in sorted(fall, key=lambda j: -fall[j]) if abs(fall[j]) > CHANGED * finding.nmse_after[j]]
+    changed.sort(key=lambda j: j not in finding.joints)
+    return changed[:MOST_ERRORS] or ([best] if best else [])
 
 
 def _pictures(
@@ -159,9 +159,9 @@ def _pictures(
     signals: Sequence[str],
     pictures: Pictures,
 ) -> list[Picture]:
-    """Draw the curve of an item, and the residual at a joint: in its stretch of time, or against a state.
+    """Draw the curve of an item, and the residual at a joint: in its window of time, or against a state.
 
-    The state is the first of ``signals`` that is one, or the most telling if there is no curve.
+    The state is the first of ``signals`` that is one, or the most informative if there is no curve.
     """
     if name is None or not pictures.drawn:
         return []
@@ -186,7 +186,7 @@ def _pictures(
 
 
 def _sense(identifier: str, curve: Curve) -> Sense | None:
-    """Return how a curve's torque acts if its signal, and at most the direction of motion, tell it."""
+    """Return how a curve's torque acts if its signal, and at most the direction of motion, determines it."""
     known = known_effects().get(identifier)
     if known is None:
         return None

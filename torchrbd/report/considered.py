@@ -37,10 +37,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Step:
-    """Hypotheses beside one model, best first; ``more`` were considered and are not shown."""
+    """Hypotheses given one model, best first; ``more`` were considered and are not shown."""
 
     title: str
-    beside: str
+    condition: str
     rows: list[Row]
     more: int
 
@@ -60,12 +60,12 @@ class Ordinary:
     joint: str
     viscous: str
     viscous_evidence: str
-    viscous_told: bool
+    viscous_significant: bool
     urdf_viscous: str
     coulomb: list[str]
     width: str
     coulomb_evidence: str
-    coulomb_told: bool
+    coulomb_significant: bool
     urdf_coulomb: str
 
 
@@ -93,15 +93,15 @@ def considered(found: Ranking, robot: RobotModel) -> Considered:
     prismatic = dict(zip(robot.joint_names, robot.prismatic.tolist(), strict=True))
     adopted = {_key(one) for one in found.adopted}
 
-    def step(title: str, beside: str, ranked: Sequence[Ranked], known: set[_Key]) -> Step:
+    def step(title: str, condition: str, ranked: Sequence[Ranked], known: set[_Key]) -> Step:
         rows = [_row(one, found, prismatic, adopted=_key(one) in known) for one in ranked[:MOST_ROWS]]
-        return Step(title, beside, rows, max(found.considered, len(ranked)) - len(rows))
+        return Step(title, condition, rows, max(found.considered, len(ranked)) - len(rows))
 
     steps = [step("First step", "given a rigid body with baseline friction", found.first, adopted)]
     if adopted:
         first, *others = found.adopted
-        beside = f"given the {len(found.adopted)} adopted effects" if others else f"given {title(first)}"
-        steps.append(step("Last step", beside, found.last, adopted))
+        condition = f"given the {len(found.adopted)} adopted effects" if others else f"given {title(first)}"
+        steps.append(step("Last step", condition, found.last, adopted))
     return Considered(
         number=found.considered,
         band_hz=found.band_hz,
@@ -203,12 +203,12 @@ def _ordinary(found: Sequence[Ranked], robot: RobotModel) -> list[Ordinary]:
                 joint=joint,
                 viscous=with_unit(number(slow.parameters["viscous"]), f"{torque} s/{length}"),
                 viscous_evidence=nats(slow.log_evidence),
-                viscous_told=slow.log_evidence > 0,
+                viscous_significant=slow.log_evidence > 0,
                 urdf_viscous=urdf_viscous,
                 coulomb=[with_unit(number(dry.parameters[f"coulomb_{way}"]), torque) for way in ("plus", "minus")],
                 width=with_unit(number(dry.shape.get("width", math.nan)), f"{length}/s"),
                 coulomb_evidence=nats(dry.log_evidence),
-                coulomb_told=dry.log_evidence > 0,
+                coulomb_significant=dry.log_evidence > 0,
                 urdf_coulomb=urdf_coulomb,
             )
         )

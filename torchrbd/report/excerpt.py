@@ -1,4 +1,4 @@
-"""What of the series a figure shows: the telling stretch of time, the telling signal, and means in bins."""
+"""What of the series a figure shows: the most informative window of time and signal, and means in bins."""
 
 from __future__ import annotations
 

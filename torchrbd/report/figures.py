@@ -120,7 +120,7 @@ def curve_figure(
         curve: the function.
         labels: of the signal and of the torque, with their units.
         colour: of the line.
-        data: values of the signal and of the torque that all else in the model leaves, if they can be told.
+        data: values of the signal, and residual torque of all else in the model, if known.
     """
     x, y, margin = np.array(curve.at), np.array(curve.torque), 1.96 * np.array(curve.std)
     figure, axes = _small()

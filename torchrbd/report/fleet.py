@@ -27,17 +27,17 @@ def write_fleet_report(result: FleetComparison, path: Path) -> None:
     """Write one HTML file that needs nothing else: no scripts, no external style, font or picture."""
     templates = environment()
     templates.filters |= {"parameter_name": parameter_name, "bar": bar}
-    told = sorted(filter(_is_told, result.members), key=_first)
-    alike = [one for one in result.members if not _is_told(one)]
+    notable = sorted(filter(_is_notable, result.members), key=_first)
+    alike = [one for one in result.members if not _is_notable(one)]
     with page_style():
         picture = errors_picture(result)
     text = templates.get_template("fleet.html.j2").render(
-        result=result, told=told, alike=alike[:MOST_ALIKE], more=max(0, len(alike) - MOST_ALIKE), picture=picture
+        result=result, notable=notable, alike=alike[:MOST_ALIKE], more=max(0, len(alike) - MOST_ALIKE), picture=picture
     )
     write_whole(path, text.encode())
 
 
-def _is_told(one: MemberResult) -> bool:
+def _is_notable(one: MemberResult) -> bool:
     return bool(one.deviations or one.changes or one.error)
 
 

@@ -15,18 +15,18 @@ from torchrbd.report.inline import INK, canvas
 from torchrbd.report.text.numbers import number
 
 LOUDEST, FOUND, EMPTY = 10.0, "#d55e00", "#e4e7ea"
-# Pixels of a letter of a joint's name, of the ranges beside the rows; the most of the width that names may take.
+# Pixels of a letter of a joint's name, and of the ranges at the rows; the largest share of the width for names.
 LETTER, RANGES, MOST_LABEL = 8.0, 130, 0.4
 AXES = {"t": "time [s]", "q": "position", "qd": "velocity"}
 
 
 def map_figure(one: ResidualMap, joints: Sequence[str], locations: Sequence[Location], units: Sequence[str]) -> Figure:
-    """Draw the RMS of the leftover over the noise, 1 (white) to 10, and frame what was located.
+    """Draw the RMS of the residual over the noise, 1 (white) to 10, and frame what was located.
 
     Args:
         one: the map.
         joints: names of its rows.
-        locations: those in the leftover of the same model.
+        locations: those in the residual of the same model.
         units: per joint, of the signal.
     """
     wide = one.signal == "t"
@@ -58,7 +58,7 @@ def map_figure(one: ResidualMap, joints: Sequence[str], locations: Sequence[Loca
 
 
 def _own_ranges(axes: Axes, one: ResidualMap, units: Sequence[str]) -> None:
-    """Write each joint's range beside its row: the rows share no scale."""
+    """Write each joint's range at its row: the rows share no scale."""
     axes.set_xticks([0.0, 1.0], ["lowest", "highest"])
     axes.set_xlabel(AXES[one.signal])
     axes.get_xticklabels()[0].set_horizontalalignment("left")

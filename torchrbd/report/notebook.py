@@ -94,10 +94,10 @@ class Card:
         return [item.statement for item in self.diagnosis.unexplained] if self.diagnosis else []
 
     @property
-    def trifling(self) -> list[str]:
+    def not_confirmed(self) -> list[str]:
         """Likely effects that held-out data does not confirm, with their places."""
         found = self.diagnosis
-        every = () if found is None else (*(f for f in found.findings if not f.held_out), *found.trifling)
+        every = () if found is None else (*(f for f in found.findings if not f.held_out), *found.not_confirmed)
         return [guessed(f) + (at(f.joints, f.links) or " on the whole robot") for f in every]
 
     @property
@@ -115,11 +115,11 @@ class Card:
 
 def _row(finding: Finding) -> Row:
     inside = when(finding.where)
-    told = values(finding)
+    shown = values(finding)
     more = more_values(finding)
     return Row(
         place(finding) + (f" ({inside})" if inside else ""),
         guessed(finding),
-        [*told, *([f"{more} more"] if more else [])],
+        [*shown, *([f"{more} more"] if more else [])],
         finding.probability,
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from torchrbd.diagnosis.results import Diagnosis, Finding, Proof
+from torchrbd.diagnosis.results import Diagnosis, Finding, HeldOutCheck
 from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.outputs import write_whole
 from torchrbd.report.cards import Card, PlainRow, finding_cards, plain_rows, plain_titles, unexplained_cards
@@ -24,7 +24,7 @@ from torchrbd.report.text.numbers import plain
 from torchrbd.report.text.verdict import badge, headline, model_words, part_left
 from torchrbd.simulation import COASTING, MotionError
 
-LEFTOVERS = {
+RESIDUALS = {
     "rigid_body": "Residual of the re-fitted rigid body with friction",
     "extended": "Residual of the extended model",
 }
@@ -48,7 +48,7 @@ def write_report(result: Identification | Diagnosis, path: Path) -> None:
 
 @dataclass(frozen=True)
 class JointFigures:
-    """Torque against time, the stretch that it shows in words, whether findings are marked, residual against states."""
+    """Torque against time, what its window is called, whether findings are marked, residual against states."""
 
     time: Markup
     words: str
@@ -127,9 +127,9 @@ class Page:
         return BAR_END
 
     @property
-    def proofs(self) -> list[Proof]:
+    def held_out_checks(self) -> list[HeldOutCheck]:
         """What the extended model is worth at each joint, if it has anything that the rigid body lacks."""
-        return list(self.diagnosis.proofs) if self.diagnosis and self.diagnosis.findings else []
+        return list(self.diagnosis.held_out_checks) if self.diagnosis and self.diagnosis.findings else []
 
     @property
     def plain_titles(self) -> list[str]:
@@ -142,9 +142,9 @@ class Page:
         return unexplained_cards(self.diagnosis, self.pictures) if self.diagnosis else []
 
     @property
-    def trifling(self) -> tuple[Finding, ...]:
+    def negligible(self) -> tuple[Finding, ...]:
         """Effects that are likely and negligible, or not confirmed on held-out data."""
-        return self.diagnosis.trifling if self.diagnosis else ()
+        return self.diagnosis.not_confirmed if self.diagnosis else ()
 
     @property
     def found(self) -> set[str]:
@@ -155,7 +155,7 @@ class Page:
     def located(self) -> list[Located]:
         """Where each model differs from the robot: sentences and maps; the recordings that are loudest."""
         found = []
-        for model, title in LEFTOVERS.items() if self.diagnosis else ():
+        for model, title in RESIDUALS.items() if self.diagnosis else ():
             maps = [m for m in self.diagnosis.maps if m.model == model] if self.diagnosis else []
             here = [x for x in self.diagnosis.locations if x.model == model] if self.diagnosis else []
             times = sorted((m for m in maps if m.signal == "t"), key=lambda m: -np.nansum(np.square(m.level)))
@@ -168,7 +168,7 @@ class Page:
     @cached_property
     def springs(self) -> list[tuple[str, Markup]]:
         """What encoders behind the gears show: sentences with their pictures."""
-        draw, found = self.pictures, self.diagnosis.deflections if self.diagnosis else ()
+        draw, found = self.pictures, self.diagnosis.joint_deflections if self.diagnosis else ()
         units = dict(zip(self.joints, draw.units, strict=True))
         return [
             (d.statement, draw.inline(spring_figure(d, units[d.joint]), f"deflection of {d.joint} against its load"))
@@ -214,7 +214,7 @@ class Page:
 
     @property
     def suggestions(self) -> dict[str, list[str]]:
-        """What to record next, with the names of the parameters that it would tell; longest lists first."""
+        """What to record next, with the names of the parameters that it would identify; longest lists first."""
         found: dict[str, list[str]] = {}
         for p in self.result.parameters:
             if p.suggestion:

@@ -39,7 +39,7 @@ OTHER_SIGNALS = {
 Sense = Literal["added", "against the motion"]
 # Slower than this part of the largest speed a motion has no direction here.
 _MOVING = 0.02
-# What is shown of a recording before and after a stretch of time, in parts of its length, and at least [s].
+# What is shown of a recording before and after a window of time, in parts of its length, and at least [s].
 _MARGIN, _LEAST_MARGIN_S = 0.5, 2.0
 # Of a hum.
 _CYCLES = 12
@@ -63,9 +63,9 @@ class Pictures:
         names = list(result.robot.joint_names)
         prismatic = [bool(result.robot.prismatic[names.index(j)]) for j in self.joints]
         self.units = [Units("N", "m") if p else Units("N m", "rad") for p in prismatic]
-        told = result.fits["urdf"].nmse
+        known = result.fits["urdf"].nmse
         self.measured = [
-            bool(np.isfinite(self.series.measured[:, i]).any()) if seen else j in told
+            bool(np.isfinite(self.series.measured[:, i]).any()) if seen else j in known
             for i, j in enumerate(self.joints)
         ]
         self._keys = count(1)
@@ -130,9 +130,9 @@ class Pictures:
         return self.inline(figure, f"torque of {self.joints[joint]} against time")
 
     def around(self, joint: int, where: Where, models: list[str], *, whole: bool) -> tuple[str, Markup] | None:
-        """Draw the residual of a joint in and around the first stretch of time of ``where``, named by its recording.
+        """Draw the residual of a joint in and around the first window of time of ``where``, named by its recording.
 
-        Of a hum some cycles are drawn, from the middle of a recording; what nothing confines is drawn if ``whole``.
+        Of a hum, some cycles are drawn, from the middle of a recording. Without a window it is drawn only if ``whole``.
         """
         s = self.series
         names = [r for r in s.recordings if where.recordings is None or r in where.recordings]
@@ -155,13 +155,13 @@ class Pictures:
     def curve(self, curve: Curve, joint: int, colour: str, sense: Sense | None) -> tuple[Markup, bool]:
         """Draw the function that shows a term, and say whether data is drawn with it.
 
-        The data is what the extended model leaves and the function, for samples of all recordings.
+        The data is the residual of the extended model plus the function, for samples of all recordings.
 
         Args:
             curve: the function.
             joint: whose torque it is.
             colour: of the function.
-            sense: whether the torque is told by the signal alone or acts against the motion too; None if neither.
+            sense: whether the torque depends on the signal alone or acts against the motion too; None if neither.
         """
         name, state = self.joints[joint], self.states.get(curve.signal)
         key = curve.signal.removesuffix(f"_{name}")
@@ -182,7 +182,7 @@ class Pictures:
         return self.inline(figure, f"torque added at {name} against {words}"), data is not None
 
     def map(self, one: ResidualMap, locations: list[Location]) -> tuple[str, Markup]:
-        """Draw how large the leftover is where, named by its recording."""
+        """Draw a map of the residual, named by its recording."""
         units = [u.q if one.signal == "t" else u.of(one.signal) for u in self.units]
         label = f"residual of each joint over {one.signal} {one.recording}".strip()
         return one.recording, self.inline(map_figure(one, self.joints, locations, units), label)

@@ -1,8 +1,8 @@
-"""How far models move from what was recorded, rolled forward from recorded states under recorded torque.
+"""How far models move from the recorded motion, rolled forward from recorded states under recorded torque.
 
 A small torque error may be a large one of motion, and the other way round: a joint with much friction stays where it is
-whatever its inertia. Errors are those of positions, their root mean square over a window; a window in which a motion is
-lost counts as infinite. Open loops of unstable robots diverge: windows are told by their median and quartiles.
+whatever its inertia. Errors are the root mean square of positions over a window; a window in which a motion is lost
+counts as infinite. Open loops of unstable robots diverge: the median and quartiles over windows are reported.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ class MotionError:
 
     Attributes:
         window_s: their length.
-        held_out: whether no fit has seen them; too little is held out, if not.
+        held_out: whether the windows are held-out data; if not, too little is held out.
         windows: how many, by joint; fewer where a joint's torque is not in every recording.
-        errors: by model ("urdf", "rigid_body", "extended", and "constant_velocity" beside them) and joint, the root
+        errors: by model ("urdf", "rigid_body", "extended", and "constant_velocity" for comparison) and joint, the root
             mean square over a window.
     """
 
@@ -79,10 +79,10 @@ def motion_errors(
 
     Args:
         reading: the recordings.
-        blocks: stretches of time to look at.
-        held_out: of each, whether no fit has seen it; the others are looked at too where these hold too few windows.
+        blocks: blocks of time to simulate.
+        held_out: whether each is held out; the others are used too where these hold too few windows.
         models: by name.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
     """
     names, kept = reading.robot.joint_names, [block for block, held in zip(blocks, held_out, strict=True) if held]
     unseen = {length: len(starts(kept, length, _MOST_WINDOWS)) >= _FEWEST_WINDOWS for length in LENGTHS_S}
@@ -91,8 +91,10 @@ def motion_errors(
         rolled = list(_rolled(reading, wanted, models, progress))
     except (InputError, PhysicalError) as error:
         return MotionErrors((), (f"motion was not simulated: {error}",))
-    told = [_told(k, unseen[k], [errors for length, errors in rolled if length == k], names) for k in LENGTHS_S]
-    found = tuple(one for one in told if one.windows)
+    errors_by_length = [
+        _motion_error(k, unseen[k], [errors for length, errors in rolled if length == k], names) for k in LENGTHS_S
+    ]
+    found = tuple(one for one in errors_by_length if one.windows)
     return MotionErrors(found, _notes(models, reading.robot) if found else (_NOTHING,))
 
 
@@ -145,7 +147,9 @@ def _errors(
             yield length, {name: torch.where(measured, x, torch.nan).numpy() for name, x in roots.items()}
 
 
-def _told(length: float, held_out: bool, errors: Sequence[dict[str, np.ndarray]], joints: Sequence[str]) -> MotionError:
+def _motion_error(
+    length: float, held_out: bool, errors: Sequence[dict[str, np.ndarray]], joints: Sequence[str]
+) -> MotionError:
     """Summarise the errors of windows of one length."""
     windows, spreads = {}, dict[str, dict[str, Spread]]()
     for j, joint in enumerate(joints):

@@ -1,11 +1,11 @@
-"""A model as what moves under a torque: mass, forces of the rigid body, and forces that are balanced within a step.
+"""A model as a plant under a torque: mass, forces of the rigid body, and forces that are balanced within a step.
 
-What a model predicts of a torque is of three kinds here:
+A model's terms are of three kinds here:
 
 - plain friction, offsets and rotors, which are numbers by joint and act on all windows at once;
-- other terms of the present state, asked through the module;
-- terms that take a whole motion (delays, play, springs in the drive) or an acceleration in another way than linearly.
-  They are small beside the rest, and their torque is that of the recorded motion, taken off the torque that drives.
+- other terms of the present state, computed by the module;
+- terms that take a whole motion (delays, play, springs in the drive) or are not linear in the acceleration. They are
+  small compared with the rest. Their torque is that of the recorded motion, subtracted from the driving torque.
 
 Presliding friction counts as the Coulomb friction that it becomes: its state at the start is not known.
 """
@@ -38,7 +38,7 @@ _SLOWEST, _OF_VELOCITY, _IN_TIME = 1e-2, ("friction", "spring"), ("time_varying_
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a torque may depend on beside the states of W windows.
+    """What a torque may depend on, besides the states of W windows.
 
     Attributes:
         t: (W,) times from the recording's start [s].
@@ -61,7 +61,7 @@ class Plant:
     Attributes:
         robot: the model's.
         along: terms whose torque is that of the recorded motion.
-        slowest: (n_dof,) speed that passes for rest [rad/s, m/s].
+        slowest: (n_dof,) speed that counts as rest [rad/s, m/s].
         is_bare: whether no term of the present state adds to the rigid body's torque.
         conditional: whether it depends on more than the states.
     """
@@ -72,7 +72,7 @@ class Plant:
         terms = [_sliding(term) for term in model.terms]
         self.along = tuple(term for term in terms if _takes_a_motion(term))
         instant = [term for term in terms if not _takes_a_motion(term)]
-        # What alters a supplied torque asks for the friction beside it.
+        # What alters a supplied torque needs the friction as well.
         by_joint = [] if any(term.effect.sees_friction for term in instant) else [t for t in instant if _is_plain(t)]
         others = [term for term in instant if term not in by_joint]
         self.robot, self.slowest, self._pi, self._width = model.robot, _SLOWEST * width, pi, width

@@ -39,7 +39,7 @@ _STEPS_AT_ONCE, _MOST_RATE_HZ = 200, 1e5
 
 @dataclass(frozen=True)
 class SimulatedMotion:
-    """A motion that a model makes, beside the recorded one.
+    """A motion that a model makes, and the recorded one.
 
     Attributes:
         joints: names of the n joints.
@@ -48,7 +48,7 @@ class SimulatedMotion:
         tau: (N, n) torque that drove it, at the time of the motion [N m, N]; NaN where a joint was moved.
         recorded: (N, n) positions as recorded, low-passed as everywhere.
         moved: joints whose torque is not recorded: they move as they did.
-        notes: what else is to be known of it.
+        notes: further remarks.
     """
 
     joints: tuple[str, ...]
@@ -136,7 +136,7 @@ def simulate(
         rate_hz: samples a second; the recording's by default.
         mapping: YAML file of other column names and units.
         cutoff_hz: band limit of the recorded motion [Hz]; chosen from the data by default.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
 
     Raises:
         RecordingError: a recording that cannot be used, or that has no torque, or nothing at that time.

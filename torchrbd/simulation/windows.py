@@ -1,4 +1,4 @@
-"""Which stretches of recordings are rolled forward, and what drives a model through them.
+"""Windows of recordings that are rolled forward, and what drives a model through them.
 
 The torque of a step is the mean over it of the recorded torque, linear between samples: no impulse is lost or late, as
 with a torque that is held from one sample to the next.
@@ -37,7 +37,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Windows:
-    """Stretches of recordings, all in steps of ``STEP_S``.
+    """Windows of recordings, all in steps of ``STEP_S``.
 
     Attributes:
         starts: (W,) where they begin.
@@ -140,15 +140,15 @@ def driving(t: np.ndarray, signals: Mapping[str, np.ndarray], at: np.ndarray) ->
 
     Positions are cubic between samples, with the velocities there; all else is linear.
     """
-    told = {}
+    resampled = {}
     for name, x in signals.items():
         if name == "q":
-            told[name] = CubicHermiteSpline(t, x, signals["qd"])(at)
+            resampled[name] = CubicHermiteSpline(t, x, signals["qd"])(at)
         elif name in ("qd", "qdd", "temperature"):
-            told[name] = make_interp_spline(t, x, k=1)(at)
+            resampled[name] = make_interp_spline(t, x, k=1)(at)
         else:
-            told[name] = np.diff(make_interp_spline(t, x, k=1).antiderivative()(at), axis=0) / (at[1] - at[0])
-    return {name: torch.from_numpy(x) for name, x in told.items()}
+            resampled[name] = np.diff(make_interp_spline(t, x, k=1).antiderivative()(at), axis=0) / (at[1] - at[0])
+    return {name: torch.from_numpy(x) for name, x in resampled.items()}
 
 
 def pieces(

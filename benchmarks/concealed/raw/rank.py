@@ -38,9 +38,9 @@ def find_ranker() -> Callable[..., Any]:
         SystemExit: this version has none.
     """
     try:
-        return importlib.import_module(RANKING).rank
+        return importlib.import_module(RANKING).rank_hypotheses
     except (ImportError, AttributeError) as error:
-        raise SystemExit(f"{RANKING}.rank cannot be imported ({error}): nothing to benchmark") from None
+        raise SystemExit(f"{RANKING}.rank_hypotheses cannot be imported ({error}): nothing to benchmark") from None
 
 
 def told(true: Mapping[str, Any]) -> dict[str, Any]:

@@ -66,7 +66,7 @@ def test_further_features_are_fitted_beside_the_terms(fit: Fit) -> None:
     before = fitted(samples, rows.prior, fit.terms, rows.noise, [Extra(1, alone), Extra(None, common)], rounds=0)
     w = (with_them.x - before.x)[-2:] * [*changed.widths(1, alone), *changed.widths(None, common)]
     np.testing.assert_allclose(w, [2.0, 3.0], rtol=2e-3)
-    np.testing.assert_allclose(with_them.leftover(), before.leftover(), atol=0.02 * np.std(fit.leftover()))
+    np.testing.assert_allclose(with_them.residual(), before.residual(), atol=0.02 * np.std(fit.residual()))
 
 
 def test_the_best_interval_is_that_of_a_loop_over_all(fit: Fit) -> None:
@@ -141,7 +141,7 @@ def test_a_map_is_drawn_with_a_row_per_joint_and_a_frame(fit: Fit, scene: Scene)
     joints = scene.robot.joint_names
     where = Where(time_s=((10.0, 14.0),))
     here = Location("m", joints[:1], (), where, ("t",), "level", "abrupt", 20.0, {}, {}, None, None)
-    left = fit.leftover()
+    left = fit.residual()
     for one in residual_maps(scene, left, left.std(1), "m"):
         with page_style():
             figure = map_figure(one, joints, [here], ["rad"] * len(joints))

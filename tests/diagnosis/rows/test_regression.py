@@ -93,7 +93,7 @@ def test_a_fit_is_ridge_regression_in_prior_coordinates(fit: Fit) -> None:
 
 
 def test_the_leftover_is_that_of_the_torques(fit: Fit, samples: Samples) -> None:
-    left = fit.leftover()
+    left = fit.residual()
     for j, index in enumerate(fit.rows.index):
         filters, scale = fit.rows.noise[0][j], fit.rows.noise[1][j]
         white = left[j, index] - sum(a * left[j, index - i] for i, a in enumerate(filters, start=1))

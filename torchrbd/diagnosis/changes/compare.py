@@ -20,9 +20,9 @@ _ORDER = {"changed": 0, "open": 1, "unchanged": 2}
 def compare(before: Diagnosis | str | Path, after: Diagnosis | str | Path) -> Comparison:
     """Say what changed between two diagnoses of the same robot, and how certain that is.
 
-    Findings of both are compared parameter by parameter. One that is found in one only is new, or gone, if the
-    ``limits`` of the other say that it would have been seen. Inertial parameters are compared in combinations that both
-    data sets tell; from a file, parameters.json must lie beside it.
+    Findings of both are compared parameter by parameter. A finding of one only is new, or gone, if the
+    ``detection_limits`` of the other say that it would have been seen. Inertial parameters are compared in
+    combinations that both data sets identify. For a file, parameters.json must be in the same folder.
 
     Args:
         before, after: diagnoses, their folders, or their diagnosis.json.
@@ -86,5 +86,5 @@ def _notes(before: Side, after: Side) -> Iterator[Remark]:
         yield Remark("one simulated")
     if inertial_differences(before.inertia, after.inertia) is None:
         yield Remark("inertia not compared")
-    if not all(side.limits for side in (before, after)):
+    if not all(side.detection_limits for side in (before, after)):
         yield Remark("no detection limits")

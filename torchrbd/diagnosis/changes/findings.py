@@ -20,7 +20,7 @@ from torchrbd.diagnosis.changes.results import (
     most,
     verdict_of,
 )
-from torchrbd.diagnosis.results import Alternative, Finding, Limit, Quantity
+from torchrbd.diagnosis.results import Alternative, DetectionLimit, Finding, Quantity
 from torchrbd.effects import effect, known_effects
 from torchrbd.errors import InputError
 
@@ -103,7 +103,7 @@ def _of_one(finding: Finding, found: Found, other: Side, rivals: Sequence[Findin
     if others:
         names = tuple(Alternative(r.effect, r.joints, r.links, r.depends_on) for r in others)
         return replace(_change(finding, found, "open", math.nan, {}), rivals=names)
-    limit = next((x for x in other.limits if _place(x) == _place(finding)), None)
+    limit = next((x for x in other.detection_limits if _place(x) == _place(finding)), None)
     why = ""
     if _timed(finding):
         why = "window"
@@ -124,7 +124,7 @@ def _of_one(finding: Finding, found: Found, other: Side, rivals: Sequence[Findin
     return _change(finding, found, verdict, probability, parameters)
 
 
-def _alike_in_shape(finding: Finding, limit: Limit) -> bool:
+def _alike_in_shape(finding: Finding, limit: DetectionLimit) -> bool:
     """Say whether a limit holds for the shape that was found: a narrow bump may hide where a wide one would not."""
     if not limit.shape:
         return True
@@ -137,7 +137,7 @@ def _alike_in_shape(finding: Finding, limit: Limit) -> bool:
     )
 
 
-def _departs(finding: Finding, limit: Limit) -> bool:
+def _departs(finding: Finding, limit: DetectionLimit) -> bool:
     """Say whether a finding is more than what the other data allow."""
     return _size(finding, limit.parameter, finding.parameters[limit.parameter]) > abs(limit.value - limit.none)
 
@@ -153,7 +153,7 @@ def _change(
     return Change("finding", finding.effect, *place, found, verdict, probability, parameters, finding.where)
 
 
-def _place(one: Finding | Limit) -> Place:
+def _place(one: Finding | DetectionLimit) -> Place:
     return one.effect, one.joints, one.links, one.depends_on
 
 
@@ -162,7 +162,7 @@ def _timed(finding: Finding) -> bool:
 
 
 def _may_be(finding: Finding, other: Finding) -> bool:
-    """Say whether the data of a finding cannot tell it from another."""
+    """Say whether the data of a finding cannot distinguish it from another."""
     alike = Alternative(other.effect, other.joints, other.links, other.depends_on)
     return alike in finding.indistinguishable_from
 

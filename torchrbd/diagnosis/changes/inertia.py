@@ -1,10 +1,10 @@
-"""What changed in the rigid body: combinations of inertial parameters that both recordings tell, and a load like it.
+"""What changed in the rigid body: combinations of inertial parameters that both data sets identify, and a load.
 
 With d the difference of the base parameters beta = K pi and C the sum of their covariances, a mass m at c on body b is
 
     d = K_b p(m, c) + noise,   p = m [1, c, |c|^2 1 - c c']
 
-which is sought on every body; the one that explains d best, if it explains it, says what a person would say.
+Every body is tried. The load that explains d best is reported, if it explains d.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from torchrbd.diagnosis.changes.reading import Inertia
-from torchrbd.diagnosis.changes.results import INERTIAL_TRIFLE, Difference, Load, difference
+from torchrbd.diagnosis.changes.results import NEGLIGIBLE_INERTIA, Difference, Load, difference
 from torchrbd.diagnosis.results import Quantity
 from torchrbd.parameters import PARAMETERS_PER_BODY
 
-# Told by the URDF for more than this part, a combination is not the data's.
+# Above this share of information from the prior, a combination is not identified by the data.
 MOST_OF_URDF = 0.2
 # A load explains a change if no more than this part of it is left; links that leave so little more are as good.
 LEFT, CLEARER = 0.2, 10.0
@@ -29,16 +29,16 @@ SURE = 3.0
 
 
 def inertial_differences(one: Inertia | None, other: Inertia | None) -> dict[str, Difference] | None:
-    """Return the combinations that both tell; None where they cannot be compared."""
+    """Return the combinations that both identify; None where they cannot be compared."""
     if one is None or other is None or not one.alike(other):
         return None
-    told = _told(one, other)
+    informed = _informed_by_data(one, other)
     # A combination that happens to be small is as large as what it is made of.
     size, found = np.abs(one.K) @ np.maximum(np.abs(one.pi), np.abs(other.pi)), {}
-    for k in told:
+    for k in informed:
         quantities = [Quantity(float(i.beta[k]), float(i.covariance[k, k]) ** 0.5, i.units[k]) for i in (one, other)]
         found[one.expressions[k]] = difference(
-            quantities[0], quantities[1], float(size[k]), trifle=INERTIAL_TRIFLE, among=len(told)
+            quantities[0], quantities[1], float(size[k]), negligible=NEGLIGIBLE_INERTIA, among=len(informed)
         )
     return found
 
@@ -52,15 +52,15 @@ def load_like(one: Inertia | None, other: Inertia | None, bodies: Sequence[str])
     """
     if one is None or other is None or not one.alike(other):
         return None
-    told = _told(one, other)
-    if not told:
+    informed = _informed_by_data(one, other)
+    if not informed:
         return None
-    C = (one.covariance + other.covariance)[np.ix_(told, told)]
+    C = (one.covariance + other.covariance)[np.ix_(informed, informed)]
     size = np.sqrt(C.diagonal())
-    root = np.linalg.cholesky(C / np.outer(size, size) + 1e-9 * np.eye(len(told)))
+    root = np.linalg.cholesky(C / np.outer(size, size) + 1e-9 * np.eye(len(informed)))
     d, K = (
         solve_triangular(root, x, lower=True)
-        for x in ((other.beta - one.beta)[told] / size, one.K[told] / size[:, None])
+        for x in ((other.beta - one.beta)[informed] / size, one.K[informed] / size[:, None])
     )
     found = [
         (*_load(d, K[:, first : first + PARAMETERS_PER_BODY]), bodies[first])
@@ -73,8 +73,8 @@ def load_like(one: Inertia | None, other: Inertia | None, bodies: Sequence[str])
     return Load(tuple(links), best[1], best[2])
 
 
-def _told(one: Inertia, other: Inertia) -> list[int]:
-    """Return the rows that both data sets tell."""
+def _informed_by_data(one: Inertia, other: Inertia) -> list[int]:
+    """Return the rows that both data sets identify."""
     return np.flatnonzero(np.maximum(one.share, other.share) < MOST_OF_URDF).tolist()
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from torchrbd.diagnosis.results import Diagnosis, Finding, Limit, Unexplained
+from torchrbd.diagnosis.results import DetectionLimit, Diagnosis, Finding, Unexplained
 from torchrbd.errors import InputError
 from torchrbd.rebuilding import read_json, rebuilt
 
@@ -17,14 +17,14 @@ _FILE, PARAMETERS = "diagnosis.json", "parameters.json"
 
 @dataclass(frozen=True)
 class Inertia:
-    """What a diagnosis says of the combinations that motion can tell, beta = K pi.
+    """What a diagnosis says of the identifiable combinations beta = K pi.
 
     Attributes:
         columns: (n_params,) names of the inertial parameters pi.
         K: (n_base, n_params).
         pi: (n_params,) the fit.
         beta, covariance: (n_base,) and (n_base, n_base).
-        share: (n_base,) 0 (told by the data) to 1 (told by the URDF alone).
+        share: (n_base,) share of information from the prior: 0 (the data alone) to 1 (the URDF alone).
         expressions, units: (n_base,).
     """
 
@@ -58,7 +58,7 @@ class Side:
     cutoff_hz: float
     findings: tuple[Finding, ...]
     unexplained: tuple[Unexplained, ...]
-    limits: tuple[Limit, ...]
+    detection_limits: tuple[DetectionLimit, ...]
     simulated: tuple[str, ...]
     inertia: Inertia | None
     bodies: tuple[str, ...]
@@ -72,7 +72,7 @@ def side_of(source: Diagnosis | str | Path, name: str) -> Side:
         name: what to call a diagnosis that has no path.
 
     Raises:
-        InputError: no such file, or none of ours; or its recordings are suspect, so that it tells of no robot.
+        InputError: no such file, not a file of torchrbd, or its verdict is "suspect": it says nothing of the robot.
     """
     if isinstance(source, Diagnosis):
         _check_verdict(name, source.verdict, source.statement)
@@ -108,7 +108,7 @@ def _of_diagnosis(result: Diagnosis, name: str) -> Side:
         one.cutoff_hz,
         result.findings,
         result.unexplained,
-        result.limits,
+        result.detection_limits,
         result.simulated,
         inertia,
         tuple(own[c].owner for c in columns),
@@ -127,7 +127,7 @@ def _of_file(path: Path) -> Side:
             for key, kind in (
                 ("findings", tuple[Finding, ...]),
                 ("unexplained", tuple[Unexplained, ...]),
-                ("limits", tuple[Limit, ...]),
+                ("detection_limits", tuple[DetectionLimit, ...]),
                 ("simulated", tuple[str, ...]),
             )
         }

@@ -14,10 +14,11 @@ from torchrbd.errors import InputError
 
 
 def since_earlier(folder: Path, after: Member) -> tuple[dict[str, Difference] | None, str, str]:
-    """Return the parameters that changed for certain, None where nothing was compared; why, and a detail of that.
+    """Return the parameters that certainly changed (None where nothing was compared), a reason, and a detail of it.
 
-    Why: "unknown" (no earlier results), "unreadable" (the error), "other robot" (its name), "other bodies" or "none
-    identified" (inertial parameters are not compared), either with ", no term" where no term is in both; "" if all was.
+    The reason is "unknown" (no earlier results), "unreadable" (the error), "other robot" (its name), "other bodies" or
+    "none identified" (inertial parameters are not compared), either with ", no term" where no term is in both. It is
+    "" if all was compared.
     """
     if not (folder / PARAMETERS).is_file():
         return None, "unknown", ""

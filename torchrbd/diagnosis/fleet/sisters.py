@@ -1,4 +1,4 @@
-"""Who differs from its sisters: each robot's parameters against the fleet's median.
+"""Which robot differs from the others of a fleet: its parameters against the fleet's median.
 
 Robots with the same base parameters (same names, same K) are sisters. Parameter k of robot i has the value x_ik with
 the standard deviation s_ik of its posterior; base parameters, and coefficients of friction and other terms:
@@ -6,21 +6,21 @@ the standard deviation s_ik of its posterior; base parameters, and coefficients 
     m_k = median_i x_ik,   u_ik^2 = s_ik^2 + pi/2 median_i s_ik^2 / n,   z_ik = (x_ik - m_k) / sqrt(u_ik^2 + t_k^2)
     t_k^2 = (1.4826 b median_i |x_ik - m_k|)^2 - median_i u_ik^2, or 0,   b = n / (n - 0.8)
 
-t_k is how far sisters are apart by nature, or intervals too narrow: friction that scatters by 30 % in a fleet has to be
-off by more than that. It is no less than v_k median_l (t_l / v_l) over the L parameters l of the same kind, since in a
-small fleet one median tells little; v is the size of a parameter, of the bodies in it for base parameters. The second
-part of u is the error of the median. A robot differs where
+t_k is the natural scatter of the fleet, or that of intervals that are too narrow: where friction scatters by 30 %, a
+robot has to be off by more. It is at least v_k median_l (t_l / v_l) over the L parameters l of the same kind, since one
+median is uncertain in a small fleet. v is the size of a parameter; for base parameters, that of the bodies in it. The
+second part of u is the error of the median. A robot differs where
 
     N P p(z_ik) < 0.01   and   |x_ik - m_k| > f v_k
 
 with N robots and P parameters (Bonferroni). p is the two-sided probability of Student's t with
 0.37 (n - 1) L (1 + u^2 / t^2)^2 degrees of freedom (Welch, Satterthwaite; 0.37 is the efficiency of a median of
-absolute deviations). f is a trifle that nobody would call a difference, 2 % of a coefficient and 0.5 % of the bodies in
-a base parameter. Medians want more than half of the sisters to be sound.
+absolute deviations). f is the largest negligible difference: 2 % of a coefficient and 0.5 % of the bodies in a base
+parameter. Medians need more than half of the sisters to be sound.
 
-Of a hundred fleets of equal robots one should have a false alarm. That is so where sisters are many, and fewer have one
-where only errors make them differ; of small fleets that scatter more do, three of a hundred with six robots, since t is
-then hardly known (``benchmarks/fleet_alarms.py``).
+The level is one false alarm in a hundred fleets of equal robots. Large fleets reach it. Small ones have fewer where
+only errors make them differ; those that scatter more have more, three of a hundred with six robots, since t is hardly
+known then (``benchmarks/fleet_alarms.py``).
 
 Source: Rousseeuw, Croux, "Alternatives to the median absolute deviation", JASA 1993: 1.4826, 0.37; Croux, Rousseeuw,
 "Time-efficient algorithms for two highly robust estimators of scale", COMPSTAT 1992: b, there for n > 9.
@@ -37,20 +37,20 @@ from scipy.special import stdtr
 
 from torchrbd.diagnosis.changes.inertia import MOST_OF_URDF
 from torchrbd.diagnosis.changes.reading import Inertia
-from torchrbd.diagnosis.changes.results import INERTIAL_TRIFLE, TRIFLE
+from torchrbd.diagnosis.changes.results import NEGLIGIBLE, NEGLIGIBLE_INERTIA
 from torchrbd.diagnosis.fleet.results import Deviation, Member
 from torchrbd.diagnosis.results import Quantity
 
 LEVEL = 0.01
 """Probability of a false alarm in a fleet that is aimed at."""
 LEAST_SISTERS = 6
-"""Fewer tell too little of how far they scatter."""
+"""With fewer robots the scatter of the fleet is too uncertain."""
 _NORMAL, _EFFICIENCY, _LEAST_SHARE = 1.4826, 0.37, 1e-9
 
 
 @dataclass(frozen=True)
 class _Values:
-    """One parameter of n robots: which they are, x (n,), s (n,), the size v, and what part of it is a trifle."""
+    """One parameter of n robots: which they are, x (n,), s (n,), the size v, and what part of it is negligible."""
 
     name: str
     kind: str
@@ -59,7 +59,7 @@ class _Values:
     values: np.ndarray
     std: np.ndarray
     size: float
-    trifle: float
+    negligible: float
 
     @property
     def off(self) -> np.ndarray:
@@ -109,7 +109,7 @@ def deviations(group: Sequence[Member]) -> dict[str, list[Deviation]]:
         z = one.off / spread
         share = np.maximum((scatter / spread) ** 4, _LEAST_SHARE)
         chance = 2.0 * tests * stdtr(_EFFICIENCY * (len(one.robots) - 1) * len(alike) / share, -np.abs(z))
-        differs = (chance < LEVEL) & (np.abs(one.off) > one.trifle * one.size)
+        differs = (chance < LEVEL) & (np.abs(one.off) > one.negligible * one.size)
         for k in np.flatnonzero(differs).tolist():
             value = Quantity(float(one.values[k]), float(one.std[k]), one.unit)
             numbers = float(np.median(one.values)), float(spread[k]), float(z[k]), float(chance[k])
@@ -141,20 +141,20 @@ def _inertial(group: Sequence[Member]) -> Iterable[_Values]:
         robots = np.array([i for i, one in enumerate(group) if one.inertia.share[k] < MOST_OF_URDF], dtype=int)
         own = [group[i].inertia for i in robots]
         values, std = np.array([x.beta[k] for x in own]), np.sqrt([x.covariance[k, k] for x in own])
-        yield _Values(name, "inertia", first.units[k], robots, values, std, float(size[k]), INERTIAL_TRIFLE)
+        yield _Values(name, "inertia", first.units[k], robots, values, std, float(size[k]), NEGLIGIBLE_INERTIA)
 
 
 def _terms(group: Sequence[Member]) -> Iterable[_Values]:
     names = dict.fromkeys(name for one in group for name in one.terms)
     for name in names:
-        robots = np.array([i for i, one in enumerate(group) if _told(one.terms, name)], dtype=int)
+        robots = np.array([i for i, one in enumerate(group) if _has_estimate(one.terms, name)], dtype=int)
         own = [group[i].terms[name] for i in robots]
         values, std = np.array([q.value for q in own]), np.array([q.std for q in own])
         size = float(np.abs(np.median(values))) if len(own) else 0.0
-        yield _Values(name, _kind(name), own[0].unit if own else "", robots, values, std, size, TRIFLE)
+        yield _Values(name, _kind(name), own[0].unit if own else "", robots, values, std, size, NEGLIGIBLE)
 
 
-def _told(terms: Mapping[str, Quantity], name: str) -> bool:
+def _has_estimate(terms: Mapping[str, Quantity], name: str) -> bool:
     return name in terms and bool(np.isfinite(terms[name].value)) and terms[name].std > 0
 
 

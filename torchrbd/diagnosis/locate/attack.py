@@ -5,7 +5,7 @@ w = -(f, c_i f_k), of which only six are free. With G and u the normal equations
 
     f, c = argmin 1/2 w' G w - u' w
 
-so that the data tells force and point as far as it can; the curvature there gives their standard deviations.
+The curvature there gives the standard deviations of force and point.
 """
 
 from __future__ import annotations

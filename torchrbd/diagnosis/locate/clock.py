@@ -1,4 +1,4 @@
-"""Stretches of time: one axis for all recordings, the edges to try on it, and the search for the best stretch."""
+"""Windows of time: one axis for all recordings, the edges to try on it, and the search for the best window."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _ZOOM = 8
 
 @dataclass(frozen=True)
 class Grid:
-    """Edges of stretches to try.
+    """Edges of windows to try.
 
     Attributes:
         edges: (E,) on the axis [s], begins and ends of recordings among them.
         steps: (E, M) what begins at each of them.
-        allowed: (E, E) bool, which pairs enclose a stretch.
+        allowed: (E, E) bool, which pairs enclose a window.
         step: time between two edges [s].
     """
 
@@ -37,7 +37,7 @@ class Grid:
 
     @property
     def count(self) -> int:
-        """Number of stretches."""
+        """Number of windows."""
         return max(1, int(self.allowed.sum()))
 
 
@@ -79,7 +79,7 @@ class Clock:
         edges, owner = np.concatenate(parts), np.repeat(np.arange(len(parts)), list(map(len, parts)))
         allowed = (owner[:, None] == owner) & (edges[:, None] < edges)
         if len(parts) == 1:
-            # All of the only recording is no stretch of time.
+            # The whole of the only recording is no window of time.
             allowed[0, -1] = False
         return Grid(edges, self._steps(edges), allowed, step)
 
@@ -90,11 +90,11 @@ class Clock:
         return int(np.searchsorted(self.starts, edge, side="right")) - 1
 
     def inside(self, stretch: Interval) -> np.ndarray:
-        """Return 1 within a stretch and 0 outside, as the filter leaves it, (M,)."""
+        """Return 1 within a window and 0 outside, as the filter leaves it, (M,)."""
         return self.scene.since(self.axis - stretch.low) - self.scene.since(self.axis - stretch.high)
 
     def scan(self, fit: Fit, phi: Mapping[int, np.ndarray]) -> Interval:
-        """Return the stretch of one recording in which features (K, M) at joints act best."""
+        """Return the window of one recording in which features (K, M) at joints act best."""
         grid = self.fine if len(next(iter(phi.values()))) == 1 else self.coarse
         found = best_interval(fit, phi, grid.edges, grid.steps, grid.allowed, self.fine.count)
         return self.sharpened(fit, phi, found, grid.step) if found.gain > 0 else found
@@ -102,7 +102,7 @@ class Clock:
     def sharpened(
         self, fit: Fit, phi: Mapping[int, np.ndarray], found: Interval, step: float | None = None
     ) -> Interval:
-        """Return a stretch with its ends placed within ``step`` of where they are, one of ``coarse`` if not told."""
+        """Return a window with its ends to within ``step``; an end that the data does not show is as in ``coarse``."""
         step, dt = step or self.coarse.step, self.scene.dt
         k, reach = self._owner(found.low), 1.2 * step
         for spacing in np.geomspace(step / 4, dt / 4, 1 + max(1, math.ceil(math.log(step / dt, _ZOOM)))):
@@ -118,7 +118,7 @@ class Clock:
         return found
 
     def place(self, stretch: Interval) -> tuple[str, tuple[float, float] | None]:
-        """Return the recording of a stretch, and its begin and end there [s], None if it is all of it."""
+        """Return the recording of a window, and its begin and end there [s], None if it is the whole recording."""
         k = self._owner(stretch.low)
         begins, ends = stretch.low in self.starts, stretch.high in self.ends
         low = float(self._first[k]) if begins else stretch.low - float(self.shift[k])
@@ -127,7 +127,7 @@ class Clock:
         return name, None if begins and ends else (round(low, 2), round(high, 2))
 
     def window(self, stretch: Interval) -> Window:
-        """Return a stretch as a window, open where it begins or ends with its recording."""
+        """Return the axis' window as a ``Window``, open where it begins or ends with its recording."""
         k = self._owner(stretch.low)
         low = -np.inf if stretch.low in self.starts else stretch.low - float(self.shift[k])
         high = np.inf if stretch.high in self.ends else stretch.high - float(self.shift[k])

@@ -1,11 +1,11 @@
-"""Normal equations of features that begin at edges: those of edges side by side from what they differ by.
+"""Normal equations of features that begin at edges, from differences of neighbouring edges.
 
-A feature that begins at an edge of time is, but for some rows, the one that begins at another edge nearby. So edges
-are gathered in groups, about as many as each has members,
+Features that begin at two neighbouring edges differ in few rows. So edges are gathered in groups, about as many as each
+has members,
 
     S_e = S_g + D_e,   D_e zero but between the edges of the group
 
-and S_g is whitened and multiplied over all rows, D_e over some.
+and S_g is whitened and multiplied over all rows, D_e over few.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ class _Difference:
 def edge_equations(
     fit: Fit, phi: Mapping[int, np.ndarray], steps: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what the data says of features that begin at edges, as ``Fit.equations`` does.
+    """Return the normal equations of features that begin at edges, as ``Fit.equations`` does.
 
     Args:
-        fit: whose leftover is explained.
+        fit: whose residual is explained.
         phi: features (K, M) by joint; their coefficients are the same at all joints.
         steps: (E, M) for each edge 0 before it and 1 after.
 
     Returns:
-        Gram (E, K, E, K) beside the fit, the same without it, and score (E, K).
+        Gram (E, K, E, K) given the fit, the same without it, and score (E, K).
     """
     K, E, groups = len(next(iter(phi.values()))), len(steps), _groups(steps)
     first, number = [int(g.members[0]) for g in groups], np.zeros(E, dtype=int)
@@ -78,9 +78,9 @@ def edge_equations(
             at, count = one.members, len(one.members)
             cross[:, at] += (X[one.rows].T @ one.white.T).reshape(-1, count, K)
             score[at] += (one.white @ e[one.rows]).reshape(count, K)
-            beside = (firsts[:, one.rows] @ one.white.T).reshape(-1, K, count, K)[number]
-            alone[:, :, at] += beside
-            alone[at] += beside.transpose(2, 3, 0, 1)
+            mixed = (firsts[:, one.rows] @ one.white.T).reshape(-1, K, count, K)[number]
+            alone[:, :, at] += mixed
+            alone[at] += mixed.transpose(2, 3, 0, 1)
             for other in near[: k + 1]:
                 both = one.times(other).reshape(count, K, -1, K).transpose(0, 2, 1, 3)
                 alone[at[:, None], :, other.members] += both

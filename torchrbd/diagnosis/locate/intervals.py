@@ -1,12 +1,12 @@
-"""Scan all intervals of time, or of a signal, for the one in which features explain the leftover.
+"""Scan all intervals of time, or of a signal, for the one in which features explain the residual.
 
 A feature phi that acts where a <= v < b has the whitened column S_a - S_b, with S_a that of phi 1[v >= a]. So the
 normal equations of all intervals follow from those of the edges, and each interval's gain in log-likelihood is
 
     1/2 u' G^-1 u - K/2 log m - log(number of intervals)
 
-the last two terms for the K coefficients and for having searched (Bayesian information criterion; Bonferroni).
-Abrupt edges survive the whitening that takes drift away.
+The last two terms are the cost of the K coefficients and of the search (Bayesian information criterion; Bonferroni).
+Abrupt edges survive the whitening, which removes drift.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from torchrbd.diagnosis.rows.regression import Fit
 # An interval holds as many samples at least.
 LEAST_SAMPLES = 3
 SIGNAL_EDGES = 24
-# Intervals in which features have less than this part of the power of the largest are told by rounding alone.
+# Where features have less than this part of the power of the largest interval, their gain is rounding.
 _LEAST_POWER = 1e-6
 
 
@@ -49,7 +49,7 @@ def gains(
     """Return the gains of intervals between edges.
 
     Args:
-        fit: whose leftover is explained.
+        fit: whose residual is explained.
         phi: features (K, M) by joint; their coefficients are the same at all joints.
         steps: (E, M) for each edge 0 before it and 1 after.
         allowed: (E, E) bool, which pairs of edges to try, from the first to the second.
@@ -68,11 +68,11 @@ def gains(
     score = (u[a] - u[b]) / size
     if K == 1:
         g = _between(G[:, 0], a, b) / size**2 + LEAST_SHARE
-        told = score / g
+        coefficients = score / g
     else:
         g = _between(G.transpose(0, 2, 1, 3), a, b) / (size[:, :, None] * size[:, None]) + LEAST_SHARE * np.eye(K)
-        told = np.linalg.solve(g, score[..., None])[..., 0]
-    return a, b, 0.5 * (score * told).sum(1) - 0.5 * K * np.log(max(m, 2)) - np.log(max(searched, 1))
+        coefficients = np.linalg.solve(g, score[..., None])[..., 0]
+    return a, b, 0.5 * (score * coefficients).sum(1) - 0.5 * K * np.log(max(m, 2)) - np.log(max(searched, 1))
 
 
 def _between(G: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -14,33 +14,33 @@ from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.white_rows import Rows
 from torchrbd.robot.units import torque_unit
 
-# A joint is named with a body where the body's torque is this part of the noise, and a recording where the part gains
-# this much of what it gains in the best one.
+# A joint is named with a body where the body's torque is at least this part of the noise. A recording is named where
+# the part gains at least this much of its gain in the best recording.
 _FELT, _LOUD = 0.5, 0.2
 
 
 def locate(fit: Fit, model: str = "rigid_body") -> tuple[tuple[Location, ...], tuple[ResidualMap, ...]]:
-    """Locate what a fit leaves.
+    """Locate the residual of a fit.
 
     Args:
         fit: with its terms, samples (their weights included) and noise.
         model: its name.
 
     Returns:
-        The locations, largest gain first, and maps of the leftover over time, position and velocity.
+        The locations, largest gain first, and maps of the residual over time, position and velocity.
     """
     search = Search(fit)
     search.run()
     rows, parts = search.fit.rows, search.parts
     # Sizes are those of a plain fit: one that expects drift leaves levels that mean nothing.
     plain = Rows(rows.samples, rows.prior, (np.zeros_like(rows.noise[0]), rows.noise[1]))
-    quiet = search.beside(parts, plain).leftover()
+    quiet = search.fit_with(parts, plain).residual()
     found = []
     for part in parts:
         others = [p for p in parts if p is not part]
-        left = search.beside(others, plain).leftover()
-        found.append(_location(search, part, search.beside(others), left, quiet, model))
-    left = _counted(search.beside((), plain).leftover(), rows)
+        left = search.fit_with(others, plain).residual()
+        found.append(_location(search, part, search.fit_with(others), left, quiet, model))
+    left = _counted(search.fit_with((), plain).residual(), rows)
     maps = residual_maps(search.scene, left, _std(_counted(quiet, rows)), model)
     return tuple(sorted(found, key=lambda x: -x.gain)), maps
 
@@ -51,9 +51,9 @@ def _location(search: Search, part: Part, without: Fit, left: np.ndarray, quiet:
     Args:
         search: that found it.
         part: what was found.
-        without: the fit beside all other parts.
-        left: (n, M) what a plain one leaves.
-        quiet: (n, M) what a plain one leaves beside all parts.
+        without: the fit with all other parts.
+        left: (n, M) residual of a plain fit without the part.
+        quiet: (n, M) residual of a plain fit with all parts.
         model: the model's name.
     """
     scene, rows = search.scene, without.rows
@@ -119,7 +119,7 @@ def _where(clock: Clock, part: Part, without: Fit) -> Where:
 
 
 def _counted(left: np.ndarray, rows: Rows) -> np.ndarray:
-    """Return a leftover (n, M) by what its samples count, NaN where nothing is measured."""
+    """Return a residual (n, M) weighted by what its samples count, NaN where nothing is measured."""
     return np.where(rows.samples.measured, left * rows.samples.weight, np.nan)
 
 
@@ -132,7 +132,7 @@ def _std(left: np.ndarray) -> np.ndarray:
 
 
 def _share(visible: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Return the part of a leftover's power that vanishes with a part, (n,)."""
+    """Return the part of a residual's power that vanishes with a part, (n,)."""
     before, after = _std(left) ** 2, _std(left - visible) ** 2
     return np.clip(1.0 - after / np.where(before > 0, before, 1.0), 0.0, 1.0)
 
@@ -143,7 +143,7 @@ def _recordings(part: Part, without: Fit) -> tuple[str, ...] | None:
     columns = {j: A for j, A in part.columns.items() if rows.counts[j]}
     _, w = coefficients(without, columns)
     present = np.unique(samples.recording)
-    # As it stands beside the fit, which takes its part of it.
+    # As it is given the fit, which absorbs a part of it.
     alone = np.zeros_like(without.e)
     for j, A in columns.items():
         alone[rows.parts[j]] = rows.white(w @ A, j)

@@ -1,4 +1,4 @@
-"""Maps of a leftover: how loud it is where, joint by joint, over the noise."""
+"""Maps of a residual: its RMS over the noise, joint by joint, over time, position and velocity."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def residual_maps(scene: Scene, left: np.ndarray, noise_std: np.ndarray, model: 
 
     Args:
         scene: the samples.
-        left: (n, M) what the model leaves, NaN where nothing is measured.
-        noise_std: (n,) standard deviation of what is left of that when all that was located is taken away.
+        left: (n, M) residual of the model, NaN where nothing is measured.
+        noise_std: (n,) standard deviation of the residual when all that was located is removed.
         model: its name.
     """
     samples = scene.samples

@@ -1,4 +1,4 @@
-"""What locating looks at in samples: what a leftover may depend on, and the torques of loads and forces on bodies."""
+"""Samples for locating: signals that a residual may depend on, and torques of loads and forces on bodies."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Explain a leftover part by part, each by the place that gains most: a signal, a stretch of time, or a body.
+"""Explain a residual part by part, each by the place that gains most: a signal, a window of time, or a body.
 
-A part that is found joins the fit, and the search goes on in what is left; so a joint whose leftover is only the shadow
-of another's, cast by the parameters that they share, is not accused.
+A part that is found joins the fit, and the search continues on the new residual. So no joint is named whose residual
+only reflects that of another joint, through the parameters that they share.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ TIME_FORMS = ("level", "friction", "load")
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a leftover.
+    """One part of a residual.
 
     Attributes:
         joints: where it acts; several for a body.
@@ -46,7 +46,7 @@ class Part:
         cost: of its freedom and of the search, in the same units.
         columns: (K, M) by joint; a body's coefficients are the same at all joints.
         smooth: the function of a signal, if that is what it is.
-        stretch: the stretch of time, if it acts in one.
+        stretch: the window of time, if it acts in one.
         body: on which it acts.
         region: the interval of the signal to which the function is confined; None if it is not.
     """
@@ -70,15 +70,15 @@ class Part:
 
 
 class Search:
-    """The search for the parts of what a fit leaves.
+    """The search for the parts of a fit's residual.
 
     Args:
-        fit: whose leftover is explained.
+        fit: whose residual is explained.
 
     Attributes:
         scene, clock: of its samples.
         parts: in the order found.
-        fit: with these parts, whitened by what it leaves.
+        fit: with these parts, whitened by its residual.
     """
 
     def __init__(self, fit: Fit) -> None:
@@ -94,7 +94,7 @@ class Search:
             if found is None or found[0].gain < LEAST_GAIN:
                 break
             part, after = found
-            # What was found has coloured the noise: choose its place again with the noise that is left beside it.
+            # The part has coloured the noise: choose its place again with the noise of the residual without it.
             joints = part.joints if part.body is None else self.scene.seen
             clear = Fit(after.rows, self.fit.terms, self.fit.extra)
             again = [p for p in self._candidates(clear, joints) if (p.body is None) == (part.body is None)]
@@ -104,7 +104,7 @@ class Search:
                 part = replace(part, region=region)
             self.parts, self.fit = (*self.parts, part), fit
 
-    def beside(self, parts: Sequence[Part], rows: Rows | None = None) -> Fit:
+    def fit_with(self, parts: Sequence[Part], rows: Rows | None = None) -> Fit:
         """Return the fit of the terms and some parts, whitened as the last one if no rows are given."""
         return Fit(rows or self.fit.rows, self.fit.terms, [e for part in parts for e in part.extra])
 
@@ -114,7 +114,7 @@ class Search:
         return Fit(Rows(rows.samples, rows.prior, common_noise(self.fit)), self.fit.terms, self.fit.extra)
 
     def _best(self, candidates: Sequence[Part]) -> tuple[Part, Fit] | None:
-        """Return the part that fits best when the noise is estimated beside it, and the fit with it."""
+        """Return the part that fits best when the noise is estimated with it, and the fit with it."""
         ranked = sorted(candidates, key=lambda p: -p.gain)
         ranked = [p for p in ranked if p.gain > max(LEAST_START, SHORT_OF_BEST * ranked[0].gain)]
         firsts = {p.joints: p for p in reversed(ranked)}
@@ -145,7 +145,7 @@ class Search:
         return _half_height(fit, joint, powers[: 3 * len(phi)], signal.v, best) if hump else best
 
     def _candidates(self, fit: Fit, joints: Sequence[int] | None = None) -> Iterator[Part]:
-        """Yield what may explain the leftover of joints, of all by default."""
+        """Yield what may explain the residual of joints, of all by default."""
         stretches, counts = [], fit.rows.counts
         for j in self.scene.seen if joints is None else joints:
             for one in self._bases[j].smooths(fit):
@@ -168,7 +168,7 @@ class Search:
             yield from self._bodies(fit, sorted(stretches, key=lambda s: -s.gain)[:STRETCHES])
 
     def _bodies(self, fit: Fit, stretches: Sequence[Interval]) -> Iterator[Part]:
-        """Yield the body that a mass, a force at a point, or a force and a moment explain best in a stretch of time."""
+        """Yield the body that a mass, a force at a point, or a force and a moment explain best in a window of time."""
         scene, seen = self.scene, self.scene.seen
         point = scene.held.reshape(*scene.held.shape[:2], 12, -1)
         mass = float(scene.robot.pi[::10].sum())
@@ -214,16 +214,16 @@ def each_body(fit: Fit, features: np.ndarray, seen: Sequence[int]) -> Iterator[t
     G, alone, u = fit.equations({j: features[:, j].reshape(-1, M) for j in seen})
     for body in range(n_bodies):
         at = slice(body * K, (body + 1) * K)
-        gain, w = _told(G[at, at], alone.diagonal()[at], u[at])
+        gain, w = _gain_of(G[at, at], alone.diagonal()[at], u[at])
         yield gain, body, w
 
 
 def common_noise(fit: Fit) -> Colour:
-    """Return each joint's noise with the colour that most joints share: what hides in one has coloured its own.
+    """Return each joint's noise with the colour that most joints share; an effect colours the noise of its own joint.
 
-    It serves to find candidates; what these are worth is judged with the joint's own noise, estimated beside them.
+    It serves to find candidates. These are then judged with the joint's own noise, estimated with them.
     """
-    rows, left = fit.rows, fit.leftover()
+    rows, left = fit.rows, fit.residual()
     seen = np.flatnonzero(rows.counts)
     filters, scale = rows.noise[0].copy(), rows.noise[1].copy()
     common = np.median(filters[seen], axis=0)
@@ -249,10 +249,10 @@ def log_likelihood(fit: Fit) -> float:
 def coefficients(fit: Fit, phi: Mapping[int, np.ndarray]) -> tuple[float, np.ndarray]:
     """Return gain and coefficients (K,) of features (K, M) that joints share."""
     G, alone, u = fit.equations(phi)
-    return _told(G, alone.diagonal(), u)
+    return _gain_of(G, alone.diagonal(), u)
 
 
-def _told(G: np.ndarray, alone: np.ndarray, u: np.ndarray) -> tuple[float, np.ndarray]:
+def _gain_of(G: np.ndarray, alone: np.ndarray, u: np.ndarray) -> tuple[float, np.ndarray]:
     w = Posterior(G + LEAST_SHARE * np.diag(np.maximum(alone, 1e-300)), u).z
     return 0.5 * float(w @ u), w
 

@@ -1,6 +1,6 @@
-"""What a leftover may depend on: smooth functions of one signal each, weighed by their evidence.
+"""What a residual may depend on: smooth functions of one signal each, weighed by their evidence.
 
-A function g(v) phi, piecewise linear in a signal v with weights w ~ N(0, theta), has on the whitened leftover, with
+A function g(v) phi, piecewise linear in a signal v with weights w ~ N(0, theta), has on the whitened residual, with
 g_i and V the eigenvalues and vectors of its Gram matrix and z = V'u,
 
     log evidence = 1/2 sum_i [theta z_i^2 / (1 + theta g_i) - log(1 + theta g_i)],   the largest over theta
@@ -20,7 +20,7 @@ import numpy as np
 from torchrbd.diagnosis.locate.scene import Scene
 from torchrbd.diagnosis.rows.regression import Fit
 
-# A direction of which less than this is left beside the fit is the fit's.
+# A direction of which less than this is left given the fit belongs to the fit.
 LEAST_SHARE = 1e-4
 KNOTS, FINE_KNOTS, FEW_KNOTS, WAVES, MOST_WAVES = 12, 40, 3, 8, 32
 _THETA = np.geomspace(1e-4, 1e6, 41)
@@ -52,7 +52,7 @@ class Signal:
 class Smooth:
     """The best smooth function of a signal: ``gain`` is its log evidence; (v, mean, std) is the function at its knots.
 
-    ``columns`` (K, M) are the directions of it that the data tells.
+    ``columns`` (K, M) are its directions that the data identifies.
     """
 
     signal: Signal
@@ -98,7 +98,7 @@ def form_columns(scene: Scene, joint: int, form: str) -> np.ndarray:
 
 
 def signals(scene: Scene, joint: int) -> Iterator[Signal]:
-    """Yield what the leftover of a joint may depend on."""
+    """Yield signals and bases on which the residual of a joint may depend."""
     names, j, samples = scene.robot.joint_names, joint, scene.samples
     for form in ("level", "friction"):
         yield Signal(f"q_{names[j]}", form, samples.q[j])
@@ -122,7 +122,7 @@ def signals(scene: Scene, joint: int) -> Iterator[Signal]:
 
 
 class Bases:
-    """The bases of all that the leftover of a joint may depend on, side by side, so that one product serves them all.
+    """The bases of all signals that a joint's residual may depend on, stacked, so that one product serves them all.
 
     Args:
         scene: the samples.
@@ -159,9 +159,9 @@ def _smooth(signal: Signal, B: np.ndarray, G: np.ndarray, alone: np.ndarray, u: 
     theta = _THETA[:, None]
     evidence = 0.5 * (theta * z**2 / (1 + theta * g) - np.log1p(theta * g)).sum(1)
     best = int(evidence.argmax())
-    told = _THETA[best] * g > 1.0
+    significant = _THETA[best] * g > 1.0
     prior = _THETA[best] / (1 + _THETA[best] * g)
     T = V / size[:, None]
     w, std = T @ (prior * z), np.sqrt((T**2 * prior).sum(1))
     gain = max(0.0, float(evidence[best]))
-    return Smooth(signal, gain, T[:, told].T @ B, knots_of(signal.v, signal.knots), w, std)
+    return Smooth(signal, gain, T[:, significant].T @ B, knots_of(signal.v, signal.knots), w, std)

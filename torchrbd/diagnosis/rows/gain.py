@@ -1,13 +1,13 @@
-"""How much better one model predicts unseen blocks than another.
+"""How much better one model predicts left-out blocks than another.
 
 With v the left-out mean squared error of a joint's m whitened rows, one model's gain over another is
 
     G = sum_j m_j / 2 log(v_j / v'_j) = sum_b d_b,   d_b = sum_j (e_jb - e'_jb) / (2 u_j),
     u = (v - v') / log(v / v')
 
-in log-likelihood units: u, the logarithmic mean, spreads the gain over the blocks b. Their scatter is the honest
-measure of chance for what acts all the time. What acts here and there gains in few blocks and scatters widely: for
-that, what is left of the gain without the best two blocks says that it was no accident.
+in log-likelihood units: u, the logarithmic mean, spreads the gain over the blocks b. Their scatter measures chance for
+what acts all the time. What acts now and then gains in few blocks and scatters widely. For that, the gain without the
+best two blocks shows that it was no accident.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 _BEST = 2
-# Log-likelihood units beyond which odds are not told apart.
+# Log-likelihood units beyond which odds count as equal.
 _LONGEST = 50.0
 # What must be gained, and by how many standard errors or without the best two blocks.
 _LEAST_GAIN, _LEAST_T, _LEAST_REPEATED = 12.0, 2.5, 8.0
@@ -64,8 +64,8 @@ def odds(lead: Gain) -> float:
 
         o = max(exp(-G), min(exp(-t^2 / 2), exp(-R))),   t = G / std(G)
 
-    The ratio is that of the likelihoods, but never longer than the blocks support: their scatter, or what is left of
-    the lead without the best two of them (R).
+    The ratio is that of the likelihoods, but no larger than the blocks support: by their scatter, or by the lead R
+    without the best two of them.
     """
     scatter = min(math.exp(-0.5 * max(lead.t, 0.0) ** 2), math.exp(-max(lead.repeated, 0.0)))
     return max(math.exp(min(-lead.total, _LONGEST)), scatter)

@@ -30,7 +30,7 @@ class Fit:
 
     Args:
         rows: the data.
-        terms: of the model beside the rigid body.
+        terms: of the model besides the rigid body.
         extra: further features.
 
     Attributes:
@@ -38,7 +38,7 @@ class Fit:
         X: (N, P + T).
         posterior: of the coefficients, in prior coordinates.
         x: coefficients (P + T,) in prior coordinates.
-        e: (N,) leftover.
+        e: (N,) residual.
     """
 
     def __init__(self, rows: Rows, terms: Sequence[Candidate], extra: Sequence[Extra] = ()) -> None:
@@ -70,10 +70,10 @@ class Fit:
         return Fit(Rows(self.rows.samples, self.rows.prior, self.noise()), self.terms, self.extra)
 
     def equations(self, features: Mapping[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what the data says of coefficients that features (K, M) at some joints share.
+        """Return the normal equations of coefficients that features (K, M) at some joints share.
 
         Returns:
-            Gram (K, K) beside the fit, the same without it, and score (K,).
+            Gram (K, K) given the fit, the same without it, and score (K,).
         """
         rows = self.rows
         white = {j: rows.white(A, j) for j, A in features.items()}
@@ -92,8 +92,8 @@ class Fit:
         z = self.x[[first + self.places.index((term.place, label)) for label in term.labels]]
         return z * self.rows.widths_of(term)
 
-    def leftover(self) -> np.ndarray:
-        """Return the leftover as it is, (n, M) [N m] or [N]."""
+    def residual(self) -> np.ndarray:
+        """Return the residual as it is, (n, M) [N m] or [N]."""
         samples, rows = self.rows.samples, self.rows
         left = samples.tau - samples.rigid @ self.pi.numpy()
         value = dict(zip(self.places, self.x[rows.X.shape[1] :], strict=True))
@@ -110,8 +110,8 @@ class Fit:
         return np.where(samples.measured, left, 0.0)
 
     def noise(self) -> Colour:
-        """Return the noise that makes this leftover white."""
-        left, rows = self.leftover(), self.rows
+        """Return the noise that makes this residual white."""
+        left, rows = self.residual(), self.rows
         filters, scale = np.zeros((len(left), ORDER)), np.ones(len(left))
         Q = self.posterior.half(self.X.T)
         for j, index in enumerate(rows.index):

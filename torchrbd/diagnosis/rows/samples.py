@@ -1,8 +1,8 @@
 """Torques, regressor, states and the features of any candidate, band-limited alike and kept in memory.
 
 Block statistics serve what is known beforehand. A shape that is refined, or an interval of tenths of a second, needs
-rows: features are worked out when they are asked for. Long recordings are thinned: stretches that are spread over all
-of them are read here, the fit that follows reads everything.
+rows: features are computed when they are needed. Long recordings are thinned: parts that are spread over all of them
+are read here; the fit that follows reads everything.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ class Samples:
     """M band-limited samples of a robot with n joints; those in held-out blocks are not among them.
 
     Attributes:
-        columns: of the robot; their ``pi`` makes the load, their ``friction`` stands beside it.
+        columns: of the robot; their ``pi`` makes the load, to which their ``friction`` is added.
         tiles: where features come from.
         recordings: names.
         rigid: (n, M, n_params) regressor.
-        tau: (n, M) measured torque less what the URDF's friction takes; 0 where ``measured`` (n, M) is not.
+        tau: (n, M) measured torque less the URDF's friction; 0 where ``measured`` (n, M) is not.
         q, qd, qdd, direction: (n, M) band-limited states, and sign(qd).
-        weight: (n, M) root of what a sample counts, 0 to 1: less where a joint may stick.
+        weight: (n, M) root of a sample's weight, 0 to 1: less where a joint may stick.
         run: (M,) number of the uninterrupted run that a sample belongs to.
         block: (M,) number of the block of statistics that it belongs to.
         recording: (M,) index into ``recordings``.
         t: (M,) seconds since that recording's start.
-        rise: how a step at time zero looks behind the filter that all torques passed: times (R,) [s] and heights (R,).
-        whole_folds: whether whole recordings may be left out together; parts of each, if not: of what acts in one
+        rise: a step at time zero as it looks behind the filter of all torques: times (R,) [s] and heights (R,).
+        whole_folds: whether whole recordings may be left out together. If not, parts of each are: of what acts in one
             only, the others say nothing.
     """
 
@@ -98,7 +98,7 @@ class Samples:
         return replace(self, columns=columns, weight=np.concatenate(parts, axis=1))
 
     def around(self, pi: torch.Tensor, friction: torch.Tensor | None = None) -> Samples:
-        """Return the same samples with the torque of pi (n_params,) as load, and friction (n, 3) beside it."""
+        """Return the same samples with the torque of pi (n_params,) as load, and friction (n, 3)."""
         columns = self.columns.of_candidates((), pi, friction)
         most = np.abs(self.supplied(pi, friction)).max(1)
         columns = columns.at_scales([replace(s, load_max=float(v)) for s, v in zip(columns.scales, most, strict=True)])

@@ -1,7 +1,7 @@
-"""How much samples count where joints may stick, by the noise that rows show.
+"""The weight of samples where joints may stick, by the noise that rows show.
 
-Beforehand the noise is told from blocks, and where a joint sticks in most of them their torque errs by friction that
-motion does not tell: the noise seems larger than it is, and the joint's friction smaller against it.
+The first estimate of the noise is from blocks. Where a joint sticks in most of them, friction at rest that motion does
+not determine adds to the error. The noise then seems larger than it is, and the joint's friction smaller against it.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ MOST_BLOCKS = 64
 PEAK_WIDTH = 3.0
 
 Place = tuple[int | None, str]
-"""A column beside the rigid body's: the joint that has it (None: all joints share it), and its label."""
+"""A column besides the rigid body's: the joint that has it (None: all joints share it), and its label."""
 
 Colour = tuple[np.ndarray, np.ndarray]
 """Noise of joints whatever their samples count: predictors (n, ORDER) and what they leave (n,), [N m] or [N]."""
@@ -147,7 +147,7 @@ def joint_noise(index: np.ndarray, predictor: np.ndarray, sigma: float, weight: 
 
 
 def predictor(r: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return the predictor (ORDER,) of a leftover (M,) from its predecessors, by Yule and Walker's equations."""
+    """Return the predictor (ORDER,) of a residual (M,) from its predecessors, by Yule and Walker's equations."""
     c = np.array([np.mean(r[index] * r[index - i]) for i in range(ORDER + 1)])
     c[0] = (1 + _FLOOR) * max(c[0], np.mean(r[index - ORDER] ** 2), 1e-300)
     return solve_toeplitz(c[:-1], c[1:])

@@ -45,9 +45,9 @@ def input_notes(
     if robot.gravity.tolist() != [*STANDARD_GRAVITY]:
         notes.append(f"gravity is ({', '.join(f'{x:.4g}' for x in robot.gravity.tolist())}) m/s^2 in the base's axes")
     known = [("rotors", robot.armature), ("springs", robot.stiffness)]
-    if told := [name for name, values in known if bool(values.any())]:
+    if given := [name for name, values in known if bool(values.any())]:
         notes.append(
-            f"{' and '.join(told)} of joints are those of {robot.description.source}; what is fitted or found of them "
+            f"{' and '.join(given)} of joints are those of {robot.description.source}; what is fitted or found of them "
             "comes on top, and nmse is of the torque that they leave"
         )
     massless = (n for b, n in enumerate(robot.body_names) if b not in prior.bodies and n not in held)

@@ -25,7 +25,7 @@ from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.equations import first_noise_variance, with_noise
 from torchrbd.likelihood.gaussian import Posterior
-from torchrbd.likelihood.resting import told_by_motion
+from torchrbd.likelihood.resting import without_columns_at_rest
 from torchrbd.recordings import States
 
 # Of a column's square. Right angles written as 1.5708 make columns that depend on each other up to 4e-6 differ.
@@ -88,7 +88,7 @@ class LinearProblem:
             x, covariance = self.least_squares(1.0 / variance)
             return x, x, covariance
 
-        return with_noise(self.training, fit, rounds=_MOST_ROUNDS, settled=_SETTLED)
+        return with_noise(self.training, fit, rounds=_MOST_ROUNDS, tolerance=_SETTLED)
 
     def information(self) -> Tensor:
         """Return what the fitted blocks tell of x as weighted least squares weighs them, (n, n)."""
@@ -115,13 +115,13 @@ def linear_problem(prepared: Prepared, terms: Sequence[Candidate] = ()) -> Linea
         prepared: the data.
         terms: effects that are fitted beside the inertial parameters.
     """
-    columns, prior, training = prepared.columns, prepared.prior, told_by_motion(prepared.training)
+    columns, prior, training = prepared.columns, prepared.prior, without_columns_at_rest(prepared.training)
     free = columns_of(prepared, terms)
     H, _ = assemble(columns, training.total(), 1.0 / first_noise_variance(training))
     H = H[free][:, free]
     # What a column tells in units of the prior: that of a parameter without effect is rounding, not exactly zero.
-    told = H.diagonal() * prior.scale[free].square().sum(1)
-    length = torch.where(told > _EFFECT * told.max(), H.diagonal(), torch.inf).sqrt()
+    seen = H.diagonal() * prior.scale[free].square().sum(1)
+    length = torch.where(seen > _EFFECT * seen.max(), H.diagonal(), torch.inf).sqrt()
     G = H / (length.unsqueeze(1) * length)
     (pivoted_cholesky,) = scipy.linalg.get_lapack_funcs(("pstrf",), (G.numpy(),))
     _, pivots, rank, _ = pivoted_cholesky(G.numpy(), tol=_DEPENDENT)

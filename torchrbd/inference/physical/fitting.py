@@ -17,7 +17,7 @@ from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.equations import Equations, first_noise_variance, scaled_equations, with_noise
 from torchrbd.likelihood.gaussian import nonnegative
 from torchrbd.likelihood.physical_fit import PhysicalFit, fit_with_signs
-from torchrbd.likelihood.resting import told_by_motion
+from torchrbd.likelihood.resting import without_columns_at_rest
 from torchrbd.likelihood.shapes import ShapeSlope
 from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.model import RigidBodyDynamics, known_terms
@@ -129,7 +129,7 @@ def fit_model(
     """
     columns = statistics.columns
     term_columns = torch.tensor(sorted({k for c in terms for k in columns.of(c)}), dtype=torch.long)
-    statistics = told_by_motion(statistics)
+    statistics = without_columns_at_rest(statistics)
     totals, positive = statistics.total(), _positive(columns, terms)
     signs, all_signs = not_negative(columns, _may_be_none(terms)), not_negative(columns, terms)
     variance = first_noise_variance(statistics) if noise is None else noise
@@ -142,15 +142,17 @@ def fit_model(
         if states is not None:
             equations = states.discount(prior, equations)
         fit = fit_with_signs(prior, equations, term_columns, signs)
-        x, covariance = _told(prior, fit)
+        x, covariance = _estimate(prior, fit)
         bounded = _with_signs(prior, equations, x, covariance, positive)
         if bounded is not equations:
             fit = fit_with_signs(prior, bounded, term_columns, all_signs)
-            x, covariance = _told(prior, fit)
+            x, covariance = _estimate(prior, fit)
         return (fit, equations), x, covariance
 
     rounds, used = _MOST_ROUNDS if noise is None else 0, None if states is None else states.used
-    (fit, equations), variance = with_noise(statistics, fitted, variance, rounds=rounds, settled=_SETTLED, states=used)
+    (fit, equations), variance = with_noise(
+        statistics, fitted, variance, rounds=rounds, tolerance=_SETTLED, states=used
+    )
     S = prior.scale[:, fit.free]
     stiffness, axes = torch.linalg.eigh(fit.precision)
     filling = _sandwich_filling(statistics, prior, fit, equations.H, variance)
@@ -162,7 +164,7 @@ def fit_model(
     return FittedModel(columns, tuple(terms), fit.x, fit.free, laplace, covariance, variance, fit.converged, before)
 
 
-def _told(prior: Prior, fit: PhysicalFit) -> tuple[Tensor, Tensor]:
+def _estimate(prior: Prior, fit: PhysicalFit) -> tuple[Tensor, Tensor]:
     """Return the coefficients (n,) of a fit and their covariance (n, n)."""
     covariance, at = torch.zeros_like(prior.scale), fit.free
     covariance[at.unsqueeze(1), at] = torch.linalg.inv(fit.precision)
@@ -285,8 +287,8 @@ def squares_relative_to_constant(fitted: BlockStatistics, judged: BlockStatistic
     mean = total / count.clamp_min(1e-300)
     n, first, second = judged.torque.sum(0).unbind(-1)
     constant = second - 2.0 * mean * first + mean.square() * n
-    told = (count > 0) & (constant > _LEAST_VARIANCE * second)
-    return told * judged.squared_error(x).sum(0), told * constant
+    measured = (count > 0) & (constant > _LEAST_VARIANCE * second)
+    return measured * judged.squared_error(x).sum(0), measured * constant
 
 
 def predict(columns: Columns, x: Tensor, states: States) -> Tensor:

@@ -69,7 +69,7 @@ class Scatter:
         pooled = (_ASSUMED_BLOCKS * assumed + (blocks - 1.0) * (scattered + believed)) / freedom
         return pooled * float(t.ppf(_INTERVAL, freedom) / norm.ppf(_INTERVAL)) ** 2
 
-    def beside(self, index: Tensor, covariance: Tensor) -> Scatter:
+    def with_coefficients(self, index: Tensor, covariance: Tensor) -> Scatter:
         """Return the same with coefficients fitted to what these leave, whose own scatter is not known.
 
         Args:
@@ -88,12 +88,12 @@ class Scatter:
     def effective_blocks(self, g: Tensor) -> float:
         """Return nu: how many blocks of equal weight would tell g'x as evenly."""
         at = torch.nonzero(g).flatten()
-        told = (self._told[:, at][:, :, at] @ g[at]) @ g[at]
-        power = float(told.square().sum())
-        return float(told.sum()) ** 2 / power if power > 0.0 else 1.0
+        variances = (self._block_covariances[:, at][:, :, at] @ g[at]) @ g[at]
+        power = float(variances.square().sum())
+        return float(variances.sum()) ** 2 / power if power > 0.0 else 1.0
 
     @cached_property
-    def _told(self) -> Tensor:
+    def _block_covariances(self) -> Tensor:
         """P^-1 H_b P^-1, (B, F, F)."""
         found = self.laplace.new_zeros(len(self.statistics), *self.laplace.shape)
         for b, own in enumerate(_information(self.statistics, self.weights, self.free)):

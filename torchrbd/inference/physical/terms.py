@@ -15,7 +15,7 @@ from torchrbd.likelihood.shapes import Axis, ShapeSlope, axes
 # Of the range of a shape on the grid.
 _DIFFERENCE = 1e-3
 # A coefficient is told from so many standard deviations on; one is not that may be so many times what is believed.
-_TOLD, _UNTOLD = 3.0, 10.0
+_SIGNIFICANT, _WIDE = 3.0, 10.0
 
 
 def term_estimates(model: FittedModel) -> list[ParameterEstimate]:
@@ -69,8 +69,10 @@ def estimated_parameters(model: FittedModel, candidate: Candidate) -> dict[str, 
     found, believed = term_parameters(model, candidate), candidate.effect.prior.proportions
     if len(believed) != len(found):
         return found
-    sizes = [abs(v) / own for (v, std), own in zip(found.values(), believed, strict=True) if abs(v) > _TOLD * std]
-    widest = _UNTOLD * max([1.0, *sizes])
+    sizes = [
+        abs(v) / own for (v, std), own in zip(found.values(), believed, strict=True) if abs(v) > _SIGNIFICANT * std
+    ]
+    widest = _WIDE * max([1.0, *sizes])
     return {
         name: (math.nan, math.nan) if std > widest * own else (v, std)
         for (name, (v, std)), own in zip(found.items(), believed, strict=True)

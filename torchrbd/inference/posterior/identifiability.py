@@ -24,7 +24,7 @@ from torchrbd.parameters import PARAMETERS_PER_BODY, BaseParameters, base_parame
 Status = Literal["identified", "combination", "unexcited", "not identifiable", "held"]
 
 # Told: more than half of what any motion could tell.
-_TOLD = 0.5
+_UNIDENTIFIED = 0.5
 # A simpler motion is suggested if it leaves at most this much more than the best, or so little that it does not matter.
 _AS_GOOD, _ENOUGH = 1.3, 0.15
 # A motion that leaves more than this of what was untold is not worth its while.
@@ -140,8 +140,8 @@ class _State:
         believed = T[:n].square().sum(1)
         K = base.combination[:, prior.inertial] @ T[:n, :n]
         _, s, Vh = torch.linalg.svd(K / K.norm(dim=1, keepdim=True).clamp_min(1e-300), full_matrices=False)
-        told = Vh[s > 1e-9 * s.max()] if len(s) else Vh
-        floor = 1.0 - (T[:n, :n] @ told.T).square().sum(1) / believed
+        identified = Vh[s > 1e-9 * s.max()] if len(s) else Vh
+        floor = 1.0 - (T[:n, :n] @ identified.T).square().sum(1) / believed
         share = ((T @ axes)[:n].square() * values).sum(1) / believed
         return cls(T, (axes / values) @ axes.T, believed, share.clamp(0.0, 1.0), floor.clamp(0.0, 1.0))
 
@@ -157,25 +157,25 @@ class _State:
         values, axes = torch.linalg.eigh(scaled)
         return ((axes.T @ X).square() / values.clamp_min(_LEAST)[:, None]).sum(0) / self.believed
 
-    def untold(self, share: Tensor) -> Tensor:
+    def unidentified(self, share: Tensor) -> Tensor:
         return ((share - self.floor) / (1.0 - self.floor).clamp_min(1e-12)).clamp(0.0, 1.0)
 
 
 def _suggestions(model: FittedModel, state: _State, rate_hz: float) -> dict[int, tuple[Motion | None, float]]:
     """Return per untold parameter (its row) the simplest motion that is about as good as the best, and its share."""
-    before = state.untold(state.share)
-    rows = torch.nonzero((before > _TOLD) & (state.floor < 1.0 - 1e-6)).flatten().tolist()
+    before = state.unidentified(state.share)
+    rows = torch.nonzero((before > _UNIDENTIFIED) & (state.floor < 1.0 - 1e-6)).flatten().tolist()
     n_dof = model.columns.robot.n_dof if rows else 0
     after: dict[Motion, Tensor] = {}
 
-    def untold(motion: Motion) -> Tensor:
+    def unidentified(motion: Motion) -> Tensor:
         if motion not in after:
             after[motion] = state.share_after(information(model, motion, state.T, rate_hz))
-        return state.untold(after[motion])
+        return state.unidentified(after[motion])
 
     motions = [Motion(kind, j, tuple(k for k in range(n_dof) if k != j)) for kind in KINDS for j in range(n_dof)]
     motions.append(Motion("all", None, ()))
-    left = torch.stack([untold(m) for m in motions]) if rows else torch.zeros(1, 0)
+    left = torch.stack([unidentified(m) for m in motions]) if rows else torch.zeros(1, 0)
     found: dict[int, tuple[Motion | None, float]] = {}
     for row in rows:
         least = float(left[:, row].min())
@@ -186,8 +186,8 @@ def _suggestions(model: FittedModel, state: _State, rate_hz: float) -> dict[int,
         good = [i for i in range(len(motions)) if float(left[i, row]) <= max(_AS_GOOD * least, _ENOUGH)]
         kind = motions[good[0]].kind
         best = motions[min((i for i in good if motions[i].kind == kind), key=lambda i: float(left[i, row]))]
-        limit = max(_AS_GOOD * float(untold(best)[row]), _ENOUGH)
-        best = next((m for m in _with_fewer_postures(best) if float(untold(m)[row]) <= limit), best)
+        limit = max(_AS_GOOD * float(unidentified(best)[row]), _ENOUGH)
+        best = next((m for m in _with_fewer_postures(best) if float(unidentified(m)[row]) <= limit), best)
         found[row] = (best, float(after[best][row]))
     return found
 

@@ -49,7 +49,7 @@ class SquareRoot:
         length = R.norm(dim=0)
         length = torch.where(length > 0, length, torch.ones_like(length))
         U, size, V = torch.linalg.svd(R / length)
-        told = size > size[0] * len(R) * torch.finfo(R.dtype).eps
-        inverse = torch.where(told, size.reciprocal(), torch.zeros_like(size))
+        nonzero = size > size[0] * len(R) * torch.finfo(R.dtype).eps
+        inverse = torch.where(nonzero, size.reciprocal(), torch.zeros_like(size))
         root = V.T * inverse / length.unsqueeze(1)
         return root @ (U.T @ y), root

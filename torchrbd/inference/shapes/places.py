@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from torchrbd.effects.told import RequestedEffect
+from torchrbd.effects.requested import RequestedEffect
 from torchrbd.errors import OptionError
 from torchrbd.likelihood.columns import Columns
 
 
-def check_seen(told: Sequence[RequestedEffect], columns: Columns) -> None:
+def check_seen(wanted: Sequence[RequestedEffect], columns: Columns) -> None:
     """See that the recordings let every told effect show somewhere, and at the place that is told.
 
     Raises:
         OptionError: they do not.
     """
     seen = {(c.effect.id, c.site) for c in columns.candidates}
-    for one in told:
+    for one in wanted:
         sites = one.sites(columns.robot, columns.windows)
         if not any((one.effect.id, site) in seen for site in sites):
             where = "any place" if one.place is None else one.place

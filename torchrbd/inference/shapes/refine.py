@@ -136,7 +136,7 @@ def refined(prepared: Prepared, terms: Sequence[Candidate], progress: Progress) 
     Args:
         prepared: the data, with columns for the whole grids.
         terms: one candidate for every term; at which of its shapes does not matter.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
     """
     if not _refinable(terms):
         return prepared, tuple(terms)

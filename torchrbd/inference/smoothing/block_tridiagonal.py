@@ -65,9 +65,9 @@ class BlockCholesky:
         windows: list[Tensor] = []
         for L, B in zip(self.diagonal[-2::-1], self.below[::-1], strict=True):
             gain = torch.linalg.solve_triangular(L, B, upper=False, left=False)
-            beside = -corner @ gain
-            above = torch.cholesky_inverse(L) - gain.mT @ beside
-            windows.append(torch.cat((torch.cat((above, beside.mT), 1), torch.cat((beside, corner), 1))))
+            off = -corner @ gain
+            above = torch.cholesky_inverse(L) - gain.mT @ off
+            windows.append(torch.cat((torch.cat((above, off.mT), 1), torch.cat((off, corner), 1))))
             corner = above
         return torch.stack(windows[::-1])
 

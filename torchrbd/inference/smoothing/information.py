@@ -82,13 +82,17 @@ def eliminate(
     J, Y, r = _weighted(at, weight, wanted, stretch.grid.outputs_per_block)
     pull = (stretch.gram @ (stretch.encoder - c)) / encoder_variance
     gram = _blocks(stretch.gram, block, len(J) + 1)
-    told, told_below = (
+    diagonal_data, below_data = (
         torch.einsum("bkl,ij->bkilj", G, torch.diag(1 / encoder_variance)).flatten(3, 4).flatten(1, 2) for G in gram
     )
     diagonal, below = fold(J.mT @ J)
     # coefficients that only fill up the last block have nothing else on their diagonal
-    filled = torch.cat((c.new_zeros(c.numel()), c.new_ones(told.shape[0] * told.shape[1] - c.numel())))
-    factor = BlockCholesky.of(diagonal + told + torch.diag_embed(filled.reshape(len(told), -1)), below + told_below)
+    filled = torch.cat(
+        (c.new_zeros(c.numel()), c.new_ones(diagonal_data.shape[0] * diagonal_data.shape[1] - c.numel()))
+    )
+    factor = BlockCholesky.of(
+        diagonal + diagonal_data + torch.diag_embed(filled.reshape(len(diagonal_data), -1)), below + below_data
+    )
     g = fold_rows(J.mT @ r.unsqueeze(-1)) + _padded(pull, block, len(J) + 1).unsqueeze(-1)
     half = factor.half_solve(torch.cat((g, fold_rows(J.mT @ Y)), -1)).flatten(0, 1)
     covariance = factor.inverse_windows()

@@ -84,7 +84,7 @@ def smooth(
         start: a fit on filtered states.
         noise: of the positions, and what it does to that fit.
         kept_back: tells of a recording's name and times (O,) which are held out: there the torque is not looked at.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
     """
     found: list[tuple[Stretch, ...]] = []
     for k, recording in enumerate(reading.recordings):
@@ -101,8 +101,8 @@ def smooth(
     said = smoother.information or smoother.refresh()
     covered = ("speed_max", "q_low", "q_high")
     speed, *reach = (torch.tensor([getattr(s, name) for s in columns.scales]).double() for name in covered)
-    told = joint_scales(speed, (said.velocity_noise / said.outputs).sqrt(), *reach)
-    pairs = zip(columns.scales, told, strict=True)
+    renewed = joint_scales(speed, (said.velocity_noise / said.outputs).sqrt(), *reach)
+    pairs = zip(columns.scales, renewed, strict=True)
     sharper = columns.at_scales([replace(old, rest_width=new.rest_width) for old, new in pairs])
     x = sharper.taken_from(columns, smoother.x.detach())
     torque, encoder = smoother.log_torque_std.detach().exp(), smoother.log_encoder_std.detach().exp()

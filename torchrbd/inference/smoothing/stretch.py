@@ -96,8 +96,8 @@ def stretches(
             for per_output, found in ((few, coarse), (2 * few, fine))[: 1 + roomy]:
                 grid = Grid(start, step, per_output, substeps, len(t_out), kernel)
                 inside = (t >= grid.start - 1e-9) & (t <= grid.end + 1e-9)
-                told = _least_squares(grid, t[inside], q[:, inside])
-                found.append(Stretch(segment, grid, tau, counts, *told))
+                spline_fit = _least_squares(grid, t[inside], q[:, inside])
+                found.append(Stretch(segment, grid, tau, counts, *spline_fit))
     return tuple(fine if roomy and _bends(coarse, fine) else coarse)
 
 

@@ -93,7 +93,7 @@ def write_statistics(
     for file in files:
         check_file(file)
     own = ranks.own(list(zip(paths, files, strict=True)))
-    tell = _told(progress, len(own))
+    tell = _progress_of(progress, len(own))
     for k, (path, file) in enumerate(own):
         if not _is_up_to_date(file, path, made, settings):
             write_file(statistics_of(robot, path, settings, made, _part_of(tell, k)), file)
@@ -185,7 +185,7 @@ def _rows(file: Path) -> int:
     return sum(one.rows for one in read_head(file).origins)
 
 
-def _told(progress: Progress, total: int) -> Callable[[float, int], None]:
+def _progress_of(progress: Progress, total: int) -> Callable[[float, int], None]:
     """Return what tells the progress: recordings done (a part of one counts as such), and rows since the last time."""
     start, rows = time.perf_counter(), 0
 

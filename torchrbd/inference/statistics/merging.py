@@ -23,7 +23,7 @@ def merged(
     Args:
         heads: of the files, see ``read_head``.
         own: numbers of those that are read; blocks of the others are zero. All if not given.
-        progress: told how far the work is.
+        progress: called with the stage and the part of it that is done.
 
     Raises:
         InputError: files that cannot be read, or that were made under different conditions.

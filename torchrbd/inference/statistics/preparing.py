@@ -96,7 +96,7 @@ def prepare_moments(
     if not statistics.torque[..., 0].any():
         raise RecordingError("no torque that changes is recorded for any of the joints in use; nothing can be fitted")
     noise = torch.tensor([one.position_noise for one in whole.origins if one.name not in kept], dtype=torch.float64)
-    noise, untold = noise.square().nanmean(0).sqrt(), torch.full((robot.n_dof,), torch.nan, dtype=torch.float64)
+    noise, unknown = noise.square().nanmean(0).sqrt(), torch.full((robot.n_dof,), torch.nan, dtype=torch.float64)
     return Prepared(
         robot=robot,
         reading=Reading(robot, (), (), filtering, used, {}),
@@ -106,7 +106,7 @@ def prepare_moments(
         holdout_words=words,
         prior=data_prior(statistics.select(~held_out), settings.held_bodies(robot), settings.kappa),
         found_encoder_noise=noise,
-        input_noise=InputNoise(noise, untold, torch.zeros_like(noise), 1.0, ()),
+        input_noise=InputNoise(noise, unknown, torch.zeros_like(noise), 1.0, ()),
         states=None,
         notes=tuple(
             note if note.startswith(one.name) else f"{one.name}: {note}" for one in whole.origins for note in one.notes

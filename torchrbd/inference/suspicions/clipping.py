@@ -75,7 +75,7 @@ def clipped_torques(prepared: Prepared, samples: Samples, now: Writing, bound: f
         times = int((torch.diff(at.int(), prepend=at.new_zeros(1).int()) > 0).sum())
         odds = 0.5 * min(times, _MOST_TIMES) * math.log(float(beyond.mean() ** 2 / free.square().mean()))
         if odds > bound:
-            yield _told(one, odds, float(beyond.mean()), prepared)
+            yield _suspicion(one, odds, float(beyond.mean()), prepared)
 
 
 def _limits(prepared: Prepared) -> Iterator[_Limit]:
@@ -108,7 +108,7 @@ def _shares(limit: _Limit, prepared: Prepared, samples: Samples) -> tuple[Tensor
     return at, near
 
 
-def _told(limit: _Limit, odds: float, beyond: float, prepared: Prepared) -> Suspicion:
+def _suspicion(limit: _Limit, odds: float, beyond: float, prepared: Prepared) -> Suspicion:
     joint = prepared.robot.joint_names[limit.joint]
     unit = "N" if bool(prepared.robot.prismatic[limit.joint]) else "N m"
     effort = float(prepared.robot.effort[limit.joint])

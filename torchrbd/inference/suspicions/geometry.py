@@ -63,7 +63,12 @@ class Moved:
 
 
 def move_joints(
-    samples: Samples, now: Writing, moves: Tensor, width: float, within: tuple[float, float], beside: Sequence[str]
+    samples: Samples,
+    now: Writing,
+    moves: Tensor,
+    width: float,
+    within: tuple[float, float],
+    further_effects: Sequence[str],
 ) -> Moved:
     """Return the robot whose joints sit where the torques ask for.
 
@@ -81,7 +86,7 @@ def move_joints(
     for step in range(_STEPS):
         # On the way the noise that has been learnt will do.
         known = noise[-1] if 0 < step < _STEPS - 1 else None
-        model, left = samples.fitted(now, robot, beside, known)
+        model, left = samples.fitted(now, robot, further_effects, known)
         noise.append(model.noise_variance)
         weight = samples.weight / model.noise_variance.unsqueeze(1)
         weight = torch.where(samples.judged.unsqueeze(1), weight, 0.0)

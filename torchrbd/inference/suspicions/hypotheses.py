@@ -120,13 +120,13 @@ def gains(now: Writing, gain: Sequence[float]) -> Iterator[Hypothesis]:
         now: how the table is read now.
         gain: (n_dof,) by which its torques exceed the URDF's; not above zero where that is not told.
     """
-    told = [j for j, g in enumerate(gain) if g > 0]
-    if not told:
+    driven = [j for j, g in enumerate(gain) if g > 0]
+    if not driven:
         return
-    logs = [math.log(gain[j]) for j in told]
-    yield Hypothesis("torque gain", tuple(told), now.scaled_tau(range(len(gain)), math.exp(-median(logs))), "all")
-    if len(told) > 1:
+    logs = [math.log(gain[j]) for j in driven]
+    yield Hypothesis("torque gain", tuple(driven), now.scaled_tau(range(len(gain)), math.exp(-median(logs))), "all")
+    if len(driven) > 1:
         own = now
-        for j in told:
+        for j in driven:
             own = own.scaled_tau([j], 1.0 / gain[j])
-        yield Hypothesis("torque gain", tuple(told), own, "each")
+        yield Hypothesis("torque gain", tuple(driven), own, "each")

@@ -29,4 +29,4 @@ def rivals(h: Hypothesis, tried: Explained, samples: Samples, now: Writing) -> I
         for unread in (*((j,) for j in h.joints), h.joints):
             yield samples.explained(now, unread=unread), tried
     if h.kind == "gravity":
-        yield samples.explained(now, beside=[SPRINGS]), samples.explained(h.writing, beside=[SPRINGS])
+        yield samples.explained(now, further_effects=[SPRINGS]), samples.explained(h.writing, further_effects=[SPRINGS])

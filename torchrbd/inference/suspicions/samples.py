@@ -117,11 +117,11 @@ class Samples:
             # Beside friction's features (J, M, 3), weighed as the torques of the joints (J, M) that this may be.
             F, _ = torch.linalg.qr(self._features[place][self._plain[place]].T * w.unsqueeze(-1))
             s = modelled[j] * w
-            power, (s, t) = s.square().sum(1), (_beside(F, x) for x in (s, tau))
+            power, (s, t) = s.square().sum(1), (_residual_of(F, x) for x in (s, tau))
             left[j, seen], own, both = t.square().sum(1) / torque, s.square().sum(1), (s * t).sum(1)
-            told = own > NOTHING * power
-            gain[j, seen] = torch.where(told, both / own, 0.0)
-            share[j, seen] = torch.where(told, gain[j, seen] * both.abs() / torque, 0.0)
+            seen_well = own > NOTHING * power
+            gain[j, seen] = torch.where(seen_well, both / own, 0.0)
+            share[j, seen] = torch.where(seen_well, gain[j, seen] * both.abs() / torque, 0.0)
         return Shape(left, share, gain)
 
     def explained(
@@ -129,7 +129,7 @@ class Samples:
         writing: Writing,
         *,
         tightness: float = 1.0,
-        beside: Sequence[str] = (),
+        further_effects: Sequence[str] = (),
         unread: Sequence[int] = (),
         robot: RobotModel | None = None,
         noise: Tensor | None = None,
@@ -144,7 +144,7 @@ class Samples:
             robot: one of other geometry; the URDF's if None.
             noise: (n_dof,) variances of the torques, if they are known.
         """
-        whole, terms = self._statistics(writing, unread, robot=robot), self._terms(beside)
+        whole, terms = self._statistics(writing, unread, robot=robot), self._terms(further_effects)
         squares, divergence = torch.zeros(2, self.robot.n_dof, dtype=torch.float64), 0.0
         for left_out in torch.eye(self._parts, dtype=torch.bool):
             fitted = whole.select(~left_out)
@@ -171,7 +171,7 @@ class Samples:
         return found
 
     def fitted(
-        self, writing: Writing, robot: RobotModel, beside: Sequence[str], noise: Tensor | None = None
+        self, writing: Writing, robot: RobotModel, further_effects: Sequence[str], noise: Tensor | None = None
     ) -> tuple[FittedModel, Tensor]:
         """Re-fit the ordinary model of a robot to all samples; return it and the torque that it leaves, (n_dof, M).
 
@@ -180,11 +180,11 @@ class Samples:
         """
         whole = self._statistics(writing, robot=robot)
         prior = data_prior(whole, self._trusted, self.kappa)
-        model = fit_model(whole, prior, self._terms(beside), noise)
+        model = fit_model(whole, prior, self._terms(further_effects), noise)
         return model, writing.torque(self.tau) - self._torque(writing, model.x, slice(None), robot)
 
-    def _terms(self, beside: Sequence[str] = ()) -> tuple[Candidate, ...]:
-        return term_candidates(self._columns, (*ORDINARY_EFFECTS, *beside))
+    def _terms(self, further_effects: Sequence[str] = ()) -> tuple[Candidate, ...]:
+        return term_candidates(self._columns, (*ORDINARY_EFFECTS, *further_effects))
 
     def _torque(self, writing: Writing, x: Tensor, part: Tensor | slice, robot: RobotModel | None = None) -> Tensor:
         rows = zip(self.rows(writing, robot), self._columns.of_joint, strict=True)
@@ -229,7 +229,7 @@ class Samples:
         return self._design[1]
 
 
-def _beside(F: Tensor, x: Tensor) -> Tensor:
+def _residual_of(F: Tensor, x: Tensor) -> Tensor:
     """Return what is left of x (J, M) beside orthonormal columns F (J, M, K)."""
     return x - (F @ (F.mT @ x.unsqueeze(-1)))[..., 0]
 

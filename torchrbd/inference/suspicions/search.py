@@ -54,7 +54,7 @@ _FAR, _PEAK = 30.0, 5.0
 # Clocks of robots.
 _LEAST_RATE_HZ, _MOST_RATE_HZ = 5.0, 2e4
 # Joints at which single columns are doubted; hypotheses that are re-fitted; suspicions that are told.
-_MOST_JOINTS, _MOST_FITTED, _MOST_TOLD = 6, 8, 4
+_MOST_JOINTS, _MOST_FITTED, _MOST_FOUND = 6, 8, 4
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ def suspicions(prepared: Prepared) -> Suspicions:
     now = Writing.as_it_stands(robot.n_dof, robot.gravity.tolist())
     base = samples.explained(now)
     found: list[Suspicion] = []
-    while len(found) < _MOST_TOLD:
-        likely = [one for one in _tried(samples, prepared, now, base) if _is_told(one, samples, now)]
+    while len(found) < _MOST_FOUND:
+        likely = [one for one in _tried(samples, prepared, now, base) if _is_likely(one, samples, now)]
         best, alike = (likely or [None])[0], [one for one in likely[1:] if one.log_odds > likely[0].log_odds - BOUND]
         if best is None or (best.hypothesis.is_swap and any(_swaps_others(one, best) for one in alike)):
             break
@@ -98,7 +98,7 @@ def suspicions(prepared: Prepared) -> Suspicions:
     return Suspicions(tuple(found), TESTED)
 
 
-def _is_told(one: _Tried, samples: Samples, now: Writing) -> bool:
+def _is_likely(one: _Tried, samples: Samples, now: Writing) -> bool:
     """Say whether a hypothesis is far likelier than the table as it stands, and than its rivals."""
     if one.log_odds <= BOUND:
         return False
@@ -114,13 +114,13 @@ def _other_unit(samples: Samples, now: Writing) -> _Tried | None:
     """Return torques in another unit, if that explains why the bodies are far from the URDF's."""
     shape, signs = samples.shape(now), [math.copysign(1.0, x) for x in now.tau_scale]
     alike = samples.judged & (samples.nats * shape.likeness(now).log() > BOUND)
-    told = [
+    gain_of_joint = [
         sign * float(shape.gain[j, i]) if bool(alike[j]) else 0.0
         for j, (i, sign) in enumerate(zip(now.tau_order, signs, strict=True))
     ]
     base = samples.explained(now, tightness=_TIGHT)
     best = None
-    for h in gains(now, told):
+    for h in gains(now, gain_of_joint):
         one = samples.explained(h.writing, tightness=_TIGHT)
         cost = _GAIN_COST * (1 if h.unit == "all" else len(h.joints))
         bodies = samples.kappa * (base.divergence - _TIGHT * one.divergence)
@@ -173,8 +173,8 @@ def _beyond(robot: RobotModel, surveys: Sequence[Survey], writing: Writing) -> f
         max(0.0, math.log(_LEAST_RATE_HZ / rate), math.log(rate / _MOST_RATE_HZ)) for rate in [float(np.median(rates))]
     )
     for reached, limit in zip((span, speed), limits, strict=True):
-        told = np.isfinite(limit) & (limit > 0)
-        found += float(np.log(np.maximum(1.0, reached[told] / limit[told])).sum())
+        stated = np.isfinite(limit) & (limit > 0)
+        found += float(np.log(np.maximum(1.0, reached[stated] / limit[stated])).sum())
     return found
 
 

@@ -21,7 +21,7 @@ from torchrbd.robot import RobotModel, joint_origins
 
 # Lengths of variants are some tenths of each other's apart; none is a third or three times.
 _WIDTH, _WITHIN = 0.3, (-2.0 / 3.0, 2.0)
-_BESIDE = (SPRINGS, ROTORS)
+_ABSORBING = (SPRINGS, ROTORS)
 # Joints are turned by hundredths of a rad; zeros may be off by more.
 _TURN_WIDTH, _TURNS_WITHIN = 0.05, (-0.5, 0.5)
 
@@ -38,7 +38,7 @@ def another_variant(samples: Samples, now: Writing, bound: float) -> Suspicion |
     while joints:
         moves = torch.zeros(len(joints), samples.robot.n_dof, 6, dtype=torch.float64)
         moves[range(len(joints)), joints, :3] = joint_origins(samples.robot)[joints]
-        found = move_joints(samples, now, moves, _WIDTH, _WITHIN, _BESIDE)
+        found = move_joints(samples, now, moves, _WIDTH, _WITHIN, _ABSORBING)
         kept = [joint for joint, stays in zip(joints, _needed(samples, found, bound), strict=True) if stays]
         if kept == joints:
             return _judged(samples, now, found, joints, bound)
@@ -78,24 +78,24 @@ def _lost(samples: Samples, found: Moved, covariance: Tensor, zero: list[int]) -
     weight, tau = found.weight, samples.tau
     mean = (weight * tau).sum(1) / weight.sum(1).clamp_min(1e-300)
     most = (weight * (tau - mean.unsqueeze(1)).square()).sum(1)
-    told = samples.judged & (left > 0)
-    return samples.nats * float((torch.minimum(lost, most) / torch.minimum(left, most))[told].log().sum())
+    used = samples.judged & (left > 0)
+    return samples.nats * float((torch.minimum(lost, most) / torch.minimum(left, most))[used].log().sum())
 
 
 def _judged(samples: Samples, now: Writing, found: Moved, joints: list[int], bound: float) -> Suspicion | None:
     """Return the suspicion if the lengths explain time left out of the fit far better than all else does."""
     base, tried = (
-        samples.explained(now, beside=_BESIDE, robot=robot, noise=noise)
+        samples.explained(now, further_effects=_ABSORBING, robot=robot, noise=noise)
         for robot, noise in zip((None, found.robot), found.noise, strict=True)
     )
     odds = samples.odds(base, tried)
     if odds <= bound:
         return None
-    turned = move_joints(samples, now, _turns(samples.robot.n_dof), _TURN_WIDTH, _TURNS_WITHIN, _BESIDE)
-    rival = samples.explained(now, beside=_BESIDE, robot=turned.robot, noise=turned.noise[1])
+    turned = move_joints(samples, now, _turns(samples.robot.n_dof), _TURN_WIDTH, _TURNS_WITHIN, _ABSORBING)
+    rival = samples.explained(now, further_effects=_ABSORBING, robot=turned.robot, noise=turned.noise[1])
     if samples.odds(rival, tried) <= bound:
         return None
-    return _told(samples, base, found, tried, joints, odds)
+    return _suspicion(samples, base, found, tried, joints, odds)
 
 
 def _turns(n_dof: int) -> Tensor:
@@ -106,7 +106,7 @@ def _turns(n_dof: int) -> Tensor:
     return moves.flatten(0, 1)
 
 
-def _told(
+def _suspicion(
     samples: Samples, base: Explained, found: Moved, tried: Explained, joints: list[int], odds: float
 ) -> Suspicion:
     robot = samples.robot

@@ -90,7 +90,7 @@ def _worth(finding: Finding) -> str:
     if abs(before - after) <= NO_CHANGE * max(before, after):
         return f"{NOT_CONFIRMED}: the NMSE of {joint} is {number(after)} with it and without it."
     error = capital(_moved(f"the NMSE of {joint} on held-out data", before, after, "with it"))
-    ratio = finding.confirmed
+    ratio = finding.held_out_ratio
     if ratio is None:
         return error
     part = f"Its torque there is {ratio_with_interval(*astuple(ratio))} times that fitted."

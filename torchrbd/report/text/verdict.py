@@ -140,8 +140,8 @@ def _more(result: Diagnosis) -> Iterable[str]:
 def _doubts(result: Diagnosis) -> Iterable[str]:
     """Yield what held-out data says of the findings, and what they do not explain."""
     everywhere = _judged(result)
-    if result.findings and result.confirmed is not None:
-        ratio = ratio_with_interval(*astuple(result.confirmed))
+    if result.findings and result.held_out_ratio is not None:
+        ratio = ratio_with_interval(*astuple(result.held_out_ratio))
         yield f"On held-out data the torque of the findings is {ratio} times that fitted."
     count = sum(not f.held_out for f in result.findings)
     if count:
@@ -166,7 +166,7 @@ def _held_out_errors(result: Diagnosis) -> Iterable[str]:
     """Yield where held-out errors are larger than the rigid body's, or findings smaller than fitted."""
     everywhere = any(not f.joints for f in result.findings)
     joints = {joint for f in result.findings for joint in f.joints}
-    asked = [p for p in result.proofs if everywhere or p.joint in joints]
+    asked = [p for p in result.held_out_checks if everywhere or p.joint in joints]
     worse = {p.joint: p.over["rigid_body"] for p in asked if p.over["rigid_body"].low > 1.0}
     if worse:
         sizes = [f"{j} ({number(r.value)} times, {number(r.low)} to {number(r.high)})" for j, r in worse.items()]
@@ -174,7 +174,7 @@ def _held_out_errors(result: Diagnosis) -> Iterable[str]:
             "On held-out data the extended model's squared error exceeds that of the re-fitted rigid body at "
             f"{as_many_as_fit(sizes, _MOST_NAMED)}."
         )
-    elif result.findings and result.confirmed is not None and result.confirmed.high < 1.0:
+    elif result.findings and result.held_out_ratio is not None and result.held_out_ratio.high < 1.0:
         yield (
             "The findings are smaller on held-out data than fitted: the robot or its motion differed, or a finding is "
             "a proxy."
@@ -302,10 +302,10 @@ def part_left(ratio: Ratio) -> str:
 
 def worth(result: Diagnosis) -> str:
     """Say in one line how large the extended model's error is relative to the rigid body's, where surely smaller."""
-    proofs = result.proofs if result.findings else ()
-    if not proofs:
+    checks = result.held_out_checks if result.findings else ()
+    if not checks:
         return ""
-    less = sorted(((p.over["rigid_body"], p.joint) for p in proofs), key=lambda pair: pair[0].value)
+    less = sorted(((p.over["rigid_body"], p.joint) for p in checks), key=lambda pair: pair[0].value)
     less = [(ratio, joint) for ratio, joint in less if ratio.high < 1.0]
     if not less:
         return "The extended model does not predict any joint significantly better than the re-fitted rigid body."
@@ -314,6 +314,6 @@ def worth(result: Diagnosis) -> str:
     else:
         (best, first), (worst, last) = less[0], less[-1]
         words = (
-            f"{part_left(best)} at {first} to {part_left(worst)} at {last}; less at {len(less)} of {len(proofs)} joints"
+            f"{part_left(best)} at {first} to {part_left(worst)} at {last}; less at {len(less)} of {len(checks)} joints"
         )
     return f"Squared error on held-out data relative to the re-fitted rigid body, with 95 % intervals: {words}."

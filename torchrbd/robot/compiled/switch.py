@@ -161,8 +161,8 @@ def _exact(kernel: Kernel, arguments: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
 
 def _exporting() -> bool:
     """Return whether a graph is exported; before torch 2.7 this is unknown, so every graph counts as exported."""
-    told = getattr(torch.compiler, "is_exporting", None)
-    return told is None or told()
+    is_exporting = getattr(torch.compiler, "is_exporting", None)
+    return is_exporting is None or is_exporting()
 
 
 @_constant_in_graphs

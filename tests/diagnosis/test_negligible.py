@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from diagnosis.test_proof import finding
 from diagnosis.test_unexplained import FIRST, MAY, SECOND, diagnosed
 from likelihood.fits import at_joint
+from report.test_text import finding
 
 from torchrbd.diagnosis import explain as explaining
 from torchrbd.diagnosis.explain import explain
+from torchrbd.diagnosis.negligible import contradicted, is_negligible, split_negligible
 from torchrbd.diagnosis.results import Where
-from torchrbd.diagnosis.trifling import contradicted, is_negligible, split_negligible
 from torchrbd.effects import Site
 from torchrbd.likelihood.columns import Candidate
 
@@ -30,7 +30,7 @@ def of_joints(*names: str) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("recordings", "after", "trifling"),
+    ("recordings", "after", "negligible"),
     [
         (None, 0.05, False),
         (None, 0.1, True),
@@ -41,7 +41,7 @@ def of_joints(*names: str) -> Any:
     ],
 )
 def test_held_out_time_that_contradicts_a_finding_sets_it_apart(
-    recordings: tuple[str, ...] | None, after: float, trifling: bool
+    recordings: tuple[str, ...] | None, after: float, negligible: bool
 ) -> None:
     """Of what acts for a time it may see nothing; worse it must not become."""
     one = replace(
@@ -51,14 +51,14 @@ def test_held_out_time_that_contradicts_a_finding_sets_it_apart(
         nmse_after={"hinge": after},
         torque_rms={"hinge": 1.0},
     )
-    assert is_negligible(one, of_joints("hinge")) is trifling
+    assert is_negligible(one, of_joints("hinge")) is negligible
     assert contradicted(one) is (after > 0.1), "and it leaves the model, whenever it acts"
 
 
 @pytest.mark.parametrize("recordings", [None, ("a",)])
-@pytest.mark.parametrize(("other", "trifling"), [(0.34, False), (0.4, True)])
+@pytest.mark.parametrize(("other", "negligible"), [(0.34, False), (0.4, True)])
 def test_what_acts_on_several_joints_is_judged_by_all_of_them(
-    recordings: tuple[str, ...] | None, other: float, trifling: bool
+    recordings: tuple[str, ...] | None, other: float, negligible: bool
 ) -> None:
     """A force that one joint's held-out time seems to show, and the other's contradicts by less, or by more."""
     one = replace(
@@ -69,12 +69,12 @@ def test_what_acts_on_several_joints_is_judged_by_all_of_them(
         nmse_after={"hinge": 0.05, "slide": other},
         torque_rms={"hinge": 1.0, "slide": 1.0},
     )
-    assert is_negligible(one, of_joints("hinge", "slide")) is trifling
+    assert is_negligible(one, of_joints("hinge", "slide")) is negligible
     assert one.share_of_all == pytest.approx(1.0 - (0.05 + other) / 0.4)
 
 
-@pytest.mark.parametrize(("joints", "trifling"), [(("hinge",), True), (("slide",), False), ((), False)])
-def test_what_carries_little_of_its_own_joints_torque_is_trifling(joints: tuple[str, ...], trifling: bool) -> None:
+@pytest.mark.parametrize(("joints", "negligible"), [(("hinge",), True), (("slide",), False), ((), False)])
+def test_what_carries_little_of_its_own_joints_torque_is_negligible(joints: tuple[str, ...], negligible: bool) -> None:
     """What it moves at others is no matter; what sits at no joint acts on all."""
     one = replace(
         finding("joint_elasticity", "hinge"),
@@ -83,7 +83,7 @@ def test_what_carries_little_of_its_own_joints_torque_is_trifling(joints: tuple[
         nmse_after={"hinge": 0.1, "slide": 0.095},
         torque_rms={"hinge": 0.005, "slide": 0.02},
     )
-    assert is_negligible(one, of_joints("hinge", "slide")) is trifling
+    assert is_negligible(one, of_joints("hinge", "slide")) is negligible
 
 
 def test_of_findings_that_stand_in_for_each_other_one_is_told() -> None:
@@ -104,7 +104,7 @@ def test_of_findings_that_stand_in_for_each_other_one_is_told() -> None:
     assert {one.nmse_after["hinge"] for _, one in (*kept, *apart)} == {0.01}
 
 
-def test_what_is_set_apart_is_trifling_all_together() -> None:
+def test_what_is_set_apart_is_negligible_all_together() -> None:
     """Each of three is worth 15 of a thousand parts, two of them more than 20."""
     terms = {name: SimpleNamespace(place=0, name=name) for name in ("torque_ripple", "joint_spring", "backlash")}
     told = [(one, replace(finding(k, "hinge"), log_evidence_gain=20.0)) for k, one in terms.items()]
@@ -132,7 +132,7 @@ def test_what_is_worse_than_nothing_without_what_is_set_apart_goes_too() -> None
     assert kept[0][1].nmse_after == {"hinge": 0.05}
 
 
-def test_what_other_joints_need_is_not_trifling() -> None:
+def test_what_other_joints_need_is_not_negligible() -> None:
     """Friction that does nothing for its own joint keeps the bodies right that two others need; a ripple nothing."""
     terms = {name: SimpleNamespace(place=0, name=name) for name in ("coulomb_friction", "torque_ripple")}
     told = [(one, replace(finding(k, "hinge"), log_evidence_gain=20.0)) for k, one in terms.items()]
@@ -164,5 +164,5 @@ def test_what_stands_in_for_something_else_is_no_finding_and_stays(
     monkeypatch.setattr(explaining._Fits, "error_without", error_without)
     found = explain(model)
     assert (DRAG in {f.effect for f in found.findings}) is told
-    assert (DRAG in {f.effect for f in found.trifling}) is not told
+    assert (DRAG in {f.effect for f in found.not_confirmed}) is not told
     assert found.model.terms == (drag,)

@@ -9,9 +9,9 @@ import pytest
 from likelihood.fits import COULOMB, URDF, at_joint, carried, fitted
 from simulated import joint_names
 
-from torchrbd.diagnosis.hypotheses import Hypothesis, told
-from torchrbd.diagnosis.limits import limits
-from torchrbd.diagnosis.results import Limit
+from torchrbd.diagnosis.detection_limits import detection_limits
+from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of
+from torchrbd.diagnosis.results import DetectionLimit
 from torchrbd.diagnosis.search import Explanation, explained
 from torchrbd.effects import Site, effect
 
@@ -26,11 +26,11 @@ EFFECTS = (
 )
 FIRST, SECOND = joint_names(URDF)
 ROTOR = at_joint(1, lambda m: 0.05 * m.qdd[:, 1])
-Found = dict[tuple[str, tuple[str, ...]], Limit]
+Found = dict[tuple[str, tuple[str, ...]], DetectionLimit]
 
 
 def by_place(found: Explanation) -> Found:
-    return {(x.effect, x.joints): x for x in limits(found)}
+    return {(x.effect, x.joints): x for x in detection_limits(found)}
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_what_is_in_the_model_or_acts_for_a_time_has_no_limit(explanation: Expla
     assert {name for name, _ in found} <= set(EFFECTS) - {"payload"}
     for name in ("joint_spring", "quadratic_drag"):
         assert {(name, (FIRST,)), (name, (SECOND,))} <= found.keys()
-    assert len(found) == len(limits(explanation))
+    assert len(found) == len(detection_limits(explanation))
 
 
 @pytest.mark.parametrize(("name", "joint"), [("joint_spring", 1), ("quadratic_drag", 0)])
@@ -58,9 +58,9 @@ def test_value_and_std_are_those_of_a_model_that_has_the_effect(
     explanation: Explanation, name: str, joint: int
 ) -> None:
     fit, rows = explanation.fit, explanation.rows
-    h = told(fit, rows, rows.columns.candidate(effect(name), Site(joint), {}))
+    h = hypothesis_of(fit, rows, rows.columns.candidate(effect(name), Site(joint), {}))
     assert h is not None
-    (limit,) = limits(replace(explanation, last=[h]))
+    (limit,) = detection_limits(replace(explanation, last=[h]))
     whole = fit.extended((*fit.extra, h.extra(fit, rows)))
     k = len(fit.extra)
     assert limit.value == pytest.approx(whole.coefficients(k)[0], rel=1e-3)
@@ -88,15 +88,15 @@ def test_what_the_prior_says_is_no_limit(explanation: Explanation, found: Found)
     h = next(h for h in explanation.last if h.name == ("joint_spring", Site(0)))
     std = h.extra(explanation.fit, explanation.rows).std / h.scale
     vague, sharp = (replace(explanation, last=[replace(h, std=part * std)]) for part in (0.7, 0.3))
-    assert limits(vague) == ()
-    assert len(limits(sharp)) == 1
+    assert detection_limits(vague) == ()
+    assert len(detection_limits(sharp)) == 1
 
 
 def test_a_curve_has_no_limit(explanation: Explanation) -> None:
     rows = explanation.rows
     curve = rows.columns.candidate(effect("smooth_torque_over_q"), Site(0), {"low": -1.0, "high": 1.0})
     h = Hypothesis(curve, 1.0, np.zeros(21), np.full(21, 1e-6), 1.0, 1)
-    assert limits(replace(explanation, last=[h])) == ()
+    assert detection_limits(replace(explanation, last=[h])) == ()
 
 
 def test_a_spring_of_twelve_std_stands_out(found: Found) -> None:
@@ -104,7 +104,7 @@ def test_a_spring_of_twelve_std_stands_out(found: Found) -> None:
     size = 12.0 * found["joint_spring", (FIRST,)].std
     fit = fitted(at_joint(0, lambda m: size * m.q[:, 0]))
     rows = carried(fit)
-    h = told(fit, rows, rows.columns.candidate(effect("joint_spring"), Site(0), {}))
+    h = hypothesis_of(fit, rows, rows.columns.candidate(effect("joint_spring"), Site(0), {}))
     assert h is not None
     assert h.coefficients[0] == pytest.approx(size, abs=4.0 * h.std[0])
     assert h.coefficients[0] > 6.0 * h.std[0]

@@ -71,9 +71,9 @@ class RequestedEffect:
 
 
 def _window(text: str, whole: str) -> Window:
-    recording, told, span = text.partition("=")
+    recording, requested, span = text.partition("=")
     try:
-        start, end = span.split(":") if told else ("", "")
+        start, end = span.split(":") if requested else ("", "")
         window = Window(recording, float(start or -math.inf), float(end or math.inf))
     except ValueError:
         raise OptionError(f"effect '{whole}': expected FROM:TO in seconds after '{recording}=', e.g. 2:30") from None
@@ -83,25 +83,25 @@ def _window(text: str, whole: str) -> Window:
 
 
 def requested_sites(
-    told: Sequence[RequestedEffect], robot: RobotModel, recordings: Sequence[str]
+    requested: Sequence[RequestedEffect], robot: RobotModel, recordings: Sequence[str]
 ) -> tuple[dict[str, tuple[Site, ...]], tuple[Window, ...]]:
     """Return the sites of requested effects by the effects' ids, and all windows of time among them.
 
     Args:
-        told: the effects.
+        requested: the effects.
         robot: the robot.
         recordings: their names.
 
     Raises:
         OptionError: a place or a recording that does not exist.
     """
-    windows = tuple(dict.fromkeys(one.window for one in told if one.window is not None))
+    windows = tuple(dict.fromkeys(one.window for one in requested if one.window is not None))
     for window in windows:
         if window.recording not in recordings:
             raise OptionError(
                 f"effect in recording '{window.recording}', which is none here; there are: {', '.join(recordings)}"
             )
     found: dict[str, dict[Site, None]] = {}
-    for one in told:
+    for one in requested:
         found.setdefault(one.effect.id, {}).update(dict.fromkeys(one.sites(robot, windows)))
     return {name: tuple(sites) for name, sites in found.items()}, windows

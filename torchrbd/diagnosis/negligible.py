@@ -1,4 +1,4 @@
-"""What was found as surely as anything else, and held-out time does not need."""
+"""Findings that are as certain as others but that held-out data does not confirm."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ LEAST_TORQUE, _LEAST_SHARE = 0.01, 0.1
 
 
 def split_negligible(
-    told: Sequence[tuple[Candidate, Finding]],
+    found: Sequence[tuple[Candidate, Finding]],
     error_without: Callable[[Sequence[Candidate]], Mapping[str, float]],
-    trifling: Callable[[Candidate, Finding], bool],
+    negligible: Callable[[Candidate, Finding], bool],
 ) -> tuple[list[tuple[Candidate, Finding]], list[tuple[Candidate, Finding]]]:
-    """Set findings apart, one after the other, that held-out time does not need.
+    """Remove findings, one after the other, that held-out data does not need.
 
-    First goes what it is told best without, all joints taken together; of what is alike in that, the least likely, so
-    that of two findings that stand in for each other one stays. What other joints need, whose bodies and friction are
-    fitted beside it, stays: without it all of them are told worse than they have been.
+    The first to go is the one without which held-out data is predicted best, all joints together. If several are alike
+    in that, the least likely goes: of two findings that are proxies for each other, one stays. A finding stays if other
+    joints, whose bodies and friction are fitted with it, are predicted worse without it than before.
 
     Args:
-        told: terms and what is told of them; their errors are given here.
+        found: terms and their findings; the errors of these are filled in here.
         error_without: nmse by joint of the model without some terms.
-        trifling: says whether a term is, of what is told of it, with its errors with it and without it.
+        negligible: says whether a term is, from its finding, with the errors with it and without it.
 
     Returns:
-        Those that count, their errors beside all others that do, and those that are set apart, the first of them first.
+        Those that count, with errors given all others that count; and those that were removed, in that order.
     """
-    kept, apart, after = list(told), list[tuple[Candidate, Finding]](), error_without([])
+    kept, apart, after = list(found), list[tuple[Candidate, Finding]](), error_without([])
     least = math.fsum(after.values())
     while True:
         gone, may_go = [term for term, _ in apart], dict[int, float]()
@@ -47,7 +47,7 @@ def split_negligible(
                 nmse_after={name: x for name, (_, x) in own.items()},
             )
             kept[k], total = (term, one), math.fsum(before.values())
-            if trifling(term, one) and least >= (1.0 - NO_CHANGE) * total:
+            if negligible(term, one) and least >= (1.0 - NO_CHANGE) * total:
                 may_go[k] = total
         if not may_go:
             return kept, apart
@@ -58,11 +58,11 @@ def split_negligible(
 
 
 def is_negligible(finding: Finding, extended: Extended) -> bool:
-    """Say whether held-out time does not show a finding, or hardly, and it carries next to none of its joint's torque.
+    """Say whether held-out data hardly shows a finding, and the finding carries next to no torque of its joint.
 
-    Other inertial parameters, or other friction, do as well then. One joint that it is shown at is enough, unless all
-    that it acts on together are told worse with it. Of what acts for a time only, or in some recordings, held-out time
-    may have seen nothing; but then it changes nothing there.
+    Other inertial parameters, or other friction, explain the data as well then. It counts if one joint shows it, unless
+    all its joints together are predicted worse with it. Held-out data may hold nothing of what acts for a time, or in
+    some recordings; it changes nothing there then.
     """
     if contradicted(finding) or (finding.share < NO_CHANGE and finding.where.recordings is None):
         return True
@@ -74,5 +74,5 @@ def is_negligible(finding: Finding, extended: Extended) -> bool:
 
 
 def contradicted(finding: Finding) -> bool:
-    """Say whether held-out time is told worse with it, all joints that it acts on together."""
+    """Say whether held-out data is predicted worse with it, all joints that it acts on together."""
     return finding.share_of_all < -NO_CHANGE

@@ -1,6 +1,6 @@
-"""What was looked for and not found: how large it would be beside what was, and how large it could have been unseen.
+"""Detection limits: how large an effect that was not found could be, given the findings.
 
-"Not found" is no proof of absence; a value of 0.02 with a std of 0.05 is one.
+"Not found" alone proves nothing; a value of 0.02 with a std of 0.05 shows that the effect is small.
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ from torchrbd.diagnosis.curves import driven_by
 from torchrbd.diagnosis.explain import places
 from torchrbd.diagnosis.hypotheses import SHARED, Hypothesis, believed, whole
 from torchrbd.diagnosis.residual import is_curve
-from torchrbd.diagnosis.results import Limit
+from torchrbd.diagnosis.results import DetectionLimit
 from torchrbd.diagnosis.terms import Explanation
 
-# A parameter is told by the data, and not by the prior, if the data leave less than this part of the prior's variance.
+# A parameter is identified by the data if its posterior variance is below this part of its prior variance.
 _MOST_OF_PRIOR = 0.25
 _DIGITS = 4
 
 
-def limits(found: Explanation) -> tuple[Limit, ...]:
-    """Return what the data say of each effect at each place that is not in the model, in its best shape.
+def detection_limits(found: Explanation) -> tuple[DetectionLimit, ...]:
+    """Return an estimate for each effect at each place that is not in the model, in its best shape.
 
-    Effects that act for a time only are left out, and what the data do not tell from the prior.
+    Effects that act for a time only are left out, and parameters that the data does not identify.
     """
     absent = [h for h in found.last if h.candidate.site.always and not is_curve(h.candidate)]
-    told = (_limit(found, h) for h in absent)
-    return tuple(sorted(filter(None, told), key=lambda one: (one.joints, one.links, one.effect)))
+    each = (_limit(found, h) for h in absent)
+    return tuple(sorted(filter(None, each), key=lambda one: (one.joints, one.links, one.effect)))
 
 
-def _limit(found: Explanation, h: Hypothesis) -> Limit | None:
+def _limit(found: Explanation, h: Hypothesis) -> DetectionLimit | None:
     """Return the first parameter that moves with the coefficients; its std by the delta method."""
     c, robot = h.candidate, found.rows.columns.robot
     prior = torch.from_numpy(believed(found.fit, found.rows, c)[0])
@@ -52,7 +52,7 @@ def _limit(found: Explanation, h: Hypothesis) -> Limit | None:
             return None
         joints, links = places(robot, c)
         prismatic = c.site.joint is not None and bool(robot.prismatic[c.site.joint])
-        return Limit(
+        return DetectionLimit(
             effect=c.effect.id,
             joints=joints,
             links=links,

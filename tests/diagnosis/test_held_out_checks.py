@@ -9,7 +9,7 @@ import pytest
 import torch
 from inference.problems import columns_of, dense, prior_of, recorded, statistics_of
 
-from torchrbd.diagnosis.proof import confirmed, proofs
+from torchrbd.diagnosis.held_out_checks import held_out_checks, held_out_ratio
 from torchrbd.effects import Site, effect
 from torchrbd.inference.physical.fitting import fit_model
 from torchrbd.inference.results import TorqueSeries
@@ -50,7 +50,9 @@ def test_intervals_hold_the_true_ratio_as_often_as_they_say() -> None:
     rng, held, hit = np.random.default_rng(0), 100, 0
     for seed in range(held):
         before = coloured(rng, 1200, 0.1)
-        (proof,) = proofs(series({"rigid_body": before, "extended": 0.5 * coloured(rng, 1200, 0.1)}), 10.0, seed)
+        (proof,) = held_out_checks(
+            series({"rigid_body": before, "extended": 0.5 * coloured(rng, 1200, 0.1)}), 10.0, seed
+        )
         hit += proof.over["rigid_body"].low <= 0.25 <= proof.over["rigid_body"].high
     assert 0.86 * held <= hit <= held - 1
 
@@ -60,12 +62,12 @@ def test_only_what_is_held_out_counts() -> None:
     before, after, held_out = rng.standard_normal(1000), rng.standard_normal(1000), np.arange(1000) >= 500
     spoilt = np.where(held_out, after, 1e3)
     given = {"urdf": before, "rigid_body": 2 * before, "extended": after}
-    (proof,) = proofs(series({**given, "extended": spoilt}, held_out), 10.0)
-    (same,) = proofs(series(given, held_out), 10.0)
+    (proof,) = held_out_checks(series({**given, "extended": spoilt}, held_out), 10.0)
+    (same,) = held_out_checks(series(given, held_out), 10.0)
     assert proof == same
     assert proof.over["urdf"].value == pytest.approx((after[500:] ** 2).sum() / (before[500:] ** 2).sum())
     assert proof.over["rigid_body"].value == pytest.approx(proof.over["urdf"].value / 4)
-    assert proofs(series(given, np.zeros(1000, dtype=bool)), 10.0) == ()
+    assert held_out_checks(series(given, np.zeros(1000, dtype=bool)), 10.0) == ()
 
 
 @pytest.mark.parametrize("time_s", [0.1, 0.4])
@@ -73,7 +75,7 @@ def test_memory_is_the_integral_of_the_autocorrelation(time_s: float) -> None:
     """Of exp(-t / T) it is 2 T; of white noise one step."""
     rng = np.random.default_rng(2)
     slow, white = coloured(rng, 60_000, time_s), rng.standard_normal(60_000)
-    (proof,) = proofs(series({"rigid_body": slow, "extended": white}), 10.0)
+    (proof,) = held_out_checks(series({"rigid_body": slow, "extended": white}), 10.0)
     assert proof.memory_s["rigid_body"] == pytest.approx(2 * time_s, rel=0.15)
     assert proof.memory_s["extended"] == pytest.approx(STEP_S, rel=0.1)
     assert proof.white_s == 0.05
@@ -94,7 +96,7 @@ def test_what_is_added_is_regressed_on_what_others_leave() -> None:
     without = true + 0.2 * true.abs().max() * torch.from_numpy(rng.standard_normal(columns.n)) * (true != 0)
     for part in (1.0, 0.5):
         x = without + part * (true - without)
-        found = confirmed(statistics, replace(model, x=x), without)
+        found = held_out_ratio(statistics, replace(model, x=x), without)
         assert found is not None
         added, left = (full.A @ (x - without).numpy()).ravel(), (full.tau - full.A @ without.numpy()).ravel()
         weight = np.repeat(1.0 / full.tau.std(1), full.tau.shape[1])
@@ -102,10 +104,10 @@ def test_what_is_added_is_regressed_on_what_others_leave() -> None:
         assert found.value == pytest.approx(slope, rel=1e-6)
         assert found.value == pytest.approx(1.0 / part, rel=0.01)
         assert found.low < found.value < found.high
-    astray = confirmed(statistics, replace(model, x=2.0 * true - without), true, [1])
+    astray = held_out_ratio(statistics, replace(model, x=2.0 * true - without), true, [1])
     assert astray is not None
     assert astray.value == pytest.approx(0.0, abs=0.01)
-    assert confirmed(statistics, replace(model, x=true), true) is None
+    assert held_out_ratio(statistics, replace(model, x=true), true) is None
 
 
 def test_its_interval_holds_one_where_what_was_found_is_right() -> None:
@@ -121,7 +123,7 @@ def test_its_interval_holds_one_where_what_was_found_is_right() -> None:
         statistics = statistics_of(columns, Recording.from_arrays("noisy", recording.joints, t, q, clean + noise))
         fitted = torch.arange(len(statistics)) % 2 == 0
         training, judging = statistics.select(fitted), statistics.select(~fitted)
-        there = confirmed(judging, fit_model(training, prior, [spring]), fit_model(training, prior).x, [1])
+        there = held_out_ratio(judging, fit_model(training, prior, [spring]), fit_model(training, prior).x, [1])
         assert there is not None
         hit += there.low <= 1.0 <= there.high
     assert 0.8 * held <= hit

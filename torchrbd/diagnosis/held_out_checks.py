@@ -18,7 +18,7 @@ from scipy.stats import bootstrap
 from torch import Tensor
 
 from torchrbd.diagnosis.decisions import NO_CHANGE
-from torchrbd.diagnosis.results import Proof, Ratio
+from torchrbd.diagnosis.results import HeldOutCheck, Ratio
 from torchrbd.inference.physical.fitting import FittedModel, nmse_weights
 from torchrbd.inference.results import TorqueSeries
 from torchrbd.likelihood.block_statistics import BlockStatistics
@@ -29,7 +29,7 @@ BLOCK_S, LEAST_BLOCKS, _RESAMPLES, _LONGEST_S = 1.0, 4, 2000, 2.0
 _CERTAIN = 1.96
 
 
-def proofs(series: TorqueSeries, cutoff_hz: float, seed: int = 0) -> tuple[Proof, ...]:
+def held_out_checks(series: TorqueSeries, cutoff_hz: float, seed: int = 0) -> tuple[HeldOutCheck, ...]:
     """Return for each joint with held-out torque what the extended model is worth there.
 
     Args:
@@ -50,11 +50,11 @@ def proofs(series: TorqueSeries, cutoff_hz: float, seed: int = 0) -> tuple[Proof
             continue
         memory = {m: _memory(series, kept, e) for m, e in errors.items()}
         over = {m: over_blocks(sums[EXTENDED], s, seed) for m, s in sums.items() if m != EXTENDED}
-        found.append(Proof(joint, over, memory, 0.5 / cutoff_hz))
+        found.append(HeldOutCheck(joint, over, memory, 0.5 / cutoff_hz))
     return tuple(found)
 
 
-def confirmed(
+def held_out_ratio(
     judging: BlockStatistics, model: FittedModel, without: Tensor, joints: Sequence[int] | None = None
 ) -> Ratio | None:
     """Return the part of the torque that a model adds to another one that held-out blocks show: a calibration slope.
