@@ -1,6 +1,6 @@
-"""C code as a library: built once a machine by its C compiler, kept in a cache folder, loaded once a process.
+"""C code as a library: built once per machine by its C compiler, cached in a folder, loaded once per process.
 
-Where there is no compiler callers do without: all that is compiled is written for torch or numpy as well.
+Without a compiler callers use torch or numpy: all compiled functions exist there too.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ FLAGS = (
 """Tried in this order: some compilers for ARM know only the second."""
 
 SECONDS = 120.0
-"""That a compiler may take before it is given up; a second is usual."""
+"""Longest time for the compiler [s]; one second is usual."""
 
 _LOG = logging.getLogger(__name__)
 INTEGER, NUMBER, ADDRESS = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
-"""What functions are called with."""
+"""Types of the functions' arguments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Source:
     """C code for a library.
 
     Attributes:
-        folder: where it lies.
+        folder: its folder.
         files: the one that is compiled, then those that it includes.
         functions: those that are called, with the types of their arguments; they return an int.
     """
@@ -54,18 +54,18 @@ class Source:
 
 
 def is_watched() -> bool:
-    """Say whether something watches operations to trace them or to differentiate forwards."""
+    """Return whether operations are traced or differentiated in forward mode."""
     stack, tracing = torch._C._len_torch_dispatch_stack(), torch._C._get_tracing_state()
     return bool(stack or tracing) or forward_ad._current_level >= 0
 
 
 def is_transformed() -> bool:
-    """Say whether operations are traced, batched, differentiated forwards or watched: none may write into a tensor."""
+    """Return whether operations are traced, batched or differentiated in forward mode: none may write into a tensor."""
     return torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active() or is_watched()
 
 
 def is_plain(x: Tensor) -> bool:
-    """Say whether a tensor is float64 numbers in memory and nothing else, which compiled code takes as they are."""
+    """Return whether a tensor is plain float64 in CPU memory, which compiled code can use directly."""
     if is_transformed():
         return False
     ordinary = type(x) is Tensor and x.is_cpu and x.dtype is torch.float64 and not x.is_neg()
@@ -74,7 +74,7 @@ def is_plain(x: Tensor) -> bool:
 
 @cache
 def library(source: Source) -> ctypes.CDLL | None:
-    """Return what is compiled of C code, or None where TORCHRBD_KERNELS is 0 or no compiler can build it.
+    """Return the library of C code, or None if TORCHRBD_KERNELS is 0 or no compiler can build it.
 
     Environment:
         TORCHRBD_KERNELS: 0 for torch's own operations everywhere.
@@ -101,10 +101,10 @@ def library(source: Source) -> ctypes.CDLL | None:
 
 
 def _load(compiler: list[str], source: Source) -> ctypes.CDLL:
-    """Load the library from the cache folder; where nothing can be kept there, build it for this process alone.
+    """Load the library from the cache folder; if that is not writable, build it for this process alone.
 
     Raises:
-        OSError, subprocess.SubprocessError: as of `build`.
+        OSError, subprocess.SubprocessError: as for `build`.
     """
     try:
         return ctypes.CDLL(str(build(compiler, source, cache_folder())))
@@ -115,16 +115,16 @@ def _load(compiler: list[str], source: Source) -> ctypes.CDLL:
 
 
 def build(compiler: list[str], source: Source, folder: Path) -> Path:
-    """Return the library in a folder, built if it is not there; processes that build it at once do not meet.
+    """Return the library in a folder, built if it is not there; several processes may build it at once.
 
     Args:
         compiler: command and options.
-        source: what is built.
-        folder: is made if need be.
+        source: the C code.
+        folder: created if needed.
 
     Raises:
         OSError: the folder cannot be written to, or the compiler cannot be run.
-        subprocess.SubprocessError: it fails, or takes too long.
+        subprocess.SubprocessError: the compiler fails, or takes too long.
     """
     name = Path(source.files[0]).stem
     texts = [(source.folder / file).read_bytes() for file in source.files]
@@ -149,7 +149,7 @@ def build(compiler: list[str], source: Source, folder: Path) -> Path:
 
 
 def cache_folder() -> Path:
-    """Return the folder that the library is kept in."""
+    """Return the folder of cached libraries."""
     if chosen := os.environ.get("TORCHRBD_CACHE"):
         return Path(chosen)
     if sys.platform == "darwin":
@@ -168,7 +168,7 @@ def _compiler() -> list[str] | None:
 
 
 def _machine() -> str:
-    """Return a text that differs between processors with different instructions: home folders are shared."""
+    """Return an identifier of the processor's instruction set: machines may share a home folder."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

@@ -1,6 +1,7 @@
-"""When a search is to end before it is done: at a time limit, or because the user asks for it.
+"""Early ends of a search: at a time limit, or because the user asks for it.
 
-Work that has rounds asks ``is_over`` between them, ends with what it has found, and marks it where ``stopped`` says so.
+Work in rounds calls ``is_over`` between them, and ends with its results so far. ``stopped`` then marks the result as
+unfinished.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _ASKED = threading.Event()
 
 @dataclass
 class _Limit:
-    """A limit [s] on work that began at ``start``; ``stopped`` once work was left out for it."""
+    """A limit [s] on work that began at ``start``; ``stopped`` is set once work was omitted because of it."""
 
     seconds: float
     start: float
@@ -57,7 +58,7 @@ def seconds_of(given: Any) -> float | None:
 
 
 def time_limited(work: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """Limit a function to its argument ``time_limit``."""
+    """Apply the argument ``time_limit`` of a function to its work."""
 
     @wraps(work)
     def limited_work(*args: Parameters.args, **options: Parameters.kwargs) -> Result:
@@ -69,7 +70,7 @@ def time_limited(work: Callable[Parameters, Result]) -> Callable[Parameters, Res
 
 @contextmanager
 def limited(seconds: float | None) -> Iterator[None]:
-    """Limit the work inside [s]; without a limit it can still be asked to end."""
+    """Limit the work inside the context [s]; None sets no limit, but the user can still ask for an end."""
     token = _LIMIT.set(_Limit(math.inf if seconds is None else seconds, time.monotonic()))
     try:
         yield
@@ -79,7 +80,7 @@ def limited(seconds: float | None) -> Iterator[None]:
 
 @contextmanager
 def asked() -> Iterator[None]:
-    """Forget at the end that the work was asked to end."""
+    """Clear a request to end when the context ends."""
     try:
         yield
     finally:
@@ -87,12 +88,12 @@ def asked() -> Iterator[None]:
 
 
 def finish_soon() -> None:
-    """Ask the work to end with what it has found; may be called from a signal handler."""
+    """Ask the work to end with its results so far; may be called from a signal handler."""
     _ASKED.set()
 
 
 def is_over() -> bool:
-    """Say whether work is to be left out now; a caller that gets True leaves it out."""
+    """Return whether to omit the remaining work; the caller must omit it if True."""
     limit = _LIMIT.get()
     if limit is None:
         return False
@@ -102,7 +103,7 @@ def is_over() -> bool:
 
 
 def stopped() -> bool:
-    """Say whether anything was left out."""
+    """Return whether any work was omitted."""
     limit = _LIMIT.get()
     return limit is not None and limit.stopped
 

@@ -1,6 +1,6 @@
-"""How objects are shown: in a line or two at a prompt, as a card in a notebook.
+"""Display of objects: one or two lines at a prompt, a card in a notebook.
 
-The rooms that hold results come before the one that has the words of the cards.
+Result packages are imported before the report, which has the words and cards: they are set from outside.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-# Names that a line shows, and letters of one value.
+# Largest number of names in a line, and of letters in one value.
 _MOST_NAMES, _MOST_LETTERS = 5, 60
 
 
@@ -19,7 +19,7 @@ def brief(thing: object, **parts: object) -> str:
 
 
 def few(names: Iterable[str]) -> list[str]:
-    """Return the first names of many, and how many more there are."""
+    """Return the first names of many, and the number of the others."""
     every = list(names)
     more = [f"{len(every) - _MOST_NAMES} more"] if len(every) > _MOST_NAMES else []
     return [*every[:_MOST_NAMES], *more]
@@ -38,7 +38,7 @@ class Displayed:
     """A result that notebooks show as a card.
 
     Class attributes:
-        card: returns the HTML of a result. ``torchrbd/__init__.py``, which knows all rooms, sets it.
+        card: returns the HTML of a result. ``torchrbd/__init__.py`` sets it.
     """
 
     card: ClassVar[Callable[[object], str]]
@@ -48,27 +48,27 @@ class Displayed:
 
 
 class Stated:
-    """A result that a sentence or two can say.
+    """A result that can be stated in a sentence or two.
 
     Class attributes:
-        in_words: returns the sentences of a result. ``torchrbd/__init__.py``, which knows all rooms, sets it.
+        in_words: returns the sentences of a result. ``torchrbd/__init__.py`` sets it.
     """
 
     in_words: ClassVar[Callable[[object], str]]
 
     @property
     def statement(self) -> str:
-        """What the result says, in sentences for a person."""
+        """The result in sentences."""
         return type(self).in_words(self)
 
 
 @dataclass(frozen=True)
 class Remark(Stated):
-    """Something that a user should know of the input or of a result.
+    """A fact about the input or a result that a user should know.
 
     Attributes:
-        kind: which remark; ``report/text/remarks.py`` has its words.
-        values: what it is about: names, numbers in SI units.
+        kind: key of its words in ``report/text/remarks.py``.
+        values: for the words: names, numbers in SI units.
     """
 
     kind: str

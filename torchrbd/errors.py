@@ -1,4 +1,4 @@
-"""Typed exceptions: what was expected, what came, where, and what to do about it."""
+"""Exception classes. Messages say what was expected, what was found, where, and the remedy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 class TorchRBDError(Exception):
-    """Base of everything torchrbd raises on purpose."""
+    """Base class of all exceptions that torchrbd raises on purpose."""
 
 
 class InputError(TorchRBDError, ValueError):
@@ -27,15 +27,15 @@ class OptionError(InputError):
 
 
 class PhysicalError(TorchRBDError, ValueError):
-    """Inertial parameters that no rigid body can have, where a computation needs a physical one."""
+    """Inertial parameters that no rigid body can have, in a computation that needs physical ones."""
 
 
 def closest(name: str, known: Iterable[str]) -> str:
-    """Return "did you mean 'x'?" for the one of those known that is most like a name; empty if none is alike."""
+    """Return "did you mean 'x'?" for the most similar known name; empty if none is similar."""
     alike = difflib.get_close_matches(name, list(known), n=1)
     return f"did you mean '{alike[0]}'?" if alike else ""
 
 
 def reason(error: Exception) -> str:
-    """Return an error in its own words if it was foreseen, else with its type."""
+    """Return the message of an expected error; of any other, its type and message."""
     return str(error) if isinstance(error, TorchRBDError | OSError) else f"{type(error).__name__}: {error}"

@@ -1,4 +1,4 @@
-"""Filters of finite length along the last axis: where they are compiled, the same to rounding."""
+"""Finite filters along the last axis; compiled where possible, with the same results to rounding."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ COMPILED = Source(
     ("filters.c",),
     {"thinned": (*[INTEGER] * 5, *[ADDRESS] * 3), "unpredicted": (*[INTEGER] * 4, *[ADDRESS] * 4)},
 )
-# Rows of a product of matrices whose samples are copied as often as the filter is long.
+# Rows per matrix product; it needs a copy of the samples for each tap of the filter.
 _ROWS_AT_ONCE = 32
 
 
 def thinned(x: Tensor, kernel: Tensor, stride: int, outputs: int) -> Tensor:
-    """Return weighted sums over the samples from each ``stride``-th on, (..., outputs). Differentiable.
+    """Return weighted sums of the samples from each ``stride``-th sample on, (..., outputs). Differentiable.
 
     Args:
         x: (..., N).
         kernel: (taps,) weights of a sample and those after it.
         stride: samples from one sum to the next.
-        outputs: how many sums there are.
+        outputs: number of sums.
     """
     taps, rows = kernel.shape[0], x.reshape(-1, x.shape[-1])
     if is_plain(x) and (compiled := library(COMPILED)) is not None:
@@ -57,15 +57,15 @@ def convolved(x: Tensor, kernels: Tensor) -> Tensor:
 
 
 def unpredicted(x: np.ndarray, predictor: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return what a predictor of samples from those before leaves of some of them, (..., m): x_k - sum_i a_i x_(k-i).
+    """Return the errors of a linear predictor at some samples, (..., m): x_k - sum_i a_i x_(k-i).
 
     Args:
         x: (..., N), zero before the first sample.
-        predictor: a (p,).
+        predictor: a (p,), weights of the p samples before.
         index: (m,) samples.
 
     Raises:
-        MemoryError: there is none.
+        MemoryError: there is not enough memory.
     """
     compiled = library(COMPILED)
     if compiled is None:

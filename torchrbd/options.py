@@ -1,7 +1,8 @@
-"""The options that ``identify``, ``diagnose`` and their like share: names, types, defaults, words and spelling.
+"""The options that ``identify``, ``diagnose`` and similar functions share: names, types, defaults, texts and spelling.
 
-This is the one place where they are named. Signatures, docstrings, the command line, the YAML file of ``--config`` and
-its schema follow from it or are compared with it in a test. It is light: ``torchrbd --help`` imports no torch for it.
+This is the only place that defines them. Signatures, docstrings, the command line, the YAML file of ``--config`` and
+its schema follow from it, or a test compares them with it. It imports little: ``torchrbd --help`` needs no torch for
+it.
 """
 
 from __future__ import annotations
@@ -18,28 +19,28 @@ from torchrbd.errors import OptionError
 from torchrbd.estimators import ESTIMATORS, check_estimators
 
 Names: TypeAlias = Sequence[str] | str
-"""Names, or one alone."""
+"""One or several names."""
 Source: TypeAlias = Any
 """A recording: a file, an opened recording, or data in memory."""
 
-# Position noise outside these limits is none [rad, m]; a band below the last is that of no robot.
+# Limits of plausible position noise [rad, m], and the lowest plausible band limit of a robot [Hz].
 _LEAST_NOISE, _LARGEST_NOISE, _LEAST_CUTOFF_HZ = 1e-15, 1.0, 1e-3
-# More than any robot carries [kg], and farther out [m].
+# Upper limits of a load's mass [kg] and distance [m].
 _HEAVIEST, _FURTHEST = 1e6, 1e3
 
 
 @dataclass(frozen=True)
 class Spelling:
-    """How an option is written on the command line.
+    """Spelling of an option on the command line.
 
     Attributes:
-        group: heading under which ``--help`` lists it.
-        metavar: what it is followed by.
-        kind: of one value.
+        group: heading in ``--help``.
+        metavar: name of its value.
+        kind: type of one value.
         many: whether several values may follow.
-        count: how many values must follow, where that is not one.
-        name: without dashes before it; empty for the field's own, with dashes for underscores.
-        choices: the values that there are; empty where that is open.
+        count: number of values that must follow, if not one.
+        name: without leading dashes; empty for the field's own name, with dashes for underscores.
+        choices: the allowed values; empty if there is no list.
     """
 
     group: str
@@ -169,38 +170,38 @@ class Options:
         return f"{type(self).__name__}({', '.join(f'{f.name}={getattr(self, f.name)!r:.60}' for f in changed)})"
 
     def _encoder_noise(self) -> Mapping[str, float]:
-        """Return the noise by joint; that of all joints under the empty name."""
+        """Return the noise by joint; one value for all joints has an empty name."""
         if self.encoder_noise is None:
             return {}
         return self.encoder_noise if isinstance(self.encoder_noise, Mapping) else {"": self.encoder_noise}
 
 
 def given(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options among the arguments of a function, which hands in its ``locals()``."""
+    """Return the options among the arguments of a function, which passes its ``locals()``."""
     return {name: arguments[name] for name in Options.names() if name in arguments}
 
 
 def spelling(option: Field[Any]) -> Spelling:
-    """Return how an option is written."""
+    """Return the spelling of an option."""
     return option.metadata["spelling"]
 
 
 def spelt(name: str) -> str:
-    """Return an option as the command line and YAML files have it, without dashes before it."""
+    """Return an option's name on the command line and in YAML files, without leading dashes."""
     (option,) = (f for f in fields(Options) if f.name == name)
     return spelling(option).name or name.replace("_", "-")
 
 
 @cache
 def words() -> dict[str, str]:
-    """Return what the docstring says of each option, by name."""
+    """Return the docstring's text for each option, by name."""
     _, _, listed = (Options.__doc__ or "").partition("Attributes:")
     entries = re.findall(r"^ {8}(\w+): (.+(?:\n {12}.+)*)", listed, re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}
 
 
 def plain_words(name: str) -> str:
-    """Return the same for the command line and YAML files: without what is for Python, options as they are written."""
+    """Return the text for the command line and YAML files: without sentences about Python, options as spelt there."""
     sentences = re.split(r"(?<=\.) (?=[A-Z])", words()[name])
     text = " ".join(one for one in sentences if not one.startswith("In Python,"))
     return re.sub(r"``([\w.]+)``", lambda found: _plain(found[1]), text)

@@ -1,10 +1,10 @@
-"""Files that are written whole or not at all, one by one and as a set.
+"""Files that are written completely or not at all, one by one and as a set.
 
-A set is written into a folder of its own inside its folder, which becomes ready by one renaming, and then moved file by
-file; what a killed run had made ready is moved by the next run. Nothing of a set that is not ready replaces anything.
+A set is first written into a folder of its own inside the output folder. One renaming marks it as ready; then its files
+are moved one by one. If a run is killed in between, the next run moves them. A set that is not ready replaces nothing.
 
-Nothing is written, moved or removed through a link, nor outside the folder. The folder itself may be reached through
-links, as the user names it; so may a device such as /dev/stdout.
+Nothing is written, moved or removed through a link, nor outside the folder. The output folder itself may be reached
+through links, as the user names it; so may a device such as /dev/stdout.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ Value = TypeVar("Value")
 _LOCK, _WRITING, _READY = ".torchrbd.lock", ".torchrbd-writing", ".torchrbd-ready"
 # Some network drives have no locks.
 _UNLOCKABLE = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)
-# Room that is kept free for the results while the work is done [bytes]; those of a robot are a few million.
+# Disk space that is reserved for the results during the work [bytes]; the results of a robot take a few million.
 _ROOM, _ROOM_FILE, _PIECE = 32 << 20, "room", bytes(1 << 20)
 
 
 def write_whole(path: str | Path, content: bytes) -> None:
-    """Write a file; if that fails or is cut off, what it held stays. What is no file, such as a pipe, is written to.
+    """Write a file. If that fails or is interrupted, its old content stays. A pipe or the like is written directly.
 
     Raises:
         OptionError: it is a link.
@@ -59,10 +59,10 @@ def write_whole(path: str | Path, content: bytes) -> None:
 
 
 def check_file(path: Path) -> None:
-    """Make the folder of a file, and see that it can be written there, before any work is done.
+    """Create the folder of a file, and check before any work that the file can be written.
 
     Raises:
-        OptionError: it cannot; says why.
+        OptionError: it cannot; the message says why.
     """
     _refuse_link(path)
     try:
@@ -80,10 +80,10 @@ def inside(folder: Path, name: str) -> Path:
 
     Args:
         folder: the output folder.
-        name: one that comes from a file, such as the name of a recording.
+        name: from a file, such as the name of a recording.
 
     Raises:
-        OptionError: no folder inside can have the name, or a link has it already.
+        OptionError: no folder inside can have the name, or a link already has it.
     """
     if name in ("", ".", "..", _LOCK, _WRITING, _READY) or any(mark in name for mark in ("/", "\\", "\0")):
         raise OptionError(f"output '{folder}': no folder inside it can be called {name!r}; rename the recording")
@@ -94,14 +94,15 @@ def inside(folder: Path, name: str) -> Path:
 class OutputFolder:
     """A folder for one set of files, and for one process at a time.
 
-    Entering it finds out, before any work is done, whether it can be written and has room, and keeps that room. Leaving
-    it without having filled it leaves everything as it was.
+    On entry it checks, before any work, that the folder is writable and has enough space, and reserves that space.
+    Without ``fill``, nothing in the folder changes.
 
     Args:
-        folder: made if it is not there.
+        folder: created if it does not exist.
 
     Raises:
-        OptionError: it cannot be written, has no room, or another process is writing into it; says what to do.
+        OptionError: it is not writable, has no space, or another process is writing into it; the message has the
+            remedy.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -142,7 +143,7 @@ class OutputFolder:
                 path.rmdir()
 
     def fill(self, write: Callable[[Path], Value]) -> Value:
-        """Have a set of files written and put it in the place of those of the same names.
+        """Write a set of files, which replace those of the same names.
 
         Args:
             write: writes files, no folders, into the folder that it is given.
@@ -157,15 +158,15 @@ class OutputFolder:
         return value
 
     def _check(self) -> None:
-        """Refuse what others have put where this process's own lock and folders are to be.
+        """Reject files of others at the places of this process's own lock and folders.
 
         Raises:
-            OptionError: it is a link, or something else than torchrbd would make.
+            OptionError: it is a link, or not what torchrbd would make.
         """
         for name, kind in ((_LOCK, stat.S_ISREG), (_WRITING, stat.S_ISDIR), (_READY, stat.S_ISDIR)):
             with suppress(FileNotFoundError):
                 found = (self.folder / name).lstat()
-                # A file with two names is another file's content too.
+                # A file with a second name (hard link) is also another file's content.
                 if not kind(found.st_mode) or _is_link(self.folder / name) or (name == _LOCK and found.st_nlink > 1):
                     what = "is a link" if _is_link(self.folder / name) else "is not from torchrbd"
                     raise OptionError(
@@ -174,10 +175,10 @@ class OutputFolder:
                     )
 
     def _take(self) -> None:
-        """Take the folder's lock, which ends with its process however that ends."""
+        """Take the folder's lock, which is released when the process ends in any way."""
         path = self.folder / _LOCK
         while True:
-            # Not through a link that somebody else has put there.
+            # Do not follow a link that somebody else has put there.
             handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
             lock = os.fdopen(handle, "r+")
             try:
@@ -194,7 +195,7 @@ class OutputFolder:
                     f"output '{self.folder}': another torchrbd{f' (process {owner})' if owner else ''} is writing into "
                     "it; wait until it has ended, or name another folder"
                 ) from None
-            # The owner before may have removed the file that has just been locked.
+            # The previous owner may have removed the file that has just been locked.
             with suppress(OSError):
                 if os.path.samestat(os.fstat(lock.fileno()), path.stat()):
                     break
@@ -206,7 +207,7 @@ class OutputFolder:
         lock.flush()
 
     def _reserve(self) -> None:
-        """Write as much as the results may need."""
+        """Write as many bytes as the results may need."""
         writing = self.folder / _WRITING
         shutil.rmtree(writing, ignore_errors=True)
         writing.mkdir()
@@ -216,7 +217,7 @@ class OutputFolder:
 
 
 def _finish(folder: Path) -> None:
-    """Move what is ready to where it belongs; what lies there, a link too, is replaced and not followed."""
+    """Move the files that are ready to their places; a file or link there is replaced and not followed."""
     ready = folder / _READY
     if ready.is_dir() and not _is_link(ready):
         for path in sorted(ready.iterdir()):
@@ -225,15 +226,15 @@ def _finish(folder: Path) -> None:
 
 
 def _is_link(path: Path) -> bool:
-    # Python 3.12 knows the links of Windows that are folders.
+    # Junctions are Windows links to folders; Python 3.12 and later can detect them.
     return path.is_symlink() or bool(getattr(os.path, "isjunction", lambda _: False)(path))
 
 
 def _refuse_link(path: Path) -> None:
-    """Refuse to write through a link; /dev/stdout is one, to something that is no file.
+    """Raise an error for a link; /dev/stdout is an exception: a link to something that is not a file.
 
     Raises:
-        OptionError: it is one.
+        OptionError: it is a link.
     """
     if _is_link(path) and not (path.absolute().parts[:2] == ("/", "dev") and path.exists() and not path.is_file()):
         raise OptionError(f"output '{path}' is a link to '{os.readlink(path)}'; remove it or name another")

@@ -1,7 +1,7 @@
-"""Work on many tasks on every core: this process works while its helpers start.
+"""Parallel work on many tasks: this process and helper processes, without waiting until those have started.
 
-Helpers are new Pythons that talk through pipes. They are not forked, since torch may hold threads and devices, and do
-not run the caller's script anew, which then needs no ``if __name__ == "__main__"``.
+Helpers are new Python processes that communicate through pipes. They are not forked, since torch may hold threads and
+devices. They do not run the caller's script again, so it needs no ``if __name__ == "__main__"``.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _HELPER = "import sys; sys.path[:] = sys.argv[1:]; from torchrbd.processes impor
 
 @dataclass(frozen=True)
 class Attempt(Generic[Value]):
-    """What came of one task.
+    """The result of one task.
 
     Attributes:
-        value: what the work returned, None if it failed.
-        error: what it raised, without a traceback; None if it succeeded.
-        seconds: that it took.
+        value: the work's return value, None if it failed.
+        error: its exception, without a traceback; None if it succeeded.
+        seconds: time that it took.
     """
 
     value: Value | None
@@ -50,17 +50,17 @@ def side_by_side(
     jobs: int | None = None,
     on_result: Callable[[Attempt[Value]], None] = lambda _: None,
 ) -> list[Attempt[Value]]:
-    """Do the work on each task; an error of one does not stop the others.
+    """Do the work on each task; an error in one does not stop the others.
 
     A helper takes a task when it has started, which takes as long as the imports of ``work``; this process works from
-    the beginning. Tasks and values that cannot be pickled are done here. So is everything, with a warning, if ``work``
-    cannot be pickled.
+    the beginning. Tasks and values that cannot be pickled are processed here. So is everything, with a warning, if
+    ``work`` cannot be pickled.
 
     Args:
         work: done on one task.
-        tasks: any number of them; one alone has no helpers.
-        jobs: processes in all. Default: one for each core that this process may use.
-        on_result: called with each attempt, in this thread, between the tasks that are done here.
+        tasks: any number of them; a single one uses no helpers.
+        jobs: number of processes. Default: one for each core that this process may use.
+        on_result: called with each attempt, in this thread, between the tasks that are processed here.
 
     Returns:
         attempts in the order of the tasks.
@@ -83,13 +83,13 @@ def side_by_side(
 
 
 def help_parent() -> None:
-    """Work for the process that started this one as long as it asks: what a helper runs.
+    """Work for the parent process as long as it asks: the main function of a helper.
 
-    The first message is the work, and its answer what is wrong with it, empty if nothing is; the others are tasks, and
-    their answers attempts, empty for what cannot be pickled.
+    The first message is the work; its answer is an error message, empty if there is none. The other messages are tasks;
+    their answers are attempts, empty if they cannot be pickled.
     """
     asked, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    # What is printed would stand between the answers.
+    # Printed text would mix with the answers.
     os.dup2(2, 1)
     with suppress(EOFError, BrokenPipeError):
         message, problem, work = _receive(asked), "", None
@@ -108,7 +108,7 @@ def help_parent() -> None:
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -121,7 +121,7 @@ def _processes(jobs: int | None) -> int:
 
 
 def _next(waiting: deque[Any], done: SimpleQueue[Any]) -> tuple[int, Attempt[Any] | None]:
-    """Return what helpers have done, else a task to do here, else what they are still doing."""
+    """Return a result of the helpers, else a task to do here, else wait for a result."""
     if done.empty():
         with suppress(IndexError):
             return waiting.popleft()[0], None
@@ -132,9 +132,9 @@ def _next(waiting: deque[Any], done: SimpleQueue[Any]) -> tuple[int, Attempt[Any
 def _helpers(
     work: Callable[..., Any], count: int, waiting: deque[Any], done: SimpleQueue[Any], problems: list[str]
 ) -> Iterator[None]:
-    """Start helpers, each with a thread that hands it what is waiting; end them all."""
+    """Start helpers, each with a thread that hands it waiting tasks; end them all afterwards."""
     message = b""
-    # The executable of a frozen program is not Python but the program.
+    # The executable of a frozen program is the program itself, not Python.
     if count < 1 or getattr(sys, "frozen", False):
         count = 0
     else:
@@ -162,7 +162,7 @@ def _helpers(
 
 
 def _start() -> subprocess.Popen[bytes]:
-    """Start a helper that finds the same modules; Ctrl-C is answered by this process alone."""
+    """Start a helper with the same module path; only this process handles Ctrl-C."""
     return subprocess.Popen(
         [sys.executable, "-c", _HELPER, *sys.path],
         stdin=subprocess.PIPE,
@@ -175,7 +175,7 @@ def _start() -> subprocess.Popen[bytes]:
 def _hand_over(
     process: subprocess.Popen[bytes], work: bytes, waiting: deque[Any], done: SimpleQueue[Any], problems: list[str]
 ) -> None:
-    """Give a helper one task after another as long as there are some and it lives."""
+    """Give a helper one task after another as long as there are tasks and it is alive."""
     asked, answers = process.stdin, process.stdout
     assert asked is not None
     assert answers is not None
@@ -194,7 +194,7 @@ def _hand_over(
 
 
 def _asked(process: subprocess.Popen[bytes], asked: IO[bytes], answers: IO[bytes], task: Any) -> Attempt[Any] | None:
-    """Return what a helper makes of a task; None for what cannot be pickled."""
+    """Return a helper's attempt at a task; None if it cannot be pickled."""
     start = time.perf_counter()
     try:
         _send(asked, pickle.dumps(task))
@@ -208,7 +208,7 @@ def _asked(process: subprocess.Popen[bytes], asked: IO[bytes], answers: IO[bytes
 
 
 def _send(pipe: IO[bytes], message: bytes) -> None:
-    # Bytes in a pickle are read as a whole, whatever they hold.
+    # A bytes object in a pickle is read as a whole, for any content.
     pickle.dump(message, pipe)
     pipe.flush()
 
@@ -218,7 +218,7 @@ def _receive(pipe: IO[bytes]) -> bytes:
 
 
 def attempted(work: Callable[[Task], Value], task: Task) -> Attempt[Value]:
-    """Do the work on one task, and return what came of it, an error too."""
+    """Do the work on one task, and return the attempt; an error is part of it."""
     start, value, error = time.perf_counter(), None, None
     try:
         value = work(task)
@@ -228,7 +228,7 @@ def attempted(work: Callable[[Task], Value], task: Task) -> Attempt[Value]:
 
 
 def _portable(error: Exception) -> Exception:
-    """Return an error as another process would hand it over: its traceback, which holds what was in memory, is gone."""
+    """Return an error as another process would send it: without traceback, which refers to large objects."""
     try:
         return pickle.loads(pickle.dumps(error))
     except Exception:

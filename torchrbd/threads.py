@@ -1,4 +1,4 @@
-"""One thread while small matrices are worked on: more threads wait for each other longer than they compute."""
+"""One thread for small matrices: with more, threads spend longer waiting for each other than computing."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from threadpoolctl import threadpool_limits
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Compute on one thread in torch, BLAS and OpenMP, as a context or a decorator; restore their numbers afterwards.
+    """Compute on one thread in torch, BLAS and OpenMP, as a context or a decorator; restore their settings afterwards.
 
-    The matrices of a robot are so small that a second thread gains nothing, and on busy cores OpenMP's threads spin
-    until the others have had their turn.
+    A robot's matrices are so small that a second thread gains nothing. On busy cores OpenMP's threads even spin until
+    the others have had their turn.
 
-    Where several threads of a program are inside at once, what is shared by all of them (BLAS) is as the last one met
-    it. A program that wants several jobs at once is faster with processes.
+    If several threads of a program are inside at once, the shared setting (BLAS) is the one that the last found. For
+    several jobs at once, processes are faster.
     """
-    # What torch has must be read before the libraries under it are limited.
+    # Read torch's setting before the libraries below it are limited.
     before = torch.get_num_threads()
     with threadpool_limits(1):
         torch.set_num_threads(1)

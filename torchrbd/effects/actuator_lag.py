@@ -47,7 +47,9 @@ class ActuatorLag(Effect):
     sees_friction = True
     shifts_clocks = True
     of_the_data = ("bandwidth",)
-    prior = CoefficientPrior("An actuator follows, within hundredths of a second.", positive=(0,), std=(0.05,))
+    prior = CoefficientPrior(
+        "An actuator follows its command within hundredths of a second.", positive=(0,), std=(0.05,)
+    )
     export_note = "of the actuator of one joint or, for the whole robot, of all"
     _LONGEST_S = 0.2
 

@@ -52,7 +52,7 @@ class CoulombFriction(JointEffect):
 class AsymmetricCoulombFriction(JointEffect):
     """tau += c_plus for qd > 0, -c_minus for qd < 0, both >= 0.
 
-    Half of their sum resists motion; half of their difference pushes in one direction. The part that resists shares its
+    Half of their sum resists motion; half of their difference is a constant torque. The part that resists shares its
     column with every other friction that contains Coulomb friction.
     """
 

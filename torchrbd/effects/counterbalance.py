@@ -47,9 +47,7 @@ class Counterbalance(JointEffect):
     }
     drawn_over = "q"
     prior = CoefficientPrior("The spring's stiffness is not negative; its preload may push or pull.", positive=(0,))
-    export_note = (
-        "a spatial tendon between a site on the crank and one at the cylinder's foot; motion does not identify where"
-    )
+    export_note = "a spatial tendon from the crank to the cylinder's foot; motion does not identify where these are"
     # Centres are closer together within the range of motion: the nearer the crank ratio is to one, the sharper the bend
     # there.
     _CRANK_RATIOS, _STEP, _INSIDE = (0.45, 0.75), 0.4, 0.5

@@ -37,7 +37,7 @@ class EncoderOffset(Effect):
     whole_robot = True
     uses_load = True
     follows = ("about",)
-    prior = CoefficientPrior("Joints are zeroed to some hundredths of a rad or m.", std=(0.05,))
+    prior = CoefficientPrior("Joint zeros are right to some hundredths of a rad or m.", std=(0.05,))
     _LARGEST = 0.2
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:

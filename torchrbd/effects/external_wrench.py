@@ -35,7 +35,7 @@ class ExternalWrench(Effect):
         "Forces act some decimetres from a link's origin.", std=(1.0, 1.0, 1.0, 0.3, 0.3, 0.3), of_any_size=True
     )
     whole_robot = True
-    export_note = "a force is no part of a model: MuJoCo takes it as xfrc_applied, at the body's centre of mass"
+    export_note = "a force is not part of a model: apply it in MuJoCo as xfrc_applied, at the body's centre of mass"
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         return in_windows(moved(self, robot, tuple(Site(body=body) for body in range(robot.n_bodies))), windows)

@@ -25,12 +25,12 @@ from torchrbd.robot import RobotModel, with_moved_origins
 class GeometryError(Effect):
     """tau += sum_k e_k d tau_rigid / d e_k: the joint's origin is shifted by (x, y, z) and turned by (rx, ry, rz).
 
-    All are in the parent link's axes, as in URDF's <origin>. Derivatives are taken halfway to ``about``, a shape
-    parameter that is computed from e; the term is then exact to second order. For a small error ``about`` is zero.
+    All are in the parent link's axes, as in URDF's <origin>. The derivatives are taken at half the error, so the term
+    is exact to second order. The shape parameters ``about`` hold that error; for a small one they are zero.
 
-    Two errors are other effects: turning a joint about its own axis is an encoder offset, and turning a joint that is
-    fixed to the base is a tilted base. Shifting a joint along its axis is the same as shifting the next joint. Shifting
-    a joint that is fixed to the base changes no torque. Joints that are fixed to the base are therefore no sites.
+    Three cases are other effects or no effect. Turning a joint about its own axis is an encoder offset. Turning the
+    first joint, on the base, is a tilted base; shifting it changes no torque. Shifting a joint along its axis is the
+    same as shifting the next joint. Joints on the base are therefore not searched.
     """
 
     id = "geometry_error"

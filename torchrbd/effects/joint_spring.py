@@ -29,8 +29,8 @@ class JointSpring(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
     comes_and_goes = True
     drawn_over = "q"
-    prior = CoefficientPrior("A spring pushes back, and rests within ten ranges.", positive=(0,))
-    export_note = "springs of one joint have one springref: it is that of their sum"
+    prior = CoefficientPrior("A spring pushes back; its rest position is within ten ranges of motion.", positive=(0,))
+    export_note = "the springs of a joint are added: springref is the rest position of their sum"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"q": state.q, "1": torch.ones_like(state.q)}

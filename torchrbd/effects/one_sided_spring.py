@@ -14,7 +14,10 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class OneSidedSpring(JointEffect):
-    """tau += k max(0, q - q_0) for side > 0, -k max(0, q_0 - q) for side < 0, with k >= 0: it always pushes back."""
+    """tau += k max(0, q - q_0) for side > 0, -k max(0, q_0 - q) for side < 0, with k >= 0: it always pushes back.
+
+    k is the stiffness, q_0 the position of first contact.
+    """
 
     id = "one_sided_spring"
     family = "spring"

@@ -20,9 +20,9 @@ from torchrbd.robot import PARAMETERS, RobotModel
 class Payload(Effect):
     """tau += Y_link(q, qd, qdd) pi during a window of time; Y_link is the link's regressor, pi the load's parameters.
 
-    pi holds mass m, first moment m c with the centre c in the link's frame, and the inertia about the link's origin.
-    The inertia matters: without it, a point mass 13 cm from the origin leaves 2 to 20 % of its torque, and its centre
-    is off by 3 to 9 %.
+    pi holds the mass m, the first moment m c, and the inertia about the link's origin; c is the centre of mass in the
+    link's frame. The inertia matters. Without it, a point mass 13 cm from the origin leaves 2 to 20 % of its torque
+    unexplained, and the estimate of its centre is off by 3 to 9 %.
 
     A load that is always there is part of the link; so every site has a window. Where few joints move a link, some of
     the ten parameters change no torque and are not identifiable.
@@ -49,7 +49,7 @@ class Payload(Effect):
         of_any_size=True,
     )
     export_note = (
-        "the inertial of a body without joints that is added to the link; MJCF has no word for a part of the time"
+        "the inertial of a body without joints that is added to the link; MJCF cannot limit it to a window of time"
     )
     _FURTHEST_M = 1.0
 

@@ -26,8 +26,8 @@ def moved(effect: Effect, robot: RobotModel, sites: tuple[Site, ...]) -> tuple[S
 def telling(effect: Effect, robot: RobotModel, sites: tuple[Site, ...]) -> tuple[Site, ...]:
     """Return the sites at which all coefficients are identifiable from some motion.
 
-    Not so are a mass on the axis of the first joint, a moment that no joint takes, or the zero of a joint that gravity
-    does not load. The test is the rank of the features at random states.
+    Counter-examples are a mass on the axis of the first joint, a moment that no joint takes, and the zero of a joint
+    without gravity load. The test is the rank of the features at random states.
     """
     return tuple(site for site in sites if _has_full_rank(_features(effect, robot, site)))
 

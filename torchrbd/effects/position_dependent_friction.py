@@ -17,7 +17,10 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class PositionDependentFriction(JointEffect):
-    """tau += (c + (c_0 - c) exp(-((q - q_0) / w)^2)) sign(qd): c_0 at the centre q_0, c far from it, both >= 0."""
+    """tau += (c + (c_0 - c) exp(-((q - q_0) / w)^2)) sign(qd), with c_0 >= 0 and c >= 0.
+
+    Friction is c_0 at the centre q_0 and c far from it; w is the width of the region.
+    """
 
     id = "position_dependent_friction"
     family = "friction"
@@ -36,7 +39,7 @@ class PositionDependentFriction(JointEffect):
     prior = CoefficientPrior("It resists motion; the region may be sticky or worn smooth.", positive=(0,))
     export_note = "frictionloss is that outside of the region; MJCF has no friction that depends on position"
     exported_in_part = True
-    urdf_note = "friction is that outside of the region; what is else in it is left out"
+    urdf_note = "friction is that outside of the region; the difference inside is left out"
     # Widths as fractions of the range (wider ones are a curvature over all of it); steps of the centre in widths.
     _WIDTHS, _STEP = (0.08, 0.18, 0.4), 0.7
 

@@ -47,9 +47,7 @@ class PreslidingHysteresis(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "distance": "{q}"}
     has_memory = True
     prior = RESISTS
-    export_note = (
-        "<dcmotor> needs its other constants too; frictionloss of the same size is without the lag at reversals"
-    )
+    export_note = "<dcmotor> needs other constants too; frictionloss of the same size lacks the lag at reversals"
     exported_in_part = True
     urdf_note = "friction is that of sliding; how it builds up after a reversal is left out"
     # Fractions of the range of motion. Shorter ones are Coulomb friction; longer ones a spring that hardly slides.

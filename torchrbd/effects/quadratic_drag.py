@@ -25,7 +25,7 @@ class QuadraticDrag(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"drag": "{tau} s^2/{q}^2"}
     dissipative = True
     prior = RESISTS
-    export_note = "damping as a polynomial of speed needs a MuJoCo that reads three numbers there"
+    export_note = "damping as a polynomial of speed needs a MuJoCo version that reads three numbers there"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         return {"qd |qd|": state.qd * state.qd.abs()}

@@ -88,7 +88,7 @@ def requested_sites(
     """Return the sites of requested effects by the effects' ids, and all windows of time among them.
 
     Args:
-        told: the effects.
+        requested: the effects.
         robot: the robot.
         recordings: their names.
 

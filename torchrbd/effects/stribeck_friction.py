@@ -19,7 +19,10 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class StribeckFriction(JointEffect):
-    """tau += sign(qd) (c + (s - c) exp(-(qd / v_s)^2)) with static friction s >= Coulomb friction c >= 0."""
+    """tau += sign(qd) (c + (s - c) exp(-(qd / v_s)^2)) with static friction s >= Coulomb friction c >= 0.
+
+    v_s is the Stribeck speed: at a few times this speed, friction is close to c.
+    """
 
     id = "stribeck_friction"
     family = "friction"
@@ -31,9 +34,9 @@ class StribeckFriction(JointEffect):
     comes_and_goes = True
     dissipative = True
     prior = CoefficientPrior("It resists motion, and more at rest than in motion.", positive=(0, 1))
-    export_note = "frictionloss is friction in motion; what it is more at rest, only <dcmotor lugre> has a word for"
+    export_note = "frictionloss is friction in motion; the additional friction at rest needs <dcmotor lugre>"
     exported_in_part = True
-    urdf_note = "friction is that in fast motion; what it is more at low speed is left out"
+    urdf_note = "friction is that in fast motion; the additional friction at low speed is left out"
     # Slower ones are hidden by the softened sign; faster ones are a curvature of the whole range.
     _SLOWEST_IN_REST_WIDTHS, _FASTEST_IN_SPEED_RANGE, _GRID_POINTS = 4.0, 0.4, 6
 

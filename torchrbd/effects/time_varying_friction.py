@@ -18,7 +18,10 @@ from torchrbd.effects.signals import JointScale, JointState
 
 
 class TimeVaryingFriction(JointEffect):
-    """tau += (c_end + (c_start - c_end) exp(-t/T)) sign(qd) with c_end, c_start >= 0; t from the recording's start."""
+    """tau += (c_end + (c_start - c_end) exp(-t/T)) sign(qd), with c_end >= 0 and c_start >= 0.
+
+    t is the time from the recording's start, T the time constant.
+    """
 
     id = "time_varying_friction"
     family = "friction"
@@ -36,9 +39,9 @@ class TimeVaryingFriction(JointEffect):
     dissipative = True
     drawn_over = "t"
     prior = CoefficientPrior("It resists motion; with time it may rise or fall.", positive=(0,))
-    export_note = "frictionloss is what friction settles to; MJCF has no word for time"
+    export_note = "frictionloss is the value that friction settles to; MJCF has no friction that changes with time"
     exported_in_part = True
-    urdf_note = "friction is what it settles to; its change with time is left out"
+    urdf_note = "friction is the value that it settles to; its change with time is left out"
     # Fractions of the longest recording: from a grease film that settles to a joint that warms up. Slower ones are
     # straight lines in time and look alike.
     _FASTEST, _SLOWEST, _GRID_POINTS, _PLAUSIBLE = 0.03, 1.0, 4, 10.0

@@ -41,7 +41,7 @@ class TorqueDeadZone(JointEffect):
     sees_friction = True
     of_the_data = ("indistinct",)
     drawn_over = "load"
-    prior = CoefficientPrior("A drive gives less than is asked, not more.", positive=(0,))
+    prior = CoefficientPrior("A drive gives less torque than its command, not more.", positive=(0,))
     export_note = "MJCF has no dead zone of an actuator: add half_width times the sign of each command to it"
     # As fractions of the largest load.
     _LEAST, _MOST, _GRID_POINTS = 0.002, 0.064, 6

@@ -28,7 +28,7 @@ class TorqueOffset(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}
     comes_and_goes = True
     drawn_over = "q"
-    prior = CoefficientPrior("A sensor's zero is off by a tenth of the joint's torque or so.", torque_part=0.1)
+    prior = CoefficientPrior("A sensor's zero is off by about a tenth of the joint's torque.", torque_part=0.1)
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         """Return every joint, always or in windows of time: brakes drag, cables pull, sensors are calibrated again."""

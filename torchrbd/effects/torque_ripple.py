@@ -33,7 +33,7 @@ class TorqueRipple(JointEffect):
     shown_by = "A slow constant speed over several periods: torque repeats with the angle."
     units: ClassVar[Mapping[str, str]] = {"amplitude": "{tau}", "phase": "rad", "order": "1/{q}"}
     drawn_over = "q"
-    export_note = "<dcmotor> needs its other constants too"
+    export_note = "<dcmotor> needs other constants too"
     # Integer orders, or steps of half a cycle over the range if that is coarser: closer orders look alike. Above them
     # only the orders of harmonic drives: faster ripple is mostly outside of the torque's band.
     _LARGEST_ORDER, _GEAR_ORDERS = 120.0, (160.0, 200.0)

@@ -33,7 +33,7 @@ class TorqueScale(JointEffect):
     uses_load = True
     drawn_over = "load"
     prior = CoefficientPrior("Sensors and torque constants are right to some tenths.", std=(0.3,))
-    export_note = "friction was recorded with the same gain: divide the joint's by it"
+    export_note = "friction was recorded with the same gain: divide the joint's friction by it"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         assert state.load is not None

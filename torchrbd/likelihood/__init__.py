@@ -1,1 +1,1 @@
-"""One Gaussian likelihood of torques: what every machine has, noise, prior, and the evidence of anything more."""
+"""A Gaussian likelihood of torques: baseline model, noise, prior, and the log evidence of additional terms."""

@@ -1,4 +1,4 @@
-"""Up to which frequency rows are compared."""
+"""The frequency band in which torques are compared."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from torchrbd.recordings import Survey
 
-# Of the clock's rate, so that its filters have room; above, arms hardly move and bend instead.
+# Band as a fraction of the clock's rate, so that the filters fit; upper limit: above it, arms bend rather than move.
 _SHARE, _HIGHEST_HZ = 0.12, 30.0
 
 
 def band_hz(surveys: Sequence[Survey]) -> float:
     """Return the band [Hz] of a data set: as wide as its slowest clock allows.
 
-    Rows are whitened and the states hold no more than is motion, so that frequencies that tell nothing cost nothing;
-    reversals of friction, which tell it from everything else, need a wide band.
+    Rows are whitened, and the states hold only what is motion, so frequencies without information cost nothing. A wide
+    band is needed for reversals, which identify friction.
     """
     return min(_HIGHEST_HZ, *(_SHARE * s.rate_hz for s in surveys))

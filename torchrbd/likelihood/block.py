@@ -12,24 +12,24 @@ from torchrbd.likelihood.brief import Brief
 
 
 def along(z: np.ndarray, lasting: np.ndarray, brief: Brief | None) -> np.ndarray:
-    """Return z X of coefficients z (..., P) and columns X (P, m), the last of which are brief, if any."""
+    """Return z X for coefficients z (..., P) and columns X (P, m); the last columns are sparse (``brief``), if any."""
     if brief is None:
         return z @ lasting
     return z[..., : len(lasting)] @ lasting + z[..., len(lasting) :] @ brief.x
 
 
 def dense(size: np.ndarray | float, lasting: np.ndarray, brief: Brief | None) -> np.ndarray:
-    """Return these columns and brief ones as one matrix, (P, m), each times its size (P,)."""
+    """Return lasting and sparse columns as one matrix, (P, m), each times its size (P,)."""
     whole = lasting if brief is None else np.concatenate((lasting, brief.dense))
     return (whole.T * size).T
 
 
 @dataclass(frozen=True)
 class Block:
-    """Whitened rows of one joint: X (P_j, m), y (m,), and which coefficients ``own`` (P_j,) its columns are.
+    """Whitened rows of one joint: X (P_j, m), y (m,), and the coefficients ``own`` (P_j,) of its columns.
 
-    They are multiples ``size`` (P_j,) of columns that others may have too, ``lasting`` (L, m) and then ``brief`` ones
-    (S, m), if there are any. The last ones may be those of another block, ``bare``, but for their sizes.
+    Columns are multiples ``size`` (P_j,) of base columns that several blocks may share: ``lasting`` (L, m), then sparse
+    ``brief`` ones (S, m), if any. The last ones may be those of another block, ``bare``, with other sizes.
     """
 
     lasting: np.ndarray
@@ -42,7 +42,7 @@ class Block:
 
     @property
     def X(self) -> np.ndarray:
-        """All rows, (P_j, m), made anew."""
+        """All rows, (P_j, m), computed anew."""
         return dense(self.size, self.lasting, self.brief)
 
     @cached_property
@@ -53,7 +53,7 @@ class Block:
 
     @property
     def _products(self) -> np.ndarray:
-        """Products of the columns whose multiples these are, (P_j, P_j)."""
+        """Products of the base columns, (P_j, P_j)."""
         if not self._gram:
             self._gram.append(self._multiplied())
         return self._gram[0]
@@ -76,13 +76,13 @@ class Block:
         return (found.T * self.size).T
 
     def times(self, C: np.ndarray) -> np.ndarray:
-        """Return X C of C (m, ...)."""
+        """Return X C for C (m, ...)."""
         found = self.lasting @ C
         found = found if self.brief is None else np.concatenate((found, self.brief.times(C)))
         return (found.T * self.size).T
 
     def in_parts(self, C: np.ndarray, edges: np.ndarray) -> np.ndarray:
-        """Return X C' of C (K, m) for each part of the rows between ascending edges (B + 1,), (B, P_j, K)."""
+        """Return X C' for C (K, m) in each part of the rows between ascending edges (B + 1,), (B, P_j, K)."""
         found, first = np.zeros((len(edges) - 1, len(self.own), len(C))), len(self.lasting)
         for k, (begin, end) in enumerate(pairwise(edges)):
             np.matmul(self.lasting[:, begin:end], C[:, begin:end].T, out=found[k, :first])
@@ -92,11 +92,11 @@ class Block:
         return found
 
     def explained(self, z: np.ndarray) -> np.ndarray:
-        """Return z X of coefficients z (..., P_j), (..., m)."""
+        """Return z X for coefficients z (..., P_j), (..., m)."""
         return along(z * self.size, self.lasting, self.brief)
 
     def some(self, kept: np.ndarray, own: np.ndarray) -> Block:
-        """Return some of the columns, kept (P_j,) bool, under other numbers ``own`` of all (P_j,)."""
+        """Return some of the columns, kept (P_j,) bool, renumbered by ``own`` of all (P_j,)."""
         if kept.all():
             return replace(self, own=own)
         first, size = len(self.lasting), np.broadcast_to(self.size, len(kept))[kept]
@@ -104,11 +104,11 @@ class Block:
         return Block(self.lasting[kept[:first]], self.y, own[kept], brief, size)
 
     def sized(self, by: np.ndarray | float) -> Block:
-        """Return the same rows whose columns are so many times as large, (P_j,)."""
+        """Return the same rows with their columns multiplied by (P_j,)."""
         return replace(self, size=self.size * by)
 
     def louder(self, part: float) -> Block:
-        """Return the same rows, their noise so many times as large."""
+        """Return the same rows with their noise multiplied by ``part``."""
         if part == 1.0:
             return self
         bare = None if self.bare is None else self.bare.louder(part)
@@ -116,7 +116,7 @@ class Block:
 
 
 def _bordered(first: np.ndarray, cross: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Return the matrix of blocks [first cross'; cross last]."""
+    """Return the block matrix [first cross'; cross last]."""
     k = len(first)
     found = np.empty((k + len(last),) * 2)
     found[:k, :k], found[k:, k:] = first, last

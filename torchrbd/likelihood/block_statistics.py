@@ -1,10 +1,10 @@
-"""Block statistics: second moments per joint and time block, all that fitting and comparing models needs.
+"""Block statistics: second moments per joint and block of time, sufficient to fit and compare models.
 
     A_jb = sum over the samples of block b of  a a',   a = [Y_j, phi_j, tau_j]
 
-One pass over the recordings builds them; afterwards nothing costs more than O(P^3), whatever their length. Blocks
-add, and leaving blocks out is subtraction. Samples are weighed so that ``counts`` are *independent* samples: torque
-band-limited at f_c has 2 f_c of them a second, however densely it is written. Where a joint may stick they count less
+One pass over the recordings builds them; afterwards nothing costs more than O(P^3), for any length. Blocks add, and
+leaving blocks out is subtraction. Weights make ``counts`` the number of *independent* samples: a torque with band limit
+f_c has 2 f_c of them per second, for any sampling rate. Samples in which a joint may stick have smaller weights
 (``sticking.py``).
 """
 
@@ -21,13 +21,13 @@ from torch import Tensor
 from torchrbd.likelihood.columns import Columns
 from torchrbd.recordings import States
 
-# Blocks of a recording for which there is room at first.
+# Number of blocks per recording for which memory is first allocated.
 _FIRST_BLOCKS = 64
 
 
 @dataclass(frozen=True)
 class Block:
-    """A stretch of one recording, in seconds from its start."""
+    """A window of time in one recording, in seconds from its start."""
 
     recording: str
     start_s: float
@@ -40,10 +40,10 @@ class BlockStatistics:
 
     Attributes:
         columns: which columns of x each joint has.
-        blocks: (B,) where each block sits.
-        moments: per joint (B, p_j + 1, p_j + 1); the last row and column belong to the torque.
+        blocks: (B,) recording and time of each block.
+        moments: per joint (B, p_j + 1, p_j + 1); the last row and column are the torque.
         torque: (B, n_dof, 3): weight (independent samples), sum and sum of squares of the measured torque; zero where
-            unmeasured.
+            not measured.
     """
 
     columns: Columns
@@ -74,18 +74,18 @@ class BlockStatistics:
         )
 
     def together(self, keep: Tensor) -> BlockStatistics:
-        """Return the blocks that ``keep`` (bool, (B,)) marks as one: all that a fit needs, but for its scatter."""
+        """Return the blocks that ``keep`` (bool, (B,)) marks as one, which suffices for a fit without its scatter."""
         first = [block for block, kept in zip(self.blocks, keep.tolist(), strict=True) if kept][:1]
         part = keep.to(self.torque)
         torque, *moments = (torch.tensordot(part, x, 1).unsqueeze(0) for x in (self.torque, *self.moments))
         return replace(self, blocks=tuple(first), moments=tuple(moments), torque=torque)
 
     def total(self) -> list[Tensor]:
-        """Return per joint the moments of all blocks together, (p_j + 1, p_j + 1)."""
+        """Return per joint the sum of the moments of all blocks, (p_j + 1, p_j + 1)."""
         return [m.sum(0) for m in self.moments]
 
     def coarsened(self, limit: int) -> BlockStatistics:
-        """Merge neighbours of the same recording until at most ``limit`` blocks are left (or one a recording)."""
+        """Merge neighbours of the same recording until at most ``limit`` blocks remain (or one per recording)."""
         times = halvings(self.blocks, limit)
         if not times:
             return self
@@ -101,7 +101,7 @@ class BlockStatistics:
         return torch.stack(errors, -1).clamp_min(0.0)
 
     def added(self, x: Tensor, without: Tensor) -> tuple[Tensor, Tensor]:
-        """Return what coefficients x (n,) add to the torque of others (n,), times what these leave, and its square.
+        """Return products of the torque of x (n,) with the residual of ``without`` (n,), and with itself.
 
         Returns:
             weighted sums, (B, n_dof) each, [(N m)^2] or [N^2].
@@ -114,7 +114,7 @@ class BlockStatistics:
         return torch.stack(left, -1), torch.stack(square, -1)
 
     def scores(self, x: Tensor, weights: Tensor) -> Tensor:
-        """Return sum_j w_j A_jb (tau - x), the pull of each block at coefficients x (n,), (B, n)."""
+        """Return sum_j w_j A_jb (tau - x), the score of each block at coefficients x (n,), (B, n)."""
         found = torch.zeros(len(self), self.columns.n, dtype=torch.float64)
         for own, moments, weight in zip(self.columns.of_joint, self.moments, weights.tolist(), strict=True):
             found[:, own] += weight * (moments @ torch.cat((-x[own], x.new_ones(1))))[:, :-1]
@@ -128,9 +128,9 @@ class BlockStatistics:
 
 
 def nearest_block(blocks: Sequence[Block], recording: str, t: Tensor) -> Tensor:
-    """Return which of a recording's blocks is nearest to each time (N,), its number among all; -1 if it has none.
+    """Return the index of the recording's block that is nearest to each time (N,); -1 if it has none.
 
-    Between blocks and beyond them another filter than that of the blocks may have outputs.
+    Another filter may have outputs between the blocks and beyond them.
     """
     own = sorted((block.start_s, block.end_s, k) for k, block in enumerate(blocks) if block.recording == recording)
     if not own:
@@ -157,7 +157,7 @@ def assemble(columns: Columns, totals: Sequence[Tensor], weights: Tensor) -> tup
 
 
 def halvings(blocks: Sequence[Block], limit: int) -> int:
-    """Return how often neighbours are to be merged until at most ``limit`` blocks are left, or one a recording."""
+    """Return how often to merge pairs of neighbours until at most ``limit`` blocks remain, or one per recording."""
     counts = list(Counter(block.recording for block in blocks).values())
     times = 0
     while sum(counts) > limit and max(counts) > 1:
@@ -166,7 +166,7 @@ def halvings(blocks: Sequence[Block], limit: int) -> int:
 
 
 def halved(blocks: Sequence[Block], sums: Sequence[Tensor], times: int) -> tuple[tuple[Block, ...], tuple[Tensor, ...]]:
-    """Merge neighbours of the same recording two by two, so many times, and add what belongs to them, (B, ...) each."""
+    """Merge pairs of neighbours of the same recording, ``times`` times, and add their sums, (B, ...) each."""
     for _ in range(times):
         blocks, sums = _halved(blocks, sums)
     return tuple(blocks), tuple(sums)
@@ -203,12 +203,12 @@ def block_statistics(
         tiles: states, tile by tile.
         measured: (n_dof,) bool, the joints whose torque counts.
         block_s: length of a block, [s].
-        independent_rate_hz: independent samples a second, 2 f_c.
+        independent_rate_hz: independent samples per second, 2 f_c.
     """
-    # Blocks as they are found, with room for more: large moments are written once, where they stay.
+    # Blocks in order of appearance, with memory for more: large moments are written once, in place.
     found, places = list[Block](), dict[tuple[int, int], int]()
     sizes = [len(own) + 1 for own in columns.of_joint]
-    # Numpy's zeros take no memory until something is added to them.
+    # Numpy's zeros take no memory until they are written.
     moments = [torch.from_numpy(np.zeros((_FIRST_BLOCKS, p, p))) for p in sizes]
     sums = torch.zeros(_FIRST_BLOCKS, len(sizes), 3, dtype=torch.float64)
     for states in tiles:

@@ -1,4 +1,4 @@
-"""Columns that a joint has at some moments alone, its rests and reversals: zero nearly everywhere."""
+"""Sparse columns that are nonzero only at a joint's rests and reversals."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from scipy.sparse import csr_array
 
 @dataclass(frozen=True, eq=False)
 class Brief:
-    """Columns (S, m), as a sparse matrix x of so many ``rows``, in which three to nine numbers of a hundred are."""
+    """Sparse columns (S, m): a matrix x with ``rows`` rows, of which three to nine percent is nonzero."""
 
     x: csr_array
     rows: int
 
     @staticmethod
     def of(A: np.ndarray) -> Brief:
-        """Return columns (S, m)."""
+        """Make sparse columns of dense ones (S, m)."""
         return Brief(csr_array(A), A.shape[1])
 
     @property
     def dense(self) -> np.ndarray:
-        """All of it, (S, m)."""
+        """The dense matrix, (S, m)."""
         return self.x.toarray()
 
     @property
@@ -42,16 +42,16 @@ class Brief:
         return self.x[:, rows.ravel()].toarray().reshape(len(self), *rows.shape)
 
     def scaled(self, by: np.ndarray) -> Brief:
-        """Return the columns times (m,)."""
+        """Return the columns multiplied by (m,)."""
         x = self.x
         return Brief(csr_array((x.data * by[x.indices], x.indices, x.indptr), shape=x.shape), self.rows)
 
     def times(self, C: np.ndarray) -> np.ndarray:
-        """Return X C of C (m, ...), (S, ...)."""
+        """Return X C for C (m, ...), (S, ...)."""
         return self.x @ C
 
     def in_parts(self, C: np.ndarray, edges: np.ndarray) -> np.ndarray:
-        """Return X C' of C (K, m) for each part of the rows between ascending edges (B + 1,), (B, S, K)."""
+        """Return X C' for C (K, m) in each part of the rows between ascending edges (B + 1,), (B, S, K)."""
         S = len(self)
         part = np.searchsorted(edges, self.x.indices, side="right") - 1
         inside = (part >= 0) & (part < len(edges) - 1)
@@ -60,10 +60,10 @@ class Brief:
         return (apart @ C.T).reshape(len(edges) - 1, S, len(C))
 
     def unpredicted(self, predictor: np.ndarray, index: np.ndarray) -> Brief:
-        """Return what rows ``index`` (m',) cannot predict of the columns from the rows before, by a predictor (p,).
+        """Return the errors of a predictor (p,) of the columns at rows ``index`` (m',), from the rows before.
 
-        From the first to the last number of each that is not zero they are filtered one after the other, with room
-        between them for what the filter remembers.
+        Each column is filtered from its first to its last nonzero number, one after the other, with space between them
+        for the filter's memory.
         """
         S, reach, held = len(self), len(predictor), np.diff(self.x.indptr)
         begins, ends = np.zeros(S, dtype=int), np.zeros(S, dtype=int)
@@ -83,5 +83,5 @@ class Brief:
 
     @property
     def _column(self) -> np.ndarray:
-        """Which column each number belongs to."""
+        """Column index of each number."""
         return np.repeat(np.arange(len(self)), np.diff(self.x.indptr))

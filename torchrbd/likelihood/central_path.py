@@ -2,10 +2,10 @@
 
     minimise  1/2 z'Az - h'z + kappa sum_bodies [tr G - logdet G],  G = 1 + sum_k z_k B_k / sqrt(kappa)
 
-Beside every matrix G there is a dual matrix Z, and at the solution G Z = kappa 1. The Newton steps are taken in the
-coordinates R in which both are the same diagonal matrix, G = R s R', Z = R^-T s R^-1 (Nesterov and Todd's scaling):
-there the barrier's curvature is 1 wherever the path is, so that steps remain long near the boundary. The factors of G
-and Z are updated by products, so that no nearly singular matrix is ever factorised.
+Every matrix G has a dual matrix Z, and at the solution G Z = kappa 1. The Newton steps are taken in the coordinates R
+in which both are the same diagonal matrix, G = R s R', Z = R^-T s R^-1 (Nesterov and Todd's scaling). There the
+barrier's curvature is 1 everywhere on the path, so steps remain long near the boundary. The factors of G and Z are
+updated by products, so no nearly singular matrix is ever factorised.
 
 Source: Todd, Toh, Tutuncu, "On the Nesterov-Todd direction in semidefinite programming", SIAM J. Optimization 1998;
 Mehrotra, SIAM J. Optimization 1992 (the choice of mu, without the corrector).
@@ -28,7 +28,7 @@ _B = ORTHONORMAL.flatten(1).numpy()
 
 @dataclass(frozen=True)
 class Problem:
-    """The objective: A (n, n), h (n,), kappa; bodies come first in z (n,), the prior of other terms is part of A."""
+    """The objective: A (n, n), h (n,), kappa; bodies are first in z (n,), the prior of other terms is part of A."""
 
     A: np.ndarray
     h: np.ndarray
@@ -68,7 +68,7 @@ class Problem:
 
 
 def follow_path(problem: Problem) -> tuple[np.ndarray, np.ndarray, int, bool]:
-    """Return z, the factor L of G = L L', the steps taken, and whether the last one was short."""
+    """Return z, the factor L of G = L L', the number of steps, and whether the last one was short."""
     kappa, z = problem.kappa, np.zeros_like(problem.h)
     L = np.tile(np.eye(_SIZE), (problem.n_bodies, 1, 1))
     M = max(kappa, kappa**0.5 * float(np.abs(problem.h).max()) if len(z) else 0.0) ** 0.5 * L
@@ -78,7 +78,7 @@ def follow_path(problem: Problem) -> tuple[np.ndarray, np.ndarray, int, bool]:
         root = np.sqrt(s)[:, None]
         R, dual = L @ Vh.swapaxes(1, 2) / root, M @ U / root
         K, diagonal = problem.columns(R), s[:, :, None] * np.eye(_SIZE)
-        # Aim at mu = 0 first: how far that gets says how far down mu may go.
+        # Aim at mu = 0 first: the length of that step gives the next mu.
         _, down, y = problem.step(K, R, z, np.eye(_SIZE) / s[:, :, None], np.array([0.0, 1.0]))
         dX = problem.symmetric(y[:, 0])
         reach = min(1.0, _room(s, dX, -diagonal - dX))
@@ -99,19 +99,19 @@ def follow_path(problem: Problem) -> tuple[np.ndarray, np.ndarray, int, bool]:
 
 
 def in_blocks(K: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """Return diag(K, 1) X of blocks K (n_bodies, 10, 10), for X (n, k)."""
+    """Return diag(K, 1) X for blocks K (n_bodies, 10, 10) and X (n, k)."""
     found, k = X.copy(), K.shape[0] * K.shape[1]
     found[:k] = (K @ X[:k].reshape(*K.shape[:2], X.shape[1])).reshape(k, X.shape[1])
     return found
 
 
 def _along(X: np.ndarray) -> np.ndarray:
-    """Return tr(X B_k) of symmetric matrices (n_bodies, 4, 4), (10 n_bodies,)."""
+    """Return tr(X B_k) for symmetric matrices (n_bodies, 4, 4), (10 n_bodies,)."""
     return (X.reshape(-1, _SIZE**2) @ _B.T).ravel()
 
 
 def _room(s: np.ndarray, *steps: np.ndarray) -> float:
-    """Return how many of each step (n_bodies, 4, 4) keep diag(s) + step positive semidefinite; NaN if not finite."""
+    """Return the largest multiple of each step (n_bodies, 4, 4) with diag(s) + step >= 0; NaN if not finite."""
     w, both = 1.0 / np.sqrt(s), np.stack(steps)
     if not np.isfinite(both).all():
         return math.nan
@@ -120,7 +120,7 @@ def _room(s: np.ndarray, *steps: np.ndarray) -> float:
 
 
 def _solved(N: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return N^-1 B of B (n, k), the diagonal of N raised by as little as rounding makes necessary; NaN if by more."""
+    """Return N^-1 B for B (n, k), with the least increase of N's diagonal that rounding needs; NaN if it is large."""
     if not (N.diagonal() > 0.0).all():
         return np.full_like(B, math.nan)
     jitter, d = 0.0, np.sqrt(N.diagonal())[:, None]

@@ -1,14 +1,14 @@
-"""Clocks of torque and motion: brought together where they are far apart, told by the rest.
+"""The offset between the clocks of torque and motion: large offsets are removed, small ones are linear terms.
 
-A torque that is recorded early, in all joints alike, may be a command that actuators follow as a first-order system of
-time constant T. Beside a torque tau_s that was moved by as much, a command has at joint j
+A torque that is early, at all joints alike, may be a command that the actuators follow as a first-order system of time
+constant T. Relative to a torque tau_s that was only shifted by the same time, a command adds at joint j
 
     g_j (tau_s(t - T) + T dtau_s(t - T)/dt - tau_s(t))
 
-with g = 1, and what was early has g = 0: with m the mean of the g_j by their precision and s^2 its variance, log odds
-are (m - 1/2) / s^2 for the command. This is of second order, g T^2/2 d2tau_s/dt2, and s^2 is that of the fit, of the
-joints' scatter, and of samples dt apart, which tell a reversal's friction, and so T^2/2, to about dt^2. Where a command
-is likelier, recorded torques are not moved in time but sent through such actuators.
+with g = 1; an early torque has g = 0. Let m be the precision-weighted mean of the g_j and s^2 its variance: the log
+odds of the command are (m - 1/2) / s^2. The term is of second order, g T^2/2 d2tau_s/dt2. s^2 includes the variance of
+the fit, the scatter of the joints, and the sampling interval dt, which limits T^2/2 at a reversal's friction to about
+dt^2. Where a command is more probable, recorded torques are not shifted in time but passed through such actuators.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ from torchrbd.likelihood.rows import KeptBack, not_held_out, read_rows
 from torchrbd.likelihood.scales import covered_scales
 from torchrbd.recordings import Filtering
 
-# Torque and motion are together if their clocks are so many samples apart; readings until they are.
+# Largest offset [samples] that counts as synchronous; largest number of readings to get there.
 _NEAR_SAMPLES, _MOST_READINGS = 0.5, 2
 
 
 @dataclass(frozen=True)
 class Clocks:
-    """What is learnt of torque and motion that have been brought together.
+    """The likelihood after torque and motion were synchronised.
 
     Attributes:
         fit: the likelihood.
-        shift_s: by recording, by how much earlier its torque has been read [s].
-        lags: whether torques have been sent through actuators that lag by so much less, instead of being moved.
-        lag_odds: log odds of that against being moved; 0 where they are not told apart.
+        shift_s: by recording, time by which its torque was read earlier [s].
+        lags: whether torques were passed through actuators with this lag instead of being shifted.
+        lag_odds: log odds of a lag against a shift; 0 where the data cannot distinguish them.
     """
 
     fit: Likelihood
@@ -56,7 +56,7 @@ class Clocks:
 
     @cached_property
     def delay_s(self) -> dict[str, tuple[float, float]]:
-        """By recording, how much later the torque is than the motion, and its standard deviation [s]."""
+        """By recording, the delay of the torque relative to the motion, and its standard deviation [s]."""
         machine, size = self.fit.machine, self.fit.machine.timing_std
         estimates = [self._estimates.estimate([k]) for k in machine.timing]
         return {
@@ -66,7 +66,7 @@ class Clocks:
 
     @cached_property
     def against(self) -> float:
-        """Log evidence against clocks that agree."""
+        """Log evidence against synchronous clocks."""
         machine = self.fit.machine
         moved = np.array([self.shift_s[name] for name in machine.rows.seen_recordings])
         return self._estimates.against(machine.timing, moved / machine.timing_std)
@@ -76,17 +76,16 @@ class Clocks:
         return TwoEstimates(self.fit)
 
     def read_with(self, reading: Reading, late_s: Mapping[str, float]) -> Reading:
-        """Return a reading of torques that are later than the motion by ``late_s``, in the way that was likelier."""
+        """Return a reading for torques with delays ``late_s``, by shift or lag, whichever was more probable."""
         if self.lags:
             return replace(reading, lag_s={name: max(0.0, -late) for name, late in late_s.items()})
         return replace(reading, delay_s=late_s)
 
 
 def in_time(reading: Reading, columns: Columns, kept_back: KeptBack, held: frozenset[str]) -> Clocks:
-    """Learn the likelihood of ordinary physics, torque and motion brought together where their clocks are far apart.
+    """Learn the likelihood of the baseline model, and synchronise torque and motion if their offset is large.
 
-    The offset of the clocks is a linear term of every model; where it is not small, torques are read anew by so much
-    earlier.
+    The clock offset is a linear term of every model. Where it is not small, torques are read again with that shift.
     """
     rows = read_rows(reading, columns, kept_back)
     fit = learn(Machine(rows, held))
@@ -135,7 +134,7 @@ def _command_odds(moved: Clocks) -> float:
 def in_band(
     reading: Reading, band_hz: float, kept_back: KeptBack, held: frozenset[str], progress: Progress = lambda *_: None
 ) -> Clocks:
-    """Return the same of recordings that are read anew in a band [Hz], their states what is expected of the motion."""
+    """Return the same for recordings that are read again in a band [Hz], with Wiener-filtered states."""
     progress("learning the noise", 0.0)
     surveys = [reading.surveys[k] for k in not_held_out(reading, kept_back)]
     reading = replace(reading, filtering=Filtering(band_hz, of_motion=True), smoothed=())
@@ -148,8 +147,7 @@ def of_one_machine(
 ) -> dict[str, tuple[float, float]]:
     """Return the offsets of all recordings' clocks and their standard deviations [s].
 
-    A recording that is held out is of the same machine: it has the mean of those that are not, and may differ from it
-    as much as they scatter.
+    A held-out recording is of the same machine: it gets the mean of the others, with their scatter as its uncertainty.
 
     Args:
         found: of those that are fitted, one or more.

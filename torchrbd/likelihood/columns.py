@@ -2,8 +2,8 @@
 
     tau_j = Y_j pi + sum_k phi_jk w_jk
 
-A joint's torque depends on the bodies that it moves, on its own features, and on those of effects that act on the whole
-robot; so joint j has the columns ``of_joint[j]`` of x and no others.
+A joint's torque depends on the bodies that it moves, on its own features, and on those of whole-robot effects. So joint
+j has the columns ``of_joint[j]`` of x and no others.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ class Candidate:
 
     @property
     def joint(self) -> int:
-        """The joint where it sits; only for effects that sit at one."""
+        """The joint where it acts; only for effects at one joint."""
         assert self.site.joint is not None, f"{self.effect.id} sits at no joint"
         return self.site.joint
 
     @property
     def place(self) -> int | None:
-        """The joint whose torque it adds to; None if that is the whole robot's."""
+        """The joint whose torque it adds to; None for the whole robot."""
         return None if self.effect.whole_robot else self.site.joint
 
     def features(self, signals: Signals) -> dict[str, Tensor]:
@@ -52,7 +52,7 @@ class Candidate:
 
 
 Through = tuple[tuple[ShowsBodies, Tensor], ...]
-"""Effects through which bodies act, with their coefficients (K,)."""
+"""Effects that make inertial parameters identifiable, with their coefficients (K,)."""
 
 
 class Columns:
@@ -61,14 +61,14 @@ class Columns:
     Args:
         robot: the robot.
         effects: effects to have columns for.
-        scales: per joint, what the recordings cover.
-        windows: stretches of time in which effects may act.
-        pi: (n_params,) inertial parameters whose torque is the load; the URDF's if None.
-        friction: (n_dof, 3) what actuators supply beside the load, see ``Signals``; nothing if None.
-        sites: by an effect's id where it has columns; at all its sites if not told.
+        scales: per joint, the range that the recordings cover.
+        windows: windows of time in which effects may act.
+        pi: (n_params,) inertial parameters for the load; the URDF's if None.
+        friction: (n_dof, 3) friction that actuators supply in addition to the load, see ``Signals``; none if None.
+        sites: by an effect's id, its sites with columns; all its sites if not given.
         candidates: all that has columns; if None, every effect at its sites with every shape of its grid.
-        stick_levels: (n_dof,) Coulomb friction in standard deviations of each torque's noise; none if not told.
-        through: what bodies act through, see ``bodies``.
+        stick_levels: (n_dof,) Coulomb friction in standard deviations of each torque's noise; none if not given.
+        through: effects that make inertial parameters identifiable, see ``bodies``.
         unsure: (n_dof,) speeds below which a joint may stick, see ``undetermined``; the ``rest_width`` of the scales if
             None.
 
@@ -79,7 +79,7 @@ class Columns:
         shared: labels of the features that all joints have.
         of_joint: per joint, indices in x of its columns: inertial ones of the bodies it moves, its features, shared
             ones.
-        candidates: all that has columns beside the rigid body.
+        candidates: all that has columns, apart from the rigid body.
         urdf_friction: the terms that the URDF's <dynamics> tags can hold, at every joint.
     """
 
@@ -139,14 +139,14 @@ class Columns:
                     yield self.candidate(e, site, shape)
 
     def candidate(self, e: Effect, site: Site, shape: Shape) -> Candidate:
-        """Return an effect at a site with a shape, whether it has columns here or not."""
+        """Return an effect at a site with a shape, whether or not it has columns here."""
         key = e, site, *shape.items()
         if key not in self._asked_for:
             self._asked_for[key] = Candidate(e, site, shape, tuple(e.features_at(self._probe, site, shape)))
         return self._asked_for[key]
 
     def scale(self, site: Site) -> JointScale:
-        """Return what the recordings cover at a site's joint; at the first one for the whole robot."""
+        """Return the range that the recordings cover at a site's joint; for the whole robot, at the first joint."""
         return self.scales[site.joint or 0]
 
     def at_scales(self, scales: Sequence[JointScale]) -> Columns:
@@ -154,24 +154,23 @@ class Columns:
         return self._like(scales=scales)
 
     def softened(self, scales: Sequence[JointScale]) -> Columns:
-        """Return columns of the same effects whose signs of velocity change over the ``rest_width`` of other scales.
+        """Return columns of the same effects with the ``rest_width`` of other scales.
 
-        At which speeds a joint may stick stays as it is: that friction changes its sign over a range of speeds does not
-        leave it open what it is there.
+        The speeds at which a joint may stick do not change: friction with a wide sign change is still determined there.
         """
         return self._like(scales=scales, unsure=self.slow)
 
     @property
     def slow(self) -> Tensor:
-        """Speeds (n_dof,) below which the direction of motion is not known [rad/s, m/s]."""
+        """Speeds (n_dof,) below which the direction of motion is uncertain [rad/s, m/s]."""
         return self._rest_width if self.unsure is None else self.unsure
 
     def local(self, joint: int, label: str) -> int:
-        """Return where among the columns of a joint one of its own features stands."""
+        """Return the index of one of a joint's own features among its columns."""
         return len(self.inertial[joint]) + self.labels[joint].index(label)
 
     def made_by_motion(self, joint: int) -> Tensor:
-        """Return which columns (p_j,) of a joint are zero whenever it rests itself, bool."""
+        """Return which columns (p_j,) of a joint are zero whenever that joint is at rest, bool."""
         if joint not in self._made_by_motion:
             generator = torch.Generator().manual_seed(0)
             q, qd, qdd = torch.randn(3, self.robot.n_dof, 4, generator=generator, dtype=torch.float64)
@@ -180,7 +179,7 @@ class Columns:
         return self._made_by_motion[joint]
 
     def in_unit_motion(self, joint: int) -> Tensor:
-        """Return how large the columns (p_j,) of a joint are that its own motion makes; zero of others.
+        """Return the size of the columns (p_j,) of a joint that its own motion makes; zero for others.
 
         All joints move at 1 rad/s or m/s, and accelerate at 1 rad/s^2 or m/s^2.
         """
@@ -189,7 +188,7 @@ class Columns:
         return torch.where(self.made_by_motion(joint), self._own_power(joint, q, one, one), 0.0).sqrt()
 
     def _own_power(self, joint: int, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Return the mean square of what acts at a joint all the time, (p_j,); NaN of its other columns."""
+        """Return the mean square of the columns that act at a joint all the time, (p_j,); NaN for its other columns."""
         signals = replace(self.signals_at(q, qd, qdd), t=self._probe.t)
         found = torch.full((self.n,), torch.nan, dtype=torch.float64)
         for (place, _), c in self._maker.items():
@@ -199,7 +198,7 @@ class Columns:
         return found[self.of_joint[joint]]
 
     def around(self, pi: Tensor, friction: Tensor | None = None) -> Columns:
-        """Return the same columns with the torque of pi (n_params,) as load, and friction (n_dof, 3) beside it."""
+        """Return the same columns with the torque of pi (n_params,) as load, and with friction (n_dof, 3)."""
         return self.of_candidates(self.candidates, pi, friction)
 
     def of_candidates(
@@ -209,24 +208,23 @@ class Columns:
         friction: Tensor | None = None,
         through: Through | None = None,
     ) -> Columns:
-        """Return columns of these candidates alone, with the torque of pi and friction as in ``around``.
+        """Return columns of these candidates only, with the torque of pi and friction as in ``around``.
 
-        Bodies act through ``through``, see ``shown_bodies``; without it through what they do here.
+        ``through`` is as in ``shown_bodies``; without it, the present one stays.
         """
         through = self.through if through is None else through
         return self._like(pi=pi, friction=friction, candidates=candidates, through=through)
 
     def shown_bodies(self, terms: Sequence[Candidate], x: Tensor) -> Through:
-        """Return what bodies act through in a model x (n,) of these terms."""
+        """Return ``through`` for a model x (n,) of these terms."""
         always = (c for c in terms if c.site.always)
         return tuple((c.effect, x[self.of(c)]) for c in always if isinstance(c.effect, ShowsBodies))
 
     def bodies(self, states: States) -> tuple[Tensor, Tensor | None]:
-        """Return what inertial parameters are multiplied with on a tile, (n_dof, n_params, N), and what is added to its
-        torque, (n_dof, N), if anything is.
+        """Return the factor of the inertial parameters on a tile, (n_dof, n_params, N), and a torque to add.
 
-        Terms through which bodies act have the torque of ``pi`` in their own columns: other parameters pi' add
-        C (pi' - pi) to it, with C their ``through_bodies``.
+        The latter is (n_dof, N), or None. The columns of a term through which bodies act contain the torque of ``pi``.
+        Other parameters pi' add C (pi' - pi) to it, where C is its ``through_bodies``.
         """
         Y = self.robot.regressor_batch_last(states.q, states.qd, states.qdd)
         if self.pi is None or not self.through:
@@ -236,7 +234,7 @@ class Columns:
         return Y + C, torch.einsum("jpn,p->jn", C, self.pi)
 
     def sticking(self, levels: Tensor) -> Columns:
-        """Return the same columns for joints whose dry friction has these ``stick_levels`` (n_dof,)."""
+        """Return the same columns for joints with these ``stick_levels`` (n_dof,) of dry friction."""
         return self._like(candidates=self.candidates, stick_levels=levels)
 
     def _like(self, **other: Any) -> Columns:
@@ -244,7 +242,7 @@ class Columns:
         return Columns(**({name: getattr(self, name) for name in kept} | other))
 
     def taken_from(self, other: Columns, x: Tensor) -> Tensor:
-        """Return x (n,) with the inertial parameters and friction of another layout's x, other terms at zero."""
+        """Return x (n,) with the inertial parameters and friction of another layout's x, and other terms at zero."""
         taken = self.reference()
         taken[: self.robot.n_params] = x[: self.robot.n_params]
         for own, theirs in zip(self.urdf_friction, other.urdf_friction, strict=True):
@@ -252,11 +250,11 @@ class Columns:
         return taken
 
     def index(self, joint: int | None, label: str) -> int:
-        """Return where in x a joint's feature stands, or one that all joints share (None)."""
+        """Return the index in x of a joint's feature, or of one that all joints share (None)."""
         return self._index[joint, label]
 
     def of(self, candidate: Candidate) -> list[int]:
-        """Return where in x the columns of a candidate stand."""
+        """Return the indices in x of a candidate's columns."""
         return [self.index(candidate.place, label) for label in candidate.labels]
 
     def reference(self) -> Tensor:
@@ -269,14 +267,14 @@ class Columns:
         return x
 
     def urdf_value(self, candidate: Candidate) -> float:
-        """Return what the URDF's <dynamics> say of a term, zero where they have no word for it."""
+        """Return the value of a term in the URDF's <dynamics>, zero if URDF cannot express it."""
         attribute = URDF_FRICTION.get(candidate.effect.id) if candidate.site.always else None
         return float(getattr(self.robot, attribute)[candidate.joint]) if attribute else 0.0
 
     def friction_of(self, terms: Iterable[Candidate], x: Tensor) -> Tensor:
         """Return the friction (n_dof, 3) of a model with coefficients x (n,): of its terms, else of the URDF.
 
-        Only what acts all the time counts.
+        Only terms that act all the time count.
         """
         found: list[tuple[str, int | None, Tensor]] = []
         counted: set[int] = set()
@@ -288,17 +286,17 @@ class Columns:
         return plain_friction(self.robot.n_dof, found)
 
     def weight(self, states: States) -> Tensor:
-        """Return what the samples of a tile count, (n_dof, M).
+        """Return the weights of a tile's samples, (n_dof, M).
 
-        Less where a joint with dry friction may stick.
+        They are smaller where a joint with dry friction may stick.
         """
         unknown = states.decimate(undetermined(states.qd, self.slow)).abs()
-        # The filter's trace of a stick crosses zero beside it, that of the friction in it elsewhere.
+        # The filtered trace of a stick crosses zero next to it; that of the friction in it does so elsewhere.
         unknown = torch.nn.functional.max_pool1d(unknown, 3, stride=1, padding=1)
         return stick_weight(unknown, self.stick_levels)
 
     def signals(self, states: States) -> Signals:
-        """Return the signals of a tile, time last; their load is that of the robot and of what it is known to carry."""
+        """Return the signals of a tile, time last; their load includes the known load of the robot."""
         signals = self.signals_at(states.q, states.qd, states.qdd)
         if states.loaded is not None:
             signals = replace(signals, pi=states.loaded + (self.robot.pi if self.pi is None else self.pi))
@@ -306,13 +304,13 @@ class Columns:
         return replace(signals, temperature=states.temperature)
 
     def signals_at(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Signals:
-        """Return the signals of states (n_dof, N) that are no sequence."""
+        """Return the signals of states (n_dof, N) that are not a sequence."""
         return Signals(self.robot, q, qd, qdd, self._rest_width, self.pi, friction=self.friction)
 
     def evaluated(self, signals: Signals, candidates: Iterable[Candidate]) -> dict[int, Tensor]:
-        """Return the features of candidates by their place in x, (N,) each, or (n_dof, N) where all joints share it.
+        """Return the features of candidates by their index in x, (N,) each, or (n_dof, N) where all joints share it.
 
-        Those that need a sequence are left out where the signals are none.
+        Features that need a sequence are omitted if the signals are none.
         """
         found: dict[int, Tensor] = {}
         for candidate in candidates:
@@ -341,7 +339,7 @@ class Columns:
         ]
 
     def term_torque(self, signals: Signals, x: Tensor) -> Tensor:
-        """Return what the features add to the torque with coefficients x, (n_dof, N)."""
+        """Return the torque of the features with coefficients x, (n_dof, N)."""
         needed = [(place, c) for place, c in self._maker.items() if x[self._index[place]] != 0.0]
         found = self.evaluated(signals, [c for _, c in needed])
         torque = list(torch.zeros_like(signals.q).unbind(0))

@@ -1,8 +1,8 @@
-"""Columns and torque of one joint before they are whitened, and their rows as whitening and least squares see them.
+"""Columns and torque of one joint before whitening, and their rows for generalised and ordinary least squares.
 
-What a joint has at one moment alone, its rests and reversals, is more than half of its columns and next to none of
-their entries: these columns stand last, and are multiplied where they are not zero. Further columns stand before those
-of the machine, whose rows serve whatever stands beside them.
+More than half of a joint's columns belong to single rests and reversals, and are almost all zero. These sparse columns
+come last and are multiplied only where they are not zero. Additional columns come before those of the machine, so the
+machine's rows can be reused with any of them.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from torchrbd.likelihood.brief import Brief
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.noise import Noise
 
-# Columns are brief that are zero but for this part of the rows.
+# Columns that are nonzero in less than this fraction of the rows are stored as sparse.
 _BRIEF = 0.1
 
 Extras = Sequence[tuple[int, Extra]]
-"""What stands beside a machine at one joint, each with the number of its first coefficient."""
+"""Additional columns at one joint, each with the index of its first coefficient."""
 
 
 @dataclass(frozen=True, eq=False)
 class Unpredicted:
-    """Rows of a design that a predictor leaves: of lasting columns (L, m), of brief ones (S, m), of the target (m,)."""
+    """Prediction errors of a design: of lasting columns (L, m), of sparse ones (S, m), of the target (m,)."""
 
     predictor: np.ndarray
     lasting: np.ndarray
@@ -36,9 +36,9 @@ class Unpredicted:
 
 @dataclass(frozen=True, eq=False)
 class Bare:
-    """Columns of a joint that the machine has: ``lasting`` (L, M) and then ``brief`` (S, M), zero nearly everywhere.
+    """Columns of the machine at a joint: ``lasting`` (L, M), then sparse ``brief`` ones (S, M).
 
-    Its target (M,), and which coefficients ``own`` (L + S,) the columns are multiplied with.
+    Its target (M,), and the coefficients ``own`` (L + S,) of the columns.
     """
 
     lasting: np.ndarray
@@ -50,19 +50,19 @@ class Bare:
 
     @staticmethod
     def of(A: np.ndarray, own: np.ndarray, target: np.ndarray) -> Bare:
-        """Return columns (P_j, M), in an order of their own."""
+        """Sort columns (P_j, M) into lasting and sparse ones."""
         brief = np.count_nonzero(A, axis=1) < _BRIEF * A.shape[1]
         return Bare(A[~brief], Brief.of(A[brief]), own[np.argsort(brief, kind="stable")], target)
 
     def white(self, noise: Noise) -> Block:
-        """Return the rows that a noise leaves white; what its predictor leaves is remembered."""
+        """Return the rows whitened by a noise; the prediction errors are cached."""
         if not any(known.predictor is noise.predictor for known in self._unpredicted):
             self._unpredicted[:] = [Unpredicted(noise.predictor, *self._filtered(noise))]
         (known,) = self._unpredicted
         return self._weighed(known.lasting, known.brief, known.target, noise)
 
     def independent(self, noise: Noise) -> Block:
-        """Return the rows of a noise without memory; those of another size are multiples of them, and remembered."""
+        """Return the rows for a noise without memory; those of another size are multiples of them, and cached."""
         for known, block in self._independent:
             if known.spread is noise.spread and known.tail is noise.tail:
                 return block.louder(noise.sigma / known.sigma)
@@ -71,7 +71,7 @@ class Bare:
         return block
 
     def _filtered(self, noise: Noise) -> tuple[np.ndarray, Brief, np.ndarray]:
-        """Return what rows cannot predict of lasting columns (L, m), of brief ones and of the target (m,)."""
+        """Return the prediction errors of lasting columns (L, m), of sparse ones and of the target (m,)."""
         brief = self.brief.unpredicted(noise.predictor, noise.index)
         return noise.unpredicted(self.lasting), brief, noise.unpredicted(self.target)
 
@@ -82,9 +82,9 @@ class Bare:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Columns of a joint: further ones (K, M) and then those of the machine, multiples ``size`` (K + P,) of these.
+    """Columns of a joint: additional ones (K, M), then those of the machine, multiplied by ``size`` (K + P,).
 
-    ``own`` (K + P,) says which coefficients they have, ``extras`` whose the further ones are.
+    ``own`` (K + P,) are their coefficients; ``extras`` are the additional columns.
     """
 
     bare: Bare
@@ -95,14 +95,14 @@ class Design:
 
     @staticmethod
     def of(bare: Bare, extras: Extras, joint: int) -> Design:
-        """Return the columns of a machine at a joint, and what stands beside them there."""
+        """Return the columns of a machine at a joint, and the additional ones there."""
         parts = [e.at(joint) * e.std[:, None] for _, e in extras]
         further = np.concatenate((np.zeros((0, len(bare.target))), *parts))
         own = np.concatenate([*(first + np.arange(len(e.std)) for first, e in extras), bare.own])
         return Design(bare, extras, further, own, np.ones(len(own)))
 
     def has(self, extras: Extras) -> bool:
-        """Say whether just this stands beside the machine."""
+        """Return whether exactly these are the additional columns."""
         pairs = zip(self.extras, extras, strict=False)
         return len(self.extras) == len(extras) and all(k == i and e is one for (k, e), (i, one) in pairs)
 
@@ -112,25 +112,25 @@ class Design:
 
     @property
     def target(self) -> np.ndarray:
-        """What the columns are to explain, (M,)."""
+        """The torque to explain, (M,)."""
         return self.bare.target
 
     @property
     def A(self) -> np.ndarray:
-        """All columns, (K + P, M), made anew."""
+        """All columns, (K + P, M), computed anew."""
         return dense(self.size, np.concatenate((self.further, self.bare.lasting)), self.bare.brief)
 
     def explained(self, z: np.ndarray) -> np.ndarray:
-        """Return z A of coefficients z (..., K + P), (..., M)."""
+        """Return z A for coefficients z (..., K + P), (..., M)."""
         z, k = z * self.size, len(self.further)
         return z[..., :k] @ self.further + along(z[..., k:], self.bare.lasting, self.bare.brief)
 
     def white(self, noise: Noise, bare: Block | None = None) -> Block:
-        """Return the rows that a noise leaves white, of which those of the machine may be known: its ``bare`` block."""
+        """Return the rows whitened by a noise; those of the machine may be given: its ``bare`` block."""
         return self._with_further(self.bare.white(noise) if bare is None else bare, noise)
 
     def independent(self, noise: Noise) -> Block:
-        """Return the rows of a noise without memory."""
+        """Return the rows for a noise without memory."""
         return self._with_further(self.bare.independent(noise), noise)
 
     def _with_further(self, bare: Block, noise: Noise) -> Block:

@@ -1,10 +1,10 @@
-"""Normal equations of block statistics, and the noise by which joints are weighed in them.
+"""Normal equations of block statistics, and the noise that gives each joint its weight in them.
 
-In prior coordinates x = x0 + S z the prior is N(0, 1), so that H_z = S'HS + 1 is well scaled:
+In prior coordinates x = x0 + S z the prior is N(0, 1), so H_z = S'HS + 1 is well scaled:
 
     z = H_z^-1 S'(h - H x0),   H = sum_j A_j / sigma_j^2
 
-Only the *free* columns move; the others keep their reference value.
+Only the *free* columns are fitted; the others keep their reference value.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.gaussian import Posterior
 from torchrbd.likelihood.urdf_prior import Prior
 
-# Torque is believed to this part of its RMS at best: noise-free simulations would have infinite weights.
+# Least noise as a fraction of the torque's RMS: noise-free simulations would have infinite weights.
 LEAST_NOISE = 1e-5
 _LEAST_FREEDOM = 0.02
-# Rounds of re-weighting of a linear fit: three digits settle in about three.
+# Rounds of re-weighting of a linear fit: about three give three digits.
 _ROUNDS = 4
 
 F = TypeVar("F")
@@ -39,22 +39,22 @@ class Equations:
     h: Tensor
 
     def posterior(self, free: Tensor | slice = slice(None)) -> Posterior:
-        """Return the posterior of the coefficients z of some columns, the others at zero."""
+        """Return the posterior of the coefficients z of some columns, with the others at zero."""
         H = self.H[free][:, free].numpy()
         return Posterior(H + np.eye(len(H)), self.h[free].numpy())
 
 
 def scaled_equations(prior: Prior, totals: Sequence[Tensor], columns: Columns, weights: Tensor) -> Equations:
-    """Return S'HS and S'(h - H x0) of summed moments."""
+    """Return S'HS and S'(h - H x0) for summed moments."""
     H, h = assemble(columns, totals, weights)
     h = prior.scaled((h - H @ prior.mean).unsqueeze(1), back=True)[:, 0]
     return Equations(prior.scaled(prior.scaled(H, back=True).T, back=True), h)
 
 
 def linear_fit(statistics: BlockStatistics, prior: Prior, free: Tensor) -> tuple[Tensor, Tensor]:
-    """Fit some columns, the others at their reference, joints weighed by the noise that is left.
+    """Fit some columns, the others at their reference; joints are weighted by their residual noise.
 
-    Terms at a nonzero reference (friction that the URDF has) are part of x0 whether they are free or not.
+    Terms at a nonzero reference (friction in the URDF) are part of x0 whether they are free or not.
 
     Args:
         statistics: blocks to fit.
@@ -83,14 +83,14 @@ def with_noise(
     tolerance: float = 0.0,
     states: Tensor | None = None,
 ) -> tuple[F, Tensor]:
-    """Fit, and estimate each joint's noise from what the fit leaves, in turn.
+    """Alternate between a fit and an estimate of each joint's noise from its residual.
 
     Args:
         statistics: the blocks that are fitted.
-        fit: returns of noise variances (n_dof,) a fit, its x (n,) and their covariance (n, n).
-        variance: (n_dof,) to start from; a hundredth of the torque's mean square if not given.
-        rounds: at most.
-        settled: change of the logarithm below which the noise has settled.
+        fit: from noise variances (n_dof,) to a fit, its x (n,) and their covariance (n, n).
+        variance: (n_dof,) initial value; a hundredth of the torque's mean square if not given.
+        rounds: largest number of rounds.
+        settled: change of the logarithm below which the noise has converged.
         states: see ``residual_variance``.
 
     Returns:
@@ -107,18 +107,19 @@ def with_noise(
 
 
 def first_noise_variance(statistics: BlockStatistics) -> Tensor:
-    """Return the noise to start from, a tenth of the torque: (n_dof,), inf for a joint without torque."""
+    """Return the initial noise variance (n_dof,), for a tenth of the torque; inf for a joint without torque."""
     return bounded(statistics, 0.1**2 * statistics.torque[..., 2].sum(0) / _count(statistics))
 
 
 def residual_variance(
     statistics: BlockStatistics, x: Tensor, covariance: Tensor, variance: Tensor, states: Tensor | None = None
 ) -> Tensor:
-    """Return the noise that a fit leaves.
+    """Return the noise variance from a fit's residual.
 
         sigma_j^2 = RSS_j / ((1 - s_j) n_j - gamma_j),   gamma_j = tr(cov(x) A_j) / sigma_j^2
 
-    with gamma_j the number of parameters that the joint's data has used up, and s_j the share that states have.
+    gamma_j is the number of parameters that the joint's data determine, and s_j the share of the samples that estimated
+    states take.
 
     Args:
         statistics: the blocks fitted.

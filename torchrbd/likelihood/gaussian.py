@@ -4,16 +4,16 @@ In coordinates z ~ N(0, 1) and with whitened rows y = X z + n,
 
     H = X'X + 1 = F F',   z^ = H^-1 X'y,   log p(y) = -1/2 (y'y - z^'X'y) - log det F + const
 
-Columns C with coefficients w ~ N(0, D^2) have, beside it, precision S = C'C - V'V with V = F^-1 X'C and score
-r = C'(y - X z^), and raise the log marginal likelihood by
+Additional columns C with coefficients w ~ N(0, D^2) have, given these, precision S = C'C - V'V with V = F^-1 X'C and
+score r = C'(y - X z^). They raise the log marginal likelihood by
 
     log B = 1/2 r'D (1 + D S D)^-1 D r - 1/2 log det(1 + D S D)
 
-which counts the Occam factor of a proper prior: MacKay, "Information Theory, Inference, and Learning Algorithms"
-(2003), ch. 28. A coefficient that physics keeps from being negative has a half-normal prior: its posterior's
-probability of being positive, over that of the prior, multiplies B.
+which includes the Occam factor of a proper prior: MacKay, "Information Theory, Inference, and Learning Algorithms"
+(2003), ch. 28. A coefficient that cannot be negative has a half-normal prior: B is then multiplied by its posterior
+probability of being positive, over that of the prior.
 
-All linear fits stand on ``Posterior``: those of block statistics, of whitened rows, and of leaving some of these out.
+All linear fits use ``Posterior``: those of block statistics, of whitened rows, and with some rows left out.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from scipy.special import log_ndtr
 from torchrbd.likelihood.block import Block
 from torchrbd.likelihood.root import ROUNDING, Root, forwards
 
-# Sweeps over the sites of truncated coefficients, and the least part of its variance that a truncation leaves.
+# Sweeps over the sites of truncated coefficients, and the least fraction of its variance that a truncation keeps.
 _SWEEPS, _LEAST_VARIANCE = 8, 1e-6
-# Directions of a joint's columns below this are told by rounding.
+# Directions of a joint's columns below this are dominated by rounding.
 _LEAST_DIRECTION = 1e-3
-# A mean square may be so many times larger, or smaller, than the prior says, at once.
+# Largest factor by which one step may change the mean square of a prior.
 _STEP = 10.0
 
 
@@ -49,7 +49,7 @@ class Quadratic:
 
 @dataclass(frozen=True)
 class Addition:
-    """Columns beside a posterior, (*batch) alternatives of them.
+    """Additional columns, given a posterior, (*batch) alternatives of them.
 
     Attributes:
         log_evidence: (*batch) in nats.
@@ -67,15 +67,15 @@ class Posterior:
     Args:
         H: (P, P) precision.
         h: (P,) shift.
-        rounding: part of its diagonal that is added to H.
-        local: groups of coefficients that do not meet each other, see ``Root``.
+        rounding: fraction of its diagonal that is added to H.
+        local: groups of coefficients without products between groups, see ``Root``.
 
     Attributes:
         root: of the precision.
         z: (P,) mean.
 
     Raises:
-        LinAlgError: H is no precision.
+        LinAlgError: H is not positive definite.
     """
 
     def __init__(
@@ -85,15 +85,15 @@ class Posterior:
         self.z = self.solve(h)
 
     def half(self, B: np.ndarray) -> np.ndarray:
-        """Return F^-1 B of B (P, ...), F the root of the precision."""
+        """Return F^-1 B for B (P, ...), F the root of the precision."""
         return self.root.half(B)
 
     def solve(self, B: np.ndarray) -> np.ndarray:
-        """Return H^-1 B of B (P, ...)."""
+        """Return H^-1 B for B (P, ...)."""
         return self.root.solve(B)
 
     def schur(self, cross: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return what is left beside the coefficients of products ``own`` (K, K) of columns, ``cross`` (P, K) with X.
+        """Return the Schur complement of additional columns, with products ``own`` (K, K), and ``cross`` (P, K) with X.
 
         S = C'C - V'V,   V = F^-1 X'C
         """
@@ -123,7 +123,7 @@ class Posterior:
     def against(
         self, index: Sequence[int] | np.ndarray, value: np.ndarray | float = 0.0, sums: np.ndarray | None = None
     ) -> float:
-        """Return the log evidence against a value of coefficients (K,): Savage and Dickey's density ratio there.
+        """Return the log evidence against a value of coefficients (K,): the Savage-Dickey density ratio.
 
         With ``sums`` (S, K) it is that of S weighted sums of them.
         """
@@ -134,14 +134,14 @@ class Posterior:
 
 
 class Gaussian(Posterior):
-    """The posterior of coefficients z (P,), given one block of whitened rows a joint.
+    """The posterior of coefficients z (P,), given one block of whitened rows per joint.
 
     Args:
-        blocks: one a joint.
+        blocks: one per joint.
         n: number of coefficients P.
         first: log prior density of the first of them; the others have N(0, 1).
         sites: factors (3, P) that multiply the prior, see ``nonnegative``.
-        local: indices of coefficients of one block each, none of them among the first.
+        local: indices of coefficients that only one block has, none of them among the first.
 
     Attributes:
         log_evidence: of the rows, in units of their noise.
@@ -183,7 +183,7 @@ class Gaussian(Posterior):
         return [b.y - b.explained(self.z[b.own]) for b in self.blocks]
 
     def log_density(self, blocks: Sequence[Block]) -> float:
-        """Return the log density of other rows, given those that are explained, in units of their noise.
+        """Return the log density of other rows, conditional on the fitted ones, in units of their noise.
 
         log p(y' | y) = log p(y', y) - log p(y),   H' = H + X'X
         """
@@ -196,7 +196,7 @@ class Gaussian(Posterior):
         return 0.5 * (float(h @ both.z - self.h @ self.z) - power) - (both.root.log_det - self.root.log_det)
 
     def among(self, kept: np.ndarray) -> Gaussian:
-        """Return the posterior of a model that has some of the coefficients alone."""
+        """Return the posterior of a model with only some of the coefficients."""
         number = np.full(len(self.z), -1)
         number[kept] = np.arange(len(kept))
         blocks = [b.some(number[b.own] >= 0, number[b.own]) for b in self.blocks]
@@ -214,9 +214,9 @@ class Gaussian(Posterior):
         return self._used[joint]
 
     def rms(self, index: np.ndarray) -> float:
-        """Return the root mean square that is expected of some coefficients, one before the data; 0 of none of them.
+        """Return the posterior root mean square of some coefficients, one before the data; 0 if there are none.
 
-        The step of expectation and maximisation for the size of their prior.
+        It is the expectation-maximisation step for the standard deviation of their prior.
         """
         if not len(index):
             return 0.0
@@ -224,11 +224,11 @@ class Gaussian(Posterior):
         return math.sqrt(min(max(power, 1.0 / _STEP), _STEP))
 
     def dispersion(self, joint: int, part: np.ndarray) -> float:
-        """Return the scatter of a joint's scores over parts of its rows, numbered (m,), over that of white rows.
+        """Return the scatter of a joint's scores over parts of its rows, numbered (m,), divided by that of white rows.
 
         With scores g_b = X_b'e_b in coordinates in which X'X = 1, E[sum_b |g_b|^2] is the number of directions if rows
-        are independent, and more where an error lasts: the sandwich estimator's ratio (White, "Maximum Likelihood
-        Estimation of Misspecified Models", Econometrica 1982).
+        are independent, and larger if errors are correlated: the ratio of the sandwich estimator (White, "Maximum
+        Likelihood Estimation of Misspecified Models", Econometrica 1982).
         """
         b, e = self.blocks[joint], self.left[joint]
         if not len(e):
@@ -253,15 +253,15 @@ class Gaussian(Posterior):
 
 
 def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int] = ()) -> Addition:
-    """Return the evidence of columns with precision S (*batch, K, K) and score r (*batch, K) beside a posterior.
+    """Return the log evidence of additional columns with precision S (*batch, K, K) and score r (*batch, K).
 
     Args:
-        S, r: what ``Gaussian.precision_and_score`` returns.
+        S, r: from ``Gaussian.precision_and_score``.
         std: (*batch, K) prior standard deviations of the coefficients.
         positive: indices of those that cannot be negative.
 
     Raises:
-        LinAlgError: S is no precision.
+        LinAlgError: S is not positive definite.
     """
     A = np.eye(S.shape[-1]) + std[..., :, None] * S * std[..., None, :]
     inverse = np.linalg.inv(A)
@@ -275,9 +275,9 @@ def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int]
 
 
 def truncated(mean: np.ndarray, std: np.ndarray, positive: Sequence[int]) -> np.ndarray:
-    """Return what it is worth that coefficients (*batch, K) have the signs that they must have, (*batch,) in nats.
+    """Return the log evidence of the signs that coefficients (*batch, K) must have, (*batch,) in nats.
 
-    Of each, the log of the posterior's share of positive values over the prior's.
+    For each, the log of the posterior probability of a positive value over the prior's.
     """
     mean, std = mean[..., list(positive)], std[..., list(positive)]
     ratio = np.divide(mean, std, out=np.zeros_like(std), where=std > 0)
@@ -285,12 +285,12 @@ def truncated(mean: np.ndarray, std: np.ndarray, positive: Sequence[int]) -> np.
 
 
 def nonnegative(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the Gaussian sites that stand for coefficients (K,) which cannot be negative: (3, K).
+    """Return Gaussian sites (3, K) that approximate the truncation of coefficients (K,) which cannot be negative.
 
         2 [z >= 0] ~ exp(c + s z - 1/2 p z^2),   with p, s, c in this order
 
-    Each makes integral, mean and variance of its coefficient those of the truncated density beside the other sites. Two
-    is what a half-normal prior has beside the normal one.
+    Each makes integral, mean and variance of its coefficient those of the truncated density, given the other sites. The
+    factor 2 is that of a half-normal prior over the normal one.
 
     Source: Minka, "Expectation Propagation for Approximate Bayesian Inference", UAI 2001, sec. 3.
     """

@@ -1,4 +1,4 @@
-"""Block statistics of states that are given sample by sample: no recording, no filter, no clock."""
+"""Block statistics of states given sample by sample: without recording, filter or clock."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch import Tensor
 from torchrbd.likelihood.block_statistics import Block, BlockStatistics
 from torchrbd.likelihood.columns import Columns
 
-# Enough to see how far neighbours move a fit together.
+# Enough to measure the scatter of neighbouring samples.
 _MOST_BLOCKS = 64
 _ROWS_AT_ONCE = 4096
 
@@ -20,7 +20,7 @@ def given_statistics(columns: Columns, states: Tensor, tau: Tensor, weight: Tens
         columns: the layout of x, without effects that need a sequence.
         states: (3, n_dof, N) q, qd and qdd, [rad, m] and per second, per second squared.
         tau: (n_dof, N) [N m, N].
-        weight: (n_dof, N) how many independent samples each counts for.
+        weight: (n_dof, N) number of independent samples that each counts as.
     """
     n_samples = tau.shape[1]
     blocks = torch.arange(n_samples).tensor_split(min(_MOST_BLOCKS, n_samples))

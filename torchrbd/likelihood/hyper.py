@@ -1,4 +1,4 @@
-"""What a likelihood learns beside its linear coefficients."""
+"""Hyperparameters of a likelihood."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from torchrbd.likelihood.noise import Noise
 
 @dataclass(frozen=True)
 class Hyper:
-    """What is learnt beside the linear coefficients.
+    """What is learnt in addition to the linear coefficients.
 
     Attributes:
-        kappa: inverse square of how far the URDF's inertial parameters err.
-        encoder_share: (n,) part of each joint's noise that encoders make, on average over the rows.
+        kappa: inverse square of the error of the URDF's inertial parameters.
+        encoder_share: (n,) share of each joint's noise that comes from encoders, on average over the rows.
         rest_width: (n,) speeds over which friction changes its sign [rad/s, m/s].
         drift: (n,) standard deviation of the slowest cosine [N m or N].
-        hold: (n,) root mean square of what friction holds at rest [N m or N].
+        hold: (n,) root mean square of the friction that holds a joint at rest [N m or N].
         noise: of each joint.
-        dispersion: (n,) scatter of blocks over that of white rows.
+        dispersion: (n,) scatter of blocks divided by that of white rows.
         bodies: (P,) coordinates of the inertial parameters around which their prior is expanded, for a kappa of one.
-        resists: (3, n, 3) sites that keep ordinary friction from pushing, see ``nonnegative``.
-        pi: (n_params,) inertial parameters that make the load.
-        friction: (n, 3) beside it, see ``Signals``.
-        white: whether rows are taken to be independent, as least squares does.
+        resists: (3, n, 3) sites that keep baseline friction non-negative, see ``nonnegative``.
+        pi: (n_params,) inertial parameters for the load.
+        friction: (n, 3) in addition to the load, see ``Signals``.
+        white: whether rows count as independent, as in least squares.
     """
 
     kappa: float
@@ -44,9 +44,9 @@ class Hyper:
 
     @property
     def held(self) -> np.ndarray:
-        """How large what friction holds at rest is believed to be (n,): as it is in motion, or larger [N m or N]."""
+        """Prior size of the friction that holds a joint at rest (n,): at least that in motion [N m or N]."""
         return np.maximum(self.hold, self.friction[:, 1].numpy())
 
     def with_(self, **changes: object) -> Hyper:
-        """Return the same with some values changed."""
+        """Return a copy with some values changed."""
         return replace(self, **changes)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Learn all that a likelihood leaves open: noise, widths, drift, dispersion and the URDF's error."""
+"""Learn the hyperparameters of a likelihood: noise, widths, drift, dispersion and the URDF's error."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.noise import Noise
 
-# Parts of a joint's torque.
+# Initial values as fractions of a joint's torque.
 _FIRST_NOISE, _FIRST_DRIFT, _FIRST_HOLD = 0.05, 0.01, 0.3
 _ROUNDS = 3
 
 
 def learn(machine: Machine) -> Likelihood:
-    """Learn noise, widths, drift, dispersion and the URDF's error from the data, the model being the machine's.
+    """Learn noise, widths, drift, dispersion and the URDF's error from the data, with the machine as the model.
 
-    Least squares is learnt first: beside coefficients that are far off, slow errors pass for noise that is slow, which
-    then keeps them there. The widths of friction's sign change are told while all rows count: those that show them, at
-    reversals, count less the worse they are explained; and once more beside what rests have been found to hold.
+    The first fit is least squares: with coefficients that are far off, slow errors would be taken for slow noise, which
+    then keeps the coefficients there. The widths of friction's sign change are learnt while all rows have equal weight.
+    Later, the rows that show them, at reversals, have less weight the worse they are explained. The widths are learnt
+    again given the friction that was found at rests.
 
     Args:
-        machine: rigid body and ordinary physics.
+        machine: rigid body and baseline terms.
     """
     rows, rms = machine.rows, np.maximum(machine.torque_rms, 1e-300)
     one = np.ones(rows.tau.shape[1])
@@ -41,7 +42,7 @@ def learn(machine: Machine) -> Likelihood:
         friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
         white=True,
     )
-    # Columns are large: no name holds a likelihood while that of the next load makes its own.
+    # Columns are large: no variable keeps a likelihood while the next one makes its own.
     first = Likelihood(machine, hyper).renoised()
     hyper = first.rewidened().renoised().around_its_fit(alone=True)
     del first
@@ -54,5 +55,5 @@ def learn(machine: Machine) -> Likelihood:
 
 
 def _around(machine: Machine, hyper: Hyper) -> Likelihood:
-    """Return the likelihood whose load and slopes are those that have been learnt, rows weighed anew."""
+    """Return the likelihood with load and slopes from the fit, and rows weighted anew."""
     return Likelihood(machine, hyper, slopes=machine.slopes(hyper)).reweighed()

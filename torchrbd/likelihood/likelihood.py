@@ -1,4 +1,4 @@
-"""The likelihood of a machine's torques: its posterior, what is learnt beside it, and the evidence of anything more."""
+"""The likelihood of a machine's torques: posterior, hyperparameters, and the log evidence of additional columns."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from torchrbd.likelihood.widths import likeliest_width
 KAPPAS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 _LEAST_SIZE, _LEAST_NOISE = 1e-4, 1e-6
 _SHARES, _DOUBTS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0), (0.0, 0.1, 0.3, 1.0)
-# What columns do not depend on, or but for their sizes.
+# Hyperparameters that do not change the columns, or only their sizes.
 _NOT_OF_COLUMNS = {"noise", "dispersion", "bodies", "resists", "encoder_share"}
 _OF_SIZES = {"kappa", "drift", "hold"}
-# Part of its rows that a fit leaves free at least.
+# Least fraction of the rows that counts as degrees of freedom.
 _LEAST_FREEDOM = 0.1
 
 
 class Likelihood:
-    """A machine with learnt noise, and further columns.
+    """A machine with learnt noise, and additional columns.
 
     Args:
-        machine: rigid body and ordinary physics.
+        machine: rigid body and baseline terms.
         hyper: what is learnt.
-        extra: columns beside them.
+        extra: additional columns.
         slopes: see ``Machine.slopes``.
-        designs: per joint, the columns of a model whose machine has the same, if one has.
+        designs: per joint, the columns of a model with the same machine columns, to reuse.
         blocks: per joint, the whitened rows of these columns, if that model has the same noise.
 
     Attributes:
@@ -100,15 +100,15 @@ class Likelihood:
 
     @property
     def delay_s(self) -> np.ndarray:
-        """How much later than the motion each recording's torque is [s]."""
+        """Delay of each recording's torque relative to its motion [s]."""
         return -self.machine.timing_std * self.gaussian.z[self.machine.timing]
 
     def further(self, k: int) -> np.ndarray:
-        """Return where the coefficients of further columns stand, (K,)."""
+        """Return the indices of the k-th additional columns' coefficients, (K,)."""
         return np.arange(self._first[k], self._first[k + 1])
 
     def coefficients(self, k: int) -> np.ndarray:
-        """Return the coefficients (K,) of further columns in their own units."""
+        """Return the coefficients (K,) of the k-th additional columns in their own units."""
         return self.gaussian.z[self.further(k)] * self.extra[k].std
 
     def coefficients_covariance(self, k: int) -> np.ndarray:
@@ -117,11 +117,11 @@ class Likelihood:
         return self.gaussian.covariance(at) * np.outer(std, std)
 
     def evidence_for(self, k: int) -> float:
-        """Return the log evidence for further columns, beside what has been learnt with them."""
+        """Return the log evidence for the k-th additional columns, given the present hyperparameters."""
         return self.gaussian.against(self.further(k))
 
     def residual(self, joint: int) -> np.ndarray:
-        """Return what is left of a joint's torque, (M,) [N m or N]; nothing where it is not measured."""
+        """Return the residual of a joint's torque, (M,) [N m or N]; empty where it is not measured."""
         if joint not in self._residuals:
             one = self._designs[joint]
             left = one.target - one.explained(self.gaussian.z[one.own])
@@ -129,24 +129,29 @@ class Likelihood:
         return self._residuals[joint]
 
     def part(self, joint: int, coefficients: np.ndarray) -> np.ndarray:
-        """Return what some coefficients, by where they stand, make of a joint's torque, (M,) [N m or N]."""
+        """Return the torque of some coefficients, by their indices, at a joint, (M,) [N m or N]."""
         one = self._designs[joint]
         return one.explained(np.where(np.isin(one.own, coefficients), self.gaussian.z[one.own], 0.0))
 
     def columns(self, joint: int) -> np.ndarray:
-        """Return the columns of a joint before they are whitened, (P_j, M), in prior coordinates."""
+        """Return the columns of a joint before whitening, (P_j, M), in prior coordinates."""
         return self._designs[joint].A
 
     def explained(self, joint: int, z: np.ndarray) -> np.ndarray:
-        """Return what coefficients z (..., P_j) of a joint's columns make of its torque, (..., M)."""
+        """Return the torque of coefficients z (..., P_j) of a joint's columns, (..., M)."""
         return self._designs[joint].explained(z)
 
     def own(self, joint: int) -> np.ndarray:
-        """Return which coefficients (P_j,) the columns of a joint have."""
+        """Return the coefficients (P_j,) of a joint's columns."""
         return self._designs[joint].own
 
     def precision_and_score(self, place: int | None, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return precision (K, K) and score (K,) of features (K, M) of a joint, or (K, n, M) of all, beside the fit."""
+        """Return precision (K, K) and score (K,) of additional features given the fit.
+
+        Args:
+            place: joint of the features; None for all joints.
+            features: (K, M), or (K, n, M) for all joints.
+        """
         each = dict(enumerate(features.swapaxes(0, 1))) if place is None else {place: features}
         felt = {j: self.hyper.noise[j].white(F) for j, F in each.items() if len(self.index[j]) and F.any()}
         return (
@@ -156,17 +161,17 @@ class Likelihood:
         )
 
     def dispersion(self, joint: int) -> float:
-        """Return the scatter of a joint's scores over blocks of time, over that of white rows."""
+        """Return the scatter of a joint's scores over blocks of time, divided by that of white rows."""
         return self.gaussian.dispersion(joint, self.machine.rows.block[self.index[joint]])
 
     def renoised(self, joints: Sequence[int] | None = None, *, dispersed: bool = False) -> Likelihood:
-        """Return the same model with the noise, its drift and, if asked, its dispersion learnt from what is left.
+        """Return the same model with the noise, its drift and, if asked, its dispersion learnt from the residual.
 
-        Beside that noise it is learnt what friction holds at rest.
+        The friction that holds a joint at rest is learnt too.
 
         Args:
             joints: where; everywhere if not given.
-            dispersed: whether rows are to count by the scatter of their blocks.
+            dispersed: whether rows are weighted by the scatter of their blocks.
         """
         noise, drift = list(self.hyper.noise), self.hyper.drift.copy()
         joints, dispersion = self._seen(joints), self.hyper.dispersion.copy()
@@ -178,18 +183,18 @@ class Likelihood:
         return self.with_(noise=tuple(noise), drift=drift, dispersion=dispersion)._reheld(joints).levelled(joints)
 
     def _reheld(self, joints: Sequence[int]) -> Likelihood:
-        """Return the same model, what friction holds at rest as large as is expected of it at some joints."""
+        """Return the same model with the friction at rest set to its expected size at some joints."""
         hold = self.hyper.held.copy()
         for j in joints:
             hold[j] = self._expected(hold[j], self.machine.holding(j), j)
         return self.with_(hold=hold)
 
     def _expected(self, size: float, coefficients: np.ndarray, joint: int) -> float:
-        """Return the size [N m or N] of coefficients that is expected of them, whose prior has another one."""
+        """Return the expected size [N m or N] of coefficients, given the fit with a prior of another size."""
         return max(size * self.gaussian.rms(coefficients), _LEAST_SIZE * self.machine.torque_rms[joint])
 
     def levelled(self, joints: Sequence[int] | None = None) -> Likelihood:
-        """Return the same model with noises as large, and tails as heavy, as the evidence says; their colours stay.
+        """Return the same model with the most probable noise levels and tails; the noise's colour does not change.
 
             sigma^2 <- sigma^2 sum w e^2 / (m - gamma)
 
@@ -212,7 +217,7 @@ class Likelihood:
         return fit
 
     def _levelled(self, normal: Mapping[int, bool]) -> Likelihood:
-        """Return the same model with noises of other sizes at some joints, and whether they are to be normal there."""
+        """Return the same model with other noise levels at some joints, and normal noise where ``normal`` is true."""
         noise = list(self.hyper.noise)
         for j, plain in normal.items():
             n, index = noise[j], self.index[j]
@@ -226,13 +231,13 @@ class Likelihood:
         return [j for j, index in enumerate(self.index) if len(index) and (joints is None or j in joints)]
 
     def dispersed(self, dispersion: np.ndarray) -> Likelihood:
-        """Return the same model whose rows count by another dispersion (n,)."""
+        """Return the same model with another dispersion (n,)."""
         parts = np.sqrt(dispersion / self.hyper.dispersion)
         noise = [replace(n, sigma=n.sigma * float(part)) for n, part in zip(self.hyper.noise, parts, strict=True)]
         return self._resized(noise, dispersion)
 
     def _resized(self, noise: Sequence[Noise], dispersion: np.ndarray) -> Likelihood:
-        """Return the same model whose noises have other sizes and tails, and another dispersion (n,)."""
+        """Return the same model with other noise levels, tails and dispersion (n,)."""
         least = _LEAST_NOISE * self.machine.torque_rms
         noise = [replace(n, sigma=max(n.sigma, float(least[j]))) for j, n in enumerate(noise)]
         each = zip(self.gaussian.blocks, noise, self.hyper.noise, strict=True)
@@ -241,9 +246,10 @@ class Likelihood:
         return Likelihood(self.machine, hyper, self.extra, self._slopes, self._designs, blocks)
 
     def rewidened(self, joints: Sequence[int] | None = None) -> Likelihood:
-        """Return the same model with the widths of friction's sign change that have the greatest evidence.
+        """Return the same model with the most probable widths of friction's sign change.
 
-        All rows count alike in that: those that show them, at reversals, count less the worse they are explained.
+        All rows have equal weight here: the rows that show the widths, at reversals, would otherwise have less weight
+        the worse they are explained.
 
         Args:
             joints: where; everywhere if not given.
@@ -261,11 +267,11 @@ class Likelihood:
 
     @property
     def least_squares(self) -> Likelihood:
-        """The same model, the rows of a joint independent of each other: what predicts, however wrong a law is.
+        """The same model with each joint's rows independent: the best prediction, however wrong a law is.
 
-        Noise is learnt of what this leaves, as in two-step generalised least squares (Greene, "Econometric Analysis").
-        Were it learnt of what whitened rows leave, a wrong law would be fitted to what is fast, its slow error pass for
-        slow noise, and the next whitened rows count what is slow even less.
+        Noise is learnt from its residual, as in two-step generalised least squares (Greene, "Econometric Analysis").
+        Learnt from the residual of whitened rows, it would fail for a wrong law: the law would be fitted to fast
+        motion, its slow error would count as slow noise, and slow motion would get even less weight.
         """
         return self._independent if any(len(n.predictor) for n in self.hyper.noise) else self
 
@@ -276,7 +282,7 @@ class Likelihood:
         return Likelihood(self.machine, self.hyper.with_(noise=noise), self.extra, self._slopes, self._designs, blocks)
 
     def _noise(self, joint: int, dispersion: float, spread: np.ndarray) -> Noise:
-        """Return the noise of what is left at a joint whose rows are as noisy as ``spread`` (M,) against each other."""
+        """Return the noise of a joint's residual, given the relative noise ``spread`` (M,) of its rows."""
         fit, index, run = self.least_squares, self.index[joint], self.machine.rows.run
         used, white = fit.gaussian.used(joint), self.hyper.white
         tail = self.hyper.noise[joint].tail
@@ -284,10 +290,10 @@ class Likelihood:
         return replace(found, sigma=max(found.sigma, _LEAST_NOISE * self.machine.torque_rms[joint]))
 
     def reweighed(self) -> Likelihood:
-        """Return the same model with rows that count as they are most likely to.
+        """Return the same model with the most probable weights of its rows.
 
-        How much of a joint's noise encoders make, and how far the velocity's error hides the direction of its friction,
-        have the greatest likelihood among some values each.
+        The encoders' share of a joint's noise, and the error of the velocity that hides friction's direction, are the
+        most probable ones among some values each.
         """
         share, noise = self.hyper.encoder_share.copy(), list(self.hyper.noise)
         for j, index in enumerate(self.index):
@@ -303,38 +309,38 @@ class Likelihood:
         return self.with_(encoder_share=share, noise=tuple(noise))
 
     def recalibrated(self) -> Likelihood:
-        """Return the same model with the error of the URDF's inertial parameters that has the greatest evidence."""
+        """Return the same model with the most probable error of the URDF's inertial parameters."""
         return max((self.with_(kappa=k)._physical() for k in KAPPAS), key=lambda one: one.log_evidence)
 
     def _physical(self) -> Likelihood:
-        """Return the same model, the prior of its bodies expanded where the posterior of physical ones is largest."""
+        """Return the same model with the prior of its bodies expanded at the most probable physical bodies."""
         prior = self._bodies
         precision, shift = self.gaussian.first(len(prior.shift))
         z = most_probable(precision - prior.precision, shift - prior.shift, self.hyper.kappa)
         return self.with_(bodies=z / np.sqrt(self.hyper.kappa))
 
     def _resisting(self) -> Likelihood:
-        """Return the same model, the prior of ordinary friction truncated where it would push."""
+        """Return the same model with the prior of baseline friction truncated where it would be negative."""
         at = self.machine.resisting
         free = self.with_(resists=np.zeros_like(self.hyper.resists)).gaussian
         sites = nonnegative(free.z[at], free.covariance(at))
         return self.with_(resists=np.reshape(sites, self.hyper.resists.shape))
 
     def plausible(self) -> Likelihood:
-        """Return the same model whose bodies are physical, and whose friction does not push."""
+        """Return the same model with physical bodies and non-negative friction."""
         return self._physical()._resisting()
 
     def relinearised(self) -> Likelihood:
-        """Return the same model whose bodies are physical, and whose load and slopes are those of its fit."""
+        """Return the same model with physical bodies, and with load and slopes from its fit."""
         hyper = self.around_its_fit()
         return Likelihood(self.machine, hyper, self.extra, self.machine.slopes(hyper))
 
     def around_its_fit(self, *, alone: bool = False) -> Hyper:
-        """Return what is learnt, the bodies physical and the load that of the fit.
+        """Return the hyperparameters with physical bodies and the load of the fit.
 
         Args:
-            alone: whether friction is that of its fit too. What rests and reversals may hold is believed to be as large
-                as that: laws beside the machine, which take a part of its friction, must not make them smaller.
+            alone: whether to take friction from the fit too. The prior of friction at rests and reversals is as large
+                as that friction: additional friction laws, which take a part of it, must not make it smaller.
         """
         fit = self.plausible()
         hyper = fit.hyper.with_(pi=fit.pi)
@@ -345,45 +351,45 @@ class Likelihood:
 
     @property
     def with_normal_noise(self) -> Likelihood:
-        """The same model whose noise has no heavy tails: steps in time look like these."""
+        """The same model without heavy tails of its noise: steps in time look like heavy tails."""
         if all(n.tail is None for n in self.hyper.noise):
             return self
         return self.with_(noise=tuple(replace(n, tail=None) for n in self.hyper.noise)).levelled()
 
     @cached_property
     def with_new_noise(self) -> Likelihood:
-        """The same model with its noise learnt once more."""
+        """The same model with its noise learnt again."""
         return self.renoised(dispersed=True)
 
     @cached_property
     def refit(self) -> Likelihood:
-        """The same model with noise, widths, bodies and slopes learnt once more, beside the columns it has."""
+        """The same model with noise, widths, bodies and slopes learnt again, given its columns."""
         return self.renoised().rewidened().relinearised().renoised(dispersed=True)
 
     def refit_with(self, widths: np.ndarray) -> Likelihood:
-        """Return the same model with noise and bodies learnt once more beside known widths (n,) [rad/s] or [m/s]."""
+        """Return the same model with noise and bodies learnt again, given widths (n,) [rad/s] or [m/s]."""
         return self.renoised().with_(rest_width=widths).plausible().renoised(dispersed=True)
 
     def refit_at(self, joints: Sequence[int]) -> Likelihood:
-        """Return the same with noise and bodies learnt once more, and widths of some joints; slopes change little."""
+        """Return the same model with noise, bodies and some joints' widths learnt again; slopes change little."""
         key = tuple(joints)
         if key not in self._refits:
             self._refits[key] = self.renoised().rewidened(key).plausible().renoised(dispersed=True)
         return self._refits[key]
 
     def extended(self, extra: Sequence[Extra]) -> Likelihood:
-        """Return the same model with other columns beside the machine's."""
+        """Return the same model with other additional columns."""
         return Likelihood(self.machine, self.hyper, extra, self._slopes, self._designs, self.gaussian.blocks)
 
     def with_noise_of(self, other: Likelihood) -> Likelihood:
-        """Return the same model with the noise of another one, whose rows serve where the machine's columns are one."""
+        """Return the same model with the noise of another one, whose rows are reused if the machine's columns agree."""
         noise = other.hyper.noise
         each = zip(self._designs, other._designs, other.gaussian.blocks, noise, strict=True)
         blocks = [one.white(n, b.bare if one.bare is its.bare else None) for one, its, b, n in each]
         return Likelihood(self.machine, self.hyper.with_(noise=noise), self.extra, self._slopes, self._designs, blocks)
 
     def with_(self, **changes: object) -> Likelihood:
-        """Return the same model with some of what is learnt changed, see ``Hyper``."""
+        """Return the same model with some hyperparameters changed, see ``Hyper``."""
         hyper = self.hyper.with_(**changes)
         if hyper.white == self.hyper.white:
             changes.pop("white", None)

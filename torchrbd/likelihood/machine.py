@@ -1,40 +1,43 @@
-"""What every machine has beside its rigid body, as columns of each joint's rows: estimated, never searched for.
+"""The baseline model, as columns of each joint's rows: rigid body and terms that are always fitted.
 
     tau_j = Y_j pi                                          rigid body, around the URDF
           + d qd + c_+ max(g, 0) + c_- min(g, 0)            viscous and two-sided Coulomb friction, g = tanh(qd / w)
-          + s dg/dlog w + l d(c g)/dt + r d^2(c g)/dt^2     how wide the sign change is, how late, and how long it lasts
-          + sum_i f_i c (g'_i - g)                          how far friction at rest is what holds the joint
+          + s dg/dlog w + l d(c g)/dt + r d^2(c g)/dt^2     width, delay and duration of the sign change
+          + sum_i f_i c (g'_i - g)                          friction that holds the joint at rest, see below
           + h sum_e (sum_k h_ek u_e(t) cos(k pi s_e) / (1 + k) + t_e dg/dt)
-                                                            each rest or reversal, s_e from 0 to 1 while it lasts: what
-                                                            friction holds, and when it turns
-          + t0 d(tau_s)/dt + (t1 + t_j b) F d(tau_load)/dt  one offset t0 between the clocks of torque and motion; F is
-                                                            what is fast, which tells less of it if it is noise, and b
-                                                            is 1 where any joint breaks away
+                                                            each rest or reversal e, with s_e from 0 to 1 during it:
+                                                            the friction that holds it, and the time of its change
+          + t0 d(tau_s)/dt + (t1 + t_j b) F d(tau_load)/dt  clock offset t0 of torque and motion; F is the high-
+                                                            frequency part, less informative because of its noise;
+                                                            b is 1 where any joint breaks away
           + sum_k dtau/dq_k s + dtau/dqd_k s' + dtau/dqdd_k s'',  s = a_k d^2q_k/dt^2 + b_k d^4q_k/dt^4
-                                                            what the fastest part of each joint's motion is worth
-          + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding to steps D, where the torque is recorded in such
-          + drift(t)                                        a random walk's lowest frequencies, and its level, which is
-                                                            no larger: a larger one is an offset
+                                                            correction of the fastest part of each joint's motion
+          + b sin(2 pi tau_s / D) + b' cos(2 pi tau_s / D)  rounding, if the torque is recorded in steps D
+          + drift(t)                                        the lowest frequencies of a random walk, and its level,
+                                                            which is no larger: a larger one is an offset
 
-The fastest part of the differentiated positions is encoder noise as well as motion. As far as there is noise within the
-band, the torques of all joints tell how much of it is motion, joint by joint: what is fast of q + a d^2q/dt^2 is that
-of q with its highest frequencies shrunk (regression calibration: Carroll et al., "Measurement Error in Nonlinear
-Models", 2006, ch. 4). The filter of the states has one gain W(f) for all time and for each joint alone, the motion's
-mean share of the power. But near the band's edge motion comes in bursts: where dry friction turns, at a reversal, it
-accelerates all joints at once for some hundredths of a second; between, there is noise alone. The gain that the rows
-ask for differs from W by an even function of the frequency, whose first two terms are a and b. With a alone, what W
-errs by was taken for a spring in the transmission, which amplifies what is fast and has both terms: 156 nats for one
-that was not there. There were none without friction, and none without noise in the positions. Of slow motion W takes
-nothing, and neither do a and b: there a series in the frequency would only be in the way.
-What is fast of a load is such noise, too. As a joint breaks away, which smoothed positions pass over, what is fast of
-all loads seems to come at a time of each joint's own (t_j), which is none of the clocks'.
-Friction keeps its sharp edges, but for this: at a reversal a joint rests while its friction turns from one side to the
-other, which the differentiated positions, smoothed, pass over. The drive pushes harder and harder until the joint
-breaks away, so that friction follows a straight line: g' is g with straight lines across rests, shorter or longer ones.
-How far it does (f) depends on the drive: a joint that passes through zero does not rest. Each time, friction is
-whatever holds, within what it could be (h, as much as in motion or more): one unknown for a reversal, more for a long
-rest; and when it turns is told to a part of a sample (t). What rounding adds is a function of the torque, a sawtooth
-that noise smooths to its first harmonic (Widrow and Kollar, "Quantization Noise", 2008).
+*Fast motion.* The fastest part of the differentiated positions is both motion and encoder noise. The torques of all
+joints identify the share of motion, joint by joint: q + a d^2q/dt^2 is q with its highest frequencies attenuated
+(regression calibration: Carroll et al., "Measurement Error in Nonlinear Models", 2006, ch. 4). The states' filter has
+one gain W(f) for all time and for each joint alone: the motion's mean share of the power. But near the band's edge
+motion comes in bursts. When dry friction reverses, it accelerates all joints at once for some hundredths of a second;
+between reversals there is only noise. The gain that fits the rows differs from W by an even function of the frequency;
+a and b are its first two terms. With a alone, the error of W was taken for an elasticity of the transmission, which
+amplifies high frequencies and has both terms: 156 nats for one that did not exist. There were none without friction,
+and none without noise in the positions. W does not change slow motion, so a and b do not either.
+
+The high-frequency part of a load is such noise, too. When a joint breaks away, smoothed positions do not show it. The
+high-frequency part of all loads then seems to have a delay of each joint's own (t_j), which is not that of the clocks.
+
+*Friction at rest.* Friction has sharp edges, with one exception. At a reversal a joint rests while its friction changes
+from one side to the other; the smoothed positions do not show this. The drive pushes harder until the joint breaks
+away, so friction follows a straight line: g' is g with straight lines across rests, for shorter and longer rests. Their
+share f depends on the drive: a joint that passes through zero speed does not rest. At each rest, friction is an unknown
+torque within its limits (h, at least as large as in motion): one unknown for a reversal, several for a long rest. The
+time of its change is known to a fraction of a sample (t).
+
+*Rounding.* Its error is a function of the torque, a sawtooth that noise smooths to its first harmonic (Widrow and
+Kollar, "Quantization Noise", 2008).
 """
 
 from __future__ import annotations
@@ -59,50 +62,51 @@ from torchrbd.likelihood.resting import moving
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import inertial_scale
 
-# Slopes of the load are slow below this: above, they are those of the positions' noise more than of the motion.
+# Frequency below which derivatives of the load count as slow [Hz]: above, noise of the positions dominates them.
 OFFSET_HZ = 6.0
-# Clocks are off by some samples.
+# Prior standard deviation of the clock offset, in samples.
 _TIMING_SAMPLES = 3.0
-# Rows in a period of the band's edge; part of that edge above which motion is fast; terms of the gain that this needs;
-# and the least gain of the states' filter that counts.
+# Rows per period of the band's edge; fraction of that edge above which motion is fast; number of gain terms; least gain
+# of the states' filter that counts.
 _EDGE_ROWS, _FAST, _FASTEST, _LEAST_GAIN = 2.5, 0.25, 2, 0.1
 _ROUNDING = 2
-# A sign change may last longer, or shorter, by about as much as the band tells, in rows.
+# Prior standard deviation of the duration of a sign change, in rows: about the resolution of the band.
 _LASTING_ROWS = 0.5
-# A joint rests, or turns, where the direction of its motion is as unsure as this, if its velocity errs so many times as
-# much as it should; so many rests a joint are told apart, the longest ones.
+# A joint rests, or reverses, where its direction is this uncertain, with the velocity's error multiplied by
+# _REST_STICK. Only the _MOST_RESTS longest rests per joint have terms of their own.
 _RESTS, _REST_STICK, _MOST_RESTS = 0.05, 3.0, 30
-# So slow it is then, in standard deviations of its error: 2 sqrt(p (1 - p)) = r where p = (1 - sqrt(1 - r^2)) / 2.
+# Its speed is then below this, in standard deviations of its error: 2 sqrt(p (1 - p)) = r for p = (1 - sqrt(1 - r^2)) /
+# 2.
 _SLOW = -float(ndtri(0.5 * (1.0 - math.sqrt(1.0 - _RESTS**2))))
-# What holds a joint that rests for long changes no faster than this [Hz]; so many unknowns a joint tell it.
+# Highest frequency of the friction in a long rest [Hz]; largest number of such unknowns per joint.
 _HOLDS_HZ, _MOST_HOLDS = 5.0, 60
-# Standard deviation of the moment at which friction turns, in samples, and how far around it, or a rest, that is felt
+# Standard deviation of the time at which friction changes, in samples; reach of its effect around that time or a rest
 # [rows].
 _TURNS_SAMPLES, _FELT_ROWS = 0.5, 6
-# Friction of a joint may take all of its torque; its sign change may be wider or narrower by this part.
+# Prior standard deviation of the relative width of friction's sign change, and step of its central difference.
 _WIDTH_STD, _WIDTH_STEP = 0.5, 1.1
-# Widths of sign changes that are remembered, the ones last asked for.
+# Number of cached widths of sign changes, the most recent ones.
 _MOST_DIRECTIONS = 256
-# What changes more slowly than this is drift, as far as so many cosines a recording tell.
+# Highest frequency of drift [Hz], and largest number of its cosines per recording.
 _DRIFT_HZ, _MOST_DRIFT = 0.1, 12
-# A joint that sticks creeps, and its friction is whatever holds: errors of the velocity, times one of these.
+# A joint counts as sticking below these multiples of its velocity's error: it creeps, and its friction is unknown.
 STICKS = (1.0, 3.0, 10.0)
 ORDINARY = ("viscous", "coulomb_plus", "coulomb_minus")
-# The effects that these are the parameters of.
+# Effects in the baseline model.
 ORDINARY_EFFECTS = ("viscous_friction", "asymmetric_coulomb_friction")
 
 
 class Machine:
-    """Columns of rigid body and ordinary physics on one set of rows; coefficients have the prior N(0, 1).
+    """Columns of the baseline model on one set of rows; coefficients have the prior N(0, 1).
 
     Args:
         rows: the data.
-        held: bodies whose inertia is not re-fitted.
+        held: bodies whose inertia is not fitted.
 
     Attributes:
         n: number of coefficients.
-        torque_rms: (n_dof,) of what is measured [N m or N].
-        moving: (n_dof,) joints that ever move; the others have no columns that their own motion makes.
+        torque_rms: (n_dof,) of the measured torque [N m or N].
+        moving: (n_dof,) joints that ever move; the others have no columns from their own motion.
         index: per joint, the rows (m,) that are whitened.
     """
 
@@ -141,15 +145,15 @@ class Machine:
         return (Y[:, fitted] @ self.scale[np.ix_(moved, moved)]).T
 
     def _target_given(self, pi: np.ndarray) -> np.ndarray:
-        """Return what a rigid body of pi (n_params,) leaves of the torques, (n, M)."""
+        """Return the torques minus those of a rigid body with pi (n_params,), (n, M)."""
         return self.rows.tau - self.rows.load(pi)
 
     def felt_through(self, C: Sequence[np.ndarray], pi: np.ndarray) -> Machine:
-        """Return the same machine, bodies acting through another effect too: tau = Y pi' + C (pi' - pi) + that of pi.
+        """Return the same machine with bodies that also act through an effect: tau = Y pi' + C (pi' - pi) + that of pi.
 
         Args:
             C: per joint, as ``Rows.rigid``.
-            pi: (n_params,) of the effect's own columns, which stand beside the machine.
+            pi: (n_params,) in the effect's own columns, which are additional to the machine's.
         """
         other = copy(self)
         both = zip(self.rows.rigid, C, strict=True)
@@ -165,7 +169,7 @@ class Machine:
         return 2.0 * (p * (1.0 - p)).sqrt()
 
     def _rests(self, joint: int) -> np.ndarray:
-        """Return how unsure the direction of a joint's motion is (E, M), rest by rest."""
+        """Return the uncertainty of the direction of a joint's motion (E, M), rest by rest."""
         u = self._undirected[_REST_STICK][joint]
         still = u > _RESTS
         begins = still & ~np.concatenate(([False], still[:-1] & (np.diff(self.rows.run) == 0)))
@@ -175,9 +179,9 @@ class Machine:
         return np.array([np.where(number == k, u, 0.0) for k in kept]).reshape(len(kept), len(u))
 
     def _holds(self, rests: np.ndarray) -> np.ndarray:
-        """Return in what ways friction may hold during rests (E, M), the slowest ones first, (H, M).
+        """Return the functions of time for friction during rests (E, M), the slowest ones first, (H, M).
 
-        While a joint rests its friction wanders: its cosines are the smaller the faster they are.
+        During a rest friction is a random walk: its cosines are smaller the faster they are.
         """
         found: list[tuple[int, int, np.ndarray]] = []
         for rest in rests:
@@ -191,64 +195,65 @@ class Machine:
         return np.array([way for *_, way in kept]).reshape(len(kept), rests.shape[1])
 
     def ordinary(self, joint: int) -> np.ndarray:
-        """Return where the coefficients of viscous and both Coulomb frictions of a joint stand, (3,)."""
+        """Return the indices of a joint's viscous and both Coulomb frictions, (3,)."""
         return self._first(joint) + np.arange(len(ORDINARY))
 
     def bend(self, joint: int) -> int:
-        """Return where the coefficient of the width of a joint's sign change stands."""
+        """Return the index of the width of a joint's sign change."""
         return self._first(joint) + len(ORDINARY)
 
     def sticks(self, joint: int) -> np.ndarray:
-        """Return where the coefficients of friction that holds a joint at rest stand, (3,)."""
+        """Return the indices of the friction that holds a joint at rest, (3,)."""
         return self.bend(joint) + 1 + np.arange(len(STICKS))
 
     @property
     def resisting(self) -> np.ndarray:
-        """Where all coefficients of ordinary friction stand, (3 n_dof,)."""
+        """Indices of all baseline friction, (3 n_dof,)."""
         return np.concatenate([self.ordinary(j) for j in range(self.rows.n_dof)])
 
     def drifting(self, joint: int) -> np.ndarray:
-        """Return where the coefficients of a joint's drift stand."""
+        """Return the indices of a joint's drift."""
         return self._first(joint) + np.arange(self._local - len(self._drift), self._local)
 
     def wandering(self, joint: int) -> np.ndarray:
-        """Return where the coefficients of a joint's drift stand but for its levels: those may be an offset."""
+        """Return the indices of a joint's drift without its levels, which may be an offset."""
         return self.drifting(joint)[self._drift_order > 0]
 
     def holding(self, joint: int) -> np.ndarray:
-        """Return where the coefficients stand of what friction holds at each of a joint's rests."""
+        """Return the indices of the friction at each of a joint's rests."""
         return self._rest_at[joint] + np.arange(len(self._holding[joint]))
 
     def resting(self, joint: int) -> np.ndarray:
-        """Return where the coefficients of a joint's rests stand, what each holds and then when each turns."""
+        """Return the indices of a joint's rests: the friction at each, then the time of its change."""
         return np.arange(self._rest_at[joint], self._rest_at[joint + 1])
 
     @property
     def local(self) -> list[np.ndarray]:
-        """Where the coefficients stand that one joint alone has, joint by joint."""
+        """Indices of the coefficients that only one joint has, joint by joint."""
         each = range(self.rows.n_dof)
         return [np.concatenate((self._first(j) + np.arange(self._local), self.resting(j))) for j in each]
 
     def spread(self, joint: int, encoder_share: float, loose: float = 0.0, stick: float = 1.0) -> np.ndarray:
-        """Return how noisy a joint's rows are against each other, (M,): s^2 = 1 - k + k m^2 / mean m^2 + l^2 u^2
+        """Return the relative noise of a joint's rows, (M,): s^2 = 1 - k + k m^2 / mean m^2 + l^2 u^2
 
         Encoder noise is differentiated twice and multiplied by the row of the mass matrix, m^2 = sum_k M_jk^2 s_k^2.
-        Friction errs where the velocity does not tell its direction; u is the standard deviation of that direction.
+        Friction is uncertain where the velocity does not show its direction; u is the standard deviation of that
+        direction.
 
         Args:
-            joint: which.
-            encoder_share: k, part of the noise that encoders make, on average.
+            joint: its index.
+            encoder_share: k, mean share of the noise that comes from encoders.
             loose: l, Coulomb friction in units of the noise.
-            stick: speeds of so many standard deviations of the velocity's error may be rest, see ``STICKS``.
+            stick: multiple of the velocity's error below which a joint may be at rest, see ``STICKS``.
         """
         m = self._carried[joint]
-        # A joint whose links have no mass carries no noise of encoders: its rows are alike.
+        # Encoders add no noise at a joint whose links have no mass: its rows are equally noisy.
         encoders = 1.0 - encoder_share + encoder_share * (m / m.mean() if m.any() else np.ones_like(m))
         return np.sqrt(encoders + (loose * self._undirected[stick][joint]) ** 2)
 
     @property
     def timing(self) -> np.ndarray:
-        """Where the coefficients of the clocks' offsets stand, one a recording."""
+        """Indices of the clocks' offsets, one per recording."""
         return self._rest_at[0] - 2 * len(self._inside) + np.arange(len(self._inside))
 
     @property
@@ -264,9 +269,9 @@ class Machine:
         return self._evaluated_directions(joint, width)[:2]
 
     def held(self, joint: int, width: float) -> np.ndarray:
-        """Return g' - g, (3, M): g' is g = tanh(qd / width), in straight lines wherever the joint may rest.
+        """Return g' - g, (3, M): g' is g = tanh(qd / width), with straight lines wherever the joint may rest.
 
-        It may be taken to rest at speeds of more or fewer standard deviations, see ``STICKS``.
+        The three columns differ in the speed below which it may rest, see ``STICKS``.
         """
         return self._evaluated_directions(joint, width)[2:]
 
@@ -274,7 +279,7 @@ class Machine:
         def directions(signals: Signals) -> Tensor:
             qd = signals.qd[joint] * float(self.moving[joint])
             g = torch.tanh(qd / width)
-            # Where the direction is as unsure as this, as ``_direction_std`` has it.
+            # Where the direction is this uncertain, as in ``_direction_std``.
             unsure = (qd.abs() < _SLOW * stick * max(self.rows.speed_std[joint], 1e-300) for stick in STICKS)
             lines = [_straight(g.numpy(), rests.numpy()) - g.numpy() for rests in unsure]
             return torch.stack((g.clamp_min(0.0), g.clamp_max(0.0), *map(torch.from_numpy, lines)))
@@ -288,7 +293,7 @@ class Machine:
         return found
 
     def friction_columns(self, joint: int, width: float) -> np.ndarray:
-        """Return the features of ordinary friction, (3, M)."""
+        """Return the features of baseline friction, (3, M)."""
         return np.concatenate((self.rows.qd[[joint]] * self.moving[joint], self.sign(joint, width)))
 
     def friction_std(self, joint: int, features: np.ndarray) -> np.ndarray:
@@ -298,7 +303,7 @@ class Machine:
 
     @property
     def averaging(self) -> np.ndarray:
-        """Where the coefficients of the joints' fastest motion stand, (2 n_dof,): a of each joint, then b."""
+        """Indices of the corrections of the joints' fastest motion, (2 n_dof,): a of each joint, then b."""
         return self._first(self.rows.n_dof) + np.arange(_FASTEST * self.rows.n_dof)
 
     @property
@@ -316,15 +321,16 @@ class Machine:
             yield x
 
     def slopes(self, hyper: Hyper) -> np.ndarray:
-        """Return the columns (2 + 2 n + 2 + 2, n, M) that follow the load.
+        """Return the columns (2 + 2 n + 2 + 2, n, M) that depend on the load.
 
-        d(tau_s)/dt of all that is supplied, and what of the load's is fast; each joint's fastest motion, d^2q/dt^2 and
-        then d^4q/dt^4 of each; d/dt and d^2/dt^2 of the direction of Coulomb friction; and rounding.
+        They are d(tau_s)/dt of all supplied torque, and the high-frequency part of the load's; each joint's fastest
+        motion, d^2q/dt^2 of each, then d^4q/dt^4 of each; d/dt and d^2/dt^2 of the direction of Coulomb friction; and
+        rounding.
         """
         step = torch.from_numpy(np.nan_to_num(self.rows.torque_step, nan=np.inf)).unsqueeze(1)
 
         def derivatives(signals: Signals) -> Tensor:
-            # Of a copy, so that what is large goes with its tile.
+            # Use a copy, so that its large cached values are freed with the tile.
             signals = replace(signals)
             turns = 2.0 * math.pi * signals.supplied / step
             amplitude = torch.where(step.isinf(), 0.0, step / math.pi)
@@ -339,12 +345,12 @@ class Machine:
         return self.rows.around(hyper.pi, hyper.friction, hyper.rest_width).evaluated(derivatives)
 
     def design(self, joint: int, hyper: Hyper, slopes: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the columns (P_j, M) of a joint, less their ``sizes``, and which coefficients they have (P_j,).
+        """Return the columns (P_j, M) of a joint, without their ``sizes``, and their coefficients (P_j,).
 
         Args:
-            joint: which.
+            joint: its index.
             hyper: the present values.
-            slopes: of ``slopes``; without them time and response are exact.
+            slopes: from ``slopes``; without them time and response are exact.
         """
         first, width = self._first(joint), float(hyper.rest_width[joint])
         friction = self.friction_columns(joint, width)
@@ -380,10 +386,10 @@ class Machine:
         return np.concatenate(parts), np.concatenate(places)
 
     def sizes(self, joint: int, own: np.ndarray, hyper: Hyper) -> np.ndarray:
-        """Return by what the columns (P_j,) of a joint are to be multiplied to be in prior coordinates.
+        """Return the factors (P_j,) of a joint's columns that give prior coordinates.
 
-        They are learnt more often than the columns themselves: those of bodies, by the URDF's error, of drift, and of
-        what friction holds at rest.
+        They are learnt more often than the columns themselves: those of bodies (the URDF's error), of drift, and of the
+        friction at rest.
         """
         first, size = int(self.drifting(joint)[0]), np.ones(len(own))
         size[own < len(self.inertial)] = 1.0 / math.sqrt(hyper.kappa)
@@ -406,17 +412,17 @@ class Machine:
         return found
 
     def friction_size(self, joint: int, hyper: Hyper) -> np.ndarray:
-        """Return ordinary friction (3,) of a joint whose coefficients are one."""
+        """Return baseline friction (3,) of a joint for coefficients of one."""
         return self.friction_std(joint, self.friction_columns(joint, float(hyper.rest_width[joint])))
 
 
 def _near(rests: np.ndarray) -> np.ndarray:
-    """Return which rows belong to each of E rests (E, M), those beside it included, each row to one at most."""
+    """Return which rows belong to each of E rests (E, M), including neighbouring rows, each row to one at most."""
     weight = np.array([maximum_filter1d(rest, 2 * _FELT_ROWS + 1) + rest for rest in rests]).reshape(rests.shape)
     return (weight > 0) & (np.arange(len(rests))[:, None] == weight.argmax(0)) if len(rests) else weight
 
 
 def _straight(g: np.ndarray, rests: np.ndarray) -> np.ndarray:
-    """Return a signal (N,) with straight lines in place of what it is at rest (N,) bool."""
+    """Return a signal (N,) with straight lines where it is at rest (N,) bool."""
     at = np.arange(len(g))
     return np.interp(at, at[~rests], g[~rests]) if not rests.all() else g

@@ -1,18 +1,18 @@
-"""Whether a model is wrong: do the efficient estimate and plain least squares agree? (Hausman's test)
+"""A test for a wrong model: do the efficient estimate and ordinary least squares agree? (Hausman's test)
 
-Whitening weighs what is fast, least squares what is large. Both are right if the model is; where a law is wrong, each
-bends it its own way. With z ~ N(m, P^-1), whitened rows W y = X z + e, e white, and the same rows as least squares
-sees them, y_o = X_o z + G e, each joint's divided by the size of its noise and taken to be independent,
+Whitening gives weight to fast motion, least squares to large torques. Both are right if the model is; a wrong law
+biases each in its own way. With z ~ N(m, P^-1), the whitened rows are W y = X z + e with white e. Least squares uses
+the same rows as independent ones, y_o = X_o z + G e, each joint's divided by the size of its noise. Then
 
     z_w - z = H_w^-1 (X'e - P (z - m)),       H_w = X'X + P         efficient
     z_o - z = H_o^-1 (X_o'G e - P (z - m)),   H_o = X_o'X_o + P     consistent, whatever the noise's colour
     d = z_o - z_w,   V = cov(d),   d'V^+ d ~ chi-squared, of as many degrees of freedom as V has rank
 
-The prior is the same in both and part of V: directions that it decides differ by nothing, and count nothing. G is the
-noise's memory, W's inverse.
+Both have the same prior, and V includes it: directions that only the prior determines do not differ and do not count. G
+is the noise's memory, the inverse of W.
 
 Source: Hausman, "Specification Tests in Econometrics", Econometrica 1978, theorem 2.1. There V = C_o - C_w; here it is
-that of d itself, as the rows with which a run begins only predict.
+that of d itself, because the first rows of a run are not whitened but only predict later ones.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from scipy.stats import chi2
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.noise import Noise
 
-# Below this p-value the model is taken to be wrong.
+# The model counts as wrong below this p-value.
 MISFIT = 0.01
-# Where least squares loses less than this part of its variance by whitening, both estimates are one.
+# If whitening removes less than this fraction of least squares' variance, both estimates count as equal.
 _LEAST_LOSS = 0.01
-# The noise forgets what its response has below this part of its first value, or what is so many rows ago.
+# The noise's impulse response is cut below this fraction of its first value, or after this many rows.
 _FORGOTTEN, _MOST_MEMORY = 1e-4, 4096
-# Directions of coefficients below this are told by rounding.
+# Directions of coefficients below this are dominated by rounding.
 _LEAST_DIRECTION = 1e-9
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """How far two estimates differ that are one where the model is right.
+    """The difference between two estimates that agree if the model is right.
 
     Attributes:
         statistic: d'V^+ d.
-        dof: its degrees of freedom; 0 where least squares loses nothing.
-        p_value: how often a right model differs by as much.
+        dof: its degrees of freedom; 0 if both estimates count as equal.
+        p_value: probability of such a difference under a right model.
     """
 
     statistic: float
@@ -55,10 +55,10 @@ class Misfit:
 class TwoEstimates:
     """The efficient and the least-squares estimate of the coefficients of one likelihood.
 
-    The priors that keep friction from pushing are in neither: they are not Gaussian.
+    Neither has the priors that keep friction non-negative: those are not Gaussian.
 
     Args:
-        fit: the model, its noise learnt.
+        fit: the model, with its noise learnt.
 
     Attributes:
         efficient, ordinary: z_w and z_o, (P,).
@@ -88,15 +88,15 @@ class TwoEstimates:
         self.efficient, self.ordinary = self._Hw @ h, self._Ho @ (score + shift)
 
     def test(self, index: Sequence[int] | np.ndarray) -> Misfit:
-        """Test whether the estimates of some coefficients (K,) are one but for noise.
+        """Test whether the two estimates of some coefficients (K,) differ only by noise.
 
         Raises:
-            ValueError: of none.
+            ValueError: there are no coefficients.
         """
         if not len(index):
             raise ValueError("no coefficients to compare: expected one index or more")
         V, C = self._covariances(index)
-        # In coordinates in which C is one, V is what least squares loses.
+        # In coordinates in which C is one, V is the variance that least squares loses.
         size = np.sqrt(np.maximum(C.diagonal(), 1e-300))
         values, vectors = np.linalg.eigh(C / size / size[:, None])
         resolved = values > _LEAST_DIRECTION
@@ -108,9 +108,10 @@ class TwoEstimates:
         return Misfit(statistic, dof, float(chi2.sf(statistic, dof)) if dof else 1.0)
 
     def estimate(self, index: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return coefficients (K,) and their covariance: the efficient estimate, or what lies between the two.
+        """Return coefficients (K,) and their covariance: the efficient estimate, or the mean of both if they disagree.
 
-        Where they disagree a law is wrong, and either may be: their mean, uncertain by half of what they differ.
+        If they disagree, a law is wrong and either may be right: the uncertainty of the mean is then half their
+        difference.
         """
         if self.test(index).p_value >= MISFIT:
             return self._fit.gaussian.z[index], self._fit.gaussian.covariance(index)
@@ -118,9 +119,9 @@ class TwoEstimates:
         return self.efficient[index] + apart, self._covariances(index)[1] + np.outer(apart, apart)
 
     def against(self, index: Sequence[int] | np.ndarray, value: np.ndarray | float = 0.0) -> float:
-        """Return the log evidence against a value of coefficients (K,) around which their prior N(value, 1) lies.
+        """Return the log evidence against a value of coefficients (K,) with the prior N(value, 1).
 
-        Savage and Dickey's density ratio there, of an estimate that scatters by the noise that there is.
+        It is the Savage-Dickey density ratio, of an estimate that scatters by the actual noise.
         """
         m, C = self.estimate(index)
         return 0.5 * float(np.linalg.slogdet(C)[1] + (m - value) @ np.linalg.solve(C, m - value))
@@ -141,7 +142,7 @@ class TwoEstimates:
 
 
 def remembered(U: np.ndarray, noise: Noise, run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what signals U v (K,), of a noise v (M,), have of its innovations: U G.
+    """Return the part of signals U v (K,), for a noise v (M,), that comes from its innovations: U G.
 
     G is applied from the right, by the noise's recursion backwards in time.
 
@@ -151,7 +152,7 @@ def remembered(U: np.ndarray, noise: Noise, run: np.ndarray) -> tuple[np.ndarray
         run: (M,) number of a row's uninterrupted run.
 
     Returns:
-        (K, M) of the innovations of each row, and the covariance (K, K) by those before the beginning of each run.
+        (K, M) of the innovations of each row, and the covariance (K, K) from those before the start of each run.
     """
     recursion = np.concatenate(([1.0], -noise.predictor))
     response = np.abs(np.asarray(lfilter([1.0], recursion, np.eye(1, _MOST_MEMORY)[0])))
@@ -168,7 +169,7 @@ def remembered(U: np.ndarray, noise: Noise, run: np.ndarray) -> tuple[np.ndarray
 
 
 def _left(memory: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return the covariance (K, K) by the innovations of rows that are not among ``index``."""
+    """Return the covariance (K, K) from the innovations of rows that are not in ``index``."""
     rest = np.delete(memory, index, axis=1)
     return rest @ rest.T
 

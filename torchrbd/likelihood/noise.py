@@ -1,20 +1,21 @@
-"""Coloured torque noise of one joint: an autoregressive filter whose order the evidence chooses, with heavy tails.
+"""Coloured torque noise of one joint: an autoregressive filter, its order chosen by the evidence, with heavy tails.
 
     e_t = sum_i a_i e_(t-i) + sigma s_t n_t,   n white, normal or Student's t of nu degrees of freedom
 
-s_t says which rows are noisier than others: encoder noise counts by the inertia that it is multiplied with, friction
-errs where the velocity does not tell its direction. What rows err by has passed the filter of the rows, whatever made
-it, so that one predictor serves. A run's first rows only predict: as many whatever the order, so that models with
+s_t is the relative noise of the rows: encoder noise is multiplied by the inertia, and friction is uncertain where the
+velocity does not show its direction. All errors have passed the filter of the rows, whatever their cause, so one
+predictor is enough. The first rows of a run only predict later ones: equally many for all orders, so that models with
 noises of different orders explain the same rows.
 
-Spikes make tails heavy: n_t is Student's t. Stretches of time that are noisier than others, or recordings, do as well:
-the rows of a block share one more factor, so that they are Student's t together. Student's density of m numbers has a
-normal one below it that touches it at n_0,
+Spikes make tails heavy: n_t is Student's t. So do windows of time, or recordings, that are noisier than others: the
+rows of a block then share one more factor, and are Student's t together. Student's density of m numbers has a normal
+lower bound that touches it at n_0,
 
     log t(n) >= log N(n; 0, 1/w) + c(w),   w = (nu + m) / (nu + |n_0|^2)
 
-so that all else stays Gaussian, and rows count by w: Lange, Little and Taylor, "Robust Statistical Modeling Using the t
-Distribution", JASA 1989; the bound: Jaakkola and Jordan, "Bayesian parameter estimation via variational methods", 2000.
+so everything else stays Gaussian, and rows have weights w: Lange, Little and Taylor, "Robust Statistical Modeling Using
+the t Distribution", JASA 1989; the bound: Jaakkola and Jordan, "Bayesian parameter estimation via variational methods",
+2000.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ from scipy.special import gammaln
 from torchrbd.filters import unpredicted
 
 _MOST_ORDER = 16
-# Noise below this part of the residual's RMS is rounding.
+# Noise below this fraction of the residual's RMS is rounding.
 _LEAST = 1e-6
-# Degrees of freedom of Student's t that are tried, its variance finite, and steps towards its size.
+# Degrees of freedom of Student's t to try, with a finite variance, and number of steps to find its scale.
 _FREEDOMS, _STEPS = (4.0, 10.0), 6
 
 
@@ -43,7 +44,7 @@ class Student:
     Attributes:
         freedom: nu.
         weight: w (M,) of each row, that of its group.
-        group: (M,) number of the group of each row; None if each stands alone.
+        group: (M,) number of the group of each row; None if each row is its own group.
     """
 
     freedom: float
@@ -51,20 +52,20 @@ class Student:
     group: np.ndarray | None = None
 
     def at(self, square: np.ndarray, own: np.ndarray | None) -> np.ndarray:
-        """Return the weights (m,) of rows whose n^2 is this, of the groups ``own`` (m,); None if each stands alone."""
+        """Return the weights (m,) for squares n^2 of rows in groups ``own`` (m,); None if each row is its own group."""
         nu = self.freedom
         if own is None:
             return (nu + 1.0) / (nu + square)
         return ((nu + np.bincount(own)) / (nu + np.bincount(own, square)))[own]
 
     def weighed(self, w: np.ndarray, index: np.ndarray) -> Student:
-        """Return the same whose rows (m,) have these weights."""
+        """Return a copy with the given weights of its rows (m,)."""
         weight = np.ones(len(self.weight))
         weight[index] = w
         return replace(self, weight=weight)
 
     def constant(self, index: np.ndarray) -> float:
-        """Return sum c(w) of some rows (m,): what the normal densities below Student's lack at their own size."""
+        """Return sum c(w) of some rows (m,): log of Student's density over that of its normal lower bound at n_0."""
         nu, w, m = self.freedom, self.weight[index], np.ones(1)
         if self.group is not None:
             own = self.group[index]
@@ -98,11 +99,11 @@ class Noise:
     """The noise of one joint's M rows, m of which are whitened.
 
     Attributes:
-        index: (m,) rows that have enough before them, see ``predicted``.
+        index: (m,) rows with enough rows before them, see ``predicted``.
         predictor: a (p,).
         sigma: standard deviation of the innovations [N m or N].
         spread: s (M,) of each row.
-        tail: if it is heavy.
+        tail: its heavy tail, if any.
     """
 
     index: np.ndarray
@@ -113,12 +114,12 @@ class Noise:
 
     @property
     def scatter(self) -> np.ndarray:
-        """Standard deviation of n s (M,) by which rows count."""
+        """Relative standard deviation of the rows, tails included (M,), which sets their weights."""
         return self.spread if self.tail is None else self.spread / np.sqrt(self.tail.weight)
 
     @property
     def correlation(self) -> np.ndarray:
-        """Autocovariance c (p + 1,) of e for innovations of variance one: Yule and Walker's equations."""
+        """Autocovariance c (p + 1,) of e for innovations of variance one: Yule-Walker equations."""
         p = len(self.predictor)
         A = np.eye(p + 1)
         for k in range(p + 1):
@@ -133,30 +134,30 @@ class Noise:
 
     @cached_property
     def surprise(self) -> float:
-        """-log p of the rows, but for half the squares of the whitened ones: its order is paid for."""
+        """-log p of the rows, without half the squares of the whitened ones; includes the cost of the order."""
         volume = float(np.log(self.sigma * self.scatter[self.index]).sum())
         heavy = 0.0 if self.tail is None else self.tail.constant(self.index)
         parts = 0 if self.tail is None else len(self.tail.parts)
         return volume - heavy + order_cost(len(self.predictor) + parts, len(self.index))
 
     def white(self, A: np.ndarray) -> np.ndarray:
-        """Return signals (..., M) as the whitened rows (m,) see them, (..., m)."""
+        """Return signals (..., M) whitened at rows (m,), (..., m)."""
         out = self.unpredicted(A)
         out /= self.size
         return out
 
     def unpredicted(self, A: np.ndarray) -> np.ndarray:
-        """Return what of signals (..., M) rows (m,) cannot predict from those before, (..., m)."""
+        """Return the errors of predicting signals (..., M) at rows (m,) from the rows before, (..., m)."""
         return unpredicted(A, self.predictor, self.index) if len(self.predictor) else A[..., self.index]
 
     @cached_property
     def size(self) -> np.ndarray:
-        """Standard deviation (m,) of what rows cannot predict [N m or N]."""
+        """Standard deviation (m,) of the prediction errors [N m or N]."""
         return self.sigma * self.scatter[self.index]
 
 
 def predicted(run: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return the rows (m,) with enough before them in their run for any order, of run (M,) and measured (M,)."""
+    """Return the rows (m,) with enough earlier rows in their run for any order, given run (M,) and measured (M,)."""
     k = np.arange(_MOST_ORDER, len(run))
     return k[(run[k] == run[k - _MOST_ORDER]) & measured[k] & measured[k - _MOST_ORDER]]
 
@@ -172,7 +173,7 @@ def learnt(
     tail: Tail | None = None,
     white: bool = False,
 ) -> Noise:
-    """Learn the noise from what a fit leaves.
+    """Learn the noise from a fit's residual.
 
     Args:
         residual: (M,) [N m or N].
@@ -180,9 +181,9 @@ def learnt(
         spread: s (M,) of each row.
         run: (M,) number of its uninterrupted run.
         used: degrees of freedom that the fit has taken from this joint.
-        dispersion: how much more the blocks scatter than white rows would; all variances are raised by it.
-        tail: how heavy its tails are.
-        white: whether rows are taken to be independent, as least squares does.
+        dispersion: scatter of the blocks over that of white rows; all variances are multiplied by it.
+        tail: its heavy tail.
+        white: whether rows count as independent, as in least squares.
     """
     own, count = residual / spread, max(len(index), 1)
     rms = float(np.sqrt(np.mean(own[index] ** 2))) if len(index) else 0.0
@@ -198,19 +199,19 @@ def learnt(
         noise = replace(noise, tail=tail)
         size = float(np.sqrt(np.mean(noise.white(residual) ** 2)))
         noise = replace(noise, sigma=noise.sigma * max(size, _LEAST))
-    # A fit that has many parameters leaves less than the noise.
+    # The residual of a fit with many parameters is smaller than the noise.
     raised = max(dispersion, 1.0) / max(1.0 - used / count, 0.1)
     return replace(noise, sigma=noise.sigma * math.sqrt(raised))
 
 
 def tailed(n: np.ndarray, index: np.ndarray, block: np.ndarray, *, normal: bool = False) -> tuple[float, Tail | None]:
-    """Return the size of innovations n (m,) at some of M rows, and their tail, if its evidence pays for it.
+    """Return the size of innovations n (m,) at some of M rows, and a heavy tail if the evidence is in favour of one.
 
     Args:
-        n: innovations, those of rows as noisy as others.
+        n: innovations, divided by the relative noise of their rows.
         index: (m,) their rows.
         block: (M,) number of the block of time of each row.
-        normal: whether no tail is to be tried.
+        normal: whether to try no tail.
     """
     size = float(np.sqrt(np.mean(n**2)))
     best = _loss(n, index, max(size, 1e-150), None), size, None
@@ -218,7 +219,7 @@ def tailed(n: np.ndarray, index: np.ndarray, block: np.ndarray, *, normal: bool 
         return size, None
     each, groups = np.ones(len(block)), {"row": None, "block": block}
     while groups:
-        # Tails of rows, or of blocks; then the other kind beside it.
+        # Tails of rows, or of blocks; then both together.
         others = () if best[2] is None else best[2].parts
         found = [
             (_tailed(n, index, best[1], (*others, Student(nu, each, group))), kind)
@@ -236,16 +237,16 @@ def tailed(n: np.ndarray, index: np.ndarray, block: np.ndarray, *, normal: bool 
 def _tailed(
     n: np.ndarray, index: np.ndarray, size: float, parts: tuple[Student, ...]
 ) -> tuple[float, float, Tail | None]:
-    """Return the loss, the size and the tail of innovations, see ``tailed``, whose parts have these freedoms.
+    """Return the loss, the size and the tail of innovations, see ``tailed``, for parts with these degrees of freedom.
 
-    Of one part, sum w = m where the size is best: dividing by it leads there faster (Kent, Tyler and Vardi, "A curious
+    For one part, sum w = m at the best size: dividing by it converges faster (Kent, Tyler and Vardi, "A curious
     likelihood identity for the multivariate t-distribution", Communications in Statistics 1994).
     """
     weights = [one.weight[index] for one in parts]
     groups = [None if one.group is None else one.group[index] for one in parts]
 
     def weigh() -> np.ndarray:
-        """Tell each part's weights beside those of all others, and return all of them together."""
+        """Set each part's weights given those of all others, and return the product of all."""
         square = (n / size) ** 2
         for k, (one, own) in enumerate(zip(parts, groups, strict=True)):
             weights[k] = one.at(math.prod((*weights[:k], *weights[k + 1 :]), start=square), own)
@@ -260,7 +261,7 @@ def _tailed(
 
 
 def _loss(n: np.ndarray, index: np.ndarray, size: float, tail: Tail | None) -> float:
-    """Return -log p of innovations (m,) of a size, but for what is the same for all."""
+    """Return -log p of innovations (m,) of a size, up to a common constant."""
     count, square = len(n), (n / size) ** 2
     if tail is None:
         return count * math.log(size) + 0.5 * float(square.sum())
@@ -270,7 +271,7 @@ def _loss(n: np.ndarray, index: np.ndarray, size: float, tail: Tail | None) -> f
 
 
 def order_cost(order: int, rows: float) -> float:
-    """Return what a predictor of so many coefficients costs the evidence [nats]: Schwarz's approximation.
+    """Return the cost of a predictor with so many coefficients [nats]: Schwarz's approximation (BIC).
 
     Source: Schwarz, "Estimating the Dimension of a Model", Annals of Statistics 1978.
     """
@@ -278,10 +279,10 @@ def order_cost(order: int, rows: float) -> float:
 
 
 def predictors(e: np.ndarray, run: np.ndarray, most: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the predictor (p,) of each order up to ``most``, and what it does not predict of a signal (M,).
+    """Yield the predictor (p,) of each order up to ``most``, and its prediction errors of a signal (M,).
 
-    Each order's last reflection coefficient makes the errors of predicting forwards and backwards smallest together, so
-    that every predictor is stable.
+    The last reflection coefficient of each order minimises the sum of forward and backward prediction errors, so every
+    predictor is stable.
 
     Source: Burg, "Maximum Entropy Spectral Analysis", 1967; Kay, "Modern Spectral Estimation" (1988), sec. 7.6.
     """
@@ -301,13 +302,13 @@ def predictors(e: np.ndarray, run: np.ndarray, most: int) -> Iterator[tuple[np.n
 
 
 def drift_basis(t: np.ndarray, recording: np.ndarray, slowest_hz: float, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lowest frequencies of each recording's time, from its level on, as a drift may hold them.
+    """Return the lowest frequencies of each recording, from its level on, as a basis for drift.
 
     Args:
         t: (M,) seconds.
         recording: (M,) number.
         slowest_hz: the highest frequency that counts as drift [Hz].
-        most: functions a recording at most.
+        most: largest number of functions per recording.
 
     Returns:
         cosines (D, M), zero outside of their recording, and their orders (D,), 0 for the level.

@@ -1,10 +1,10 @@
-"""The prior of inertial parameters: entropic around the URDF, and so physical; expanded where it is needed.
+"""The prior of inertial parameters: entropic around the URDF, so always physical; expanded to second order.
 
     p(J) ~ exp(-kappa [tr(J0^-1 J) - logdet(J0^-1 J)])
 
-a Wishart distribution of pseudo-inertias of 2 kappa + 5 degrees of freedom whose mode is the URDF's J0. In coordinates
-z, J = F (1 + sum_k z_k B_k / sqrt(kappa)) F' with J0 = F F' and B orthonormal, its curvature at z = 0 is one. Around
-any other point z* it is, to second order, Gaussian: Laplace's approximation there has the exact normaliser
+It is a Wishart distribution of pseudo-inertias with 2 kappa + 5 degrees of freedom and the URDF's J0 as its mode. In
+coordinates z, J = F (1 + sum_k z_k B_k / sqrt(kappa)) F' with J0 = F F' and B orthonormal, its curvature at z = 0 is
+one. Around any other point z* it is, to second order, Gaussian. The exact normaliser is
 
     Z = 2^(nu p / 2) |1 / (2 kappa)|^(nu / 2) Gamma_p(nu / 2),   nu = 2 kappa + 5, p = 4
 
@@ -29,16 +29,16 @@ _SIZE = 4
 
 
 def expanded(z: np.ndarray, kappa: float) -> Quadratic:
-    """Return the log prior density of z (10 b,) to second order around a point, over that of N(0, 1) without its 2 pi.
+    """Return the log prior density of z (10 b,) to second order around a point, minus that of N(0, 1) without its 2 pi.
 
     Args:
-        z: where, physical.
+        z: the point, physical.
         kappa: weight of the divergence.
     """
     return _expanded(z.tobytes(), kappa)
 
 
-# Models that differ in their noise are expanded around the same point, one after the other.
+# Models that differ in their noise are expanded around the same point, one after the other: cache.
 @lru_cache(maxsize=16)
 def _expanded(at: bytes, kappa: float) -> Quadratic:
     z = np.frombuffer(at)
@@ -60,10 +60,10 @@ def _expanded(at: bytes, kappa: float) -> Quadratic:
 
 @cache
 def _log_normaliser(kappa: float) -> float:
-    """Return log integral of exp(-kappa [tr G - logdet G]) over z, less 5 log 2 pi.
+    """Return log integral of exp(-kappa [tr G - logdet G]) over z, minus 5 log 2 pi.
 
-    Muirhead's measure is of the entries of G on and above the diagonal, of which the off-diagonal ones are coefficients
-    of B divided by root 2.
+    Muirhead's measure is that of the entries of G on and above the diagonal; the off-diagonal ones are coefficients of
+    B divided by root 2.
     """
     nu = 2.0 * kappa + _SIZE + 1
     entries = 0.5 * nu * _SIZE * (math.log(2.0) - math.log(2.0 * kappa)) + float(multigammaln(0.5 * nu, _SIZE))
@@ -73,6 +73,6 @@ def _log_normaliser(kappa: float) -> float:
 
 
 def most_probable(A: np.ndarray, h: np.ndarray, kappa: float) -> np.ndarray:
-    """Return the z (10 b,) that maximises -1/2 z'A z + h'z + the log prior, inside what is physical."""
+    """Return the physical z (10 b,) that maximises -1/2 z'A z + h'z + the log prior."""
     z, *_ = follow_path(Problem(A, h, kappa, len(h) // PARAMETERS_PER_BODY))
     return z

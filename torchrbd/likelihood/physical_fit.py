@@ -2,7 +2,7 @@
 
     minimise  1/2 x'Hx - h'x + kappa sum_bodies [tr(J0^-1 J) - logdet J]
 
-It is found along the central path, see ``central_path.py``.
+It is solved along the central path, see ``central_path.py``.
 
 Source: Lee, Wensing, Park (T-RO 2020), eq. (31).
 """
@@ -22,10 +22,10 @@ from torchrbd.likelihood.urdf_prior import Prior, orthonormal_steps
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 from torchrbd.robot import from_pseudo_inertia
 
-# Moments are exact to about 1e-16 of the largest: of anything stiffer, rounding would decide the weak directions.
+# Moments are exact to about 1e-16 of the largest: in stiffer equations, rounding would dominate the weak directions.
 _STIFFEST = 1e13
-# Rounds of multipliers, and how far they still move a sum when they have settled, in standard deviations. Sums of the
-# same column depend on each other.
+# Largest number of rounds of multipliers; change of a sum at convergence, in standard deviations; jitter, since sums of
+# the same column depend on each other.
 _MOST_PULLS, _SETTLED, _JITTER = 8, 1e-6, 1e-12
 
 
@@ -34,7 +34,7 @@ class PhysicalFit:
     """Coefficients with a positive definite pseudo-inertia for every fitted body, and the precision of z there.
 
     ``x`` (n,); ``free`` indices of the fitted ones; ``precision`` (n_free, n_free) is the Hessian of the objective in
-    prior coordinates; ``steps`` Newton steps taken; ``converged`` says whether the last one was short.
+    prior coordinates; ``steps`` is the number of Newton steps; ``converged`` is whether the last one was short.
     """
 
     x: Tensor
@@ -47,7 +47,7 @@ class PhysicalFit:
 def physical_fit(prior: Prior, equations: Equations, terms: Tensor) -> PhysicalFit:
     """Fit inertial parameters and terms.
 
-    Equations stiffer than 1e13 prior precisions are weakened to that.
+    Equations stiffer than 1e13 prior precisions are reduced to that.
 
     Args:
         prior: prior; its kappa is the weight of the divergence.
@@ -75,15 +75,15 @@ def physical_fit(prior: Prior, equations: Equations, terms: Tensor) -> PhysicalF
 
 
 def fit_with_signs(prior: Prior, equations: Equations, terms: Tensor, signs: Tensor) -> PhysicalFit:
-    """Fit inertial parameters and terms, some sums of coefficients being kept from negative values.
+    """Fit inertial parameters and terms, with some sums of coefficients kept non-negative.
 
         minimise  f(x)  subject to  W x >= 0:   grad f(x) = W'l,  l >= 0,  l'W x = 0
 
-    with f as of ``physical_fit``. The multipliers l are those of f to second order around the last fit, and f is
-    nearly quadratic in what terms do, so that a few rounds find them. The precision is that of f.
+    f is as in ``physical_fit``. The multipliers l are those of f to second order around the last fit. f is nearly
+    quadratic in the terms, so a few rounds suffice. The precision is that of f.
 
     Args:
-        prior, equations, terms: as of ``physical_fit``.
+        prior, equations, terms: as for ``physical_fit``.
         signs: W (K, n), rows of columns of terms.
 
     Source: Nocedal, Wright, "Numerical Optimization" (2006), ch. 18 (sequential quadratic programming).
@@ -100,13 +100,13 @@ def fit_with_signs(prior: Prior, equations: Equations, terms: Tensor, signs: Ten
             break
         pulled = equations.h + prior.scaled((signs.T @ pull).unsqueeze(1), back=True)[:, 0]
         fit = physical_fit(prior, Equations(equations.H, pulled), terms)
-    # What is left of these sums, and of those on the wrong side, is rounding.
+    # These sums, and those with the wrong sign, are zero up to rounding.
     none = signs[(pull > 0.0) | (signs @ fit.x < 0.0)]
     return replace(fit, x=fit.x - torch.linalg.pinv(none) @ (none @ fit.x))
 
 
 def _multipliers(y: Tensor, C: Tensor) -> Tensor:
-    """Return l (K,) with y + C l >= 0, l >= 0 and l'(y + C l) = 0, of sums y (K,) with covariance C (K, K)."""
+    """Return l (K,) with y + C l >= 0, l >= 0 and l'(y + C l) = 0, for sums y (K,) with covariance C (K, K)."""
     free = C.diagonal() > 0.0
     size = C.diagonal()[free].rsqrt()
     L = torch.linalg.cholesky(size[:, None] * C[free][:, free] * size + _JITTER * torch.eye(int(free.sum())))
@@ -118,15 +118,15 @@ def _multipliers(y: Tensor, C: Tensor) -> Tensor:
 
 
 def _turn(prior: Prior, L0: Tensor) -> np.ndarray:
-    """Return the blocks Q (n_bodies, 10, 10) from z of ``Problem`` to the prior's, terms as they are.
+    """Return the blocks Q (n_bodies, 10, 10) from z of ``Problem`` to the prior's; terms do not change.
 
-    They are orthogonal if both mean the same kappa.
+    They are orthogonal if both have the same kappa.
     """
     return torch.linalg.solve(prior.blocks, orthonormal_steps(L0) / prior.kappa**0.5).numpy()
 
 
 def _turned(blocks: np.ndarray, A: np.ndarray) -> np.ndarray:
-    """Return diag(Q, 1)' A diag(Q, 1) of a symmetric A (n, n)."""
+    """Return diag(Q, 1)' A diag(Q, 1) for a symmetric A (n, n)."""
     back = blocks.swapaxes(1, 2)
     return in_blocks(back, in_blocks(back, A).T)
 
@@ -134,11 +134,11 @@ def _turned(blocks: np.ndarray, A: np.ndarray) -> np.ndarray:
 def _representable(pi: Tensor, factor: Tensor, factor0: Tensor) -> Tensor:
     """Return bodies (n, 10) that are physical in floating point too.
 
-    Close to the boundary the sign of an eigenvalue is lost to rounding; there, as little as possible of the prior's
+    Close to the boundary, rounding can change the sign of an eigenvalue; there, the least necessary part of the prior's
     body is added.
 
     Args:
-        pi: (n, 10), physical but for rounding.
+        pi: (n, 10), physical up to rounding.
         factor, factor0: (n, 4, 4) factors of J and J0.
     """
     J, J0 = factor @ factor.mT, factor0 @ factor0.mT

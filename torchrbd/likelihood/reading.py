@@ -1,4 +1,4 @@
-"""How the recordings of one job are read: which filter, which torques count, and whose states."""
+"""The reading of one job's recordings: filter, torques that count, and state estimates."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torchrbd.recordings import TILE_ROWS, Filtering, Recording, States, Survey,
 from torchrbd.robot import RobotModel
 
 Progress = Callable[[str, float], None]
-"""Called with the stage of the work and the part (0 to 1) of it that is done."""
+"""Callback with the present stage and the fraction of it that is done (0 to 1)."""
 
 StateEstimate = Callable[[States], States]
 """Replaces the filtered states of a tile by better ones."""
@@ -31,16 +31,16 @@ class Reading:
     Attributes:
         robot: the robot.
         recordings, surveys: in the order given, held-out ones last.
-        filtering: the one filter pair of all.
+        filtering: the filter pair for all.
         used: (n_dof,) bool, joints whose torque counts.
         payload: per recording name, inertial parameters (n_params,) of known loads.
-        simulated: per recording, what a simulator has beyond the URDF; empty if the URDF is what is compared with.
-        smoothed: per recording, what replaces the filtered states; empty if they stay.
-        delay_s: by recording, how much later its torque is than its motion [s]; it is read so much earlier.
-        lag_s: by recording, time constant of the actuators that its torque is the command of [s]; what they supply is
-            read. Both under "" for recordings that are not among these.
-        raw: whether torques are read as they were recorded, states filtered: only what a simulator has beyond the URDF
-            is taken off, and rotors and springs of the robot's description.
+        simulated: per recording, a simulator's torque beyond the URDF; empty if the comparison is with the URDF.
+        smoothed: per recording, an estimate that replaces the filtered states; empty if they stay.
+        delay_s: by recording, delay of its torque relative to its motion [s]; the torque is read earlier by that.
+        lag_s: by recording, time constant of the actuators, if its torque is their command [s]; the torque that they
+            supply is read. In both, the key "" is for recordings that are not among these.
+        raw: whether torques are read as recorded, and states filtered. Only a simulator's torque beyond the URDF, and
+            that of rotors and springs in the robot's description, are subtracted.
     """
 
     robot: RobotModel
@@ -57,7 +57,7 @@ class Reading:
 
     @property
     def conditions(self) -> dict[str, Condition]:
-        """How recordings were made, by name; under "" those that are not among these."""
+        """Conditions of the recordings, by name; "" for those that are not among these."""
         simulated = {one.recording: one.name for one in self.simulated}
         return {
             name: Condition(
@@ -70,7 +70,7 @@ class Reading:
         }
 
     def measured(self, k: int) -> Tensor:
-        """Return (n_dof,) bool, the joints whose torque in recording k counts; a constant one comes from no sensor."""
+        """Return (n_dof,) bool, the joints whose torque in recording k counts; a constant torque is no measurement."""
         recording, constant = self.recordings[k], self.surveys[k].constant_tau
         varies = [m and n not in constant for m, n in zip(recording.measured, recording.joints, strict=True)]
         return torch.tensor(varies) & self.used
@@ -84,7 +84,7 @@ class Reading:
             yield self._less_known(states if self.raw else self._at_the_motion(states, k, condition), k, condition)
 
     def _at_the_motion(self, states: States, k: int, condition: Condition) -> States:
-        """Return a tile with the torque that acts at the time of the motion, states smoothed, a load taken off."""
+        """Return a tile with the torque at the time of the motion, smoothed states, and a known load subtracted."""
         states = replace(states, tau=condition.acting(states.tau, states.dt))
         if self.smoothed:
             states = self.smoothed[k](states)
@@ -94,7 +94,7 @@ class Reading:
         return replace(states, tau=states.tau - known, loaded=condition.load)
 
     def _less_known(self, states: States, k: int, condition: Condition) -> States:
-        """Return a tile less the torque of rotors and springs, and of what a simulator has beyond the URDF."""
+        """Return a tile without the torque of rotors and springs, and without a simulator's torque beyond the URDF."""
         known = self.robot.known_torque(states.q.T, states.qdd.T).T if self._has_known else None
         if self.simulated:
             less = self.simulated[k].taken_off(states)
@@ -108,7 +108,7 @@ class Reading:
 
     @property
     def block_s(self) -> float:
-        """Length of a block [s]: some cycles of the cut-off, and so long that not too many are kept."""
+        """Length of a block [s]: some cycles of the cut-off, and long enough to limit the number of blocks."""
         return max(_BLOCK_S, _BLOCK_CYCLES / self.filtering.cutoff_hz, self._duration_s / _MOST_BLOCKS)
 
     @property

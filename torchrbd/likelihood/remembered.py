@@ -1,4 +1,4 @@
-"""Arrays that are asked for again and again, kept as long as memory allows."""
+"""A cache of arrays that are used repeatedly, within a limit of memory."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 @dataclass
 class Remembered:
-    """Arrays by what they are, of no more than ``most`` numbers together; those asked for first are kept.
+    """A cache of arrays by key, with at most ``most`` numbers in all; the first ones are kept.
 
-    They are asked for in turns, all of them each time: what was asked for last would be forgotten before its turn.
+    All arrays are requested in turn, each time: a cache that drops the oldest would drop each one before its turn.
     """
 
     most: int
@@ -20,7 +20,7 @@ class Remembered:
     _size: int = 0
 
     def of(self, key: Hashable, make: Callable[[], np.ndarray]) -> np.ndarray:
-        """Return the array of a key, made if it is not known."""
+        """Return the array of a key; computes it if it is not cached."""
         if key in self._known:
             return self._known[key]
         found = make()

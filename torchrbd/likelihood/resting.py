@@ -1,10 +1,10 @@
-"""Joints that rest: the noise of their velocity is no motion, and tells nothing of friction.
+"""Joints at rest: the noise of their velocity is not motion and has no information about friction.
 
     E[phi phi'] = phi0 phi0' + noise
 
-A joint rests in a block of time if the root mean square of its velocity there lies below the speed at which it has a
-direction. What its own motion makes, d qd or c sign(qd), is noise then, phi0 is zero, and the block has none of
-these columns. Were they kept, they would draw friction to zero, or to whatever a drive makes of the noise.
+A joint is at rest in a block of time if the root mean square of its velocity is below the speed at which its direction
+is known. The columns of its own motion, d qd or c sign(qd), are then noise, and phi0 is zero. The block therefore has
+none of these columns. Otherwise they would pull friction to zero, or to whatever a drive makes of the noise.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from torchrbd.likelihood.block_statistics import BlockStatistics
 
 
 def at_rest(statistics: BlockStatistics) -> Tensor:
-    """Return where joints rest, (B, n_dof) bool; nowhere where they have no torque."""
+    """Return in which blocks joints are at rest, (B, n_dof) bool; False without torque."""
     columns, weight = statistics.columns, statistics.torque[..., 0]
     rest = torch.zeros_like(weight, dtype=torch.bool)
     for joint, (moments, slow) in enumerate(zip(statistics.moments, columns.slow.tolist(), strict=True)):
@@ -29,12 +29,12 @@ def at_rest(statistics: BlockStatistics) -> Tensor:
 
 
 def moving(qd: np.ndarray, block: np.ndarray, slow: np.ndarray) -> np.ndarray:
-    """Return which joints do not rest in every block, (n,) bool.
+    """Return which joints move in at least one block, (n,) bool.
 
     Args:
         qd: (n, M) [rad/s, m/s].
         block: (M,) number of each row's block.
-        slow: (n,) speeds below which a joint has no direction [rad/s, m/s].
+        slow: (n,) speeds below which a joint's direction is uncertain [rad/s, m/s].
     """
     rows = np.maximum(np.bincount(block), 1)
     power = np.stack([np.bincount(block, one**2) for one in qd]) / rows
@@ -42,7 +42,7 @@ def moving(qd: np.ndarray, block: np.ndarray, slow: np.ndarray) -> np.ndarray:
 
 
 def without_columns_at_rest(statistics: BlockStatistics) -> BlockStatistics:
-    """Return the same without columns that a joint's own motion makes, in blocks in which it rests."""
+    """Return the statistics without the columns of a joint's own motion in blocks in which it is at rest."""
     rest = at_rest(statistics)
     moments = list(statistics.moments)
     for joint in torch.nonzero(rest.any(0)).flatten().tolist():

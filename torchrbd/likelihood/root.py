@@ -1,7 +1,7 @@
-"""The root of a precision whose coefficients meet in few others: joints share bodies and clocks, the rest is their own.
+"""The root of a precision in which most coefficients belong to one joint; joints share only bodies and clocks.
 
-Cholesky's factor of all coefficients costs P^3 / 3; what a joint has alone costs its own cube, and what it shares with
-others a product (block elimination: Golub and Van Loan, "Matrix Computations", sec. 4.5).
+Cholesky's factor of all coefficients costs P^3 / 3. Block elimination costs the cube of each joint's own coefficients,
+and one product with the shared ones (Golub and Van Loan, "Matrix Computations", sec. 4.5).
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import numpy as np
 from scipy.linalg import get_lapack_funcs
 
 ROUNDING, _LEAST_PRECISION = 1e-13, 1e-280
-# What scipy's function for triangles calls, which takes longer to check its arguments.
+# Called directly: scipy's solve_triangular takes longer to check its arguments.
 (_trtrs,) = get_lapack_funcs(("trtrs",), dtype=np.float64)
 
 
 class Local(NamedTuple):
-    """Coefficients ``own`` (k,) of one group, L_j (k, k), and X_j (k, m) for the shared ones that they meet (m,)."""
+    """Coefficients ``own`` (k,) of one group, L_j (k, k), and X_j (k, m) for the shared ones (m,) with products."""
 
     own: np.ndarray
     L: np.ndarray
@@ -27,7 +27,7 @@ class Local(NamedTuple):
 
 
 class Root:
-    """A root F of a precision H = F F' (P, P), whose ``local`` groups of coefficients do not meet each other.
+    """A root F of a precision H = F F' (P, P), with no products between its ``local`` groups of coefficients.
 
         H_jj = L_j L_j',   X_j = L_j^-1 H_js,   H_ss - sum_j X_j'X_j = L_s L_s'
 
@@ -35,16 +35,15 @@ class Root:
             [     L_1          ]
             [          L_2     ]
 
-    X_j is kept where it is not zero: a joint shares the bodies that it moves. Without such groups F is Cholesky's
-    factor.
+    X_j is stored where it is not zero: a joint shares the bodies that it moves. Without groups F is Cholesky's factor.
 
     Args:
         H: (P, P) precision.
         local: indices of each group; all others are shared.
-        rounding: part of its diagonal that is added to H.
+        rounding: fraction of its diagonal that is added to H.
 
     Raises:
-        LinAlgError: H is no precision.
+        LinAlgError: H is not positive definite.
     """
 
     def __init__(self, H: np.ndarray, local: Sequence[np.ndarray] = (), rounding: float = ROUNDING) -> None:
@@ -76,7 +75,7 @@ class Root:
         return F
 
     def half(self, B: np.ndarray) -> np.ndarray:
-        """Return F^-1 B of B (P, ...)."""
+        """Return F^-1 B for B (P, ...)."""
         found, shared = np.zeros(B.shape), B[self.shared].astype(float)
         for own, L, X, met in self.local:
             if (part := B[own]).any():
@@ -86,7 +85,7 @@ class Root:
         return found
 
     def solve(self, B: np.ndarray) -> np.ndarray:
-        """Return H^-1 B of B (P, ...)."""
+        """Return H^-1 B for B (P, ...)."""
         found = self.half(B)
         found[self.shared] = shared = _backwards(self.L, found[self.shared])
         for own, L, X, met in self.local:
@@ -94,7 +93,7 @@ class Root:
         return found
 
     def covariance(self, index: np.ndarray) -> np.ndarray:
-        """Return the part (K, K) of H^-1 that some coefficients have."""
+        """Return the rows and columns (K, K) of H^-1 for some coefficients."""
         place = np.full(len(self.shared) + sum(len(one.own) for one in self.local), -1)
         place[index] = np.arange(len(index))
         shared = np.zeros((len(self.shared), len(index)))
@@ -114,7 +113,7 @@ class Root:
 
 
 def _raised(H: np.ndarray, own: np.ndarray, rounding: float) -> np.ndarray:
-    """Return a part of a precision; of noise-free torques, rounding would decide the weak directions."""
+    """Return a part of a precision with a raised diagonal: without noise, rounding would dominate weak directions."""
     part = H[np.ix_(own, own)]
     at = np.diag_indices_from(part)
     part[at] += rounding * np.maximum(part[at], _LEAST_PRECISION)
@@ -122,10 +121,10 @@ def _raised(H: np.ndarray, own: np.ndarray, rounding: float) -> np.ndarray:
 
 
 def forwards(L: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return L^-1 B of a lower triangle L."""
+    """Return L^-1 B for a lower triangle L."""
     return _trtrs(L.T, B, lower=0, trans=1)[0] if B.size else np.zeros(B.shape)
 
 
 def _backwards(L: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return L'^-1 B of a lower triangle L."""
+    """Return L'^-1 B for a lower triangle L."""
     return _trtrs(L.T, B, lower=0, trans=0)[0] if B.size else np.zeros(B.shape)

@@ -1,7 +1,6 @@
-"""Torques, regressor and the features of any candidate, band-limited by one filter: the rows of every regression.
+"""Torques, regressor and features of any candidate, through one low-pass filter: the rows of every regression.
 
-Rows are kept in memory. Of recordings that are longer than that allows, tiles that are spread over all of them are
-read, so that memory stays bounded.
+Rows are kept in memory. If recordings are too long for that, tiles spread over all of them are read.
 """
 
 from __future__ import annotations
@@ -25,20 +24,20 @@ from torchrbd.likelihood.spreading import Density
 from torchrbd.recordings import States, Survey
 
 _DENSITY = Density(most_states=100_000, least_rate_hz=100.0, rate_cycles=16.0)
-# Numbers of features that are remembered at most.
+# Largest count of cached feature values.
 _MOST_REMEMBERED = 40_000_000
-# Whether a recording is held out as a whole is asked of times so far apart [s]: blocks are longer.
+# Spacing of the times [s] at which to check that a recording is held out as a whole: blocks are longer.
 _LOOK_S = 0.1
-# Blocks of time into which a recording is divided at most.
+# Largest number of blocks of time per recording.
 _MOST_BLOCKS = 64
 
 KeptBack = Callable[[str, Tensor], Tensor]
-"""Says which times (N,) of a recording no fit may see, bool."""
+"""Returns which times (N,) of a recording are held out, bool."""
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A piece of a recording: states, what effects see of them, and which outputs count (M,) bool."""
+    """A piece of a recording: states, the signals of effects, and which outputs count (M,) bool."""
 
     states: States
     signals: Signals
@@ -47,11 +46,11 @@ class Tile:
 
 @dataclass(frozen=True)
 class Rows:
-    """M band-limited samples of a robot with n joints, less those that are kept back.
+    """M band-limited samples of a robot with n joints, without the held-out ones.
 
     Attributes:
-        columns: of the robot; their ``pi`` makes the load, their ``friction`` stands beside it.
-        tiles: where features come from.
+        columns: of the robot; their ``pi`` gives the load, and their ``friction`` adds to it.
+        tiles: inputs of the features.
         recordings: names.
         rigid: per joint, its row of the regressor (M, p_j), of the bodies that it moves: see ``Columns.inertial``.
         tau: (n, M) measured torque, 0 where ``measured`` (n, M) is not.
@@ -61,8 +60,8 @@ class Rows:
         t: (M,) seconds since that recording's start.
         block: (M,) number of the block of time, of one recording.
         encoder_std: (n,) noise of the positions [rad or m].
-        torque_step: (n,) quantisation of the torques [N m or N], NaN where none is seen.
-        noise_share: (n,) part of the positions' power that is noise at the edge of the band.
+        torque_step: (n,) quantisation of the torques [N m or N], NaN if none is seen.
+        noise_share: (n,) share of the positions' power that is noise at the edge of the band.
         speed_std: (n,) error of the velocities [rad/s or m/s].
         dt: clock interval of the slowest recording [s].
         dt_out: time between two rows [s].
@@ -109,7 +108,7 @@ class Rows:
         return np.stack([Y @ pi[own] for Y, own in zip(self.rigid, self.columns.inertial, strict=True)])
 
     def features(self, candidate: Candidate) -> np.ndarray:
-        """Return the features of a candidate, (K, M) at its joint, or (K, n, M) if it acts on the whole robot."""
+        """Return the features of a candidate, (K, M) at its joint, or (K, n, M) for the whole robot."""
 
         key = _key(candidate)
 
@@ -128,7 +127,7 @@ class Rows:
         return self._rms[key]
 
     def through_bodies(self, effect: ShowsBodies, coefficients: np.ndarray) -> list[np.ndarray]:
-        """Return per joint what inertial parameters change its torque by through an effect, as ``rigid`` has them."""
+        """Return per joint the derivative of its torque by inertial parameters through an effect, like ``rigid``."""
         w = torch.from_numpy(coefficients)
         parts = []
         for tile in self.tiles:
@@ -138,12 +137,12 @@ class Rows:
         return [np.concatenate(own) for own in zip(*parts, strict=True)]
 
     def evaluated(self, function: Callable[[Signals], Tensor]) -> np.ndarray:
-        """Return a function of the signals, (..., N) of each tile, through the filter that the torque has passed."""
+        """Return a function of the signals, (..., N) of each tile, through the same filter as the torque."""
         parts = [tile.states.decimate(function(tile.signals))[..., tile.kept].numpy() for tile in self.tiles]
         return np.concatenate(parts, axis=-1)
 
     def around(self, pi: Tensor, friction: Tensor, rest_width: np.ndarray) -> Rows:
-        """Return the same rows, whose signals have the torque of pi (n_params,) as load and friction beside it.
+        """Return the same rows with the torque of pi (n_params,) as load, and with friction in their signals.
 
         Args:
             pi: (n_params,) inertial parameters.
@@ -166,10 +165,10 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
     Args:
         reading: the recordings and their filters.
         columns: of the robot.
-        kept_back: what is not to be read.
+        kept_back: held-out times, which are not read.
 
     Raises:
-        RecordingError: nothing is left to read.
+        RecordingError: nothing remains to read.
     """
     tiles, parts, rigid = [], [], []
     looked_at = not_held_out(reading, kept_back)
@@ -225,12 +224,12 @@ def _key(candidate: Candidate) -> tuple[Hashable, ...]:
 
 
 def _noise_share(survey: Survey, band_hz: float) -> np.ndarray:
-    """Return the part (n,) of the positions' power that is noise at a frequency [Hz]."""
+    """Return the share (n,) of the positions' power that is noise at a frequency [Hz]."""
     return np.array([1.0 - np.interp(band_hz, survey.share_hz, share) for share in survey.motion_share])
 
 
 def _blocks(t: np.ndarray, recording: np.ndarray, block_s: float) -> np.ndarray:
-    """Number stretches of about ``block_s`` of one recording each, longer ones where there would be too many, (M,)."""
+    """Number blocks of about ``block_s`` of one recording each, longer ones if there would be too many, (M,)."""
     total = sum(np.ptp(t[recording == k]) for k in np.unique(recording))
     places = np.stack((recording, np.floor(t / max(block_s, total / _MOST_BLOCKS))), axis=1)
     return np.unique(places, axis=0, return_inverse=True)[1].ravel()

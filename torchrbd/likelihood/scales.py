@@ -1,4 +1,4 @@
-"""What recordings cover at each joint: speeds, positions, loads, temperatures, and the speed that is rest."""
+"""The range of recordings at each joint: speeds, positions, loads, temperatures, and the speed that counts as rest."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from torchrbd.effects import JointScale
 from torchrbd.likelihood.reading import Reading
 from torchrbd.recordings import Filtering, Survey
 
-# Below this many standard deviations of its noise a velocity has no direction.
+# Speed that counts as rest: in standard deviations of the velocity's noise, as a fraction of the largest speed, and at
+# least [rad/s, m/s].
 _REST_NOISE, _REST_PART, _LEAST_REST = 2.0, 1e-3, 1e-6
-# A joint that has covered no more steps of its encoder rests: its control holds it, or it slips.
+# A joint that covers at most this many encoder steps is at rest: its control holds it, or it slips.
 _STEPS_AT_REST = 20.0
 
 
 def joint_scales(speed_max: Tensor, velocity_noise: Tensor, low: Tensor, high: Tensor) -> tuple[JointScale, ...]:
-    """Return the scales of joints that reach speeds (n_dof,), known to a noise of standard deviation (n_dof,).
+    """Return the scales of joints with largest speeds (n_dof,) and a velocity noise of standard deviation (n_dof,).
 
     Args:
         speed_max: (n_dof,) [rad/s, m/s].
@@ -34,12 +35,12 @@ def joint_scales(speed_max: Tensor, velocity_noise: Tensor, low: Tensor, high: T
 
 
 def covered_scales(surveys: Sequence[Survey], filtering: Filtering) -> tuple[JointScale, ...]:
-    """Return what recordings cover at each joint, told by a survey of each; ``filtering`` makes their states."""
+    """Return the range of recordings at each joint, from their surveys; ``filtering`` makes their states."""
     noise = [filtering.state_noise(s.q_noise_std, s.clock.dt, s.qd_noise_std)[:, 1, 1].sqrt() for s in surveys]
     speed = torch.from_numpy(np.max([s.velocity_max for s in surveys], axis=0))
     low = torch.from_numpy(np.min([s.q_min for s in surveys], axis=0))
     high = torch.from_numpy(np.max([s.q_max for s in surveys], axis=0))
-    # Of a joint whose temperature one recording lacks, none is known.
+    # If one recording lacks a joint's temperature, its range is unknown.
     cold = np.min([s.temperature_min for s in surveys], axis=0)
     warm = np.max([s.temperature_max for s in surveys], axis=0)
     longest = max(s.segments[-1][1] for s in surveys)
@@ -52,7 +53,7 @@ def covered_scales(surveys: Sequence[Survey], filtering: Filtering) -> tuple[Joi
 
 
 def with_loads(scales: Sequence[JointScale], reading: Reading, pi: Tensor) -> tuple[JointScale, ...]:
-    """Return the scales with the largest torque that a rigid body with pi (n_params,) takes."""
+    """Return the scales with the largest torque of a rigid body with pi (n_params,)."""
     most = torch.zeros(len(scales), dtype=torch.float64)
     for k in range(len(reading.recordings)):
         for states in reading.tiles(k):

@@ -1,9 +1,9 @@
-"""How the torque of a term changes with its shape parameters, as columns of the linear model.
+"""The derivative of a term's torque with respect to its shape parameters, as columns of the linear model.
 
     tau(theta + d) = sum_k w_k phi_k(theta) + d sum_k w_k dphi_k / dtheta
 
-A fit with such a column finds the Gauss-Newton step d of the profile loss, and its covariance is that of theta beside
-all coefficients: with B the other columns and g this one, the curvature of the profile loss is g'g - g'B (B'B)^-1 B'g.
+A fit with such a column gives the Gauss-Newton step d of the profile loss. Its covariance is that of theta with all
+coefficients free: with B the other columns and g this one, the curvature of the profile loss is g'g - g'B (B'B)^-1 B'g.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from torch import Tensor
 from torchrbd.effects import Shape, Signals
 from torchrbd.likelihood.columns import Candidate, Columns
 
-# Of the distance between grid points: the step of the central difference.
+# Step of the central difference, as a fraction of the distance between grid points.
 _STEP = 0.01
-# Parameters that follow from the coefficients agree with them to this part of the largest.
+# Tolerance, as a fraction of the largest, between parameters that follow from the coefficients and their values.
 _AGREED_PART = 0.01
 
 
@@ -46,7 +46,7 @@ class ShapeSlope(Candidate):
         return {label: sum(w * (a - b) for w, a, b in pairs) / (2.0 * self.step)}  # type: ignore[dict-item]
 
     def belongs_to(self, term: Candidate) -> bool:
-        """Say whether it is a slope of this term."""
+        """Return whether it is a slope of this term."""
         return (self.effect.id, self.site, self.shape) == (term.effect.id, term.site, term.shape)
 
 
@@ -63,21 +63,21 @@ class Axis:
 
     @property
     def std(self) -> float:
-        """Standard deviation of a value that may be anywhere between these."""
+        """Standard deviation of a uniform distribution between these."""
         return self.reach / 12**0.5
 
     def spacing(self, value: float) -> float:
-        """Return the distance of values around one, 0 if there is one only."""
+        """Return the distance to the neighbours of a value, 0 if there is one value only."""
         low, high = self._around(value)
         return (self.values[high] - self.values[low]) / max(1, high - low)
 
     def neighbours(self, value: float) -> tuple[float, float]:
-        """Return the next values below and above, at an end the value at the end."""
+        """Return the next values below and above; at an end, the end itself."""
         low, high = self._around(value)
         return self.values[low], self.values[high]
 
     def limits(self, value: float) -> tuple[float, float]:
-        """Return how far one step may lead: to the neighbours, at an end half a spacing beyond, never across zero."""
+        """Return the limits of one step: the neighbours, at an end half a spacing beyond, never across zero."""
         low, high = self.neighbours(value)
         first, last = self.values[0], self.values[-1]
         if low == first:
@@ -110,32 +110,32 @@ def axes(columns: Columns, term: Candidate) -> dict[str, Axis]:
 
 
 def varied(columns: Columns, term: Candidate) -> dict[str, Axis]:
-    """Return the same without parameters of which the grid has one value: these stay as it has them."""
+    """Return the same without parameters that have one value in the grid: those keep it."""
     return {name: axis for name, axis in axes(columns, term).items() if axis.reach > 0}
 
 
 def agrees(term: Candidate, weights: Tensor) -> bool:
-    """Say whether the shape parameters of a term that follow from its coefficients (K,) are those, or nearly."""
+    """Return whether a term's shape parameters that follow from its coefficients (K,) agree with them."""
     follows, asked = term.effect.follows, term.effect.agreeing(weights, term.shape)
     change = max((abs(asked[name] - term.shape[name]) for name in follows), default=0.0)
     return change <= _AGREED_PART * max((abs(asked[name]) for name in follows), default=0.0)
 
 
 def in_one_cell(columns: Columns, one: Candidate, other: Candidate) -> bool:
-    """Say whether two candidates of an effect at a site are of one kind, their shapes side by side on its grid."""
+    """Return whether two candidates of an effect at a site are of one kind, with adjacent shapes on its grid."""
     kinds = all(one.shape[name] == other.shape[name] for name in one.effect.kinds)
     reach = {name: axis.limits(one.shape[name]) for name, axis in varied(columns, one).items()}
     return kinds and all(low <= other.shape[name] <= high for name, (low, high) in reach.items())
 
 
 def _thinned(values: Sequence[float], most: int) -> tuple[float, ...]:
-    """Return at most so many of ascending values, the ends among them."""
+    """Return at most ``most`` of ascending values, including the ends."""
     n = min(most, len(values))
     return tuple(values[round(k * (len(values) - 1) / max(1, n - 1))] for k in range(n))
 
 
 def slopes(columns: Columns, term: Candidate, weights: Tensor) -> list[ShapeSlope]:
-    """Return the slopes of a term with coefficients ``weights`` (K,) in its shape parameters."""
+    """Return the slopes of a term with coefficients ``weights`` (K,) with respect to its shape parameters."""
     found, given = [], tuple(weights.tolist())
     for name, axis in varied(columns, term).items():
         label, step = (
@@ -147,7 +147,7 @@ def slopes(columns: Columns, term: Candidate, weights: Tensor) -> list[ShapeSlop
 
 
 def feature_slopes(columns: Columns, term: Candidate) -> dict[str, list[ShapeSlope]]:
-    """Return by shape parameter the slopes of a term's features, each alone with coefficient one."""
+    """Return, by shape parameter, the slopes of a term's features, each alone with coefficient one."""
     found: dict[str, list[ShapeSlope]] = {}
     for one in torch.eye(len(term.labels), dtype=torch.float64):
         for slope in slopes(columns, term, one):

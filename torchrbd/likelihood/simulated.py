@@ -1,17 +1,17 @@
-"""A simulator's recording of the same commands stands in for the URDF.
+"""A simulator's recording of the same commands, used in place of the URDF's prediction.
 
-The torque that the simulator has beyond the URDF, at its own states s_s,
+The simulator's torque beyond the URDF, at its own states s_s,
 
     x(t) = tau_s - tau_urdf(s_s),   tau_urdf(s) = Y(s) pi_urdf + f_urdf(s)
 
-is taken off the real torque at the same time, moved to the recorded states s by the viscous and Coulomb friction f_x
-that fits it best. What the URDF then predicts leaves
+is subtracted from the real torque at the same time. It is moved to the recorded states s by the viscous and Coulomb
+friction f_x that fits it best. The residual of the URDF's prediction is then
 
     tau - [x + f_x(s) - f_x(s_s)] - tau_urdf(s) = tau - [tau_s + tau_m(s) - tau_m(s_s)],   tau_m = tau_urdf + f_x
 
-the difference to the simulated torque at the recorded states: where both motions are the same, whatever tau_m is. Both
-pass the same filters, so that what those cut off cancels. A simulator's other inertials are part of x: fitted inertials
-are the URDF's plus the difference between robot and simulator.
+the difference to the simulated torque at the recorded states; where both motions are the same, tau_m cancels. Both pass
+the same filters, so that their effect cancels too. A simulator's other inertials are part of x: the fitted inertials
+are those of the URDF plus the difference between robot and simulator.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ from torchrbd.errors import RecordingError
 from torchrbd.recordings import Filtering, Recording, States, Survey, survey, tiles
 from torchrbd.robot import RobotModel
 
-# Beyond these parts of a joint's RMS speed by which two motions differ, a warning or a refusal.
+# Differences of two motions, as fractions of a joint's RMS speed, above which there is a warning or an error.
 WARNED, USELESS = 0.1, 0.5
-# Clocks may be so far apart [s]; a shift is made if it leaves less than this part of the difference.
+# Largest clock offset and step of the search [s]; a shift is made if it reduces the difference to below this fraction.
 _FURTHEST, _STEP, _BETTER = 2.0, 0.02, 0.5
 _MOST_TIMES, _COARSE = 4000, 10
-# A joint slower than this part of the fastest one tells nothing of the motion.
+# Joints slower than this fraction of the fastest one are not compared.
 _STILL = 0.01
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """What a simulator has beyond the URDF, on the clock of a real recording.
+    """A simulator's torque beyond the URDF, on the clock of a real recording.
 
     Attributes:
         name: of its recording.
         recording: name of the real one.
-        shift_s: by what the simulator's clock was moved to fit the motion.
+        shift_s: shift of the simulator's clock that fits the motion [s].
         difference: per joint that moves, RMS difference of the velocities over the RMS speed.
         begin_s, end_s: the part of the real recording that it covers.
     """
@@ -63,7 +63,7 @@ class Simulated:
     _rest: BSpline
 
     def taken_off(self, states: States) -> States:
-        """Return the states of a tile of the real recording with the simulator's extra torque taken off."""
+        """Return the states of a tile of the real recording with the simulator's extra torque subtracted."""
         inside = np.clip(states.t.numpy() + self.shift_s, self._rest.t[0], self._rest.t[-1])
         extra = torch.from_numpy(self._rest(inside).T) + self._friction.torque(states.qd)
         return replace(states, tau=states.tau - extra)
@@ -71,7 +71,7 @@ class Simulated:
 
 @dataclass(frozen=True)
 class _Friction:
-    """Viscous and Coulomb friction (n_dof,) each; below speeds ``width`` (n_dof,) a joint's direction is not told."""
+    """Viscous and Coulomb friction (n_dof,) each; the direction is softened below speeds ``width`` (n_dof,)."""
 
     viscous: Tensor
     coulomb: Tensor
@@ -101,11 +101,11 @@ def read_simulated(
     """Read a simulator's recording and match it with the real one.
 
     Args:
-        robot: as the URDF gives it.
-        real: the real recording, and ``found``, what its survey shows.
+        robot: as described by the URDF.
+        real: the real recording, and ``found``, its survey.
         simulated: that of the simulator.
         filtering: of all.
-        rest_width: (n_dof,) speed below which a joint's direction is not told.
+        rest_width: (n_dof,) speed below which a joint's direction is uncertain.
 
     Raises:
         RecordingError: torques are missing, the clock has gaps or is too slow, or the motion is another one.
@@ -119,7 +119,7 @@ def read_simulated(
     friction = _Friction.fitted(qd, extra, rest_width)
     rest = (extra - friction.torque(qd)).T.numpy()
     if found.clock.dt > seen.clock.dt:
-        # What the slower clock would fold into its band is no torque there.
+        # Remove frequencies that would alias into the band of the slower clock.
         kernel = Filtering(1.0 / (3.0 * found.clock.dt)).feature_kernel(seen.clock.dt).numpy()
         rest = convolve1d(rest, kernel, axis=0, mode="nearest")
     speed = make_interp_spline(t.numpy(), qd.T.numpy(), k=3)
@@ -137,10 +137,10 @@ def cut(recording: Recording, to: Simulated) -> Recording:
 
 
 def check_motion(found: Simulated) -> None:
-    """Refuse a simulation that moved otherwise.
+    """Raise an error if the simulation moved differently.
 
     Raises:
-        RecordingError: a joint's velocity differs too much for its torque to be compared.
+        RecordingError: a joint's velocity differs too much to compare its torque.
     """
     far = {j: d for j, d in found.difference.items() if d > USELESS}
     if far:
@@ -152,7 +152,7 @@ def check_motion(found: Simulated) -> None:
 
 
 def motion_doubts(found: Sequence[Simulated]) -> tuple[str, ...]:
-    """Return where motions differ so much that the simulator's torque belongs to another motion."""
+    """Return warnings where motions differ so much that the simulator's torque belongs to another motion."""
     doubts = []
     for one in found:
         far = {j: d for j, d in one.difference.items() if d > WARNED}
@@ -165,7 +165,7 @@ def motion_doubts(found: Sequence[Simulated]) -> tuple[str, ...]:
 
 
 def simulation_notes(found: Sequence[Simulated]) -> tuple[str, ...]:
-    """Return what the model is that all is compared with."""
+    """Return notes on the model that all is compared with."""
     if not found:
         return ()
     names = ", ".join(f"{one.name} (for {one.recording})" for one in found)
@@ -215,7 +215,7 @@ def _states(recording: Recording, seen: Survey, filtering: Filtering) -> list[Te
 
 
 def _matched(real: Recording, found: Survey, speed: BSpline, filtering: Filtering) -> tuple[float, dict[str, float]]:
-    """Return the shift [s] of the simulator's clock at which its velocities fit best, and by what they still differ."""
+    """Return the shift [s] of the simulator's clock with the best fit of velocities, and the differences left."""
     t, _, qd, *_ = (x.numpy() for x in _states(real, found, filtering))
     qd = qd.T
     step = max(1, len(t) // _MOST_TIMES)

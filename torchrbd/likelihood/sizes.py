@@ -1,12 +1,12 @@
-"""How large coefficients are believed to be before the data.
+"""The prior size of coefficients.
 
-Inertial parameters: around the URDF, in the metric of pseudo-inertias, so that a body's mass, centre and inertia move
-together as those of matter do; how far URDFs err is one number for a robot, learnt by evidence.
+Inertial parameters: around the URDF, in the metric of pseudo-inertias, so a body's mass, centre and inertia vary
+together as those of matter do. The error of the URDF is one number per robot, learnt by evidence.
 
-Anything else: by its own physical unit where that is known (a delay of some hundredths of a second, a joint that sits
-some centimetres off), or by its torque against that of its joint. Of what size it is nobody knows: sizes from
-hundredths to all of the joint's torque are equally likely in the logarithm (a scale mixture), so that small effects do
-not pay for large ones.
+All others: by their own physical unit if a typical size is known (a delay of some hundredths of a second, a joint that
+is off by some centimetres), or by their torque relative to that of the joint. That size is unknown: sizes from
+hundredths to all of the joint's torque are equally probable in the logarithm (a scale mixture). So small effects are
+not penalised by a prior for large ones.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from torchrbd.likelihood.urdf_prior import in_proportion, orthonormal_steps
 from torchrbd.parameters import PARAMETERS_PER_BODY, nearest_physical, thickened
 from torchrbd.robot import RobotModel, pseudo_inertia
 
-# Parts of a joint's torque, and of what a physical unit's prior says.
+# Fractions of a joint's torque, or of the size that the prior has in a physical unit.
 TORQUE_SCALES = (0.02, 0.06, 0.2, 0.6)
 UNIT_SCALES = (0.03, 0.1, 0.3, 1.0, 3.0)
 
@@ -29,7 +29,7 @@ def inertial_scale(robot: RobotModel, held: frozenset[str] = frozenset()) -> tup
 
     Args:
         robot: the robot.
-        held: bodies whose inertia is not re-fitted; those without mass never are.
+        held: bodies whose inertia is not fitted; those without mass never are.
 
     Returns:
         mean (n_params,), indices (P,) of the fitted ones, and S (P, P).
@@ -45,7 +45,7 @@ def inertial_scale(robot: RobotModel, held: frozenset[str] = frozenset()) -> tup
 def coefficient_std(
     candidate: Candidate, rms: np.ndarray, torque_rms: np.ndarray
 ) -> tuple[np.ndarray, tuple[float, ...]]:
-    """Return prior standard deviations of a candidate's coefficients (K,), and the multiples that are equally likely.
+    """Return prior standard deviations of a candidate's coefficients (K,), and the multiples with equal probability.
 
     Args:
         candidate: the effect at its place.

@@ -1,4 +1,4 @@
-"""Tiles that stand for all recordings: spread over long ones, no finer than what is made of them needs."""
+"""Tiles that represent all recordings: spread over long ones, with the least sampling rate that suffices."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from dataclasses import dataclass
 from torchrbd.likelihood.reading import Reading
 from torchrbd.recordings import TILE_ROWS, Filtering, States, Survey
 
-# Samples of a tile where all are kept, and numbers of its regressor at most.
+# Samples per tile if all are kept, and largest count of numbers in its regressor.
 _LONG, _MOST_NUMBERS = 16384, 8_000_000
 
 
 @dataclass(frozen=True)
 class Density:
-    """How many samples of states are kept.
+    """How many samples of states to keep.
 
     Attributes:
-        most_states: at most, about, over all tiles.
-        least_rate_hz: how many a second at least,
-        rate_cycles: and for each Hz of the band: features of a motion below the cut-off reach beyond it.
+        most_states: approximate largest number, over all tiles.
+        least_rate_hz: least number per second, and
+        rate_cycles: least number per cycle of the band: features of a motion below the cut-off exceed the band.
     """
 
     most_states: int
@@ -28,11 +28,11 @@ class Density:
     rate_cycles: float
 
     def tiles(self, reading: Reading, numbers: Sequence[int] | None = None) -> Iterator[tuple[int, States]]:
-        """Yield tiles with their recording's number: all of some recordings, or some that are spread over long ones."""
+        """Yield tiles with their recording's number: all of short recordings, some that are spread over long ones."""
         chosen = range(len(reading.recordings)) if numbers is None else numbers
         total, number = sum(self._kept(reading.surveys[k], reading.filtering) for k in chosen), 0
         step = max(1, math.ceil(total / self.most_states))
-        # Short tiles spread better, long ones take fewer calls.
+        # Short tiles spread better, long ones need fewer calls.
         largest = _MOST_NUMBERS // (reading.robot.n_dof * reading.robot.n_params)
         rows = TILE_ROWS if step > 1 else min(_LONG, max(TILE_ROWS, largest))
         for k in chosen:
@@ -42,11 +42,11 @@ class Density:
                 number += 1
 
     def thinned(self, states: States, band_hz: float) -> States:
-        """Return states at a coarser clock that has the same outputs; of torque, which is noisy, too little."""
+        """Return states at a coarser clock with the same outputs; their torque is noisy: do not use it."""
         return states.thinned(self._thinning(states.stride, states.dt, band_hz))
 
     def _kept(self, survey: Survey, filtering: Filtering) -> float:
-        """Return how many samples of a recording all of its tiles would keep, but for where they overlap."""
+        """Return the approximate number of samples of a recording in all of its tiles."""
         dt = survey.clock.dt
         return survey.duration_s * survey.rate_hz / self._thinning(filtering.stride(dt), dt, filtering.cutoff_hz)
 

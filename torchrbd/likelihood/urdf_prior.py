@@ -1,12 +1,12 @@
-"""The prior: the URDF's inertial parameters, as the entropic divergence between pseudo-inertias and its quadratic form.
+"""The prior: the URDF's inertial parameters, with the entropic divergence between pseudo-inertias.
 
     D(J | J0) = tr(J0^-1 J) - logdet(J0^-1 J) - 4,   Hessian at J0:  M_kl = tr(J0^-1 E_k J0^-1 E_l)
 
-kappa D is added to the negative log-likelihood. D is invariant to the frame and the units, so one kappa serves a finger
-and a crane, and it is infinite for every unphysical body. The quadratic form is what a linear (ridge) fit uses.
+kappa D is added to the negative log-likelihood. D is invariant to the frame and the units, so one kappa suits a finger
+and a crane. It is infinite for every unphysical body. Linear (ridge) fits use its quadratic form instead.
 
-Source: Lee, Wensing, Park, "Geometric Robot Dynamic Identification: A Convex Programming Approach", IEEE T-RO 2020,
-eq. (25), (31).
+Source: Lee, Wensing, Park, "Geometric Robot Dynamic Identification: A Convex Programming Approach", IEEE T-RO 2020, eq.
+(25), (31).
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from torchrbd.parameters import BASIS, ORTHONORMAL, PARAMETERS_PER_BODY, is_exte
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 
 KAPPA = 3.0
-# Prior standard deviation of the torque of columns that are no effect's, in units of the joint's torque RMS: wide, it
-# only keeps directions bounded that no data tells.
+# Prior standard deviation of the torque of columns that belong to no effect, in units of the joint's torque RMS. It is
+# wide: it only bounds directions that the data do not determine.
 TERM_WIDTH = 10.0
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed before the data.
+    """The prior distribution of x.
 
     Attributes:
-        mean: x0 (n,): the URDF, bodies without a possible mass distribution replaced by the nearest physical ones.
-        reference: the URDF's x as it stands.
+        mean: x0 (n,): the URDF, with bodies that no mass distribution can have replaced by the nearest physical ones.
+        reference: x of the URDF, unchanged.
         bodies: indices of the bodies that are fitted; the others are held.
         inverse_inertia: J0^-1 (n_fitted, 4, 4) of those.
         kappa: weight of the divergence.
@@ -58,12 +58,12 @@ class Prior:
 
     @property
     def blocks(self) -> Tensor:
-        """The parts of S that single bodies have, (n_fitted, 10, 10)."""
+        """The blocks of S of single bodies, (n_fitted, 10, 10)."""
         at = self.inertial.reshape(-1, PARAMETERS_PER_BODY)
         return self.scale[at.unsqueeze(2), at.unsqueeze(1)]
 
     def scaled(self, X: Tensor, *, back: bool = False) -> Tensor:
-        """Return S X of X (n, k), or S'X if ``back``: S is diagonal but for the blocks of bodies."""
+        """Return S X for X (n, k), or S'X if ``back``: S is diagonal apart from the blocks of bodies."""
         found, at, blocks = self.scale.diagonal().unsqueeze(1) * X, self.inertial, self.blocks
         own = X[at].reshape(len(blocks), PARAMETERS_PER_BODY, X.shape[1])
         found[at] = ((blocks.mT if back else blocks) @ own).flatten(0, 1)
@@ -71,7 +71,7 @@ class Prior:
 
 
 def in_proportion(widths: np.ndarray, std: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Return the largest multiple of ``std`` (K,) that is nowhere above ``widths`` (K,), zero where those are."""
+    """Return the largest multiple of ``std`` (K,) that is nowhere above ``widths`` (K,), zero where those are zero."""
     free = widths > 0
     return np.where(free, np.asarray(std) * np.min(widths / std, where=free, initial=np.inf), 0.0)
 
@@ -90,10 +90,11 @@ def urdf_prior(
     Args:
         columns: the layout of x.
         torque_rms: (n_dof,) of the measured torque, [N m] or [N].
-        feature_rms: (n_dof, n) root mean square of the columns at each joint, entries of features are used.
-        held: bodies that keep the URDF's inertia. Bodies without mass are always held: no distribution to start from.
-        kappa: weight of the divergence; 1 is one observation's worth in each direction of a relative change of order
-            one.
+        feature_rms: (n_dof, n) root mean square of the columns at each joint; only entries of features are used.
+        held: bodies that keep the URDF's inertia. Bodies without mass are always held: they have no distribution to
+            start from.
+        kappa: weight of the divergence; 1 is the weight of one observation in each direction of a relative change of
+            order one.
     """
     robot = columns.robot
     reference = columns.reference()
@@ -123,7 +124,7 @@ def urdf_prior(
 
 
 def _torque_parts(columns: Columns) -> dict[int, float]:
-    """Return how much of its joint's torque each column of a term may make, by its place in x."""
+    """Return the prior share of its joint's torque for each column of a term, by its index in x."""
     found: dict[int, float] = {}
     for c in (*columns.urdf_friction, *columns.candidates):
         part = c.effect.prior.torque_part if c.site.always else 1.0
@@ -132,9 +133,10 @@ def _torque_parts(columns: Columns) -> dict[int, float]:
 
 
 def data_prior(statistics: BlockStatistics, held: Collection[str], kappa: float) -> Prior:
-    """Return the prior around the URDF; the size of torques and features tells how wide that of terms is.
+    """Return the prior around the URDF; the size of torques and features sets the width of the terms' prior.
 
-    The features of a joint's own motion count where it moves. Of one that never does, they are those of unit motion.
+    The features of a joint's own motion count where it moves. For a joint that never moves, they are those of unit
+    motion.
     """
     statistics = without_columns_at_rest(statistics)
     weight, _, square = statistics.torque.sum(0).unbind(-1)
@@ -172,7 +174,7 @@ def orthonormal_steps(F: Tensor) -> Tensor:
 
 
 def local_coordinates(prior: Prior, x: Tensor) -> Tensor:
-    """Return T (10 b, 10 b): in y, kappa D has curvature 1 at x, fitted inertial parameters being T y away from it."""
+    """Return T (10 b, 10 b) of coordinates y at x, with inertial parameters x + T y: kappa D has curvature 1 in y."""
     F = torch.linalg.cholesky(pseudo_inertia(x[prior.inertial].reshape(-1, PARAMETERS_PER_BODY)))
     return torch.block_diag(*orthonormal_steps(F), F.new_zeros(0, 0)) / prior.kappa**0.5
 
@@ -180,14 +182,14 @@ def local_coordinates(prior: Prior, x: Tensor) -> Tensor:
 def local_covariance(prior: Prior, x: Tensor) -> Tensor:
     """Return the inverse curvature of kappa D at x, for the inertial parameters that are fitted (10 b, 10 b).
 
-    It scales with the body: at a body that has been found ten times heavier it is as wide in relative terms as at J0.
+    It scales with the body: for a body that is ten times heavier in the fit, its relative width is the same as at J0.
     """
     T = local_coordinates(prior, x)
     return T @ T.T
 
 
 def unphysical_bodies(columns: Columns) -> tuple[str, ...]:
-    """Return the names of bodies whose URDF inertia no extended body has; massless ones are not counted."""
+    """Return the names of bodies whose URDF inertia no extended body can have; massless ones are not counted."""
     pi = columns.robot.pi.reshape(-1, PARAMETERS_PER_BODY)
     return tuple(
         n for n, m, ok in zip(columns.robot.body_names, pi[:, 0], is_extended(pi), strict=True) if m > 0 and not ok

@@ -1,4 +1,4 @@
-"""How fast a joint is before its friction has changed its sign: the width of the greatest evidence."""
+"""The speed over which friction changes its sign: the most probable width."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from torchrbd.likelihood.gaussian import Gaussian, added
 from torchrbd.likelihood.machine import STICKS, Machine
 from torchrbd.likelihood.noise import Noise
 
-# Parts of a joint's RMS speed.
+# Fractions of a joint's RMS speed.
 _WIDTHS = tuple(np.geomspace(0.003, 0.45, 18).tolist())
 
 
 def likeliest_width(machine: Machine, fit: Gaussian, noise: Noise, coulomb: float, joint: int) -> float:
-    """Return the width [rad/s] or [m/s] at which a joint's dry friction has the greatest evidence beside all else.
+    """Return the most probable width [rad/s] or [m/s] of a joint's dry friction, given the rest of the model.
 
     Args:
-        machine: rigid body and ordinary physics.
+        machine: rigid body and baseline terms.
         fit: the posterior of all its columns.
-        noise: by which the joint's rows are whitened.
-        coulomb: its dry friction, about [N m or N].
-        joint: which.
+        noise: that whitens the joint's rows.
+        coulomb: approximate dry friction [N m or N].
+        joint: its index.
     """
     dropped = [*machine.ordinary(joint)[1:], machine.bend(joint), *machine.sticks(joint)]
     rest, found = fit.among(np.setdiff1d(np.arange(len(fit.z)), dropped)), []

@@ -1,4 +1,4 @@
-"""The one model: fitted, extended, exported, simulated, trained."""
+"""The dynamics model that is fitted, extended, exported, simulated and trained."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""What a recording's torque column has beyond the robot's own torque: its clock, its actuators' lag, a known load.
+"""Conditions of a recording that change its torque column: clock offset, actuator lag, a known load.
 
     tau_recorded(t) = tau(t - delay) + lag d tau / dt (t - delay)
 
-None of it is a force on the robot, so that a model without a recording's name leaves it out. Models keep it by the name
-of the recording, because a fit, and the error that is reported of it, rest on it.
+Clock offset and lag are not forces on the robot, so a model without a recording's name ignores them. Models store the
+conditions by recording, because the fit and its reported error depend on them.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ from torchrbd.effects.time_delay import delayed
 from torchrbd.errors import InputError
 
 OTHERS = ""
-"""The name under which a model keeps the condition of all recordings that it does not know."""
+"""Key of the condition of all recordings that a model does not know."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """How one recording was made.
+    """The conditions of one recording.
 
     Attributes:
-        delay_s: how much later its torque is than its motion [s]; negative if it is early.
-        lag_s: time constant of the actuators that its torque is the command of [s].
+        delay_s: delay of its torque relative to its motion [s]; negative if the torque is early.
+        lag_s: time constant of the actuators, if its torque is their command [s].
         load: (n_params,) inertial parameters of the known load that the robot carried; None without one.
-        simulated: name of the simulator's recording whose torque beyond the URDF a model lacks; empty without one.
-        held_out_s: spans (from, to) of its time that no fit has seen [s].
+        simulated: name of the simulator's recording whose torque beyond the URDF is not in the model; empty without
+            one.
+        held_out_s: windows (from, to) of its time that are held out [s].
     """
 
     delay_s: float = 0.0
@@ -43,29 +44,29 @@ class Condition:
 
     @property
     def moves_torque(self) -> bool:
-        """Whether its torque is not that of the same instant."""
+        """Whether its torque column is delayed or a command."""
         return bool(self.delay_s or self.lag_s)
 
     def recorded(self, torque: Tensor, dt: float) -> Tensor:
-        """Return what the torque column reads of a torque (..., N) that acts, at an interval dt [s]."""
+        """Return the torque column for an acting torque (..., N), at an interval dt [s]."""
         if self.lag_s:
             torque = torque + self.lag_s * torch.gradient(torque, spacing=dt, dim=-1)[0]
         return delayed(torque, self.delay_s / dt) if self.delay_s else torque
 
     def acting(self, torque: Tensor, dt: float) -> Tensor:
-        """Return what acts at the time of the motion of a torque column (..., N): the inverse of ``recorded``."""
+        """Return the acting torque for a torque column (..., N): the inverse of ``recorded``."""
         torque = delayed(torque, -self.delay_s / dt) if self.delay_s else torque
         return acting(torque, self.lag_s / dt) if self.lag_s else torque
 
     def held_out(self, t: Tensor) -> Tensor:
-        """Say which times (N,) [s] no fit has seen."""
+        """Return which times (N,) [s] are held out."""
         inside = torch.zeros(t.shape, dtype=torch.bool)
         for first, last in self.held_out_s:
             inside |= (t >= first) & (t <= last)
         return inside
 
     def without_clock(self) -> Condition:
-        """Return the same with torque at the time of the motion."""
+        """Return the same condition without delay and lag."""
         return replace(self, delay_s=0.0, lag_s=0.0)
 
 
@@ -74,7 +75,7 @@ NO_CONDITION = Condition()
 
 @dataclass(frozen=True)
 class Reported:
-    """The error that was reported of a model when it was fitted, see ``replay``.
+    """The error that was reported for a model when it was fitted, see ``replay``.
 
     Attributes:
         cutoff_hz: band limit of the torques [Hz].
@@ -86,7 +87,7 @@ class Reported:
 
 
 def condition_of(conditions: Mapping[str, Condition], recording: str | None) -> Condition:
-    """Return the condition of a recording: its own, that of recordings not known, or nothing without a name."""
+    """Return the condition of a recording: its own, that of unknown recordings, or an empty one without a name."""
     if recording is None:
         return NO_CONDITION
     return conditions.get(recording) or conditions.get(OTHERS, NO_CONDITION)
@@ -96,7 +97,7 @@ def interval(t: Tensor | None, recording: str | None) -> float:
     """Return the interval of a sequence of times [s].
 
     Raises:
-        InputError: there is no sequence.
+        InputError: the times are not a sequence.
     """
     if t is None or t.ndim != 1 or len(t) < 2:
         raise InputError(
@@ -116,7 +117,7 @@ def to_content(conditions: Mapping[str, Condition]) -> dict[str, Any]:
 
 
 def from_content(content: Mapping[str, Any]) -> dict[str, Condition]:
-    """Return what ``to_content`` was given."""
+    """Return conditions from the result of ``to_content``."""
     found = {}
     for name, one in content.items():
         load = None if one["load"] is None else torch.tensor(one["load"], dtype=torch.float64)

@@ -22,21 +22,21 @@ from torchrbd.parameters import from_log_cholesky
 from torchrbd.robot import RobotModel
 
 NAME = "model.safetensors"
-"""Of the file in a folder of results."""
-# Before the names of tensors that say how well the model is known.
+"""File name in a folder of results."""
+# Prefix of the tensors of the posterior.
 _POSTERIOR = "posterior."
 _FORMAT = "torchrbd-model-2"
 
 
 class Parts(NamedTuple):
-    """What a model is made of.
+    """The content of a model file.
 
     Attributes:
         pi: (n_params,) inertial parameters.
         state: of the module.
-        posterior: how well it is known, tensors by name; empty where the file does not say.
-        conditions: how recordings were made, by name.
-        reported: the error that was reported of it, if any.
+        posterior: its uncertainty, tensors by name; empty if the file has none.
+        conditions: of recordings, by name.
+        reported: the error that was reported for it, if any.
     """
 
     robot: RobotModel
@@ -74,15 +74,16 @@ def write_model(
         "reported": json.dumps(None if reported is None else asdict(reported)),
     }
     tensors = {**state, **{_POSTERIOR + name: value for name, value in (posterior or {}).items()}}
-    # By Python, whose files have the permissions that the user's others have; safetensors' own are for the owner alone.
+    # Written by Python, so the file has the user's usual permissions; safetensors would make it readable by the owner
+    # only.
     write_whole(path, save({name: value.contiguous() for name, value in tensors.items()}, metadata))
 
 
 def read_model(path: str | Path) -> Parts:
-    """Read what ``write_model`` wrote, from the file or from the folder of results that it is in.
+    """Read a file of ``write_model``, by its path or by the folder of results that contains it.
 
     Raises:
-        InputError: no such file, or none of ours.
+        InputError: there is no such file, or it is not a model of torchrbd.
     """
     path = Path(path) / NAME if Path(path).is_dir() else Path(path)
     try:

@@ -1,9 +1,9 @@
-"""Ordinary friction of all joints at once: a module's terms that are plain, in a few operations whatever their number.
+"""Baseline friction of all joints at once: a few operations for any number of such terms.
 
     tau = d qd + c s + a |s| + o,   s = tanh(qd / rest_width)
 
-with d, c, a and o (n_dof,) the sums of the terms' coefficients at each joint. One by one, each term takes some ten of
-torch's operations, which for one sample is a millisecond for two terms at each of seven joints.
+d, c, a and o (n_dof,) are the sums of the terms' coefficients at each joint. Evaluated one by one, each term takes some
+ten torch operations. For one sample that is a millisecond for two terms at each of seven joints.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchrbd.effects import Term
 
-# By effect, which of d, c, a and o its coefficients are, in their order.
+# By effect, which of d, c, a and o its coefficients add to, in their order.
 _PARTS = {
     "viscous_friction": (0,),
     "coulomb_friction": (1,),
@@ -25,12 +25,12 @@ _PARTS = {
 
 
 def is_plain(term: Term) -> bool:
-    """Say whether a term is one of those, at all times and in all recordings."""
+    """Return whether a term is baseline friction, at all times and in all recordings."""
     return term.effect.id in _PARTS and term.site.always
 
 
 def placing(n_dof: int, terms: Sequence[Term]) -> Tensor:
-    """Return the matrix (4, n_dof, K) that makes d, c, a and o of the coefficients of plain terms."""
+    """Return the matrix (4, n_dof, K) from the coefficients of baseline terms to d, c, a and o."""
     at: list[tuple[int, int]] = []
     for term in terms:
         assert term.site.joint is not None
@@ -42,10 +42,10 @@ def placing(n_dof: int, terms: Sequence[Term]) -> Tensor:
 
 
 def plain_torque(terms: Sequence[Term], matrix: Tensor, qd: Tensor, rest_width: Tensor) -> Tensor:
-    """Return the torque of plain terms, differentiable in states and coefficients.
+    """Return the torque of baseline terms, differentiable in states and coefficients.
 
     Args:
-        terms, matrix: as of ``placing``.
+        terms, matrix: as for ``placing``.
         qd: (*batch, n_dof) [rad/s, m/s].
         rest_width: (n_dof,) [rad/s, m/s].
 

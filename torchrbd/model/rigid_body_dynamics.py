@@ -30,7 +30,7 @@ from torchrbd.recordings import States
 from torchrbd.robot import RobotModel
 
 METHODS = ("semi_implicit", "runge_kutta")
-"""Of a step."""
+"""Integration methods of ``step``."""
 
 
 class RigidBodyDynamics(nn.Module):
@@ -39,24 +39,23 @@ class RigidBodyDynamics(nn.Module):
         model = RigidBodyDynamics.from_urdf("robot.urdf", effects=["viscous_friction", "coulomb_friction"])
         loss = (model(q, qd, qdd) - tau).square().mean()
 
-    States are (*batch, n_dof) tensors whose batches broadcast, in float32 or float64, on any device; results follow.
-    Methods are differentiable in states and parameters, and compose with ``torch.func``, ``torch.compile`` and
-    ``torch.export``. Whatever an optimiser does to the parameters, the robot stays physical.
+    States are (*batch, n_dof) tensors whose batches broadcast, in float32 or float64, on any device; results have the
+    same dtype and device. Methods are differentiable in states and parameters. They compose with ``torch.func``,
+    ``torch.compile`` and ``torch.export``. The robot stays physical for all values of the trained parameters.
 
     Args:
         robot: kinematics, gravity and names.
         pi: (n_params,) inertial parameters; the robot's own by default.
-        terms: what else adds to the torque.
-        rest_width: (n_dof,) speed below which the direction of motion is not told; ``REST_WIDTH`` by default.
-        conditions: how recordings were made, by name: their clocks, known loads and held-out rows. Under "" that of
-            recordings that are not named.
-        reported: the error that was reported of the model, see ``torchrbd.replay``.
+        terms: effects that add to the torque.
+        rest_width: (n_dof,) speed below which the direction of motion is uncertain; ``REST_WIDTH`` by default.
+        conditions: of recordings, by name: their clocks, known loads and held-out rows. The key "" is for recordings
+            without an entry.
+        reported: the error that was reported for the model, see ``torchrbd.replay``.
 
     Attributes:
         raw_inertia: (n_physical, 10) log-Cholesky coordinates; any values give a physical robot.
-        constant_pi: (n_bodies, 10) the parameters of bodies that have no such coordinates (massless ones), zero
-            elsewhere.
-        physical: (n_bodies,) which bodies have.
+        constant_pi: (n_bodies, 10) parameters of bodies without such coordinates (massless ones), zero elsewhere.
+        physical: (n_bodies,) bool, which bodies have such coordinates.
     """
 
     raw_inertia: nn.Parameter
@@ -84,12 +83,12 @@ class RigidBodyDynamics(nn.Module):
         self.register_buffer("rest_width", width.clone())
         self.conditions, self.reported = dict(conditions or {}), reported
         self._terms = nn.ModuleList(terms)
-        # Most terms are ordinary friction: they are evaluated together. Each is registered once, above.
+        # Most terms are baseline friction: they are evaluated together. Each is registered once, above.
         self._plain = tuple(term for term in self.terms if is_plain(term))
         self._others = tuple(term for term in self.terms if not is_plain(term))
         self._has_terms = bool(self.terms)
         self._placing = placing(robot.n_dof, self._plain)
-        # As numbers: indexing by a tensor would neither batch nor trace.
+        # A list: indexing by a tensor would neither batch nor trace.
         self._trained = physical.nonzero().flatten().tolist()
         self._all_trained = len(self._trained) == robot.n_bodies
 
@@ -105,26 +104,26 @@ class RigidBodyDynamics(nn.Module):
         gravity: Sequence[float] | Tensor | None = None,
         effects: Sequence[str] = (),
     ) -> RigidBodyDynamics:
-        """Read a URDF or MJCF, as ``RobotModel.from_urdf``, with friction, rotors and springs: what a simulator runs.
+        """Read a URDF or MJCF, as ``RobotModel.from_urdf``, including friction, rotors and springs.
 
         Args:
-            source, gravity: as of ``RobotModel.from_urdf``.
-            effects: terms to train from zero: "viscous_friction" at all its places, "joint_spring@joint2" at one;
-                ``torchrbd.known_effects()`` lists them. Nonlinear shapes are in the middle of what the URDF's limits
-                allow.
+            source, gravity: as for ``RobotModel.from_urdf``.
+            effects: terms to train, initially zero: "viscous_friction" at all its places, "joint_spring@joint2" at one;
+                ``torchrbd.known_effects()`` lists them. Nonlinear shape parameters are in the middle of the range that
+                the URDF's limits allow.
 
         Raises:
             RobotError: the file cannot be used.
-            OptionError: an unknown effect, or a place that it has not.
+            OptionError: an unknown effect or place.
         """
         robot = RobotModel.from_urdf(source, gravity=gravity)
         return cls(robot, terms=[*described_terms(robot), *starting_terms(robot, effects)])
 
     @classmethod
     def from_diagnosis(cls, diagnosis: Any) -> RigidBodyDynamics:
-        """Take the model of a result: a ``Diagnosis``, an ``Identification``, or the folder that a command wrote.
+        """Return the model of a result: a ``Diagnosis``, an ``Identification``, or the folder that a command wrote.
 
-        Of an object the model is its own, not a copy.
+        The model of an object is not copied.
 
         Raises:
             InputError: there is no model in it.
@@ -140,10 +139,10 @@ class RigidBodyDynamics(nn.Module):
 
     @classmethod
     def load(cls, path: str | Path) -> RigidBodyDynamics:
-        """Read a model that ``save`` wrote; a folder of results holds one as model.safetensors.
+        """Read a model that ``save`` wrote; in a folder of results it is model.safetensors.
 
         Raises:
-            InputError: no such file, or none of ours.
+            InputError: there is no such file, or it is not a model of torchrbd.
         """
         found = read_model(path)
         model = cls(found.robot, found.pi, found.terms, conditions=found.conditions, reported=found.reported)
@@ -151,7 +150,7 @@ class RigidBodyDynamics(nn.Module):
         return model
 
     def save(self, path: str | Path) -> None:
-        """Write the model to a safetensors file: numbers, URDF and terms, nothing that can run code.
+        """Write the model to a safetensors file: numbers, URDF and terms, no code.
 
         Raises:
             RobotError: the robot was not made from a URDF.
@@ -161,7 +160,7 @@ class RigidBodyDynamics(nn.Module):
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """What adds to the rigid body's torque."""
+        """Effects that add to the torque of the rigid body."""
         return tuple(term for term in self._terms if isinstance(term, Term))
 
     @property
@@ -184,19 +183,19 @@ class RigidBodyDynamics(nn.Module):
         temperature: Tensor | None = None,
         recording: str | None = None,
     ) -> Tensor:
-        """Return the torque that the actuators must supply, or, with ``recording``, that this recording has.
+        """Return the torque that the actuators must supply, or, with ``recording``, that recording's torque column.
 
-        A recording's torque may be late or early, the command of actuators that lag, and that of a known load, see
-        ``conditions``. One that the model does not know has the clock of the fitted ones, where these agree
-        (``conditions[""]``), and no load.
+        A recording's torque may be delayed, a command of actuators with lag, or include a known load: see
+        ``conditions``. A recording without an entry has no load, and the clock of the fitted recordings if they agree
+        (``conditions[""]``).
 
         Args:
             q, qd, qdd: (*batch, n_dof), [rad, m] and per second, per second squared.
-            t: (N,) evenly spaced times of the last batch dimension [s], or one time; only effects with memory or that
-                depend on time, and recordings whose clocks are apart, need it.
+            t: (N,) evenly spaced times of the last batch dimension [s], or one time. Only effects with memory or that
+                depend on time, and recordings with a clock offset, need it.
             temperature: (*batch, n_dof) of the joints [deg C]; without it thermal effects are zero.
-            recording: the one in whose condition the robot is; without it, what acts in some only is zero, and the
-                torque is that of the same instant.
+            recording: name of the recording whose condition applies. Without it, effects of single recordings are zero,
+                and torque and motion are simultaneous.
 
         Returns:
             (*batch, n_dof), [N m] or [N].
@@ -209,19 +208,19 @@ class RigidBodyDynamics(nn.Module):
     inverse_dynamics = forward
 
     def condition(self, recording: str | None) -> Condition:
-        """Return how a recording was made: as ``conditions`` say, as other recordings were, or nothing without one."""
+        """Return the condition of a recording: from ``conditions``, that of unknown recordings, or an empty one."""
         return condition_of(self.conditions, recording) if self.conditions else NO_CONDITION
 
     def acting_torque(self, tau: Tensor, t: Tensor, recording: str | None) -> Tensor:
-        """Return which torque acts at the time of the motion where a recording has another one.
+        """Return the torque that acts at the time of the motion, given the recorded one.
 
-        Where a recording's torque is late or early it is moved, where it is a command it is sent through actuators that
-        lag: what ``forward_dynamics`` and ``step`` take.
+        A delayed torque is shifted in time; a command is passed through the actuators' lag. ``forward_dynamics`` and
+        ``step`` take the result.
 
         Args:
             tau: (*batch, N, n_dof) as recorded [N m, N].
             t: (N,) evenly spaced times [s].
-            recording: its name; without one, the torque is taken as it is.
+            recording: its name; without one, the torque is returned unchanged.
         """
         condition = self.condition(recording)
         if not condition.moves_torque:
@@ -229,7 +228,7 @@ class RigidBodyDynamics(nn.Module):
         return condition.acting(tau.movedim(-1, 0), interval(t, recording)).movedim(0, -1)
 
     def along(self, states: States) -> Tensor:
-        """Return the torque that the recording of a tile has by the model, (n_dof, N), at the tile's full rate."""
+        """Return the model's prediction of the torque column for a tile, (n_dof, N), at the tile's full rate."""
         warm = None if states.temperature is None else states.temperature.T
         signals = states.q.T, states.qd.T, states.qdd.T, states.t, warm, states.recording
         torque, condition = self._acting(*signals, states.turned).T, self.condition(states.recording)
@@ -271,7 +270,7 @@ class RigidBodyDynamics(nn.Module):
         temperature: Tensor | None = None,
         recording: str | None = None,
     ) -> Tensor:
-        """Return what the terms add, (*batch, n_dof); arguments as in ``forward``."""
+        """Return the torque of the terms, (*batch, n_dof); arguments as in ``forward``."""
         self.robot.check(q, qd, qdd)
         with _full_precision(q):
             return self._term_torque(q, qd, qdd, t, temperature, recording)
@@ -305,7 +304,7 @@ class RigidBodyDynamics(nn.Module):
         return torch.stack(torques, -1)
 
     def mass_matrix(self, q: Tensor, t: Tensor | None = None, recording: str | None = None) -> Tensor:
-        """Return how torque grows with acceleration, (*batch, n_dof, n_dof): the rigid body's, and that of rotors.
+        """Return the joint-space mass matrix (*batch, n_dof, n_dof), rotors included.
 
         Args:
             q: (*batch, n_dof) [rad, m].
@@ -321,7 +320,7 @@ class RigidBodyDynamics(nn.Module):
         temperature: Tensor | None = None,
         recording: str | None = None,
     ) -> Tensor:
-        """Return the torque (*batch, n_dof) at no acceleration: gravity, Coriolis forces and terms."""
+        """Return the torque (*batch, n_dof) at zero acceleration: gravity, Coriolis forces and terms."""
         return self._acting(q, qd, torch.zeros_like(qd), t, temperature, recording)
 
     def gravity(self, q: Tensor) -> Tensor:
@@ -343,7 +342,7 @@ class RigidBodyDynamics(nn.Module):
 
             qdd = (M(q) + d tau_terms / d qdd)^-1 (tau - tau(q, qd, 0))
 
-        The terms are taken as linear in qdd.
+        The terms are treated as linear in qdd.
 
         Args:
             q, qd, tau: (*batch, n_dof); the torque that acts, see ``acting_torque``.
@@ -351,7 +350,7 @@ class RigidBodyDynamics(nn.Module):
             temperature, recording: as in ``forward``.
 
         Raises:
-            InputError: a term has memory: its torque is not one of the present state.
+            InputError: a term has memory: its torque depends on past states.
             PhysicalError: the mass matrix is not positive definite (a moving body without mass or rotor inertia).
         """
         self.robot.check(q, qd, tau)
@@ -370,19 +369,19 @@ class RigidBodyDynamics(nn.Module):
         temperature: Tensor | None = None,
         recording: str | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """Return position and velocity a time dt later, under a torque that is held.
+        """Return position and velocity a time dt later, under a constant torque.
 
-        "semi_implicit" finds the velocity at the end of the step at which the terms balance the rest: it stays stable,
-        and its derivatives bounded, however stiff friction is. "runge_kutta" (fourth order) is for smooth forces.
+        "semi_implicit" solves for the velocity at the end of the step at which all forces balance. It is stable, and
+        its derivatives are bounded, for any stiffness of friction. "runge_kutta" (fourth order) is for smooth forces.
 
         Args:
             q, qd, tau: (*batch, n_dof).
             dt: [s].
-            t: at the begin of the step [s]; only effects that depend on time need it.
+            t: at the start of the step [s]; only effects that depend on time need it.
             temperature, recording: as in ``forward``.
 
         Raises:
-            InputError: a term has memory: its torque is not one of the present state.
+            InputError: a term has memory: its torque depends on past states.
             OptionError: an unknown method.
             PhysicalError: the mass matrix is not positive definite.
         """
@@ -402,7 +401,7 @@ class RigidBodyDynamics(nn.Module):
             try:
                 v = implicit_velocity(mass, rigid, added, qd, tau, dt, self.rest_width)
             except torch.linalg.LinAlgError:  # pyright: ignore[reportPrivateImportUsage]
-                # Says at which joint.
+                # Raises an error that names the joint.
                 self.robot.accelerate(mass, tau)
                 raise
         return q + dt * v, v
@@ -410,11 +409,11 @@ class RigidBodyDynamics(nn.Module):
     def _at_rest(
         self, q: Tensor, qd: Tensor, t: Tensor | None, temperature: Tensor | None, recording: str | None
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the mass matrix, the terms' in it, and the torques of rigid body and terms at no acceleration."""
+        """Return the mass matrix, the terms' part of it, and the torques of rigid body and terms at no acceleration."""
         self.robot.check(q, qd)
         q, qd = torch.broadcast_tensors(q, qd)
         with _full_precision(q):
-            # At rest and with each unit acceleration.
+            # At zero and at each unit acceleration.
             unit = torch.eye(self.robot.n_dof, dtype=q.dtype, device=q.device)
             tries = torch.cat((torch.zeros_like(unit[:1]), unit)).reshape(-1, *[1] * (q.ndim - 1), len(unit))
             still, *moved = self._term_torque(q, qd, tries, _instants(t), temperature, recording)
@@ -424,10 +423,10 @@ class RigidBodyDynamics(nn.Module):
 
 
 def _full_precision(q: Tensor) -> AbstractContextManager[object]:
-    """Compute in full precision, whatever a network beside it is computed in; autocasts leave float64 alone."""
+    """Compute in full precision, even inside a network's autocast, which does not change float64."""
     return nullcontext() if q.dtype is torch.float64 else torch.autocast(q.device.type, enabled=False)
 
 
 def _instants(t: Tensor | None) -> Tensor | None:
-    """Return times as those of states that are no sequence, (1, N)."""
+    """Return times in the shape for states that are not a sequence, (1, N)."""
     return t.unsqueeze(0) if t is not None and t.ndim else t

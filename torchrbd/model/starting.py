@@ -1,4 +1,4 @@
-"""Terms that a model begins with, before any data: those of the URDF, and zeros to train."""
+"""Initial terms of a model, before any data: those of the URDF, and zeros to train."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from torchrbd.errors import OptionError
 from torchrbd.robot import RobotModel
 
 REST_WIDTH = 1e-3
-"""Softness of the sign of velocity [rad/s, m/s] where no recording has told it."""
+"""Softness of the sign of velocity [rad/s, m/s] before any recording determines it."""
 _ROOM_AND_WARM = 20.0, 50.0
 
 
 def described_terms(robot: RobotModel) -> list[Term]:
-    """Return the terms that a robot's description holds: damping, dry friction, rotors and springs of its joints."""
+    """Return the terms in a robot's description: damping, dry friction, rotors and springs of its joints."""
     terms = []
     for joint in range(robot.n_dof):
         for name, value in (("viscous_friction", robot.damping[joint]), ("coulomb_friction", robot.friction[joint])):
@@ -39,10 +39,10 @@ def known_terms(robot: RobotModel) -> list[Term]:
 
 
 def starting_terms(robot: RobotModel, effects: Sequence[str]) -> list[Term]:
-    """Return terms without torque, to be trained: "viscous_friction" at all its places, or "joint_spring@joint2".
+    """Return terms with zero torque to train: "viscous_friction" at all its places, or "joint_spring@joint2".
 
     Raises:
-        OptionError: an unknown effect, a place that it has not, or an effect that acts for a time only.
+        OptionError: an unknown effect or place, or an effect that acts for a time only.
     """
     terms = []
     for one in map(RequestedEffect.parse, effects):
@@ -61,7 +61,7 @@ def starting_terms(robot: RobotModel, effects: Sequence[str]) -> list[Term]:
 
 
 def _scale(robot: RobotModel, joint: int) -> JointScale:
-    """Return what a joint may cover by its limits; a turn and a turn a second where it has none."""
+    """Return the range of a joint from its limits; without limits, one turn and one turn per second."""
     low, high, speed, effort = (float(x[joint]) for x in (robot.lower, robot.upper, robot.velocity, robot.effort))
     return JointScale(
         speed_max=speed if math.isfinite(speed) else 2.0 * math.pi,
@@ -74,7 +74,7 @@ def _scale(robot: RobotModel, joint: int) -> JointScale:
 
 
 def _count(effect: Effect, robot: RobotModel, site: Site, shape: Shape) -> int:
-    """Return how many coefficients an effect has."""
+    """Return the number of an effect's coefficients."""
     t = torch.arange(2, dtype=torch.float64)
     still = torch.zeros(robot.n_dof, 2, dtype=torch.float64)
     signals = Signals(robot, still, still, still, torch.full((robot.n_dof,), REST_WIDTH, dtype=torch.float64), t=t)

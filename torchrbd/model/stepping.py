@@ -1,16 +1,16 @@
-"""One step of time: semi-implicit Euler with implicit friction, and the classical Runge-Kutta method.
+"""One time step: semi-implicit Euler with implicit friction, and the classical Runge-Kutta method.
 
-Friction whose sign changes within a thousandth of a radian a second is stiff: an explicit step of a millisecond throws
-the velocity from one side to the other, and derivatives through such steps grow without bound. Here the velocity v at
-the end of a step is the one at which forces balance,
+Friction whose sign changes within a thousandth of a radian per second is stiff. An explicit step of a millisecond makes
+the velocity jump from one side to the other, and derivatives through such steps grow without bound. Here v is the
+velocity at the end of a step at which forces balance,
 
     r(v) = M (v - qd) + dt (c + f(v) - tau) = 0,    q' = q + dt v
 
 with M and c = c(q, qd) of the rigid body and f(v) the torque of the terms. It is found by Newton's method with each
-joint's own slope of f; a joint that would turn within a step stops at rest, where friction is steepest, and goes on
-from there. What has not settled so is found by quadratic majorisation: f is replaced by the line through f(0) and
-f(v_k), below which friction that grows less than linearly stays beyond v_k, so that no step goes too far. One Newton
-step from there is differentiable, and has the derivatives of the implicit function, dv = -(dr/dv)^-1 dr.
+joint's own slope of f. A joint that would reverse within a step stops at rest, where friction is steepest, and
+continues from there. If this does not converge, quadratic majorisation does: f is replaced by the line through f(0) and
+f(v_k). Beyond v_k, friction that grows less than linearly is below that line, so no step is too long. One final Newton
+step is differentiable, and has the derivatives of the implicit function, dv = -(dr/dv)^-1 dr.
 
 Source: Hunter, Lange, "A tutorial on MM algorithms", The American Statistician 2004, sec. 3.2, for the majorisation.
 """
@@ -23,22 +23,22 @@ import torch
 from torch import Tensor
 
 Force = Callable[[Tensor], Tensor]
-"""The terms' torque (*batch, n_dof) by velocity."""
+"""The terms' torque (*batch, n_dof) as a function of velocity."""
 Acceleration = Callable[[Tensor, Tensor], Tensor]
-"""By position and velocity."""
+"""As a function of position and velocity."""
 
 _NEWTON_STEPS, _MAJORISED_STEPS = 12, 20
-# Of a joint's width of rest: slower, and the line through f(0) and f(v) is told by rounding.
+# As a fraction of ``rest_width``: at lower speeds, rounding dominates the line through f(0) and f(v).
 _SLOWEST = 1e-2
 
 
 def implicit_velocity(
     mass: Tensor, bias: Tensor, force: Force, qd: Tensor, tau: Tensor, dt: float | Tensor, rest_width: Tensor
 ) -> Tensor:
-    """Return the velocity at the end of a step, differentiable in everything.
+    """Return the velocity at the end of a step, differentiable in all arguments.
 
     Args:
-        mass: (*batch, n, n). bias: (*batch, n) torque of the rigid body that does not accelerate.
+        mass: (*batch, n, n). bias: (*batch, n) torque of the rigid body at zero acceleration.
         force: of the terms.
         qd, tau: (*batch, n).
         dt: [s].
@@ -47,7 +47,7 @@ def implicit_velocity(
     with torch.no_grad():
         free = (mass @ qd.unsqueeze(-1)).squeeze(-1) - dt * (bias - tau)
         v = balanced_velocity(mass, free, force, qd, dt, _SLOWEST * rest_width.to(qd))
-        # The forces' derivatives by velocity, a row of the matrix for each joint.
+        # The forces' derivatives by velocity, one row of the matrix per joint.
         units = torch.eye(v.shape[-1], dtype=v.dtype, device=v.device)
         _, by_velocity, *_ = torch.func.vjp(force, v)
         (rows,) = torch.vmap(lambda unit: by_velocity(unit.expand_as(v)), out_dims=-2)(units)
@@ -64,10 +64,10 @@ def balanced_velocity(
     Args:
         mass: M, (*batch, n, n); its symmetric part must be positive definite where forces are.
         free: (*batch, n).
-        force: f; takes more velocities in front of the batch.
-        v: where to begin, (*batch, n).
+        force: f; accepts additional dimensions in front of the batch.
+        v: initial value, (*batch, n).
         dt: [s].
-        slowest: (n,) what counts as no motion.
+        slowest: (n,) speed that counts as rest.
     """
     for _ in range(_NEWTON_STEPS):
         f, beyond = force(torch.stack((v, v + slowest)))
@@ -88,7 +88,7 @@ def balanced_velocity(
 
 
 def runge_kutta(acceleration: Acceleration, q: Tensor, qd: Tensor, dt: float | Tensor) -> tuple[Tensor, Tensor]:
-    """Return position and velocity after a step of the classical method of fourth order; friction must not be stiff."""
+    """Return position and velocity after a classical fourth-order step; friction must not be stiff."""
     k1 = acceleration(q, qd)
     k2 = acceleration(q + 0.5 * dt * qd, qd + 0.5 * dt * k1)
     k3 = acceleration(q + 0.5 * dt * qd + 0.25 * dt**2 * k1, qd + 0.5 * dt * k2)
@@ -97,7 +97,7 @@ def runge_kutta(acceleration: Acceleration, q: Tensor, qd: Tensor, dt: float | T
 
 
 def _is_settled(before: Tensor, v: Tensor, tolerance: Tensor) -> bool:
-    """Say whether a Newton step will do; never where a graph is traced or batched, which cannot ask."""
+    """Return whether one Newton step suffices; always False where a graph is traced or batched."""
     if torch.compiler.is_compiling():
         return False
     try:

@@ -1,4 +1,4 @@
-"""Inertial parameters: physical validity, log-Cholesky coordinates, and what a robot's motion can tell of them."""
+"""Inertial parameters: physical validity, log-Cholesky coordinates, and which of them a robot's motion identifies."""
 
 from torchrbd.parameters.base import BaseParameters, base_parameters
 from torchrbd.parameters.inertial import (

@@ -1,7 +1,7 @@
-"""Base parameters: the combinations of inertial parameters that any motion of this robot can tell.
+"""Base parameters: the combinations of inertial parameters that motion of this robot can identify.
 
-The columns of the regressor are linearly dependent: Y = Y_b K with Y_b the independent ones, so that torque depends on
-beta = K pi only. Column by column, from the base outwards, a column that earlier ones span is expressed by them.
+The columns of the regressor are linearly dependent: Y = Y_b K with Y_b the independent ones, so torque depends on beta
+= K pi only. Columns are taken from the base outwards; one in the span of earlier ones is expressed by them.
 
 Source: Gautier, "Numerical calculation of the base inertial parameters of robots", ICRA 1990 (there by QR).
 """
@@ -25,7 +25,7 @@ class BaseParameters:
         names: (n_params,) names of the inertial parameters.
         independent: indices of the columns that span all others, ascending.
         combination: K (n_base, n_params): beta = K pi; the identity on ``independent``.
-        invisible: indices of the parameters that no motion tells at all.
+        invisible: indices of the parameters that change no torque in any motion.
     """
 
     names: tuple[str, ...]
@@ -35,7 +35,7 @@ class BaseParameters:
 
     @property
     def alone(self) -> tuple[int, ...]:
-        """Indices of the parameters that are identified on their own."""
+        """Indices of the parameters that are identifiable on their own."""
         return tuple(k for row, k in enumerate(self.independent) if torch.count_nonzero(self.combination[row]) == 1)
 
     @property
@@ -49,14 +49,14 @@ class BaseParameters:
         return tuple(written)
 
     def sentences(self) -> tuple[str, ...]:
-        """Say in one sentence each which combinations are identified where their parts are not."""
+        """Return one sentence for each combination that is identifiable although its parts are not."""
         said = [self._sentence(row) for row in range(len(self.independent)) if self._partners(row)]
         if self.invisible:
             said.append("no motion of this robot identifies " + ", ".join(self.names[k] for k in self.invisible))
         return tuple(said)
 
     def sentences_with(self, k: int) -> tuple[str, ...]:
-        """Return those of the sentences in whose combination parameter k stands."""
+        """Return the sentences about combinations that contain parameter k."""
         rows = torch.nonzero(self.combination[:, k]).flatten().tolist()
         return tuple(self._sentence(row) for row in rows if self._partners(row))
 
@@ -79,11 +79,11 @@ def base_parameters(
     """Find a robot's base parameters from its regressor at random states.
 
     Args:
-        robot: the robot; its gravity counts.
-        held: positions of joints that stand still, by index [rad or m]; the torques of the others tell.
+        robot: the robot, with its gravity.
+        held: positions of joints that do not move, by index [rad or m]; only torques of the other joints count.
         seed: of the random states.
-        tolerance: a column whose part outside the span of the earlier ones is below this fraction of its norm depends
-            on them.
+        tolerance: a column is dependent if its part outside the span of the earlier ones is below this fraction of its
+            norm.
     """
     held, generator = held or {}, torch.Generator().manual_seed(seed)
     moving = [j for j in range(robot.n_dof) if j not in held]
@@ -108,7 +108,7 @@ def base_parameters(
 
 
 def _independent_columns(X: Tensor, visible: Tensor, tolerance: float) -> list[int]:
-    """Pick, first to last, every column of which more than ``tolerance`` is left beside those picked before."""
+    """Pick, first to last, every column whose part outside the span of those picked before exceeds ``tolerance``."""
     basis = torch.empty(X.shape[0], 0, dtype=X.dtype)
     picked: list[int] = []
     for k in torch.nonzero(visible).flatten().tolist():

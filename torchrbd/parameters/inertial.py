@@ -1,9 +1,9 @@
-"""What makes inertial parameters physical: a positive definite pseudo-inertia.
+"""Physical consistency of inertial parameters: a positive definite pseudo-inertia.
 
     J = [[Sigma, h], [h', m]],   Sigma = 1/2 tr(I) 1 - I,   h = m c
 
-with I the rotational inertia about the body origin. J > 0 says m > 0 and that the mass density has a positive second
-moment in every direction, which contains the triangle inequalities.
+I is the rotational inertia about the body's origin. J > 0 means that m > 0 and that the mass density has a positive
+second moment in every direction, which includes the triangle inequalities.
 
 Source: Wensing, Kim, Slotine, "Linear Matrix Inequalities for Physically Consistent Inertial Parameter Identification",
 IEEE RA-L 2018, eq. (14) to (16).
@@ -40,7 +40,7 @@ def central_covariance(pi: Tensor) -> Tensor:
 
 
 def is_physical(pi: Tensor, tolerance: float = 1e-10) -> Tensor:
-    """Say which bodies (*batch,) have m > 0 and central second moments above ``tolerance`` times its trace."""
+    """Return which bodies (*batch,) have m > 0 and central second moments above ``tolerance`` times their trace."""
     heavy = pi[..., 0] > 0
     sigma = central_covariance(torch.where(heavy.unsqueeze(-1), pi, torch.ones_like(pi)))
     eigenvalues = torch.linalg.eigvalsh(sigma)
@@ -48,7 +48,7 @@ def is_physical(pi: Tensor, tolerance: float = 1e-10) -> Tensor:
 
 
 def is_extended(pi: Tensor, thinness: float = 0.05) -> Tensor:
-    """Say which bodies (*batch,) are physical and in some direction wider than ``thinness`` times r.
+    """Return which bodies (*batch,) are physical and wider than ``thinness`` times r in some direction.
 
     r is the radius of gyration about the body's origin. Placeholder inertias are often a thousand times too small.
     """
@@ -66,24 +66,24 @@ def _second_moment(pi: Tensor, eigenvalues: Tensor) -> Tensor:
 
 
 def nearest_physical(pi: Tensor, thinness: float = 0.05, width: float = 0.3) -> Tensor:
-    """Replace bodies that are not extended by near ones of the same mass and centre; leave the others untouched.
+    """Replace bodies that are not extended by near ones with the same mass and centre; do not change the others.
 
     The central covariance is brought to principal axes and its eigenvalues are raised to at least m (thinness r)^2,
-    with r the body's radius of gyration about its origin; those of a mere point to m (width r)^2.
+    with r the body's radius of gyration about its origin. Those of a point mass are raised to m (width r)^2.
 
     Args:
         pi: (*batch, 10), every mass positive.
         thinness: least radius of gyration in any direction, as a fraction of r.
-        width: radius of gyration of a point in all directions, as a fraction of r.
+        width: radius of gyration of a point mass in all directions, as a fraction of r.
     """
     return torch.where(is_extended(pi, thinness).unsqueeze(-1), pi, _raised(pi, thinness, width))
 
 
 def thickened(pi: Tensor, thinness: float = 0.1) -> Tensor:
-    """Return physical bodies that are nowhere thinner than a part of their radius of gyration about the origin.
+    """Return physical bodies that are nowhere thinner than a fraction of their radius of gyration about the origin.
 
-    A needle says that its axis is known as well as it is thin, which no drawing of a link does: of an error of its
-    direction by an angle, a second moment of the angle's square times m r^2 comes across.
+    A needle as a prior means that the direction of its axis is known as precisely as it is thin. No drawing of a link
+    is that precise: an error of its direction by an angle adds a second moment of angle^2 m r^2 across.
 
     Args:
         pi: (*batch, 10), every one physical.
@@ -95,7 +95,7 @@ def thickened(pi: Tensor, thinness: float = 0.1) -> Tensor:
 
 
 def _raised(pi: Tensor, thinness: float, width: float) -> Tensor:
-    """Return bodies whose central covariance has eigenvalues of m (thinness r)^2 at least, m (width r)^2 in a point."""
+    """Return bodies with central eigenvalues of at least m (thinness r)^2, or m (width r)^2 for a point mass."""
     m, c = pi[..., 0], pi[..., 1:4] / pi[..., 0, None]
     eigenvalues, axes = torch.linalg.eigh(central_covariance(pi))
     least = _second_moment(pi, eigenvalues)

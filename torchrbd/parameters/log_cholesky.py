@@ -1,4 +1,4 @@
-"""Log-Cholesky coordinates: ten unconstrained numbers a body, every one of which is a physical body.
+"""Log-Cholesky coordinates: ten unconstrained numbers per body; all values give a physical body.
 
     J = U U',   U = e^alpha [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], [0, 0, e^d3, t3], [0, 0, 0, 1]]
 
@@ -38,10 +38,10 @@ def to_log_cholesky(pi: Tensor) -> Tensor:
     """Return the log-Cholesky coordinates theta (*batch, 10) of physical inertial parameters.
 
     Raises:
-        PhysicalError: a body has no positive definite pseudo-inertia.
+        PhysicalError: the pseudo-inertia of a body is not positive definite.
     """
     reverse = [3, 2, 1, 0]
-    # An upper triangular factor is the lower one of the matrix read backwards.
+    # The upper triangular factor is the lower one of the matrix with rows and columns reversed.
     lower, info = torch.linalg.cholesky_ex(pseudo_inertia(pi)[..., reverse, :][..., reverse])
     if bool((info != 0).any()):
         bad = torch.nonzero(info.reshape(-1)).flatten().tolist()

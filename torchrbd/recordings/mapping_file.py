@@ -85,7 +85,7 @@ class Time(Keys):
 
     missing: ClassVar[dict[str, str]] = {"column": "'column' is missing: the name of the column"}
     column: Column = Field(description="name of the column of time")
-    unit: _unit(TIME_UNITS) = Field("s", description="its unit")  # type: ignore[valid-type]
+    unit: _unit(TIME_UNITS) = Field("s", description=f"unit of the column: {', '.join(TIME_UNITS)}")  # type: ignore[valid-type]
 
 
 class Changes(Keys):
@@ -177,20 +177,21 @@ class MappingFile(Keys):
     """The columns and units of a recording."""
 
     time: Annotated[Annotated[Column, Tag("by name")] | Annotated[Time, Tag("by column")], Discriminator(_form)] = (
-        Field("t", description="column of time, or its name alone")
+        Field("t", description="column of time; may be just its name")
     )
     joints: Annotated[dict[str, Joint], BeforeValidator(_joints)] = Field(
-        default_factory=dict, description="by joint its signals; the joint '*' is every joint that has none of its own"
+        default_factory=dict,
+        description="signals of each joint; the joint '*' is every joint without an entry of its own",
     )
     topic: Annotated[str, BeforeValidator(_topic)] | None = Field(
-        None, description="topic of a ROS bag or of a PlotJuggler export, where there are several"
+        None, description="topic of a ROS bag or of a PlotJuggler export, if it has several"
     )
     episodes: Annotated[tuple[int, ...], BeforeValidator(_episodes)] | None = Field(
         None, description="episodes of a LeRobot data set, numbered from 0; all by default"
     )
     torque_delay: Annotated[Number, AfterValidator(_delay)] = Field(
         0.0,
-        description="how much later torques are written than the positions that they belong to [s]; below 0: earlier",
+        description="delay of torques relative to the positions that they belong to [s]; below 0: early",
     )
 
 
