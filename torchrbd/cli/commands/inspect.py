@@ -15,7 +15,10 @@ AFTER = examples(
 
 def inspect(
     recording: Recording,
-    robot: Annotated[Path | None, file("ROBOT", "whose joints and limits count (default: as named)")] = None,
+    robot: Annotated[
+        Path | None,
+        file("ROBOT", "URDF or MJCF file: its joints and limits are used. Default: the joints that the columns name"),
+    ] = None,
     /,
     *,
     mapping: Annotated[Path | None, value("YAML", "column names and units as far as they are known")] = None,
