@@ -61,7 +61,8 @@ def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place
         raise RecordingError(
             f"{place}: missing columns: {', '.join(missing)}{meant(missing[0], others)}; "
             f"present: {', '.join(columns)}; if they have other names, give a mapping: "
-            f"'torchrbd inspect RECORDING ROBOT -o mapping.yaml' writes one to edit{no_torque(columns) if torque else ''}"
+            f"'torchrbd inspect RECORDING ROBOT -o mapping.yaml' writes one to edit"
+            f"{no_torque(columns) if torque else ''}"
         )
     there = {key: np.array([s.column in present for s in wanted[key]]) for key in ("tau", *PARTIAL_SIGNALS)}
     if torque and not there["tau"].any():

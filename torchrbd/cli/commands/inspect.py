@@ -7,6 +7,7 @@ from typing import Annotated
 
 from torchrbd.cli.parameters import Recording, examples, file, value
 
+_ROBOT = "URDF or MJCF file: its joints and limits are used. Default: the joints that the columns name"
 AFTER = examples(
     "torchrbd inspect monday.csv",
     "torchrbd inspect monday.csv arm.urdf -o mapping.yaml",
@@ -17,7 +18,7 @@ def inspect(
     recording: Recording,
     robot: Annotated[
         Path | None,
-        file("ROBOT", "URDF or MJCF file: its joints and limits are used. Default: the joints that the columns name"),
+        file("ROBOT", _ROBOT),
     ] = None,
     /,
     *,
