@@ -17,9 +17,9 @@ from inference.problems import urdf_of
 from simulated import Motion, joint_names, record
 
 import torchrbd
-from torchrbd.cli.files import write_results
 from torchrbd.export import write_diagnosis, write_parameters
 from torchrbd.export.schemas import schema
+from torchrbd.report.files import write_files
 
 URDF = urdf_of(2, 2)
 
@@ -35,7 +35,7 @@ def found() -> torchrbd.Diagnosis:
 @pytest.fixture(scope="module")
 def folder(found: torchrbd.Diagnosis, tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("out")
-    write_results(found, made)
+    write_files(found, made)
     return made
 
 
@@ -46,6 +46,16 @@ def test_what_the_files_hold_is_as_it_was(folder: Path, tmp_path: Path) -> None:
     write_parameters(again.identification, tmp_path / "parameters.json")
     for name in ("diagnosis.json", "parameters.json"):
         assert (tmp_path / name).read_text() == (folder / name).read_text()
+
+
+def test_a_folder_written_from_python_is_read_again(found: torchrbd.Diagnosis, tmp_path: Path) -> None:
+    torchrbd.write_results(found, str(tmp_path / "new" / "out"))
+    assert {path.name for path in (tmp_path / "new" / "out").iterdir()} == {
+        "diagnosis.json", "identified.urdf", "model.safetensors", "parameters.json", "report.html"
+    }  # fmt: skip
+    again = torchrbd.Diagnosis.load(tmp_path / "new" / "out")
+    assert again.verdict == found.verdict
+    assert [f.effect for f in again.findings] == [f.effect for f in found.findings]
 
 
 def test_the_schema_is_that_of_the_file(folder: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 from real_sets import CASES, data_folder
 
 import torchrbd
-from torchrbd.cli.files import write_results
+from torchrbd.report.files import write_files
 
 FOLDER = data_folder()
 pytestmark = pytest.mark.skipif(FOLDER is None, reason="TORCHRBD_DATA names no folder of real recordings")
@@ -23,7 +23,7 @@ def replayed(how: str, name: str, into: Path) -> tuple[torchrbd.Identification, 
     case = CASES[name](FOLDER, into)
     held_out = {"holdout": case.holdout} if case.holdout else {}
     result = getattr(torchrbd, how)(case.robot, case.recordings, **held_out, **case.options)
-    write_results(result, into)
+    write_files(result, into)
     return getattr(result, "identification", result), torchrbd.replay(into, case.holdout or case.recordings).nmse
 
 

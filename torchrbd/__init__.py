@@ -43,7 +43,7 @@ _NAMES = {
     "parameters": (),
     "effects": ("known_effects", "register"),
     "recordings": ("Recording", "open_recording", "read_mapping"),
-    "report": ("write_report",),
+    "report": ("write_report", "write_results"),
     "robot": ("RobotModel",),
     "simulation": ("SimulatedMotion", "simulate"),
 }

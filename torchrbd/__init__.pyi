@@ -27,7 +27,7 @@ from torchrbd.learning import (
 )
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.recordings import Recording, open_recording, read_mapping
-from torchrbd.report import write_report
+from torchrbd.report import write_report, write_results
 from torchrbd.robot import RobotModel
 from torchrbd.simulation import SimulatedMotion, simulate
 
@@ -82,5 +82,6 @@ __all__ = [
     "to_mjcf",
     "to_urdf",
     "write_report",
+    "write_results",
     "write_statistics",
 ]

@@ -159,7 +159,7 @@ def test_coarse_steps_and_gaps(tmp_path, look):
 
 def test_torque_is_not_needed(tmp_path, look):
     write(tmp_path / "r.csv", {name: x for name, x in columns().items() if not name.startswith("tau")})
-    assert "lacking: no joint has a torque" in look(tmp_path / "r.csv", tmp_path / "arm.urdf")
+    assert "not supported yet" in look(tmp_path / "r.csv", tmp_path / "arm.urdf")
 
 
 @pytest.mark.parametrize("robot", [False, True])
@@ -169,7 +169,7 @@ def test_unknown_names_are_guessed(tmp_path, look, robot):
     more = [tmp_path / "arm.urdf"] if robot else []
     told = look(tmp_path / "r.csv", *more, "-o", tmp_path / "map.yaml")
     assert "6 columns, not matched with joints" in told
-    assert "lacking: " in told
+    assert "problem: " in told
     text = (tmp_path / "map.yaml").read_text()
     joint = "lift" if robot else "joint1"
     assert (
@@ -188,13 +188,53 @@ def test_names_of_joints_in_columns(tmp_path, look):
     assert 'tau: {column: "turn.torque", unit: N m}' in (tmp_path / "map.yaml").read_text()
 
 
+def test_units_that_the_names_hold_are_guessed(tmp_path, look):
+    names = ["Zeit_ms", "J1_pos_deg", "J2_Winkel [Grad]", "J1_current_mA", "J2_Strom_A"]
+    scaled = [CLOCK * 1e3, *(np.degrees(columns()[q]) for q in ("q_lift", "q_turn")), CLOCK, CLOCK]
+    write(tmp_path / "r.csv", dict(zip(names, scaled, strict=True)))
+    look(tmp_path / "r.csv", tmp_path / "arm.urdf", "-o", tmp_path / "map.yaml")
+    text = (tmp_path / "map.yaml").read_text()
+    assert 'time: {column: "Zeit_ms", unit: ms}  # guessed' in text
+    assert 'q: {column: "J1_pos_deg", unit: deg}' in text
+    assert 'q: {column: "J2_Winkel [Grad]", unit: deg}' in text
+    assert 'tau: {current: "J1_current_mA", unit: mA, torque_constant: 1.0' in text
+    assert 'tau: {current: "J2_Strom_A", unit: A, torque_constant: 1.0' in text
+
+
+def test_a_current_stays_a_current_and_a_constant_of_one_is_named(tmp_path, look):
+    write(tmp_path / "r.csv", columns())
+    text = "joints:\n  lift: {{tau: {{current: tau_lift, torque_constant: {}, sign: -1}}}}\n"
+    (tmp_path / "one.yaml").write_text(text.format(1.0))
+    (tmp_path / "real.yaml").write_text(text.format(12.5))
+    told = look(tmp_path / "r.csv", tmp_path / "arm.urdf", "--mapping", tmp_path / "one.yaml")
+    assert "torque_constant times gear_ratio is 1 for lift: the torque is then the current in ampere" in told
+    told = look(
+        tmp_path / "r.csv", tmp_path / "arm.urdf", "--mapping", tmp_path / "real.yaml", "-o", tmp_path / "map.yaml"
+    )
+    assert "torque_constant times" not in told
+    assert 'tau: {current: "tau_lift", unit: A, torque_constant: 12.5, sign: -1}' in (tmp_path / "map.yaml").read_text()
+    assert read_mapping(tmp_path / "map.yaml").source("lift", 0, "tau").scale == -12.5
+
+
+def test_a_set_without_torque_and_with_other_names(tmp_path, look):
+    names = [f"motor_{name}.pos" for name in ("a", "b")]
+    path = data_set(tmp_path / "set", {"motors": names}, "observation.nothing")
+    told = look(path, tmp_path / "arm.urdf", "-o", tmp_path / "map.yaml")
+    assert "no column looks like a torque or a motor current" in told
+    assert "Positions and set-points without torque are not supported yet" in told
+    text = (tmp_path / "map.yaml").read_text()
+    assert '"lift":\n    q: {column: "observation.state/motor_a.pos", unit: rad}  # guessed' in text
+    assert '"turn":\n    q: {column: "observation.state/motor_b.pos", unit: rad}  # guessed' in text
+
+
 def test_torques_of_other_names_are_guessed(tmp_path, look):
     path = data_set(tmp_path / "set", effort="observation.present_current")
     told = look(path, "-o", tmp_path / "map.yaml")
     assert "set: 2 joints, 270 rows, 50 Hz, 5.3 s, 3 pieces with gaps between them" in told
-    assert "lacking: no joint has a torque" in told
+    assert "problem: " in told
+    assert "; if observation.present_current/a, observation.present_current/b hold torques or motor currents" in told
     assert 'tau: {current: "observation.present_current/a", unit: A' in (tmp_path / "map.yaml").read_text()
-    assert "lacking" not in look(path, "--mapping", tmp_path / "map.yaml")
+    assert "problem:" not in look(path, "--mapping", tmp_path / "map.yaml")
 
 
 def test_bags(tmp_path, look):

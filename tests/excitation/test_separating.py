@@ -13,7 +13,6 @@ from excitation.arms import arm_urdf, pinocchio_torque
 from scipy.linalg import cho_factor, cho_solve
 
 import torchrbd
-from torchrbd.cli.files import write_results
 from torchrbd.diagnosis import Alternative, Diagnosis, Quantity
 from torchrbd.effects import Site, effect, known_effects
 from torchrbd.excitation.conditioning import Conditioning
@@ -22,6 +21,7 @@ from torchrbd.excitation.limits import limits_of
 from torchrbd.excitation.rivals import NOTHING, Known, Question, Rival, known_from
 from torchrbd.excitation.separating import Separating
 from torchrbd.recordings import Recording
+from torchrbd.report.files import write_files
 
 URDF = arm_urdf()
 SPRING = {"stiffness": 6.0, "rest_position": 0.2}
@@ -232,7 +232,7 @@ def open_diagnosis(diagnosis: Diagnosis) -> Diagnosis:
 
 def test_a_folder_tells_what_the_object_tells(diagnosis: Diagnosis, tmp_path: Path) -> None:
     result = open_diagnosis(diagnosis)
-    write_results(result, tmp_path)
+    write_files(result, tmp_path)
     first = known_from(result)
     for source in (tmp_path, tmp_path / "diagnosis.json"):
         again = known_from(source)
@@ -307,7 +307,7 @@ def test_input_that_cannot_be_used_is_refused(diagnosis: Diagnosis, tmp_path: Pa
     elsewhere = replace(open_diagnosis(diagnosis).findings[0], joints=("joint9",))
     with pytest.raises(torchrbd.InputError, match="finding 'joint_spring' cannot be read"):
         torchrbd.excite(URDF, replace(diagnosis, findings=(elsewhere,)))
-    write_results(diagnosis, tmp_path)
+    write_files(diagnosis, tmp_path)
     (tmp_path / "parameters.json").write_text("{}")
     with pytest.raises(torchrbd.InputError, match=r"parameters.json"):
         torchrbd.excite(URDF, tmp_path)

@@ -122,7 +122,8 @@ def test_all_joints_are_not_listed() -> None:
 
 def test_a_list_holds_as_many_words_as_it_may() -> None:
     assert as_many_as_fit(["a b", "c", "d e f"], 7) == "a b, c and d e f"
-    assert as_many_as_fit(["a b", "c", "d e f"], 6, "or", "others") == "a b, c or 1 others"
+    assert as_many_as_fit(["a b", "c", "d e f"], 6, "or", "others") == "a b, c or 1 other"
+    assert as_many_as_fit(["a b", "c", "d", "e"], 2, rest="more effects") == "a b and 3 more effects"
     assert as_many_as_fit(["a b c d", "e"], 2) == "a b c d and 1 more"
 
 

@@ -51,6 +51,14 @@ def test_the_true_model_follows_the_recording(model: RigidBodyDynamics, case: Pa
     np.testing.assert_allclose(found.recorded, moved.q[400:601], atol=1e-4)
 
 
+def test_a_model_can_be_trained_after_it_was_simulated(case: Path) -> None:
+    """Simulation works on a copy: it once froze the friction of every identified model."""
+    model = RigidBodyDynamics.from_urdf(URDF.encode(), effects=["viscous_friction"])
+    torchrbd.simulate(model, case / "day.parquet", start=1.0, seconds=0.1)
+    assert len(model.terms) > 0
+    assert all(parameter.requires_grad for parameter in model.parameters())
+
+
 def test_rates_are_those_asked_for_and_change_little(model: RigidBodyDynamics, case: Path) -> None:
     coarse, fine = (
         torchrbd.simulate(model, case / "day.parquet", start=2.0, seconds=1.0, rate_hz=rate) for rate in (20.0, 1000.0)

@@ -11,13 +11,13 @@ from typing import Any
 
 from rich.console import Console
 
-from torchrbd.cli.files import IDENTIFIED, REPORT, write_results
 from torchrbd.cli.progress import progress_bar
 from torchrbd.cli.tables import print_each
 from torchrbd.errors import InputError, OptionError, reason
 from torchrbd.inference import Identification
 from torchrbd.inference.many import identify_and
 from torchrbd.outputs import OutputFolder, inside
+from torchrbd.report.files import IDENTIFIED, REPORT, write_files
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def _folder_of(output: Path, recording: Path) -> Path:
 
 def _write_brief(folder: Path, result: Identification, recording: Path) -> Brief:
     with OutputFolder(_folder_of(folder, recording)) as into:
-        into.fill(partial(write_results, result))
+        into.fill(partial(write_files, result))
     before, *_, after = (fit.mean_nmse for fit in result.fits.values())
     return Brief(result.verdict, before, after)
 

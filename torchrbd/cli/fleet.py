@@ -12,7 +12,6 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from torchrbd import __version__
-from torchrbd.cli.files import IDENTIFIED, write_identified
 from torchrbd.cli.progress import progress_bar
 from torchrbd.diagnosis.fleet.compare import compare_fleet
 from torchrbd.diagnosis.fleet.results import FleetComparison
@@ -25,6 +24,7 @@ from torchrbd.inference.robots_file import RobotEntry, read_robots
 from torchrbd.likelihood.reading import Progress
 from torchrbd.outputs import OutputFolder, inside, write_whole
 from torchrbd.recordings.contents import digest
+from torchrbd.report.files import IDENTIFIED, write_identified
 from torchrbd.report.fleet import write_fleet_report
 from torchrbd.report.text.numbers import number
 

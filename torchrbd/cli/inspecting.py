@@ -32,15 +32,20 @@ def inspect(file: Path, urdf: Path | None, mapping_file: Path | None, into: Path
     robot = None if urdf is None else RobotModel.from_urdf(urdf)
     mapping = Mapping() if mapping_file is None else read_mapping(mapping_file)
     found = inspect_recording(file, robot, mapping)
-    print_inspection(found)
+    print_inspection(found, hint=into is None)
     if into is not None:
         sliding = () if robot is None else tuple(compress(robot.joint_names, robot.prismatic.tolist()))
         write_whole(into, mapping_text(found, mapping, sliding).encode())
         Console(highlight=False, soft_wrap=True).print(f"wrote {into}", markup=False)
 
 
-def print_inspection(found: Inspection) -> None:
-    """Print clock, motion and channels of a recording, or the columns of a file that is none yet."""
+def print_inspection(found: Inspection, hint: bool = True) -> None:
+    """Print clock, motion and channels of a recording, or the columns of a file that is none yet.
+
+    Args:
+        found: what a look at the file showed.
+        hint: whether to mention that a mapping can be written.
+    """
     out = Console(highlight=False)
     _print_clock(found, out)
     if found.recording is None:
@@ -52,8 +57,8 @@ def print_inspection(found: Inspection) -> None:
         _print_motion(found, out)
         _print_channels(found, out)
     if found.lacking:
-        remedy = "; -o writes a mapping to edit, with what the names of the columns suggest"
-        out.print(Text.assemble(("lacking:", "bold yellow"), " ", found.lacking, remedy), soft_wrap=True)
+        remedy = "" if not hint else "; '-o mapping.yaml' writes a mapping with what the names of the columns suggest"
+        out.print(Text.assemble(("problem:", "bold yellow"), " ", found.lacking, remedy), soft_wrap=True)
     for remark in found.remarks:
         out.print(Text.assemble(("warning:", "bold yellow"), " ", remark))
     for note in found.survey.notes if found.survey is not None else ():

@@ -19,8 +19,8 @@ _RECORDING = (
     "MCAP file or a LeRobot data set"
 )
 _CONFIG = (
-    "file with any of these options, e.g. 'cutoff: 5'; those of the command line win; files that it names are sought "
-    "from its folder. 'torchrbd schema config' prints its keys"
+    "file with any of these options, e.g. 'cutoff: 5'; options on the command line have "
+    "priority; relative paths in it start from its folder. 'torchrbd schema config' prints its keys"
 )
 
 
@@ -71,7 +71,7 @@ def file(name: str, words: str) -> Any:
     return Parameter(name=name, help=words, negative=(), show_default=False)
 
 
-Robot: TypeAlias = Annotated[Path, file("ROBOT", "what the simulator believes: URDF, or MJCF")]
+Robot: TypeAlias = Annotated[Path, file("ROBOT", "robot model: a URDF or MJCF file")]
 Recordings: TypeAlias = Annotated[list[Path], file("RECORDING", _RECORDING)]
 Recording: TypeAlias = Annotated[Path, file("RECORDING", _RECORDING)]
 Statistics: TypeAlias = Annotated[
@@ -79,7 +79,7 @@ Statistics: TypeAlias = Annotated[
 ]
 Folder: TypeAlias = Annotated[Path, value("DIR", "folder for the results", short="o")]
 FolderIfAny: TypeAlias = Annotated[Path | None, value("DIR", "folder for the results", short="o")]
-Quiet: TypeAlias = Annotated[bool, flag("do not say on stderr how far the work is", short="q")]
+Quiet: TypeAlias = Annotated[bool, flag("print no progress on stderr", short="q")]
 Config: TypeAlias = Annotated[Path | None, value("YAML", _CONFIG)]
 MappingFile: TypeAlias = Annotated[Path | None, value("YAML", "column names and units of the recordings")]
 Cutoff: TypeAlias = Annotated[

@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 
 from rich.console import Console
 
-from torchrbd.cli.files import REPORT, write_results
 from torchrbd.cli.interrupts import finishing_on_interrupt
 from torchrbd.cli.progress import progress_bar
 from torchrbd.cli.tables import print_changes
@@ -19,6 +18,7 @@ from torchrbd.export import write_changes
 from torchrbd.inference import EstimatorComparison, Identification
 from torchrbd.outputs import OutputFolder
 from torchrbd.report import write_changes_report
+from torchrbd.report.files import REPORT, write_files
 
 Result = TypeVar("Result", Identification, Diagnosis, EstimatorComparison)
 
@@ -37,7 +37,7 @@ def run(
     with finishing_on_interrupt(), nullcontext() if output is None else OutputFolder(output) as folder:
         with progress_bar(quiet=quiet) as progress:
             result = work(robot, recordings, progress=progress, **options)
-        names = () if folder is None else folder.fill(partial(write_results, result))
+        names = () if folder is None else folder.fill(partial(write_files, result))
     show(result)
     if output is not None:
         _say(f"wrote {', '.join(names)} to {output}")

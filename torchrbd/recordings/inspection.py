@@ -16,6 +16,7 @@ from torchrbd.recordings.channels import Channel, channels_of
 from torchrbd.recordings.formats import Table, open_table
 from torchrbd.recordings.layouts import with_layout
 from torchrbd.recordings.mapping import Mapping
+from torchrbd.recordings.matching import no_torque, unnamed_torque
 from torchrbd.recordings.motions import Motion, motions_of
 from torchrbd.recordings.recording import Recording, connect
 from torchrbd.recordings.survey import Survey, survey
@@ -78,9 +79,10 @@ def inspect_recording(path: Path, robot: RobotModel | None = None, mapping: Mapp
         mapping.check_joints(joints)
         recording = connect(path.name, path, table, joints, mapping, None, torque=False)
     except RecordingError as error:
-        return _unmatched(path, table, joints, str(error))
+        return _unmatched(path, table, joints, str(error) + no_torque(table.columns))
     if not recording.measured.any():
-        lacking = "no joint has a torque: there is nothing to fit"
+        words = no_torque(table.columns) or unnamed_torque(table.columns)
+        lacking = f"{path}: no joint has a torque{words}"
     seen = survey(recording)
     channels = channels_of(recording, {"q": seen.q_resolution, "tau": seen.tau_resolution})
     motions = motions_of(recording, seen, robot)

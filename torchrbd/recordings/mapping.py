@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from torchrbd.errors import RecordingError, closest
 
@@ -26,11 +26,15 @@ UNITS["temperature"] = {"degC": 1.0}
 
 @dataclass(frozen=True)
 class Source:
-    """The column of a signal: `signal = scale * column + offset`, in SI units."""
+    """The column of a signal: `signal = scale * column + offset`, in SI units.
+
+    A torque may come from a motor current. Its scale is then the torque constant times the gear ratio [N m/A, N/A].
+    """
 
     column: str
     scale: float = 1.0
     offset: float = 0.0
+    is_current: bool = False
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ class Mapping:
             found = self.joints.get(name, {}).get(signal)
             if found is not None:
                 column = found.column.replace("{joint}", joint).replace("{index}", str(index))
-                return Source(column, found.scale, found.offset)
+                return replace(found, column=column)
         return Source(f"{signal}_{joint}")
 
     def named(self, joints: Sequence[str]) -> list[Source]:

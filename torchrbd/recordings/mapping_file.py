@@ -235,7 +235,7 @@ def _source(entry: Any, signal: str) -> Source:
         return Source(entry)
     if isinstance(entry, Current):
         scale = entry.factor() * entry.torque_constant * CURRENT_UNITS[entry.unit]
-        return Source(entry.current, scale * entry.gear_ratio, entry.offset)
+        return Source(entry.current, scale * entry.gear_ratio, entry.offset, is_current=True)
     scale = entry.factor() * UNITS[signal][entry.unit]  # type: ignore[attr-defined]
     scale = scale * entry.gear_ratio if signal == "tau" else scale / entry.gear_ratio
     return Source(entry.column, scale, entry.offset)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 
-from torchrbd.recordings.guessing import guess
+from torchrbd.recordings.guessing import guess, unit_in_name
 from torchrbd.recordings.inspection import Inspection
 from torchrbd.recordings.mapping import CURRENT_UNITS, SIGNALS, TIME_UNITS, UNITS, Mapping, Source
 
@@ -47,8 +47,8 @@ _KEYS = f"""\
 #   torque_constant  of the motor [N m/A], or [N/A] of a linear motor
 """
 _CURRENT = (
-    "{{current: {column}, unit: A, torque_constant: 1.0, gear_ratio: 1.0}}"
-    "  # guessed: put in the motor's; identify proposes one"
+    "{{current: {column}, unit: {unit}, torque_constant: 1.0, gear_ratio: 1.0}}"
+    "  # guessed. Replace both 1.0: see the motor's data sheet"
 )
 
 
@@ -91,7 +91,7 @@ def _found(found: Inspection, sliding: tuple[str, ...]) -> list[str]:
             source = recording.source(signal, joint)
             if source is not None:
                 symbol = _SLIDING.get(_UNITS[signal], _UNITS[signal]) if joint in sliding else _UNITS[signal]
-                unit = found.units.get(source.column, symbol)
+                unit = symbol if source.is_current else found.units.get(source.column, symbol)
                 guess_words = _suspected(unit, symbol) if unit != symbol else ""
                 lines.append(f"    {signal}: {_entry(source, unit)}{guess_words}")
             elif signal == "tau":
@@ -103,10 +103,17 @@ def _guessed_torque(signals: dict[str, str]) -> list[str]:
     """Return the line of a guessed torque, or of a current instead; none if there is neither."""
     if "tau" in signals:
         return [f"    tau: {{column: {json.dumps(signals['tau'])}, unit: N m}}  # guessed"]
-    return [f"    tau: {_CURRENT.format(column=json.dumps(signals['current']))}"] if "current" in signals else []
+    if "current" not in signals:
+        return []
+    column = signals["current"]
+    return [f"    tau: {_CURRENT.format(column=json.dumps(column), unit=unit_in_name(column, 'current') or 'A')}"]
 
 
 def _entry(source: Source, unit: str) -> str:
+    if source.is_current:
+        keys = [f"current: {json.dumps(source.column)}", "unit: A", f"torque_constant: {abs(source.scale)!r}"]
+        keys += ["sign: -1"] * (source.scale < 0.0) + [f"offset: {source.offset!r}"] * (source.offset != 0.0)
+        return f"{{{', '.join(keys)}}}  # torque_constant includes the gear ratio"
     keys = [f"column: {json.dumps(source.column)}", f"unit: {unit}"]
     keys += [f"scale: {source.scale!r}"] * (source.scale != 1.0) + [f"offset: {source.offset!r}"] * (
         source.offset != 0.0
@@ -122,7 +129,8 @@ def _guessed(found: Inspection) -> list[str]:
     """Return guesses from the names of the columns, and the columns without a guess."""
     numbers = [name for name in found.columns if found.ranges[name][0] <= found.ranges[name][1]]
     time, joints = guess(numbers, found.joints)
-    lines = [f"time: {{column: {json.dumps(time or 't')}, unit: s}}  # {'guessed' if time else 'name the column'}"]
+    unit = unit_in_name(time or "", "time") or "s"
+    lines = [f"time: {{column: {json.dumps(time or 't')}, unit: {unit}}}  # {'guessed' if time else 'name the column'}"]
     lines.append("joints:" if joints else "joints: {}  # no column names show a joint and a signal")
     used = {time}
     for joint, signals in joints.items():
@@ -130,7 +138,8 @@ def _guessed(found: Inspection) -> list[str]:
         for signal, column in signals.items():
             used.add(column)
             if signal in ("q", "qd"):
-                lines.append(f"    {signal}: {{column: {json.dumps(column)}, unit: {_UNITS[signal]}}}  # guessed")
+                unit = unit_in_name(column, signal, joint) or _UNITS[signal]
+                lines.append(f"    {signal}: {{column: {json.dumps(column)}, unit: {unit}}}  # guessed")
         lines += _guessed_torque(signals)
     left = [name for name in found.columns if name not in used]
     return [*lines, *([f"# other columns: {', '.join(map(json.dumps, left))}"] if left else [])]

@@ -9,6 +9,7 @@ from itertools import compress
 import numpy as np
 
 from torchrbd.errors import RecordingError
+from torchrbd.recordings.guessing import torque_like
 from torchrbd.recordings.mapping import Mapping, Source, meant
 
 OPTIONAL_SIGNALS = ("qd", "qdd", "q_ref")
@@ -59,15 +60,19 @@ def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place
         others = [column for column in columns if column not in known]
         raise RecordingError(
             f"{place}: missing columns: {', '.join(missing)}{meant(missing[0], others)}; "
-            f"present: {', '.join(columns)}; give a mapping if they have other names"
+            f"present: {', '.join(columns)}; if they have other names, give a mapping: "
+            f"'torchrbd inspect RECORDING ROBOT -o mapping.yaml' writes one to edit"
+            f"{no_torque(columns) if torque else ''}"
         )
     there = {key: np.array([s.column in present for s in wanted[key]]) for key in ("tau", *PARTIAL_SIGNALS)}
     if torque and not there["tau"].any():
         expected = ", ".join(source.column for source in wanted["tau"])
         raise RecordingError(
             f"{place}: no joint has a torque; expected at least one of {expected}; present: {', '.join(columns)}"
+            f"{no_torque(columns) or unnamed_torque(columns)}"
         )
-    sources, notes = {"t": (mapping.time,), "q": tuple(wanted["q"])}, []
+    notes = _unit_currents(joints, wanted["tau"], there["tau"])
+    sources = {"t": (mapping.time,), "q": tuple(wanted["q"])}
     for key, some in there.items():
         if some.any():
             sources[key] = tuple(compress(wanted[key], some))
@@ -84,3 +89,33 @@ def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place
     if ignored:
         notes.append("columns not used: " + ", ".join(ignored))
     return Match(sources, there, tuple(notes))
+
+
+def no_torque(columns: Sequence[str]) -> str:
+    """Say that a table has no torque, and what to do, to go behind a message; nothing if a column may be one."""
+    if torque_like(columns):
+        return ""
+    return (
+        "; no column looks like a torque or a motor current, and torchrbd needs one: record it with the positions. "
+        "Positions and set-points without torque are not supported yet"
+    )
+
+
+def unnamed_torque(columns: Sequence[str]) -> str:
+    """Say which columns may be torques or currents, and what to do, to go behind a message."""
+    return f"; if {', '.join(torque_like(columns))} hold torques or motor currents, name them in a mapping"
+
+
+def _unit_currents(joints: Sequence[str], sources: Sequence[Source], there: np.ndarray) -> list[str]:
+    """Say for which joints a current is read with a constant of one, as a mapping has it before it is edited."""
+    plain = [
+        joint
+        for joint, one, has in zip(joints, sources, there, strict=True)
+        if has and one.is_current and abs(one.scale) == 1.0
+    ]
+    if not plain:
+        return []
+    return [
+        f"torque_constant times gear_ratio is 1 for {', '.join(plain)}: the torque is then the current in ampere, and "
+        "masses and friction have a wrong scale. Put the values of the motor and its gear into the mapping"
+    ]

@@ -31,7 +31,7 @@ RESIDUALS = {
 MOST_TIME_MAPS = 4
 
 
-def write_report(result: Identification | Diagnosis, path: Path) -> None:
+def write_report(result: Identification | Diagnosis, path: str | Path) -> None:
     """Write one HTML file that needs nothing else: no scripts, no external style, font or picture.
 
     Args:
@@ -43,7 +43,7 @@ def write_report(result: Identification | Diagnosis, path: Path) -> None:
     templates.filters |= {"part_left": part_left, "signal_words": page.pictures.words_of}
     with page_style():
         text = templates.get_template("report.html.j2").render(page=page)
-    write_whole(path, text.encode())
+    write_whole(Path(path), text.encode())
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ Presliding friction counts as the Coulomb friction that it becomes: its state at
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -69,7 +70,7 @@ class Plant:
     def __init__(self, model: RigidBodyDynamics, loaded: Tensor | None = None) -> None:
         pi, width = model.pi.detach(), model.rest_width
         pi = pi if loaded is None else pi + loaded
-        terms = [_sliding(term) for term in model.terms]
+        terms = [_sliding(copy.deepcopy(term)) for term in model.terms]  # frozen below: the model stays as it is
         self.along = tuple(term for term in terms if _takes_a_motion(term))
         instant = [term for term in terms if not _takes_a_motion(term)]
         # What alters a supplied torque needs the friction as well.

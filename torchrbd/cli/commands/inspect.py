@@ -7,6 +7,7 @@ from typing import Annotated
 
 from torchrbd.cli.parameters import Recording, examples, file, value
 
+_ROBOT = "URDF or MJCF file: its joints and limits are used. Default: the joints that the columns name"
 AFTER = examples(
     "torchrbd inspect monday.csv",
     "torchrbd inspect monday.csv arm.urdf -o mapping.yaml",
@@ -15,7 +16,10 @@ AFTER = examples(
 
 def inspect(
     recording: Recording,
-    robot: Annotated[Path | None, file("ROBOT", "whose joints and limits count (default: as named)")] = None,
+    robot: Annotated[
+        Path | None,
+        file("ROBOT", _ROBOT),
+    ] = None,
     /,
     *,
     mapping: Annotated[Path | None, value("YAML", "column names and units as far as they are known")] = None,

@@ -98,11 +98,16 @@ def as_many_as_fit(items: Sequence[str], words: int, last: str = "and", rest: st
     """Return items joined, as many as so many words hold but one at least, and how many others: "a, b and 3 more"."""
     items = list(dict.fromkeys(items))
     for count in range(len(items), 0, -1):
-        others = [f"{len(items) - count} {rest}"] if count < len(items) else []
+        others = [_counted(len(items) - count, rest)] if count < len(items) else []
         text = joined([*items[:count], *others], last)
         if len(text.split()) <= words or count == 1:
             return text
     return ""
+
+
+def _counted(count: int, plural: str) -> str:
+    """Return a number and a noun: "1 more effect", "2 more effects"."""
+    return f"{count} {plural.removesuffix('s') if count == 1 else plural}"
 
 
 def capital(words: str) -> str:
