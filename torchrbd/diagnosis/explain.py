@@ -20,6 +20,7 @@ from torchrbd.diagnosis.proof import confirmed
 from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import (
+    HELD_OUT,
     OWN_TIME,
     Alternative,
     Finding,
@@ -32,7 +33,7 @@ from torchrbd.diagnosis.results import (
     strongest_first,
 )
 from torchrbd.diagnosis.terms import Explanation
-from torchrbd.diagnosis.trifling import contradicted, is_negligible, split_negligible
+from torchrbd.diagnosis.trifling import contradicted, is_negligible, split_negligible, with_errors
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.effects import Site, effect
 from torchrbd.inference.physical.fitting import FittedModel, judge, nmse_weights
@@ -111,11 +112,12 @@ def explain(extended: Extended) -> Explained:
         new = [pair for pair in left if pair[0] not in judged]
         new, more = split_negligible(new, fits.error_without, lambda _, one: is_negligible(one, extended))
         trifling += completed([(term, proven(term, one, [], unseen)) for term, one in more])
-        kept = [(term, _judged_as(judged[term], one)) for term, one in left if term in judged]
+        still = [term for term in others if term in extended.terms]
+        kept = [(term, fits.judged(term, _judged_as(judged[term], one), still)) for term, one in left if term in judged]
         kept += [(term, proven(term, one, [t for t, _ in more], unseen)) for term, one in new]
         others += [term for term, _ in more]
-    still = tuple(term for term in extended.terms if term in others)
-    return Explained(completed(_once(kept, extended.model.columns)), trifling, extended, still)
+    apart_there = tuple(term for term in extended.terms if term in others)
+    return Explained(completed(_once(kept, extended.model.columns)), trifling, extended, apart_there)
 
 
 def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[tuple[Candidate, Finding]]:
@@ -172,6 +174,12 @@ class _Fits:
         """Return held-out nmse by joint without some terms."""
         return judge(self.prepared.judging, self.without(gone).x).nmse
 
+    def judged(self, term: Candidate, one: Finding, others: Sequence[Candidate]) -> Finding:
+        """Return a finding that held-out data judge with its errors in this model, others being left out."""
+        if one.judged_on != HELD_OUT:
+            return one
+        return with_errors(term, one, self.error_without([*others, term]), self.error_without(others))
+
     def held_out_sees(self, term: Candidate) -> bool:
         """Say whether a term acts always, or in blocks that are held out."""
         blocks, held_out = self.prepared.statistics.blocks, self.prepared.held_out.tolist()
@@ -182,7 +190,7 @@ class _Fits:
 
         Neither fit of a half has seen it, every other block. Judged on nothing if there is only one.
         """
-        statistics, held_out = self.prepared.statistics, self.prepared.held_out
+        statistics, held_out = self.prepared.unweighted, self.prepared.held_out
         inside = torch.tensor([_acts_in(block, term.site) for block in statistics.blocks])
         own = torch.nonzero(inside)[:, 0]
         if len(own) < 2:
