@@ -1,4 +1,4 @@
-"""Reported errors are the same, of block statistics or of rows: every row counts alike, all measured torque is in it."""
+"""Reported errors are the same of blocks and of rows: every row counts alike, of all measured torque."""
 
 from __future__ import annotations
 

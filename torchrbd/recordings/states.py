@@ -78,7 +78,7 @@ class States:
         return self._stride
 
     def taken_off(self, robot: RobotModel) -> torch.Tensor:
-        """Return the known torque (n, N) that is taken off ``tau``: of a load, and of the robot's rotors and springs."""
+        """Return the known torque (n, N) taken off ``tau``: of a load, and of the robot's rotors and springs."""
         known = torch.zeros_like(self.tau) if self.known is None else self.known
         if self.loaded is None:
             return known
