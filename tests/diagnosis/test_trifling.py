@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from diagnosis.test_proof import finding
 from diagnosis.test_unexplained import FIRST, MAY, SECOND, diagnosed
 from likelihood.fits import at_joint
+from report.test_text import finding
 
 from torchrbd.diagnosis import explain as explaining
 from torchrbd.diagnosis.explain import explain

@@ -112,12 +112,12 @@ def explain(extended: Extended) -> Explained:
         new = [pair for pair in left if pair[0] not in judged]
         new, more = split_negligible(new, fits.error_without, lambda _, one: is_negligible(one, extended))
         trifling += completed([(term, proven(term, one, [], unseen)) for term, one in more])
-        still = [term for term in others if term in extended.terms]
-        kept = [(term, fits.judged(term, _judged_as(judged[term], one), still)) for term, one in left if term in judged]
+        again = [(term, _judged_as(judged[term], one)) for term, one in left if term in judged]
+        kept = [(term, fits.judged(term, one, others)) for term, one in again]
         kept += [(term, proven(term, one, [t for t, _ in more], unseen)) for term, one in new]
         others += [term for term, _ in more]
-    apart_there = tuple(term for term in extended.terms if term in others)
-    return Explained(completed(_once(kept, extended.model.columns)), trifling, extended, apart_there)
+    still = tuple(term for term in extended.terms if term in others)
+    return Explained(completed(_once(kept, extended.model.columns)), trifling, extended, still)
 
 
 def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[tuple[Candidate, Finding]]:
