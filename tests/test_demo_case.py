@@ -138,4 +138,6 @@ def test_the_demo_has_one_finding_and_says_one_thing(tmp_path, capsys):
     nmse = {model: fit["nmse"]["joint3"] for model, fit in saved["fit"].items()}
     card = first_screen(page)
     assert all(number(nmse[model]) in card for model in ("rigid_body", "extended"))
-    assert number(finding["nmse_before"]["joint3"]) not in card, "that of another fit"
+    assert finding["nmse_after"]["joint3"] == pytest.approx(nmse["extended"], rel=1e-3)
+    assert f"to {number(nmse['extended'])} with it" in " ".join(card.split())
+    assert nmse["extended"] < finding["nmse_before"]["joint3"] < nmse["rigid_body"], "baseline friction absorbs a part"

@@ -306,6 +306,7 @@ def test_no_more_terms_are_added_than_a_person_would_read(rows: Rows, monkeypatc
     assert likeliest_left(found) == NextEffect(0, "joint_spring", (rows.columns.robot.joint_names[0],))
     for_a_time = candidate(rows, "payload", Site(body=1, window=Window("simulated", 1.0)))
     found = replace(found, last=[replace(sure, candidate=for_a_time)])
-    assert likeliest_left(found) == f"payload on {rows.columns.robot.body_names[1]} for a time in simulated"
+    body = rows.columns.robot.body_names[1]
+    assert likeliest_left(found) == NextEffect(0, "payload", (), (body,), recording="simulated")
     for nothing in ([chance], []):
-        assert likeliest_left(replace(found, last=nothing)) == ""
+        assert likeliest_left(replace(found, last=nothing)) is None

@@ -134,8 +134,8 @@ def test_a_tone_is_told_by_its_joint_and_frequency(seconds: tuple[float, ...]) -
     found = model.found
     (one,) = (u for u in unexplained(model, (), ()) if u.depends_on == ("t",))
     assert one.joints == (SECOND,)
-    assert one.where.recordings == tuple(found.rows.seen_recordings)
-    assert len(one.where.recordings) == len(seconds)
+    assert one.where.recordings is None, "it is in all of them"
+    assert len(found.rows.seen_recordings) == len(seconds)
     (hum,) = (t.own for t in found.terms if t.own.candidate.effect is HUM)
     assert np.hypot(hum.coefficients[::2], hum.coefficients[1::2]) == pytest.approx(TONE, rel=0.1)
     assert one.where.region is not None

@@ -16,11 +16,12 @@ from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.friction import COULOMB, UNEVEN, Friction
 from torchrbd.diagnosis.held_out_checks import held_out_ratio
 from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, whole
-from torchrbd.diagnosis.negligible import contradicted, is_negligible, split_negligible
+from torchrbd.diagnosis.negligible import contradicted, is_negligible, split_negligible, with_errors
 from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds, probability_of
 from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import (
+    HELD_OUT,
     OWN_TIME,
     Alternative,
     Finding,
@@ -111,7 +112,8 @@ def explain(extended: Extended) -> Explained:
         new = [pair for pair in left if pair[0] not in judged]
         new, more = split_negligible(new, fits.error_without, lambda _, one: is_negligible(one, extended))
         not_confirmed += completed([(term, proven(term, one, [], unseen)) for term, one in more])
-        kept = [(term, _judged_as(judged[term], one)) for term, one in left if term in judged]
+        again = [(term, _judged_as(judged[term], one)) for term, one in left if term in judged]
+        kept = [(term, fits.judged(term, one, others)) for term, one in again]
         kept += [(term, proven(term, one, [t for t, _ in more], unseen)) for term, one in new]
         others += [term for term, _ in more]
     still = tuple(term for term in extended.terms if term in others)
@@ -172,6 +174,12 @@ class _Fits:
         """Return held-out nmse by joint without some terms."""
         return judge(self.prepared.judging, self.without(gone).x).nmse
 
+    def judged(self, term: Candidate, one: Finding, others: Sequence[Candidate]) -> Finding:
+        """Return a finding that held-out data judge with its errors in this model, others being left out."""
+        if one.judged_on != HELD_OUT:
+            return one
+        return with_errors(term, one, self.error_without([*others, term]), self.error_without(others))
+
     def held_out_sees(self, term: Candidate) -> bool:
         """Say whether a term acts always, or in blocks that are held out."""
         blocks, held_out = self.prepared.statistics.blocks, self.prepared.held_out.tolist()
@@ -182,7 +190,7 @@ class _Fits:
 
         Neither fit uses its own half; both use all other blocks. A single block gives no NMSE.
         """
-        statistics, held_out = self.prepared.statistics, self.prepared.held_out
+        statistics, held_out = self.prepared.unweighted, self.prepared.held_out
         inside = torch.tensor([_acts_in(block, term.site) for block in statistics.blocks])
         own = torch.nonzero(inside)[:, 0]
         if len(own) < 2:
@@ -235,7 +243,9 @@ def _as_estimated(friction: Friction, term: Candidate, extended: Extended) -> Fr
     model, found = extended.model, extended.found
     std, scales = believed(found.fit, found.rows, term)
     none = extended.prepared.prior.reference[model.columns.of(term)].numpy()
-    evidence = mean_of(np.array([estimate_evidence(model, term, std * scale, None, none) for scale in scales]))
+    evidence = mean_of(
+        np.array([estimate_evidence(model, term, std * scale, None, none, term.labels) for scale in scales])
+    )
     if evidence >= friction.log_evidence:
         return friction
     return replace(friction, log_evidence=evidence, probability=probability_of(evidence))

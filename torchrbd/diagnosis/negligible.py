@@ -39,13 +39,8 @@ def split_negligible(
     while True:
         gone, may_go = [term for term, _ in apart], dict[int, float]()
         for k, (term, one) in enumerate(kept):
-            before, touched = error_without([*gone, term]), one.joints if term.place is not None else after.keys()
-            own = {name: (before[name], after[name]) for name in touched if name in before and name in after}
-            one = replace(
-                one,
-                nmse_before={name: x for name, (x, _) in own.items()},
-                nmse_after={name: x for name, (_, x) in own.items()},
-            )
+            before = error_without([*gone, term])
+            one = with_errors(term, one, before, after)
             kept[k], total = (term, one), math.fsum(before.values())
             if negligible(term, one) and least >= (1.0 - NO_CHANGE) * total:
                 may_go[k] = total
@@ -55,6 +50,12 @@ def split_negligible(
         first = min((k for k, total in may_go.items() if total <= most), key=lambda k: kept[k][1].log_evidence_gain)
         apart.append(kept.pop(first))
         after, least = error_without([term for term, _ in apart]), min(least, may_go[first])
+
+
+def with_errors(term: Candidate, one: Finding, before: Mapping[str, float], after: Mapping[str, float]) -> Finding:
+    """Return a finding with the nmse by joint of the model without its term, and with it, where the term acts."""
+    touched = [name for name in (one.joints if term.place is not None else after) if name in before and name in after]
+    return replace(one, nmse_before={j: before[j] for j in touched}, nmse_after={j: after[j] for j in touched})
 
 
 def is_negligible(finding: Finding, extended: Extended) -> bool:

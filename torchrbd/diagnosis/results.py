@@ -160,6 +160,12 @@ class Variant:
 class Finding(Stated):
     """One named effect; at no joint and no link if it acts on the whole robot.
 
+    On held-out data ``nmse_after`` is the error that ``Identification.fits["extended"]`` reports, of the same model. It
+    is of another one where the reported model also has smooth curves of friction (``Diagnosis.unexplained``) or effects
+    that are not confirmed (``Diagnosis.not_confirmed``): these are left out of both errors here. ``nmse_before`` is of a fit
+    without this finding. All others are kept, and baseline friction may absorb a part of it: it is no error of a row
+    of that table.
+
     Attributes:
         effect, joints, links: what, and where.
         probability: against none and its rivals in its place.
@@ -167,7 +173,8 @@ class Finding(Stated):
         parameters: by name, with units.
         where: recordings, times and region in which it acts.
         indistinguishable_from: effects that this data cannot distinguish from it.
-        nmse_before, nmse_after: by joint, NMSE without it and with it on the data that ``judged_on`` names.
+        nmse_before, nmse_after: by joint, NMSE without it and with it on the data that ``judged_on`` names, every row
+            counting alike.
         depends_on: signals of other joints that it depends on, e.g. "q_joint2".
         curve: the function that shows it best.
         family, family_probability: kind of effect, and the probability of some effect of that kind there.

@@ -115,7 +115,7 @@ def _silent(
     """
     prepared, x = extended.prepared, extended.model.x
     lasting = {p.joint for p in held_out_checks if p.memory_s["extended"] > _LASTS * p.white_s}
-    seen, unseen = judge(prepared.training, x).rmse, judge(prepared.judging, x)
+    seen, unseen = judge(prepared.judging_fitted, x).rmse, judge(prepared.judging, x)
     for name, rmse in unseen.rmse.items():
         if name not in lasting:
             continue
@@ -135,7 +135,7 @@ def only_where_fitted(full: Extended, plain: Extended) -> Iterator[Unexplained]:
         full: with what was found.
         plain: the same data, predicted without it.
     """
-    with_it, without = (judge(each.prepared.training, each.model.x).rmse for each in (full, plain))
+    with_it, without = (judge(each.prepared.judging_fitted, each.model.x).rmse for each in (full, plain))
     for name, rmse in without.items():
         if rmse > _LARGER * with_it.get(name, math.inf):
             share = 1.0 - (with_it[name] / rmse) ** 2

@@ -79,8 +79,7 @@ def _left(
     prepared: Prepared, scales: Sequence[JointScale], effects: Sequence[Effect], held: frozenset[str]
 ) -> torch.Tensor:
     """Return the squared errors (n_dof,) that least squares leaves with such scales, all samples counting alike."""
-    columns = prepared.columns.at_scales(scales)
-    columns = columns.sticking(torch.zeros_like(columns.stick_levels))
+    columns = prepared.columns.at_scales(scales).unweighted
     training = prepared.reading.statistics(columns, lambda *_: None).together(~prepared.held_out)
     terms = term_candidates(columns, [e.id for e in effects if e.id in PLAIN_OR_UNEVEN])
     fit = fit_model(training, data_prior(training, held, prepared.prior.kappa), terms)

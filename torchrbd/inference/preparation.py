@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -99,10 +100,29 @@ class Prepared:
         """Blocks to fit and choose with."""
         return self.statistics.select(~self.held_out)
 
+    @cached_property
+    def unweighted(self) -> BlockStatistics:
+        """The same blocks as every reported error has them: all rows count alike, errors are parts of all torque.
+
+        Another pass over the recordings, where fits weigh rows near rest less, have smoothed the states, or know a part
+        of the torque. States are filtered, as those of ``TorqueSeries``. Torque that is late is read at the time of the
+        motion: by so much, other rows stand at the ends of what is held out.
+        """
+        columns, reading = self.columns.unweighted, replace(self.reading, smoothed=())
+        as_fitted = columns is self.columns and not self.reading.smoothed and not reading.has_known
+        if as_fitted or not self.recordings:
+            return self.statistics
+        return reading.statistics(columns, lambda *_: None, known_too=True)
+
     @property
     def judging(self) -> BlockStatistics:
-        """Blocks kept back."""
-        return self.statistics.select(self.held_out)
+        """Blocks kept back, ``unweighted``."""
+        return self.unweighted.select(self.held_out)
+
+    @property
+    def judging_fitted(self) -> BlockStatistics:
+        """Blocks to fit with, ``unweighted``: for errors to compare with those of ``judging``."""
+        return self.unweighted.select(~self.held_out)
 
     def fit(self, terms: Sequence[Candidate] = (), noise: Tensor | None = None) -> FittedModel:
         """Fit the rigid body and terms to the training blocks and what is known of their states."""

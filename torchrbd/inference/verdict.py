@@ -41,7 +41,7 @@ def verdict_of(fits: Mapping[str, Fit], doubts: tuple[str, ...], *, suspect: boo
 
 def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:
     """Say whether a model predicts held-out torque no better than a constant, in the mean over the joints."""
-    error = relative_to_constant(prepared.training, prepared.judging, model.x)
+    error = relative_to_constant(prepared.judging_fitted, prepared.judging, model.x)
     return bool(error.isfinite().any()) and float(torch.nanmean(error)) > 1.0
 
 
@@ -53,7 +53,8 @@ def doubts_of(prepared: Prepared, model: FittedModel, fits: Mapping[str, Fit]) -
         model: the last one.
         fits: held-out errors, those of ``model`` last.
     """
-    fitted, absurd = judge(prepared.training, model.x).nmse, judge(prepared.training, prepared.prior.reference).absurd
+    seen = prepared.judging_fitted
+    fitted, absurd = judge(seen, model.x).nmse, judge(seen, prepared.prior.reference).absurd
     held_out, urdf = list(fits.values())[-1].nmse, fits["urdf"].nmse
     poor = [
         f"{joint} (nmse {nmse:.2f} where it was fitted"

@@ -42,8 +42,8 @@ class BlockStatistics:
         columns: which columns of x each joint has.
         blocks: (B,) recording and time of each block.
         moments: per joint (B, p_j + 1, p_j + 1); the last row and column are the torque.
-        torque: (B, n_dof, 3): weight (independent samples), sum and sum of squares of the measured torque; zero where
-            not measured.
+        torque: (B, n_dof, 3): weight (independent samples), sum and sum of squares of the measured torque, without the
+            known torque unless it is asked for; zero where not measured.
     """
 
     columns: Columns
@@ -194,6 +194,7 @@ def block_statistics(
     *,
     block_s: float,
     independent_rate_hz: float,
+    known_too: bool = False,
 ) -> BlockStatistics:
     """Stream one recording into block statistics.
 
@@ -204,6 +205,7 @@ def block_statistics(
         measured: (n_dof,) bool, the joints whose torque counts.
         block_s: length of a block, [s].
         independent_rate_hz: independent samples per second, 2 f_c.
+        known_too: whether ``torque`` includes the known torque, which is subtracted before a fit.
     """
     # Blocks in order of appearance, with memory for more: large moments are written once, in place.
     found, places = list[Block](), dict[tuple[int, int], int]()
@@ -213,6 +215,8 @@ def block_statistics(
     sums = torch.zeros(_FIRST_BLOCKS, len(sizes), 3, dtype=torch.float64)
     for states in tiles:
         rows, torque = filtered_rows(columns, states)
+        if known_too:
+            torque = torque + states.decimate(states.taken_off(columns.robot))
         weights = independent_rate_hz * states.dt_out * columns.weight(states) * measured.unsqueeze(1)
         number = (states.t_out / block_s).floor().long()
         for b in number.unique().tolist():

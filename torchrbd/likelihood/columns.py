@@ -237,6 +237,11 @@ class Columns:
         """Return the same columns for joints with these ``stick_levels`` (n_dof,) of dry friction."""
         return self._like(candidates=self.candidates, stick_levels=levels)
 
+    @property
+    def unweighted(self) -> Columns:
+        """The same columns, every row counting alike."""
+        return self.sticking(torch.zeros_like(self.stick_levels)) if bool(self.stick_levels.any()) else self
+
     def _like(self, **other: Any) -> Columns:
         kept = ("robot", "effects", "scales", "windows", "pi", "friction", "sites", "stick_levels", "through", "unsure")
         return Columns(**({name: getattr(self, name) for name in kept} | other))

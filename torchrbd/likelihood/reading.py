@@ -95,7 +95,7 @@ class Reading:
 
     def _less_known(self, states: States, k: int, condition: Condition) -> States:
         """Return a tile without the torque of rotors and springs, and without a simulator's torque beyond the URDF."""
-        known = self.robot.known_torque(states.q.T, states.qdd.T).T if self._has_known else None
+        known = self.robot.known_torque(states.q.T, states.qdd.T).T if self._has_rotors else None
         if self.simulated:
             less = self.simulated[k].taken_off(states)
             extra = states.tau - less.tau
@@ -103,7 +103,12 @@ class Reading:
         return states if known is None else replace(states, tau=states.tau - known, known=known)
 
     @property
-    def _has_known(self) -> bool:
+    def has_known(self) -> bool:
+        """Whether a part of the torque is known: of a load, or of rotors and springs of the robot's description."""
+        return bool(self.payload) or self._has_rotors
+
+    @property
+    def _has_rotors(self) -> bool:
         return bool(self.robot.armature.any() or self.robot.stiffness.any())
 
     @property
@@ -115,8 +120,8 @@ class Reading:
     def _duration_s(self) -> float:
         return sum(s.duration_s for s in self.surveys)
 
-    def statistics(self, columns: Columns, progress: Progress) -> BlockStatistics:
-        """Stream all recordings into block statistics."""
+    def statistics(self, columns: Columns, progress: Progress, *, known_too: bool = False) -> BlockStatistics:
+        """Stream all recordings into block statistics; see ``block_statistics`` for ``known_too``."""
         done, parts = 0.0, []
         for k, (recording, s) in enumerate(zip(self.recordings, self.surveys, strict=True)):
 
@@ -133,6 +138,7 @@ class Reading:
                     self.measured(k),
                     block_s=self.block_s,
                     independent_rate_hz=self.filtering.effective_rate,
+                    known_too=known_too,
                 )
             )
             done += s.duration_s

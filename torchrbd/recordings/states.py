@@ -15,6 +15,7 @@ from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering
 from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.survey import Survey
+from torchrbd.robot import RobotModel
 
 TILE_ROWS = 4096
 """Approximate number of samples in a tile."""
@@ -75,6 +76,13 @@ class States:
     def stride(self) -> int:
         """Return the number of samples between two outputs of `decimate`."""
         return self._stride
+
+    def taken_off(self, robot: RobotModel) -> torch.Tensor:
+        """Return the known torque (n, N) taken off ``tau``: of a load, and of the robot's rotors and springs."""
+        known = torch.zeros_like(self.tau) if self.known is None else self.known
+        if self.loaded is None:
+            return known
+        return known + robot.inverse_dynamics(self.q.T, self.qd.T, self.qdd.T, self.loaded).T
 
     @property
     def motion_out(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

@@ -158,12 +158,9 @@ def pieces(
     robot = next(iter(plants.values())).robot
     segment, t, signals = -1, np.empty(0), dict[str, np.ndarray]()
     for states in tiles:
-        own = {name: getattr(states, name).T for name in ("q", "qd", "qdd")} | {"tau": torch.nan_to_num(states.tau.T)}
-        if states.loaded is not None:
-            # A known load moves with the robot: its torque belongs to what drives.
-            own["tau"] = own["tau"] + robot.inverse_dynamics(own["q"], own["qd"], own["qdd"], states.loaded)
-        if states.known is not None:
-            own["tau"] = own["tau"] + states.known.T
+        # A known load moves with the robot: its torque belongs to what drives.
+        tau = (torch.nan_to_num(states.tau) + states.taken_off(robot)).T
+        own = {name: getattr(states, name).T for name in ("q", "qd", "qdd")} | {"tau": tau}
         if states.temperature is not None:
             own["temperature"] = states.temperature.T
         for name, plant in plants.items():
