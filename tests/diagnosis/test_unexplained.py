@@ -248,7 +248,7 @@ def test_no_joint_that_is_told_badly_is_silent(
     monkeypatch.setattr(
         import_module("torchrbd.diagnosis.unexplained"), "judge", lambda statistics, _: fits[statistics]
     )
-    prepared = SimpleNamespace(training="training", judging="judging")
+    prepared = SimpleNamespace(judging_fitted="training", judging="judging")
     model = SimpleNamespace(prepared=prepared, model=SimpleNamespace(x=None))
     proof = HeldOutCheck(FIRST, {}, {"extended": 0.3 if lasts else 0.1}, 0.1)
     told = [one.statement for one in _silent(model, [proof], {FIRST} if named else set())]
