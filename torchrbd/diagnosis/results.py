@@ -162,9 +162,9 @@ class Finding(Stated):
 
     On held-out data ``nmse_after`` is the error that ``Identification.fits["extended"]`` reports, of the same model. It
     is of another one where the reported model also has smooth curves of friction (``Diagnosis.unexplained``) or effects
-    that are not confirmed (``Diagnosis.not_confirmed``): these are left out of both errors here. ``nmse_before`` is of a fit
-    without this finding. All others are kept, and baseline friction may absorb a part of it: it is no error of a row
-    of that table.
+    that are not confirmed (``Diagnosis.not_confirmed``): these are left out of both errors here. ``nmse_before`` is of
+    a fit without this finding. All others are kept, and baseline friction may absorb a part of it: it is no error of a
+    row of that table.
 
     Attributes:
         effect, joints, links: what, and where.
