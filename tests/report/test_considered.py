@@ -83,7 +83,7 @@ def test_an_effect_that_is_not_registered_here_has_its_row(tmp_path):
     foreign = Ranked("gear_whine", ("joint1",), (), 7.0, {"loudness": 2.0}, other="joint2")
     found = replace(ranking(JOINTS), first=(foreign,))
     text = " ".join(Text(render(replace(diagnosis(JOINTS), ranking=found), tmp_path)).words)
-    assert "Gear whine that depends on q_joint2 joint1 7.0 loudness 2.00" in text
+    assert "Gear whine that depends on the position of joint2 joint1 7.0 loudness 2.00" in text
 
 
 @pytest.mark.parametrize(
