@@ -115,7 +115,7 @@ def test_same_seed_records_the_same(tmp_path):
 
 
 def first_screen(page: str) -> str:
-    return page.partition("<h2>Held-out torque error</h2>")[0]
+    return page.partition("<h2>Motion error")[0]
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ from torchrbd.display import brief, few
 from torchrbd.inference import Fit, Outcome
 from torchrbd.inference.comparison import EstimatorRow
 from torchrbd.inference.replay import Replay
+from torchrbd.inference.results import NoiseRegime
 
 JOINTS = tuple(f"a_long_name_of_joint_{k}" for k in range(12))
 FRICTION = ["viscous_friction", "coulomb_friction"]
@@ -40,8 +41,9 @@ def diagnosis() -> torchrbd.Diagnosis:
 def estimators() -> torchrbd.EstimatorComparison:
     fit = Fit(dict.fromkeys(JOINTS, 0.25), dict.fromkeys(JOINTS, 1.0))
     rows = EstimatorRow("wls", fit, fit, True, 0.1, ""), EstimatorRow("iv", None, None, None, 0.0, "no set-points")
+    regime = NoiseRegime("physical", "filtered", matters=False, excess=1.0)
     return torchrbd.EstimatorComparison(
-        "arm", JOINTS, ("a.csv",), "b.csv", 5.0, 40, 90.0, "regime", False, rows, ("note " * 90,), ()
+        "arm", JOINTS, ("a.csv",), "b.csv", 5.0, 40, 90.0, regime, False, rows, ("note " * 90,), ()
     )
 
 

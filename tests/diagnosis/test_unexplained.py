@@ -117,7 +117,7 @@ def test_a_share_of_the_error_is_said_where_held_out_data_has_one() -> None:
     everywhere = Unexplained((FIRST,), (f"q_{FIRST}",), Where(), 0.25, sizes=sizes)
     assert everywhere.statement == (
         f"A torque of 3.00 N m RMS at {FIRST} is unexplained. It is 25 % of the residual on held-out data. "
-        f"It depends on q_{FIRST}."
+        f"It depends on the position of {FIRST}."
     )
     one = Unexplained((FIRST,), (), Where(("B.csv",)), 0.0, sizes=sizes)
     assert one.statement == f"A torque of 3.00 N m RMS at {FIRST} is unexplained in B.csv."

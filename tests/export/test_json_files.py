@@ -26,6 +26,7 @@ from torchrbd.export import write_parameters
 from torchrbd.export.json_files import write_comparison, write_diagnosis
 from torchrbd.inference import EstimatorComparison, Fit, Identification, identify
 from torchrbd.inference.comparison import EstimatorRow
+from torchrbd.inference.results import NoiseRegime
 
 URDF = urdf_of(4, 4)
 
@@ -98,7 +99,8 @@ def test_a_ranking_keeps_its_numbers_and_its_gaps(found: Identification, tmp_pat
 def test_a_comparison_with_an_error_beyond_all_numbers_is_json(tmp_path: Path) -> None:
     fit = Fit({"a": np.inf}, {"a": np.nan})
     rows = (EstimatorRow("tls", fit, fit, False, 0.1, ""),)
-    compared = EstimatorComparison("arm", ("a",), ("x",), "y", 5.0, 3, np.inf, "small", False, rows, (), ())
+    regime = NoiseRegime("physical", "filtered", matters=False, excess=1.0)
+    compared = EstimatorComparison("arm", ("a",), ("x",), "y", 5.0, 3, np.inf, regime, False, rows, (), ())
     write_comparison(compared, tmp_path / "e.json")
     content = read(tmp_path / "e.json")
     assert content["schema"] == 1

@@ -60,7 +60,7 @@ def test_errors_are_those_of_the_held_out_blocks(compared: EstimatorComparison, 
 
 def test_the_regime_is_that_of_the_filtered_states(compared: EstimatorComparison) -> None:
     assert not compared.noise_matters
-    assert compared.regime.endswith("states are filtered")
+    assert compared.regime.statement.endswith("States are filtered.")
     assert compared.doubts == ()
 
 

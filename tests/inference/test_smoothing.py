@@ -229,7 +229,7 @@ def test_smoothed_states_give_better_parameters_than_filtered_ones() -> None:
         name: torchrbd.identify(robot, [recording], cutoff_hz=8.0, estimator=name) for name in ("physical", "auto")
     }
     assert [r.states for r in results.values()] == ["filtered", "smoothed"]
-    assert "smoothed together" in results["auto"].regime
+    assert "smoothed together" in results["auto"].regime.statement
     errors = {name: torque_nmse(URDF, r.model.pi.detach().numpy(), 23) for name, r in results.items()}
     assert errors["auto"] < errors["physical"] / 5
     for noise in results["auto"].noise.values():
@@ -242,7 +242,7 @@ def test_quiet_positions_are_filtered() -> None:
     recording, _ = noisy_recording(URDF, 31, duration_s=10.0, rate_hz=250.0, encoder_noise=1e-6)
     result = torchrbd.identify(RobotModel.from_urdf(perturbed(URDF, 32)), [recording], cutoff_hz=5.0)
     assert result.states == "filtered"
-    assert "hardly matters" in result.regime
+    assert "hardly matters" in result.regime.statement
 
 
 def test_held_out_torque_is_not_looked_at() -> None:

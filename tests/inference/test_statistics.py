@@ -67,7 +67,7 @@ def test_identify_is_the_same_from_statistics_and_from_recordings(case: Path, ma
     assert_same(of_files, of_recordings)
     assert_same(of_merged, of_recordings)
     assert of_files.recordings == tuple(f"{name}.npz" for name in NAMES)
-    assert "only second moments were looked at" in of_files.regime
+    assert "Of second moments alone" in of_files.regime.statement
 
 
 def test_held_out_files_are_held_out(case: Path, made: list[Path]) -> None:

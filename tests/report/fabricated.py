@@ -8,11 +8,13 @@ import numpy as np
 
 from torchrbd.diagnosis.ranking import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Curve, Diagnosis, Finding, Quantity, Region, Unexplained, Where
+from torchrbd.display import Remark
 from torchrbd.inference.results import (
     BaseParameterEstimate,
     Fit,
     Identification,
     JointNoise,
+    NoiseRegime,
     ParameterEstimate,
     TorqueSeries,
 )
@@ -28,7 +30,7 @@ def identification(
     name: str = "arm",
     unmeasured: int | None = None,
     extended: bool = False,
-    doubts: tuple[str, ...] = (),
+    remarks: tuple[Remark, ...] = (),
 ):
     """Fabricate two recordings, the second held out; the last joint is prismatic; friction at every joint."""
     rng, n, m = np.random.default_rng(0), len(joints), 1200
@@ -65,7 +67,7 @@ def identification(
         held_out="hold.csv",
         cutoff_hz=5.0,
         fits=fits,
-        verdict=verdict_of(fits, doubts),
+        verdict=verdict_of(fits, remarks),
         parameters=parameters,
         combinations=("Izz_link1 + Iyy_link2 = 0.30 ± 0.01 kg m^2",),
         base=(BaseParameterEstimate("Izz_link1 + Iyy_link2", "kg m^2", 0.31, 0.3, 0.01, 0.02),),
@@ -73,12 +75,11 @@ def identification(
         base_covariance=np.eye(1),
         covariance=np.eye(20),
         noise=dict.fromkeys(joints, JointNoise(1e-4, 0.02, 0.05)),
-        states="filtered",
-        regime="position noise hardly matters; states are filtered",
+        regime=NoiseRegime("auto", "filtered", matters=False, excess=1.04),
         series=series,
         model=cast(Any, None),
         posterior=None,
-        doubts=doubts,
+        remarks=remarks,
         notes=("Column 'mode' was ignored.",),
     )
 

@@ -7,13 +7,14 @@ from report.fabricated import curve, diagnosis, with_friction
 from report.rendered import Text, render, tidy
 
 from torchrbd.diagnosis.results import Alternative, Law, Quantity, Region, Where
-from torchrbd.report.text.numbers import change, number
+from torchrbd.report.text.numbers import number
 
 
 def test_finding_says_what_where_and_how_sure(tmp_path):
     result = diagnosis(("joint1", "joint2", "joint3"))
     text = " ".join(Text(render(result, tmp_path)).words)
-    before, after = (number(result.identification.fits[m].nmse["joint2"]) for m in ("rigid_body", "extended"))
+    (one,) = result.findings
+    before, after = (number(nmse["joint2"]) for nmse in (one.nmse_before, one.nmse_after))
     parts = f"""
         Coulomb friction at joint2 | 1.000 ± 0.024 N m | 98 % | c sign(qd) | {before} → {after} | in hold.csv |
         4.0 to 7.0 s | Stribeck friction | cannot distinguish it from Stribeck friction. |
@@ -36,7 +37,7 @@ def test_finding_with_a_shared_probability_says_so_and_shows_the_state_of_its_eq
     result = diagnosis(("joint1", "joint2"))
     inertia = replace(result.findings[0], effect="rotor_inertia", probability=0.5, where=Where())
     page = render(replace(result, findings=(inertia,), unexplained=()), tmp_path)
-    assert "Something is missing here beyond doubt. The probability is shared" in page
+    assert "An effect is certainly missing here. The probability is shared" in page
     assert "residual of joint2 against acceleration" in page
     alone = render(replace(result, findings=(replace(inertia, indistinguishable_from=()),), unexplained=()), tmp_path)
     assert "probability is shared" not in alone
@@ -48,7 +49,7 @@ def test_friction_at_all_joints_is_one_table_behind_the_special_findings(tmp_pat
     page = render(with_friction(diagnosis(joints)), tmp_path)
     words = Text(page).words
     assert re.findall(r'id="(finding-\d+|friction)"', page) == ["finding-1", "friction"]
-    assert words.index("Torque ripple at joint2") < words.index("Plain friction and offsets")
+    assert words.index("Torque ripple at joint2") < words.index("Friction and offsets by joint")
     table = page.split('id="friction"')[1].split("</section>")[0]
     assert table.count("<tr>") == 8
     text = " ".join(Text(f"<body>{table[table.index('<table') :].split('</table>')[0]}</table></body>").words)
@@ -110,7 +111,7 @@ def test_many_quantities_are_a_list_and_a_pure_number_has_no_unit(tmp_path):
     many = {name: Quantity(0.1, 0.01, "1") for name in ("a", "b", "c", "d_e")}
     listed = replace(result, findings=(replace(result.findings[0], parameters=many),))
     text = " ".join(Text(render(listed, tmp_path)).words)
-    assert "c 0.100 ± 0.020 d e 0.100 ± 0.020 ± 95 %" in text
+    assert "c 0.100 ± 0.020 d e 0.100 ± 0.020 ± is the 95 % interval." in text
 
 
 def test_tilted_base_names_the_joints_that_change(tmp_path):
@@ -119,9 +120,7 @@ def test_tilted_base_names_the_joints_that_change(tmp_path):
     tilt = replace(result.findings[0], effect="base_tilt", joints=(), where=Where(), **worth)
     text = " ".join(Text(render(replace(result, findings=(tilt,), unexplained=()), tmp_path)).words)
     assert "Tilted base (whole robot)" in text
-    fits = result.identification.fits
-    before, after = (fits[model].nmse["joint2"] for model in ("rigid_body", "extended"))
-    assert f"NMSE, joint2 {number(before)} → {number(after)} ({change(before, after)}) re-fitted → extended" in text
+    assert "NMSE, joint2 0.500 → 0.100 (−80 %) extended model without it → with it" in text
     assert "NMSE, joint1" not in text
 
 
@@ -161,7 +160,10 @@ def test_what_held_out_data_does_not_confirm_has_its_own_section(tmp_path):
     page = render(replace(result, not_confirmed=(small,)), tmp_path)
     part = page.partition('id="not-confirmed"')[2].partition("</section>")[0]
     assert "Torque ripple at joint2 (in hold.csv, 4.0 to 7.0 s)" in " ".join(Text(f"<body>{part}</body>").words)
-    assert page.index("<h2>Held-out torque error</h2>") < page.index('id="not-confirmed"'), "first what was found"
+    order = (
+        page.index(mark) for mark in ("<h2>Torque error on held-out data</h2>", 'id="finding-1"', 'id="not-confirmed"')
+    )
+    assert (found := list(order)) == sorted(found), "first what was found"
     alone = render(replace(result, findings=(), unexplained=(), not_confirmed=(small,)), tmp_path)
     assert "Torque ripple at joint2" in alone
     assert 'id="not-confirmed"' not in render(result, tmp_path)

@@ -38,7 +38,7 @@ def test_hypotheses_are_shown_with_bars_places_units_and_times(tmp_path):
         "ln 42 = 3.7",
         "below 15 Hz",
         "30 more were considered",
-        "Whitened rows and plain least squares disagree on the friction of slide (p = 4.00·10⁻⁹): its law",
+        "Whitened rows and plain least squares disagree on the friction of slide (p = 4.00·10⁻⁹). Another law",
         "fit.csv 1.20 ± 0.20 ms earlier",
         "hold.csv 0 ± 50 ms later",
         "joint1 0.500 N m s/rad URDF 0.250 120 0.500 N m 0.500 N m 0.0100 rad/s 120",
@@ -83,7 +83,7 @@ def test_an_effect_that_is_not_registered_here_has_its_row(tmp_path):
     foreign = Ranked("gear_whine", ("joint1",), (), 7.0, {"loudness": 2.0}, other="joint2")
     found = replace(ranking(JOINTS), first=(foreign,))
     text = " ".join(Text(render(replace(diagnosis(JOINTS), ranking=found), tmp_path)).words)
-    assert "Gear whine that depends on q_joint2 joint1 7.0 loudness 2.00" in text
+    assert "Gear whine that depends on the position of joint2 joint1 7.0 loudness 2.00" in text
 
 
 @pytest.mark.parametrize(

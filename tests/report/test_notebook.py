@@ -9,6 +9,7 @@ from report.fabricated import HEADLINE, diagnosis, identification, with_friction
 from report.rendered import Text, tidy
 
 from torchrbd.diagnosis.results import Finding
+from torchrbd.display import Remark
 from torchrbd.inference.results import Fit
 from torchrbd.inference.verdict import verdict_of
 
@@ -20,10 +21,11 @@ def words(result) -> str:
 
 
 def test_a_diagnosis_says_what_where_how_sure_and_what_is_left() -> None:
-    text = words(diagnosis(JOINTS[:3], doubts=("something looks odd",)))
+    text = words(diagnosis(JOINTS[:3], remarks=(Remark("fit stopped early"),)))
     parts = f"""
-        ! Missing physics arm {HEADLINE} | Something looks odd. | where missing value ± 95 % probability |
-        joint2 (in hold.csv, 4.0 to 7.0 s) Coulomb friction coulomb 1.000 ± 0.024 N m 98 % |
+        ! Missing physics arm {HEADLINE} | The fit stopped early: the torques are far from those of any rigid body. |
+        where missing value ± 95 % probability |
+        joint2 (in hold.csv, 4.0 to 7.0 s) Coulomb friction 1.000 ± 0.024 N m 98 % |
         A torque at joint2 is unexplained. |
         held-out nmse URDF re-fitted extended against the URDF joint1 0.0301 0.0200 |
         mean 0.0298 0.0200 5.02·10⁻⁵ 590 times less | held-out data (hold.csv), below 5 Hz |
@@ -78,7 +80,9 @@ def test_a_card_is_small_and_needs_nothing_else(result) -> None:
 
 def test_names_are_escaped() -> None:
     evil = "<b onclick='x'>&\"j"
-    result = diagnosis((evil, "joint2"), name="<script>alert(1)</script>", doubts=(f"{evil} is odd",))
+    result = diagnosis(
+        (evil, "joint2"), name="<script>alert(1)</script>", remarks=(Remark("URDF far off", {"joints": [evil]}),)
+    )
     (one,) = result.findings
     odd: Finding = replace(one, joints=(evil,), effect="<img>", parameters={"<i>": one.parameters["coulomb"]})
     left = replace(result.unexplained[0], depends_on=(evil,))

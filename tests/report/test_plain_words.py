@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,8 @@ from torchrbd.diagnosis.results import (
 )
 from torchrbd.display import Remark, Stated
 from torchrbd.effects import known_effects
+from torchrbd.inference.results import NoiseRegime
+from torchrbd.report.text.remarks import kinds
 from torchrbd.report.text.verdict import VERDICTS, headline
 
 PACKAGE = Path(torchrbd.__file__).parent
@@ -170,9 +173,44 @@ def diagnoses() -> list[Diagnosis]:
     return [full, with_friction(whole), *one, *(replace(full, verdict=v, findings=()) for v in others)]
 
 
+def remarks() -> list[Remark]:
+    """Return a remark of every kind, with everything that it may say."""
+    sizes = {"joint1": 0.95, "joint2": 1.2}
+    units = {"joint1": "rad", "joint2": "m"}
+    pairs = {joint: [1e-3, 1e-5] for joint in sizes}
+    noise = {"stated_and_seen": pairs, "smoothed": {}, "units": units}
+    found = [
+        Remark("little explained", {"fitted": sizes, "held_out": {"joint1": 0.97}}),
+        Remark("URDF far off", {"joints": list(sizes)}),
+        Remark("URDF better", {"fitted": sizes, "urdf": sizes}),
+        Remark("implausible masses", {"ratios": {"link1": 5.2}}),
+        Remark("implausible masses", {"ratios": {"link1": 5.2, "link2": 0.1}}),
+        Remark("fit stopped early"),
+        Remark("too fast", {"recording": "a.csv", "velocities": pairs, "units": units}),
+        Remark("misstated position noise", noise),
+        Remark("misstated position noise", noise | {"smoothed": sizes}),
+        Remark("other simulated motion", {"simulated": "sim.csv", "recording": "a.csv", "differences": sizes}),
+        Remark("base taken as fixed", {"base": "trunk", "limbs": 4, "world": "world", "root": "base"}),
+        Remark("same recordings", {"recordings": ["a.csv"]}),
+        Remark("other cutoff", {"before_hz": 5.0, "after_hz": 6.0}),
+    ]
+    return [*found, *(Remark(kind) for kind in ("one simulated", "inertia not compared", "no detection limits"))]
+
+
+def regimes() -> list[NoiseRegime]:
+    """Return what there is to say of position noise."""
+    names = ("auto", "physical", "smoother", "moments")
+    cases = product(names, ("filtered", "smoothed"), ((True, 4.0), (True, 40.0), (False, 1.001), (False, 1.3)))
+    return [NoiseRegime(name, states, *noise) for name, states, noise in cases]
+
+
+def test_remarks_of_every_kind_are_here() -> None:
+    assert {one.kind for one in remarks()} == kinds().keys()
+
+
 def stated() -> list[Stated]:
     deflected = [deflection(), deflection(stiffness=None), deflection(nmse_after=0.9)]
-    return [*findings(), *unexplained(), *locations(), *deflected, *diagnoses()]
+    return [*remarks(), *regimes(), *findings(), *unexplained(), *locations(), *deflected, *diagnoses()]
 
 
 def sentences(text: str) -> list[str]:

@@ -11,9 +11,12 @@ from report.rendered import Text, render
 from shortened import slow_but
 
 from torchrbd.diagnosis.results import Diagnosis, HeldOutCheck, Ratio
+from torchrbd.display import Remark
 from torchrbd.inference.verdict import verdict_of
 from torchrbd.report.text.numbers import change, number, sentence
 from torchrbd.report.text.verdict import worth
+
+STOPPED = "The fit stopped early: the torques are far from those of any rigid body. Check units and signs."
 
 
 @pytest.mark.parametrize("n", slow_but((1, 7), (1, 7, 30)))
@@ -74,7 +77,7 @@ def test_badge_says_what_is_the_case(tmp_path):
     assert words[1].startswith("Re-fitting raises the mean NMSE of arm on held-out data: ")
     even = replace(worse, verdict="identified")
     assert "does not lower" in Text(render(even, tmp_path)).words[1]
-    doubted = identification(("joint1", "joint2"), doubts=("check the unit of tau",))
+    doubted = identification(("joint1", "joint2"), remarks=(Remark("fit stopped early"),))
     assert Text(render(doubted, tmp_path)).words[0] == "! Identified, with doubts"
 
 
@@ -99,12 +102,12 @@ def test_change(before, after, words):
 
 def test_doubts_stand_under_the_headline_and_notes_at_the_end(tmp_path):
     for result in (
-        identification(("joint1", "joint2"), doubts=("check the unit of tau",)),
-        diagnosis(("joint1", "joint2"), doubts=("check the unit of tau",)),
+        identification(("joint1", "joint2"), remarks=(Remark("fit stopped early"),)),
+        diagnosis(("joint1", "joint2"), remarks=(Remark("fit stopped early"),)),
     ):
         words = Text(render(result, tmp_path)).words
-        assert 2 <= words.index("Check the unit of tau.") <= 3
-        assert words.index("Column 'mode' was ignored.") > words.index("How it was made")
+        assert 2 <= words.index(STOPPED) <= 3
+        assert words.index("Column 'mode' was ignored.") > words.index("Data and notes")
 
 
 def test_headline_speaks_of_the_last_model(tmp_path):
@@ -122,7 +125,7 @@ def test_noise_is_called_what_it_is(tmp_path):
     text = " ".join(Text(render(result, tmp_path)).words)
     assert words.format("rad", "it", "N m", "N m") in text
     assert words.format("m", "it", "N", "N") in text
-    smoothed = " ".join(Text(render(replace(result, states="smoothed"), tmp_path)).words)
+    smoothed = " ".join(Text(render(replace(result, regime=replace(result.regime, states="smoothed")), tmp_path)).words)
     assert words.format("rad", "it, if filtered,", "N m", "N m") in smoothed
 
 

@@ -187,7 +187,7 @@ def test_the_statement_has_the_errors_and_what_remains() -> None:
     left = Unexplained(("joint6", "joint5"), (), Where(), 0.1)
     more = {"held_out_ratio": Ratio(1.0, 0.9, 1.1), "next_effect": NextEffect(12, "stribeck_friction", ("joint1",))}
     said = replace(result(finding("backlash", "joint1"), **more), unexplained=(left,)).statement
-    assert "On held-out data the torque of the findings is 1.00 (95 %: 0.90 to 1.10) times that fitted." in said
+    assert "On held-out data the torque of the findings is 1.00 times the fitted torque (95 %: 0.90 to 1.10)." in said
     assert "A residual at joint5 and joint6 is unexplained." in said
     assert said.endswith("The search ended after 12 terms; the next likely effect is Stribeck friction at joint1.")
 
@@ -204,7 +204,7 @@ def test_a_guess_is_called_so_behind_its_rival() -> None:
     one = replace(alone, indistinguishable_from=rivals)
     assert alone.statement.startswith("Possibly backlash at joint1: size")
     assert one.statement.startswith("Joint spring or possibly backlash at joint1: size")
-    assert "cannot distinguish it from joint spring or tilted base" in one.statement
+    assert "cannot distinguish it from a joint spring or a tilted base" in one.statement
     assert guessed(replace(one, probability=0.51)) == "backlash"
     assert head(one) == "The URDF lacks an effect: a joint spring or backlash at joint1."
 
@@ -222,7 +222,7 @@ def test_a_guess_is_called_so_behind_its_rival() -> None:
         (finding("cable_drag", "joint1", where=Where(region=(Region("q_joint1", -0.1234, 0.5),))),
          "Cable drag over a range of positions at joint1 (q_joint1 from −0.123 to 0.5): size"),
         (finding("third_party_effect", "joint1", depends_on=("q_joint2",)),
-         "Third party effect that depends on q_joint2 at joint1: size"),
+         "Third party effect that depends on the position of joint2 at joint1: size"),
     ],
 )  # fmt: skip
 def test_a_sentence_begins_with_name_and_place(one: Finding, begin: str) -> None:
@@ -291,7 +291,7 @@ def test_a_sentence_says_what_it_is_worth_where_it_is_worth_most() -> None:
         assert one.statement.endswith("The NMSE of joint2 on held-out data falls from 0.500 to 0.100 with it.")
     there = finding("backlash", "joint1", **worth, held_out_ratio=Ratio(-0.204, -1.0, 0.5))
     assert there.statement.endswith(
-        "Its torque there is −0.20 (95 %: −1.00 to 0.50) times that fitted. Not confirmed on held-out data."
+        "Its torque there is −0.20 times the fitted torque (95 %: −1.00 to 0.50). Not confirmed on held-out data."
     )
     nowhere = {key: {"joint1": 0.02, "joint2": 0.5} for key in worth}
     assert finding("backlash", "joint1", **nowhere).statement.endswith(
@@ -322,9 +322,7 @@ def test_alternatives_say_their_place_where_it_is_another() -> None:
         "coupling to joint2's position", "coupling to joint3's position", "backlash at joint2",
         "tilted base on the whole robot", "payload on hand",
     ]  # fmt: skip
-    assert one.statement.endswith(
-        "coupling to joint2's position, coupling to joint3's position, backlash at joint2 or 2 others."
-    )
+    assert one.statement.endswith("from a coupling to joint2's position, a coupling to joint3's position or 3 others.")
 
 
 def test_times_have_open_ends_and_units() -> None:

@@ -135,8 +135,8 @@ def _print_fits(result: Identification, out: Console, model: str = "URDF", remar
     if remark:
         out.print(remark, markup=False)
     out.print(noise)
-    if result.regime not in result.doubts:
-        out.print(result.regime[0].upper() + result.regime[1:] + ".", markup=False)
+    if not result.regime.biases:
+        out.print(result.regime.statement, markup=False)
     _print_notes(result.notes, out)
 
 
@@ -157,9 +157,9 @@ def _print_measure(held_out: str, cutoff_hz: float, out: Console) -> None:
     )
 
 
-def _print_doubts(doubts: Iterable[str], out: Console) -> None:
+def _print_doubts(doubts: Iterable[object], out: Console) -> None:
     for doubt in doubts:
-        out.print(Text.assemble(("warning:", "bold yellow"), " ", doubt))
+        out.print(Text.assemble(("warning:", "bold yellow"), " ", str(doubt)))
 
 
 def _print_notes(notes: Iterable[object], out: Console) -> None:
@@ -210,7 +210,7 @@ def print_comparison(result: EstimatorComparison) -> None:
         f"The data identifies {result.base_parameters} combinations of parameters; the noise of the worst is "
         f"{result.condition:.3g} times that of the best (condition number)."
     )
-    out.print(result.regime[0].upper() + result.regime[1:] + ".", markup=False)
+    out.print(result.regime.statement, markup=False)
     if result.noise_matters:
         out.print(
             "All are judged on torques predicted from filtered, noisy positions. This favours estimates that the noise "

@@ -39,7 +39,10 @@ def write_parameters(result: Identification, path: Path) -> None:
     noise: per joint position, from_position, torque: standard deviations of the recorded position [rad, m], of the
         torque predicted from filtered positions for their noise alone, and of the residual torque [N m, N].
     noise_std: the last of these alone.
-    states, regime: "filtered" or "smoothed", and why.
+    states, regime: "filtered" or "smoothed", and why, in words.
+    position_noise: the same as data: estimator asked for, states, matters, excess (squared error of parameters fitted
+        to filtered states, over what it would be without position noise).
+    remarks: the doubts of the result as data: list of kind and values.
     verdict: "identified"; "doubtful", there are ``doubts``; "worse" than the URDF on held-out data; "suspect": the
         recordings seem to mean something else, or the model predicts held-out torque no better than a constant.
     """
@@ -58,7 +61,9 @@ def write_parameters(result: Identification, path: Path) -> None:
             "noise_std": {joint: noise.torque for joint, noise in result.noise.items()},
             "noise": {joint: asdict(noise) for joint, noise in result.noise.items()},
             "states": result.states,
-            "regime": result.regime,
+            "regime": result.regime.statement,
+            "position_noise": asdict(result.regime),
+            "remarks": [asdict(one) for one in result.remarks],
             "verdict": result.verdict,
         },
     )
@@ -167,7 +172,9 @@ def _hypothesis(one: Ranked) -> dict[str, Any]:
 
 def write_comparison(result: EstimatorComparison, path: Path) -> None:
     """Write the errors of every estimator; "raw" of its parameters as found, "physical" of those made physical."""
-    _write(path, {"schema": SCHEMA, **asdict(result)})
+    regime, doubts = result.regime.statement, [one.statement for one in result.doubts]
+    words = {"regime": regime, "position_noise": asdict(result.regime), "doubts": doubts}
+    _write(path, {"schema": SCHEMA, **asdict(result), **words})
 
 
 def write_changes(result: Comparison, path: Path) -> None:

@@ -60,11 +60,12 @@ def _diagnosis() -> dict[str, Any]:
     own, other = get_type_hints(Diagnosis), get_type_hints(Identification)
     names = [f.name for f in fields(Diagnosis) if f.name not in ("identification", "ranking")]
     parts = {{"maps": "residual_maps"}.get(name, name): own[name] for name in names}
-    head = {"fit": other["fits"], **{name: other[name] for name in ("recordings", "held_out", "cutoff_hz", "doubts")}}
+    head = {"fit": other["fits"], **{name: other[name] for name in ("recordings", "held_out", "cutoff_hz")}}
     head |= {
         "robot": str,
         "statement": str,
         "joints": tuple[str, ...],
+        "doubts": tuple[str, ...],
         "notes": tuple[str, ...],
         "suspicions_tested": tuple[str, ...],
     }

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from torchrbd.deadline import is_over, reason_words, time_limited
-from torchrbd.display import brief, few
+from torchrbd.display import Remark, brief, few
 from torchrbd.effects import Effect
 from torchrbd.errors import OptionError, TorchRBDError
 from torchrbd.estimators import COMPARABLE, check_estimators
@@ -16,6 +16,7 @@ from torchrbd.inference.estimators import Estimate, estimate, linear_problem
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.physical.fitting import judge, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
+from torchrbd.inference.results import NoiseRegime
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.torque_error import Fit
 from torchrbd.inference.verdict import encoder_doubts, regime_of
@@ -73,11 +74,11 @@ class EstimatorComparison:
     cutoff_hz: float
     base_parameters: int
     condition: float
-    regime: str
+    regime: NoiseRegime
     noise_matters: bool
     rows: tuple[EstimatorRow, ...]
     notes: tuple[str, ...]
-    doubts: tuple[str, ...]
+    doubts: tuple[Remark, ...]
 
     def __repr__(self) -> str:
         errors = {row.name: row.physical.mean_nmse for row in self.rows if row.physical is not None}

@@ -224,24 +224,22 @@ def summarise(
     fits = {name: series.fit(name) if len(series.t) else judge(prepared.judging, x) for name, x in coefficients.items()}
     regime = regime_of(prepared, settings.estimator)
     simulation = _simulation(prepared, modules, progress)
-    biased = prepared.input_noise.matters and prepared.states is None
-    own, base_words = doubts_of(prepared, final, fits), fixed_base(prepared.robot)
-    doubts = (
-        *(one.words for one in suspected.found if one.spoils),
+    own, mounting = doubts_of(prepared, final, fits), fixed_base(prepared.robot)
+    remarks = (
         *own,
         # Torques that the model explains show that the base stood still.
-        *(base_words if own else ()),
+        *(mounting if own else ()),
         *motion_doubts(prepared.reading.simulated),
         *encoder_doubts(prepared, settings),
-        *([regime] if biased else []),
     )
+    doubtful = (*(one for one in suspected.found if one.spoils), *remarks, *([regime] if regime.biases else []))
     return Identification(
         robot=prepared.robot,
         recordings=prepared.fitted,
         held_out=prepared.holdout_words,
         cutoff_hz=prepared.filtering.cutoff_hz,
         fits=fits,
-        verdict=verdict_of(fits, doubts, suspect=suspected.settles or tells_nothing(prepared, final)),
+        verdict=verdict_of(fits, doubtful, suspect=suspected.settles or tells_nothing(prepared, final)),
         parameters=(
             *(inertial_estimates(prepared, final) if sure else values_alone(prepared, final, base)),
             *(p if sure else replace(p, std=np.nan, prior_share=np.nan) for p in term_estimates(final)),
@@ -252,14 +250,13 @@ def summarise(
         base_covariance=(base.combination @ covariance @ base.combination.T).numpy() if sure else None,
         covariance=covariance.numpy() if sure else None,
         noise=_noise(prepared, final),
-        states="filtered" if prepared.states is None else "smoothed",
         regime=regime,
         series=series,
         model=_judged(list(modules.values())[-1], series, prepared.filtering.cutoff_hz, list(fits.values())[-1]),
         posterior=Posterior(prepared.prior, final) if sure else None,
-        doubts=doubts,
+        remarks=remarks,
         notes=(
-            *(() if own else base_words),
+            *(() if own else map(str, mounting)),
             *prepared.notes,
             *simulation.notes,
             *(one.words for one in suspected.found if not one.spoils),

@@ -13,10 +13,10 @@ from torchrbd.rebuilding import Unsaved, read_json, rebuilt
 
 _FILE = "parameters.json"
 # Parts under other keys than their own names.
-_KEYS = {"fits": "fit", "base": "base_parameters"}
+_KEYS = {"fits": "fit", "base": "base_parameters", "regime": "position_noise"}
 _PLAIN = (
-    "recordings", "held_out", "cutoff_hz", "fits", "verdict", "parameters", "combinations", "base", "noise", "states",
-    "regime", "doubts", "simulation",
+    "recordings", "held_out", "cutoff_hz", "fits", "verdict", "parameters", "combinations", "base", "noise",
+    "regime", "remarks", "simulation",
 )  # fmt: skip
 
 
@@ -49,7 +49,7 @@ def read_identification(kind: type, folder: str | Path) -> dict[str, Any]:
         found |= {
             "base_combination": np.array(matrix, dtype=float).reshape(len(found["base"]), columns),
             "base_covariance": None if covariance is None else np.array(covariance, dtype=float),
-            "notes": tuple(map(str, content["notes"][len(found["doubts"]) :])),
+            "notes": tuple(map(str, content["notes"][len(content["doubts"]) :])),
             "suspicions": rebuilt(
                 types["suspicions"], {"found": content["suspicions"], "tested": content["suspicions_tested"]}
             ),

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from torchrbd.display import Displayed, brief, few
+from torchrbd.display import Displayed, Remark, Stated, brief, few
 from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.reading import read_identification
 from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicions
@@ -131,6 +131,28 @@ class JointNoise:
     torque: float
 
 
+@dataclass(frozen=True)
+class NoiseRegime(Stated):
+    """What position noise does to a fit, and what was done about it.
+
+    Attributes:
+        estimator: that the user asked for.
+        states: "filtered", or "smoothed" together with the parameters.
+        matters: whether it biases a fit to filtered states.
+        excess: squared error of the parameters of such a fit, over what it would be without position noise.
+    """
+
+    estimator: str
+    states: str
+    matters: bool
+    excess: float
+
+    @property
+    def biases(self) -> bool:
+        """Whether the reported parameters are biased by position noise."""
+        return self.matters and self.states == "filtered"
+
+
 @dataclass(frozen=True, repr=False)
 class Identification(Displayed):
     """A fitted robot; a notebook shows it as a card.
@@ -150,12 +172,11 @@ class Identification(Displayed):
         base_covariance: (n_base, n_base) of the base parameters; None for an estimator without intervals.
         covariance: (n_params, n_params) of all inertial parameters, or None.
         noise: per joint whose torque is measured.
-        states: "filtered", or "smoothed" together with the parameters.
-        regime: why, in a sentence.
+        regime: what position noise does to the fit, and whether states are filtered or smoothed.
         series: torques against time.
         model: the fitted module.
         posterior: draws robots, and tells the variance of predicted torques; None for an estimator without intervals.
-        doubts: what looks wrong with input or result, and what to do about it; suspicions first.
+        remarks: what looks wrong with input or result, but for ``suspicions`` and ``regime``.
         notes: what else the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
         suspicions: what the recordings may mean instead of what they say, and what was tested.
         simulation: by length of the window, how far models move from what was recorded; empty where that is not known.
@@ -175,16 +196,29 @@ class Identification(Displayed):
     base_covariance: np.ndarray | None
     covariance: np.ndarray | None
     noise: dict[str, JointNoise]
-    states: str
-    regime: str
+    regime: NoiseRegime
     series: TorqueSeries
     model: RigidBodyDynamics
     posterior: Posterior | None
-    doubts: tuple[str, ...] = field(default=())
+    remarks: tuple[Remark, ...] = field(default=())
     notes: tuple[str, ...] = field(default=())
     suspicions: Suspicions = NO_SUSPICIONS
     simulation: tuple[MotionError, ...] = field(default=())
     finished: bool = True
+
+    @property
+    def states(self) -> str:
+        """How positions became states: "filtered", or "smoothed" together with the parameters."""
+        return self.regime.states
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What looks wrong with input or result, and what to do about it, in words; suspicions first."""
+        return (
+            *(one.words for one in self.suspicions.found if one.spoils),
+            *(one.statement for one in self.remarks),
+            *([self.regime.statement] if self.regime.biases else []),
+        )
 
     @classmethod
     def load(cls, folder: str | Path) -> Identification:

@@ -28,6 +28,7 @@ from scipy.ndimage import convolve1d
 from scipy.optimize import minimize_scalar
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.errors import RecordingError
 from torchrbd.recordings import Filtering, Recording, States, Survey, survey, tiles
 from torchrbd.robot import RobotModel
@@ -151,16 +152,14 @@ def check_motion(found: Simulated) -> None:
         )
 
 
-def motion_doubts(found: Sequence[Simulated]) -> tuple[str, ...]:
-    """Return warnings where motions differ so much that the simulator's torque belongs to another motion."""
+def motion_doubts(found: Sequence[Simulated]) -> tuple[Remark, ...]:
+    """Return where motions differ so much that the simulator's torque belongs to another motion."""
     doubts = []
     for one in found:
         far = {j: d for j, d in one.difference.items() if d > WARNED}
         if far:
-            doubts.append(
-                f"{one.name} moves otherwise than {one.recording}, the velocities differ by {_parts(far)} of the RMS "
-                "speed: beyond rigid body and plain friction, the simulator's torque belongs to another motion"
-            )
+            values = {"simulated": one.name, "recording": one.recording, "differences": far}
+            doubts.append(Remark("other simulated motion", values))
     return tuple(doubts)
 
 

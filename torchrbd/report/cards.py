@@ -140,7 +140,7 @@ def _doubt(finding: Finding) -> str:
         return ""
     if finding.indistinguishable_from:
         line = "The probability is shared with what it could also be."
-        return f"Something is missing here beyond doubt. {line}" if finding.log_evidence_gain > CERTAIN else line
+        return f"An effect is certainly missing here. {line}" if finding.log_evidence_gain > CERTAIN else line
     return ""
 
 

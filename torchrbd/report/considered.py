@@ -121,8 +121,8 @@ def misfit_sentence(found: Mapping[str, Misfit]) -> str:
         agree = "Whitened rows and plain least squares agree on the friction of every joint."
         return agree if any(m.dof for m in found.values()) else ""
     return (
-        f"Whitened rows and plain least squares disagree on the friction of {joined(wrong)}: its law is not quite "
-        "that. The coefficients shown are those of least squares, which predict better."
+        f"Whitened rows and plain least squares disagree on the friction of {joined(wrong)}. "
+        "Another law than viscous plus Coulomb friction acts there. The values shown are those of least squares."
     )
 
 

@@ -25,7 +25,7 @@ from torchrbd.report.text.verdict import badge, headline, model_words, part_left
 from torchrbd.simulation import COASTING, MotionError
 
 RESIDUALS = {
-    "rigid_body": "Residual of the re-fitted rigid body with friction",
+    "rigid_body": "Residual of the re-fitted rigid body with baseline friction",
     "extended": "Residual of the extended model",
 }
 MOST_TIME_MAPS = 4
@@ -184,7 +184,7 @@ class Page:
         last = [name for name in within.errors if name != COASTING][-1]
         useless = model == last and found.median > coasting.median and found.high > coasting.high
         median, low, high = (_thousandths(x) for x in (found.median, found.low, found.high))
-        return Strayed(median, f"{low}–{high}", useless)
+        return Strayed(median, f"{low}–{high}" if math.isfinite(found.low) else "", useless)
 
     def figures(self, joint: int) -> JointFigures:
         """Return what is drawn of one joint."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from torchrbd.report.text.names import parameter_words
 from torchrbd.report.text.numbers import change, measure, number, plain, probability, sentence, tied, unit, with_unit
 
 
@@ -20,4 +21,5 @@ def environment() -> Environment:
     )
     found.filters |= {"number": number, "measure": measure, "percent": probability, "change": change}
     found.filters |= {"plain": plain, "unit": unit, "with_unit": with_unit, "tied": tied, "sentence": sentence}
+    found.filters |= {"parameter_words": parameter_words}
     return found

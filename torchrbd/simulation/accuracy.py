@@ -169,4 +169,4 @@ def _notes(models: Mapping[str, RigidBodyDynamics], robot: RobotModel) -> tuple[
     along = [f"{term.effect.words} at {term.site.name(robot)}" for term in Plant(model).along]
     if not along:
         return ()
-    return (f"in simulated motion the torque of {'; '.join(along)} is that of the recorded motion",)
+    return (f"simulated motion takes the torque of these terms from the recorded motion: {', '.join(along)}",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from torchrbd.display import Remark
 from torchrbd.errors import RobotError
 from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.robot import RobotModel
@@ -24,7 +25,7 @@ def check_masses(robot: RobotModel) -> None:
         )
 
 
-def fixed_base(robot: RobotModel) -> tuple[str, ...]:
+def fixed_base(robot: RobotModel) -> tuple[Remark, ...]:
     """Return the warning that a heavy base with several limbs is taken as fixed to the world; none for other robots.
 
     A root link without mass that is called "world" says that the base is fixed.
@@ -37,8 +38,5 @@ def fixed_base(robot: RobotModel) -> tuple[str, ...]:
     heaviest = max(base, key=lambda link: float(link.pi[0]))
     if len(limbs) < 2 or not float(heaviest.pi[0]) > 0 or (root == _WORLD and heaviest.name != root):
         return ()
-    return (
-        f"the base '{heaviest.name}' is taken as fixed to the world, and {len(limbs)} limbs move on it: recordings in "
-        "which it moves, as of a robot that walks, cannot be used; hold the base while you record. If it is fixed, a "
-        f"massless root link '{_WORLD}' with a fixed joint to '{root}' in the URDF says so",
-    )
+    values = {"base": heaviest.name, "limbs": len(limbs), "world": _WORLD, "root": root}
+    return (Remark("base taken as fixed", values),)

@@ -6,7 +6,7 @@ import math
 
 from torchrbd.diagnosis.changes.results import Change, Comparison, Difference, Load
 from torchrbd.diagnosis.results import Alternative, Quantity
-from torchrbd.report.text.names import named, when
+from torchrbd.report.text.names import named, signal_words, when
 from torchrbd.report.text.numbers import MINUS, as_many_as_fit, capital, joined, measure, number, with_unit
 
 _MOST_NAMED = 5
@@ -103,7 +103,7 @@ def _of_one(change: Change) -> str:
 
 
 def _unexplained(change: Change) -> str:
-    on = f" that depends on {joined(change.depends_on)}" if change.depends_on else ""
+    on = f" that depends on {joined(map(signal_words, change.depends_on))}" if change.depends_on else ""
     where = f"An unexplained residual at {joined(change.joints)}{on}"
     if change.found == "both":
         return f"{where} is in both diagnoses. Whether it changed is unknown."

@@ -14,11 +14,12 @@ from torchrbd.report.text.names import (
     guessed,
     known,
     most_changed,
+    parameter_words,
     properties,
     value,
     values,
     when,
-    words_of,
+    with_article,
 )
 from torchrbd.report.text.numbers import (
     as_many_as_fit,
@@ -54,9 +55,6 @@ def _subject(finding: Finding) -> str:
     if any(q.value in (r.low, r.high) for q in quantities.values() for r in where.region or ()):
         where = Where(where.recordings, where.time_s)
     inside, sizes = when(where), values(finding)
-    if len(quantities) == 1:
-        ((name, q),) = quantities.items()
-        sizes = [value(q)] if name.replace("_", " ") in words_of(finding.effect).lower() else sizes
     interval = " (± 95 %)" if any(q.std > 0 for q in quantities.values()) else ""
     words = guessed(finding) + (at(finding.joints, finding.links) or " on the whole robot")
     words += f" ({inside})" if inside else ""
@@ -74,8 +72,8 @@ def _no_size(finding: Finding) -> str:
         return ""
     if len(free) == len(sizes):
         return "No single parameter differs significantly from zero; together they do."
-    names = joined(name.replace("_", " ") for name in free)
-    return f"{names.capitalize()} do not differ significantly from zero one by one; together they do."
+    names = joined(parameter_words(name) for name in free)
+    return f"{capital(names)} do not differ significantly from zero one by one; together they do."
 
 
 def _worth(finding: Finding) -> str:
@@ -93,7 +91,7 @@ def _worth(finding: Finding) -> str:
     ratio = finding.held_out_ratio
     if ratio is None:
         return error
-    part = f"Its torque there is {ratio_with_interval(*astuple(ratio))} times that fitted."
+    part = f"Its torque there is {ratio_with_interval(*astuple(ratio), of='the fitted torque')}."
     return f"{error} {part}" if ratio.low > 0.0 else f"{error} {part} {NOT_CONFIRMED}."
 
 
@@ -106,7 +104,8 @@ def _alike(finding: Finding) -> str:
     others = alternatives(finding)
     if not others:
         return ""
-    return f"This data cannot distinguish it from {as_many_as_fit(others, _ALIKE_WORDS, 'or', 'others')}."
+    words = as_many_as_fit([*map(with_article, others)], _ALIKE_WORDS, "or", "others")
+    return f"This data cannot distinguish it from {words}."
 
 
 def _variant(finding: Finding) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from torchrbd.diagnosis.results import Location
+from torchrbd.report.text.names import signal_words
 from torchrbd.report.text.numbers import as_many_as_fit, joined, number, with_unit
 
 _WHAT = {
@@ -42,7 +43,7 @@ def _dependence(one: Location) -> str:
         return "It changes slowly with time."
     if one.depends_on and one.depends_on != ("t",):
         inside = joined(f"between {number(r.low)} and {number(r.high)}" for r in one.where.region or ())
-        return f"It depends on {joined(one.depends_on)}{', ' if inside else ''}{inside}."
+        return f"It depends on {joined(map(signal_words, one.depends_on))}{', ' if inside else ''}{inside}."
     return ""
 
 

@@ -15,11 +15,43 @@ _MOST_VALUES, _FEW_VALUES = 6, 4
 # With these many joints "all but one", "all but two" is shorter than a list.
 _FOR_ALL, _FOR_ALL_BUT_ONE, _FOR_ALL_BUT_TWO = 2, 4, 6
 WHOLE_ROBOT = "whole robot"
+_SIGNALS = {"q": "position", "qd": "velocity", "qdd": "acceleration"}
+_PARAMETERS = {
+    "coulomb": "Coulomb friction",
+    "coulomb_plus": "Coulomb friction forwards",
+    "coulomb_minus": "Coulomb friction backwards",
+    "static": "static friction",
+    "stribeck_speed": "Stribeck speed",
+    "viscous": "viscous coefficient",
+}
+
+# Words for things of which there are one or two; friction, drag, backlash have no article.
+_COUNTED = frozenset(
+    ("offset", "spring", "coupling", "base", "payload", "force", "counterbalance", "loss", "error", "delay")
+)
 
 
 def words_of(identifier: str) -> str:
     """Return an effect's name in words, whether or not it is registered here."""
     return effect(identifier).words if identifier in known_effects() else identifier.replace("_", " ")
+
+
+def parameter_words(name: str) -> str:
+    """Return what a parameter of an effect is called: "rest position"."""
+    return _PARAMETERS.get(name, name.replace("_", " "))
+
+
+def signal_words(signal: str) -> str:
+    """Return a signal in words, with the joint that it belongs to: "the velocity of joint2", or its name."""
+    kind, _, joint = signal.partition("_")
+    return f"the {_SIGNALS[kind]} of {joint}" if joint and kind in _SIGNALS else signal
+
+
+def with_article(words: str) -> str:
+    """Return "a joint spring", but "Coulomb friction"."""
+    counted = not _COUNTED.isdisjoint(words.split())
+    vowel = words[0] in "aeiou" and not words.startswith("one")
+    return f"{'an' if vowel else 'a'} {words}" if counted else words
 
 
 def named(item: Finding | Alternative | NextEffect) -> str:
@@ -29,7 +61,9 @@ def named(item: Finding | Alternative | NextEffect) -> str:
         return words
     if "another joint's" in words:
         return words.replace("another joint's", f"{others}'s")
-    return f"{words} that depends on {joined(item.depends_on)}"
+    if "two joints" in words:
+        return words.replace("two joints", f"this joint and {others}")
+    return f"{words} that depends on {joined(map(signal_words, item.depends_on))}"
 
 
 def placed(item: Finding | Alternative | NextEffect, everywhere: Sequence[str] = ()) -> str:
@@ -110,14 +144,22 @@ def value(q: Quantity) -> str:
 
 
 def values(finding: Finding) -> list[str]:
-    """Return the quantities of a finding by name, "mass 1.2 ± 0.1 kg"; of many, the first few."""
+    """Return the quantities of a finding by name, "mass 1.2 ± 0.1 kg"; of many, the first few.
+
+    Of a single one that the effect's name says, the value alone.
+    """
     own = known_effects().get(finding.effect)
     kinds = {} if own is None else own.kinds
 
     def words(name: str, q: Quantity) -> str:
-        return kinds.get(name, {}).get(q.value, f"{name.replace('_', ' ')} {value(q)}")
+        return kinds.get(name, {}).get(q.value, f"{parameter_words(name)} {value(q)}")
 
-    found = [words(name, q) for name, q in known(finding).items()]
+    alone = len(properties(finding)) == 1
+    named_by_effect = words_of(finding.effect).lower()
+    found = [
+        value(q) if alone and name.replace("_", " ") in named_by_effect else words(name, q)
+        for name, q in known(finding).items()
+    ]
     return found if len(found) <= _MOST_VALUES else found[:_FEW_VALUES]
 
 

@@ -72,10 +72,10 @@ def percent(part: float) -> str:
     return f"{100 * part:.2g} %" if part < 0.995 else f"{100 * part:.0f} %"
 
 
-def ratio_with_interval(ratio: float, low: float, high: float) -> str:
-    """Return a ratio with its 95 % interval, e.g. "1.02 (95 %: 0.81 to 1.22)"."""
+def ratio_with_interval(ratio: float, low: float, high: float, *, of: str) -> str:
+    """Return a ratio with its 95 % interval, e.g. "1.02 times the fitted torque (95 %: 0.81 to 1.22)"."""
     value, *ends = (f"{x:.2f}".replace("-", MINUS) for x in (ratio, low, high))
-    return f"{value} (95 %: {' to '.join(ends)})"
+    return f"{value} times {of} (95 %: {' to '.join(ends)})"
 
 
 def unit(symbol: str) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from torchrbd.display import Remark
+from torchrbd.report.text.identification import DOUBTS
 from torchrbd.report.text.numbers import as_many_as_fit
 
 _WORDS = 8
@@ -26,6 +27,7 @@ def _other_cutoff(before_hz: float, after_hz: float) -> str:
 
 
 _WORDS_OF: dict[str, Callable[..., str]] = {
+    **DOUBTS,
     "same recordings": _same_recordings,
     "other cutoff": _other_cutoff,
     "one simulated": lambda: "one was compared with a simulation, the other with the URDF; these may differ too",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.results import Unexplained
+from torchrbd.report.text.names import signal_words
 from torchrbd.report.text.numbers import as_many_as_fit, joined, number, percent, with_unit
 
 _NOTHING_ELSE = "No known effect and no function of one signal explains it."
@@ -45,7 +46,7 @@ def _curve(one: Unexplained) -> str:
     share = f" It is {percent(one.share)} of the residual on held-out data." if one.share >= NO_CHANGE else ""
     words = f"{size} at {where} is unexplained{_inside(one)}.{share}"
     if one.depends_on:
-        words += f" It depends on {joined(one.depends_on)}"
+        words += f" It depends on {joined(map(signal_words, one.depends_on))}"
         region = next((r for r in one.where.region or () if r.signal == one.depends_on[0]), None)
         if region is not None:
             words += f", mostly between {number(region.low)} and {number(region.high)}"

@@ -12,7 +12,7 @@ from torchrbd.diagnosis.results import Diagnosis, Finding, Ratio, Where
 from torchrbd.effects.registry import PLAIN
 from torchrbd.inference.results import Identification
 from torchrbd.report.text.findings import NOT_CONFIRMED
-from torchrbd.report.text.names import all_or_some, alternatives, at, named, placed, when, words_of
+from torchrbd.report.text.names import all_or_some, alternatives, at, named, placed, when, with_article, words_of
 from torchrbd.report.text.numbers import as_many_as_fit, joined, number, percent, ratio_with_interval, sentence
 from torchrbd.report.text.suspicions import tested_words
 
@@ -36,10 +36,6 @@ _WRONG = "wrong "
 _PARENTHESIS = re.compile(r" \([^)]*\)")
 # Said together where they are found at the same joints.
 _JOINED = tuple(words_of(identifier) for identifier in PLAIN if identifier.endswith("friction"))
-# Words for things of which there are one or two; friction, drag, backlash have no article.
-_COUNTED = frozenset(
-    ("offset", "spring", "coupling", "base", "payload", "force", "counterbalance", "loss", "error", "delay")
-)
 
 
 def model_words(result: Identification | Diagnosis) -> str:
@@ -141,8 +137,8 @@ def _doubts(result: Diagnosis) -> Iterable[str]:
     """Yield what held-out data says of the findings, and what they do not explain."""
     everywhere = _judged(result)
     if result.findings and result.held_out_ratio is not None:
-        ratio = ratio_with_interval(*astuple(result.held_out_ratio))
-        yield f"On held-out data the torque of the findings is {ratio} times that fitted."
+        ratio = ratio_with_interval(*astuple(result.held_out_ratio), of="the fitted torque")
+        yield f"On held-out data the torque of the findings is {ratio}."
     count = sum(not f.held_out for f in result.findings)
     if count:
         yield f"{NOT_CONFIRMED}: {count} of {len(result.findings)} findings."
@@ -157,7 +153,7 @@ def _doubts(result: Diagnosis) -> Iterable[str]:
         only = f" in {result.next_effect.recording}" if result.next_effect.recording else ""
         yield (
             f"The search ended after {terms} term{'' if terms == 1 else 's'}; the next likely effect is "
-            f"{placed(result.next_effect)}{only}."
+            f"{with_article(placed(result.next_effect))}{only}."
         )
     yield from _held_out_errors(result)
 
@@ -207,7 +203,7 @@ def _missing(findings: Sequence[Finding], everywhere: Sequence[str]) -> str:
 
 def _either(finding: Finding) -> str:
     """Return a finding that is no likelier than not with its first rival: "a joint spring or backlash at joint2"."""
-    either = joined(map(_with_article, (*alternatives(finding)[:1], named(finding))), "or")
+    either = joined(map(with_article, (*alternatives(finding)[:1], named(finding))), "or")
     return either + (at(finding.joints, finding.links) or " on the whole robot")
 
 
@@ -223,7 +219,7 @@ def _groups(findings: Sequence[Finding], everywhere: Sequence[str], *, with_time
     sites: dict[tuple[str, str, tuple[str, ...]], list[Finding]] = {}
     for f in findings:
         name = _PARENTHESIS.sub("", named(f))
-        words = name.removeprefix(_WRONG) if _is_wrong(f) else _with_article(name)
+        words = name.removeprefix(_WRONG) if _is_wrong(f) else with_article(name)
         sites.setdefault((words, _inside(f.where) if with_times else "", f.links), []).append(f)
     places: dict[tuple[str, str], list[tuple[str, float]]] = {}
     for (words, inside, links), those in sites.items():
@@ -240,7 +236,8 @@ def _groups(findings: Sequence[Finding], everywhere: Sequence[str], *, with_time
 def _short_at(joints: Sequence[str], links: Sequence[str], everywhere: Sequence[str]) -> str:
     """Return places for the headline: of many joints that are not all, their number."""
     words = at(joints, links, everywhere)
-    return words if len(joints) <= _MOST_NAMED or "all joints" in words else f" at {len(joints)} joints"
+    short = len(joints) <= _MOST_NAMED or ("all joints" in words and " and " not in words)
+    return words if short else f" at {len(joints)} joints"
 
 
 def _inside(where: Where) -> str:
@@ -251,13 +248,6 @@ def _inside(where: Where) -> str:
     if len(names) > 1 or len(where.time_s or ()) > 1:
         return f" (in {names[0]})" if len(names) == 1 else f" (in {len(names)} recordings)"
     return f" ({when(Where(names, where.time_s))})"
-
-
-def _with_article(words: str) -> str:
-    """Return "a joint spring", but "Coulomb friction"."""
-    counted = not _COUNTED.isdisjoint(words.split())
-    vowel = words[0] in "aeiou" and not words.startswith("one")
-    return f"{'an' if vowel else 'a'} {words}" if counted else words
 
 
 def _shortened(words: Sequence[str]) -> str:
