@@ -62,7 +62,8 @@ def read_json(file: Path, command: str) -> dict[str, Any]:
         content = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(
-            f"{file}: cannot be read ({error.strerror}); give the folder that 'torchrbd {command} -o' wrote, "
+            f"{file}: cannot be read ({error.strerror}); give the folder that "
+            f"'torchrbd {command} -o' or torchrbd.write_results wrote, "
             f"or the {file.name} in it"
         ) from None
     except (ValueError, RecursionError) as error:
