@@ -60,8 +60,8 @@ class BaseRegression:
 
     Args:
         robot: the robot; its gravity counts, its inertial parameters do not.
-        square_root: keep square roots of the moments: somewhat slower, and as many digits as a QR decomposition of all
-            rows has, where motions hardly tell some of the combinations.
+        square_root: keep square roots of the moments: somewhat slower, but as accurate as a QR decomposition of all
+            rows, where some combinations are hardly excited.
     """
 
     def __init__(self, robot: RobotModel, *, square_root: bool = False) -> None:
