@@ -27,10 +27,10 @@ HELD_OUT, OWN_TIME = "held-out data", "own window"
 
 @dataclass(frozen=True)
 class Quantity:
-    """A parameter of a finding with its posterior standard deviation; ``urdf`` is what the URDF says of it.
+    """A parameter of a finding with its posterior standard deviation; ``urdf`` is the URDF's value.
 
-    ``at_least`` is what it is larger than (95 %) where the data know no more of it, such as of a spring that may be
-    rigid: value and standard deviation are NaN then.
+    ``at_least`` is a lower bound (95 %) where the data gives no more, as for a spring that may be rigid. Value and
+    standard deviation are NaN then.
     """
 
     value: float
@@ -162,9 +162,9 @@ class Finding(Stated):
 
     On held-out data ``nmse_after`` is the error that ``Identification.fits["extended"]`` reports, of the same model. It
     is of another one where the reported model also has smooth curves of friction (``Diagnosis.unexplained``) or effects
-    that are not confirmed (``Diagnosis.not_confirmed``): these are left out of both errors here. ``nmse_before`` is of a fit
-    without this finding. All others are kept, and baseline friction may absorb a part of it: it is no error of a row
-    of that table.
+    that are not confirmed (``Diagnosis.not_confirmed``): these are left out of both errors here. ``nmse_before`` is of
+    a fit without this finding. All others are kept, and baseline friction may absorb a part of it: it is no error of a
+    row of that table.
 
     Attributes:
         effect, joints, links: what, and where.

@@ -29,7 +29,7 @@ def write_parameters(result: Identification, path: Path) -> None:
 
     parameters: list of name, owner (body or joint), unit, urdf, value, std, prior_share (share of information from the
         prior: 0 the data alone, 1 the URDF alone), status, suggestion. std and prior_share are null for an estimator
-            without intervals.
+        without intervals.
     base_parameters: list of expression (four digits), unit, urdf, value, std, prior_share: the combinations of
         inertial parameters that motion can identify.
     base_combination: the same in full digits: columns (names of inertial parameters) and matrix K, a row per base

@@ -1,4 +1,4 @@
-"""Compare estimators on one robot: all see the same blocks of its recordings and are judged on those kept back."""
+"""Compare estimators on one robot: all see the same blocks of its recordings and are judged on the held-out ones."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ _SIGNIFICANT = 3.0
 
 
 def with_friction(settings: Settings) -> tuple[Effect, ...]:
-    """Return the effects to fit: those that the user names, ordinary friction if that is left open."""
+    """Return the effects to fit: those that the user names, baseline friction if that is left open."""
     if settings.effects is not None:
         return settings.chosen_effects() if settings.effects else ()
     return tuple(effect(identifier) for identifier in PLAIN if identifier not in settings.exclude)

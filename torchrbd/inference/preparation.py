@@ -116,7 +116,7 @@ class Prepared:
 
     @property
     def judging(self) -> BlockStatistics:
-        """Blocks kept back, ``unweighted``."""
+        """Held-out blocks, ``unweighted``."""
         return self.unweighted.select(self.held_out)
 
     @property
