@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from torchrbd.inference.results import TorqueSeries
-from torchrbd.report.excerpt import binned_mean, informative_stretch, telling_signal
+from torchrbd.report.excerpt import binned_mean, informative_excerpt, telling_signal
 from torchrbd.report.figures import Units, decades, dependence_figure, error_figure
 from torchrbd.report.inline import canvas, inline, page_style
 from torchrbd.report.text.numbers import change, measure, number, probability, unit
@@ -27,11 +27,11 @@ def test_stretch_holds_the_largest_held_out_residual_and_stays_in_one_recording(
     residual, held_out = np.full(800, 0.1), np.arange(800) >= 400
     residual[100:200] = 50.0  # seen by the fit
     residual[600:650] = 5.0  # held out: second recording, 20 to 25 s
-    stretch = informative_stretch(series(residual, held_out), 0, "urdf")
-    assert stretch.recording == "b"
-    assert set(range(600, 650)) <= set(stretch.index)
-    assert len(stretch.index) == 151
-    assert stretch.index.min() >= 400
+    excerpt = informative_excerpt(series(residual, held_out), 0, "urdf")
+    assert excerpt.recording == "b"
+    assert set(range(600, 650)) <= set(excerpt.index)
+    assert len(excerpt.index) == 151
+    assert excerpt.index.min() >= 400
 
 
 def test_short_recording_is_shown_whole():
@@ -39,9 +39,9 @@ def test_short_recording_is_shown_whole():
     short = TorqueSeries(
         s.joints, s.recordings, s.recording, s.t / 10, s.held_out, s.q, s.qd, s.qdd, s.measured, s.predicted
     )
-    stretch = informative_stretch(short, 0, "urdf")
-    assert len(stretch.index) == 400
-    assert stretch.words == "a"
+    excerpt = informative_excerpt(short, 0, "urdf")
+    assert len(excerpt.index) == 400
+    assert excerpt.words == "a"
 
 
 def test_telling_signal_of_friction_is_the_velocity():

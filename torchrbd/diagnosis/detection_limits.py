@@ -42,7 +42,7 @@ def _limit(found: Explanation, h: Hypothesis) -> DetectionLimit | None:
         if not value.requires_grad:
             continue
         (slope,) = torch.autograd.grad(value, w, retain_graph=True)
-        # What ordinary friction has as well is no limit of this effect.
+        # A column that baseline friction has as well gives no limit of this effect.
         slope = slope * fresh
         variance, before = float((slope * std).square().sum()), float((slope * prior).square().sum())
         none = float(absent[name])

@@ -179,7 +179,7 @@ def diagnose(
 
 
 def _located(prepared: Prepared, model: Extended) -> tuple[tuple[Location, ...], tuple[ResidualMap, ...]]:
-    """Return where the rigid body with ordinary friction, and the extended model, differ from the robot."""
+    """Return where the rigid body with baseline friction, and the extended model, differ from the robot."""
     samples = read_samples(prepared, prepared.fit().pi)
     seen = [j for j in range(prepared.robot.n_dof) if samples.seen[j]]
     plain = tuple(samples.columns.candidate(effect(name), Site(j), {}) for j in seen for name in PLAIN)

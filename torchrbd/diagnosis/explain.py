@@ -239,7 +239,7 @@ def _sure(extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:
 
 
 def _as_estimated(friction: Friction, term: Candidate, extended: Extended) -> Friction:
-    """Return ordinary friction no surer than its estimate; without the effect it is the URDF's."""
+    """Return baseline friction no surer than its estimate; without the effect it is the URDF's."""
     model, found = extended.model, extended.found
     std, scales = believed(found.fit, found.rows, term)
     none = extended.prepared.prior.reference[model.columns.of(term)].numpy()

@@ -58,7 +58,7 @@ class Extended:
     def without(self, gone: Collection[Candidate]) -> Extended:
         """Return the fit without some of its ``terms``, all else at the shapes, and in the noise, that it has.
 
-        Ordinary friction may be what these stood in for, and is weighed again.
+        Baseline friction may have been absorbed by these, and is weighed again.
         """
         kept = [k for k, c in enumerate(self.terms) if c not in gone]
         terms, before = tuple(self.terms[k] for k in kept), self.found

@@ -28,7 +28,7 @@ VISCOUS, COULOMB, UNEVEN = "viscous_friction", "coulomb_friction", "asymmetric_c
 
 @dataclass(frozen=True)
 class Friction:
-    """A term of ordinary friction in a model.
+    """A term of baseline friction in a model.
 
     Attributes:
         candidate: the term.

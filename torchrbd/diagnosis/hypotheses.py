@@ -22,7 +22,7 @@ from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import coefficient_std
 
-# Columns that ordinary friction has too.
+# Columns that baseline friction has too.
 SHARED = ("qd", "sign(qd)")
 # Draws that estimate how much of a distribution physics allows, and the part of variances that is rounding.
 _DRAWS, _ROUNDING = 256, 1e-12

@@ -91,7 +91,7 @@ def stands_in(candidate: Candidate) -> bool:
 
 
 def has_friction(candidate: Candidate) -> bool:
-    """Say whether a term is a curve of which ordinary friction may be a part."""
+    """Say whether a term is a curve that may hold a part of baseline friction."""
     return stands_in(candidate) or (isinstance(candidate.effect, SmoothTorque) and candidate.effect.friction)
 
 

@@ -27,10 +27,10 @@ HELD_OUT, OWN_TIME = "held-out data", "own window"
 
 @dataclass(frozen=True)
 class Quantity:
-    """A parameter of a finding with its posterior standard deviation; ``urdf`` is what the URDF says of it.
+    """A parameter of a finding with its posterior standard deviation; ``urdf`` is the URDF's value.
 
-    ``at_least`` is what it is larger than (95 %) where the data know no more of it, such as of a spring that may be
-    rigid: value and standard deviation are NaN then.
+    ``at_least`` is a lower bound (95 %) where the data gives no more, as for a spring that may be rigid. Value and
+    standard deviation are NaN then.
     """
 
     value: float

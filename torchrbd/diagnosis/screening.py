@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, agree_shape, average_over_shapes, hypothesis_of, mean_of
-from torchrbd.diagnosis.stretches import in_recordings, in_windows, located
+from torchrbd.diagnosis.windows import in_recordings, in_windows, located
 from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood

@@ -29,7 +29,7 @@ def write_parameters(result: Identification, path: Path) -> None:
 
     parameters: list of name, owner (body or joint), unit, urdf, value, std, prior_share (share of information from the
         prior: 0 the data alone, 1 the URDF alone), status, suggestion. std and prior_share are null for an estimator
-            without intervals.
+        without intervals.
     base_parameters: list of expression (four digits), unit, urdf, value, std, prior_share: the combinations of
         inertial parameters that motion can identify.
     base_combination: the same in full digits: columns (names of inertial parameters) and matrix K, a row per base
@@ -220,8 +220,8 @@ def _head(result: Identification) -> dict[str, Any]:
     notes: holds the ``doubts`` too, and these the ``suspicions`` in words.
     suspicions: what the recordings seem to mean instead of what they say: list of kind, joints, log_odds, times (by
         which the squared error on time left out of the fit falls, or null), statement, remedy (option or mapping
-        entry), settles (whether nothing can be told before it is settled), spoils (whether fits are to be doubted where
-        it is so), alternatives.
+        entry), settles (whether nothing can be concluded before it is settled), spoils (whether fits are to be doubted
+        where it is so), alternatives.
     suspicions_tested: what was looked for.
     simulation: how far models, rolled forward from recorded states under recorded torque, move from the recorded
         positions: list, by length, of window_s, held_out (whether the windows are held-out data; where too

@@ -1,13 +1,13 @@
-"""Base parameters by weighted least squares, streamed: second moments per joint are all that is kept of the samples.
+"""Base parameters by weighted least squares, streamed: of the samples only second moments per joint are kept.
 
     A_j = sum a_j a_j',   a_j = [Y_b,j, tau_j];     sum_j A_j / s_j^2 are the moments of the whitened rows
 
-with Y_b the independent columns of the regressor (``BaseParameters``) that joint j has, and s_j its torque's noise,
-which may be learnt afterwards, since joints are kept apart. Memory does not grow with the number of samples.
+Y_b are the independent columns of the regressor (``BaseParameters``) that joint j has, and s_j is its torque's noise.
+As joints are kept apart, the noise may be learnt afterwards. Memory does not grow with the number of samples.
 
-Samples count as independent ones with exact states, and torques as those of the rigid body alone: what rotors and
-springs add is to be taken off (``RobotModel.known_torque``). What recordings need beyond that (filters, correlated
-noise, physical validity) is the work of ``torchrbd.identify``.
+Samples count as independent, states as exact, and torques as those of the rigid body alone: subtract those of rotors
+and springs (``RobotModel.known_torque``). For recordings, which also need filters, correlated noise and physical
+validity, use ``torchrbd.identify``.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ class BaseRegression:
 
     Args:
         robot: the robot; its gravity counts, its inertial parameters do not.
-        square_root: keep square roots of the moments: somewhat slower, and as many digits as a QR decomposition of all
-            rows has, where motions hardly tell some of the combinations.
+        square_root: keep square roots of the moments: somewhat slower, but as accurate as a QR decomposition of all
+            rows, where some combinations are hardly excited.
     """
 
     def __init__(self, robot: RobotModel, *, square_root: bool = False) -> None:
@@ -181,7 +181,7 @@ class BaseRegression:
         return _normal_equations(total)
 
     def _left(self, value: Tensor) -> Tensor:
-        """Return the standard deviation (n_dof,) of what beta leaves of the torques, none of them exactly zero."""
+        """Return the standard deviation (n_dof,) of the residual torques of beta, none of them exactly zero."""
         v = torch.cat((-value, value.new_ones(1)))
         free = self.samples - len(value) / self.robot.n_dof
         squares = [

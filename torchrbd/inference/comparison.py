@@ -1,4 +1,4 @@
-"""Compare estimators on one robot: all see the same blocks of its recordings and are judged on those kept back."""
+"""Compare estimators on one robot: all see the same blocks of its recordings and are judged on the held-out ones."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ class EstimatorComparison:
 
     Attributes:
         robot, joints: the robot's name, and its joints that are judged.
-        recordings, held_out: names of the recordings fitted; what was kept back, in words.
+        recordings, held_out: names of the recordings fitted; what was held out, in words.
         cutoff_hz: the one band limit of all torques and features.
-        base_parameters: how many combinations of inertial parameters and terms the data tells.
+        base_parameters: how many combinations of inertial parameters and terms the data identifies.
         condition: condition number of their regressor, joints weighted and columns at unit length: noise of the worst
             combination over that of the best.
-        regime: what position noise does here.
+        regime: the effect of position noise here.
         noise_matters: whether it biases a fit on filtered states. All are judged on torques that filtered states
             predict; their noise then favours estimates that are biased the same way.
         rows: the URDF as given, then the estimators in the order asked for.

@@ -202,7 +202,7 @@ def summarise(
     progress: Progress,
     suspected: Suspicions = NO_SUSPICIONS,
 ) -> Identification:
-    """Judge the URDF and fitted models on the blocks kept back; the last model is the one whose parameters are
+    """Judge the URDF and fitted models on the held-out blocks; the last model is the one whose parameters are
     reported.
 
     Args:
@@ -286,7 +286,7 @@ def _judged(model: RigidBodyDynamics, series: TorqueSeries, cutoff_hz: float, fi
 
 
 def _simulation(prepared: Prepared, modules: Mapping[str, RigidBodyDynamics], progress: Progress) -> MotionErrors:
-    """Roll the URDF and fitted models forward on the blocks kept back, where recordings are at hand."""
+    """Roll the URDF and fitted models forward on the held-out blocks, where recordings are at hand."""
     if not prepared.recordings:
         return MotionErrors((), ())
     progress("simulating motion", 0.0)

@@ -1,11 +1,11 @@
-"""Does the noise of the positions matter here? It is sent through filter, regressor and fit to see what comes out.
+"""Whether noise of the positions matters: it is propagated through filter, regressor and fit.
 
     d_b = V Y~_b'W (Y_b - Y~_b) x,   Y~ = Y(s + e),   e the encoder's noise after the state filter
 
-is how far the noise of block b moves a fit of covariance V. Over N blocks its mean mu, from noise times noise, adds up
-to a bias, its scatter S to an error: together |N mu|^2 + N tr S, in the metric V^-1 of the fit. With known states the
-error would be tr(V Y'W(1 - share)Y), from torque noise alone. A bias does not shrink as a recording grows, the others
-do. V is that of the noisy fit, so that a large excess is told too small.
+d_b is how far the noise of block b moves a fit of covariance V. Over N blocks its mean mu, from noise times noise, adds
+up to a bias, and its scatter S to an error: together |N mu|^2 + N tr S, in the metric V^-1 of the fit. With known
+states the error would be tr(V Y'W(1 - share)Y), from torque noise alone. A bias does not shrink as a recording grows,
+the others do. V is that of the noisy fit; a large excess is therefore underestimated.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ def identify_many(
         time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
             fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
             short. Default: none.
-        progress: told how many have been identified, in this thread; an error that it raises ends the work.
+        progress: called with how many have been identified, in this thread; an error that it raises ends the work.
 
     Returns:
         outcomes in the order of ``recordings``.
@@ -201,7 +201,7 @@ class WithEffects(Generic[Task, Value]):
 
 
 def counted(progress: Progress, total: int, before: str = "") -> Callable[[Attempt[Any]], None]:
-    """Tell how many of so many have been identified, behind what was ``before``; return what is told of each."""
+    """Return a callback that reports, after the text ``before``, how many of so many have been identified."""
     counts = {"identified": 0, "failed": 0}
 
     def tell() -> None:

@@ -1,10 +1,9 @@
-"""Ordinary machine physics of an identification: friction at every joint, and clocks that are apart.
+"""Baseline friction of an identification, and clock offsets between torque and motion.
 
-Friction is estimated beside the inertial parameters, not searched for: parameters of a machine that is fitted without
-its friction are those of another machine. By how much torque and motion are apart in time, how wide the sign change of
-friction is and whether joints stick is told by what is fast, reversals above all, and therefore learnt from whitened
-rows; coefficients are those of least squares in the band of the fit, which predict where the law of friction is not
-quite right.
+Friction is estimated with the inertial parameters, not searched for: without it these would be biased. The clock
+offset, the width of friction's sign change, and whether joints stick show at high frequencies, above all at reversals.
+They are therefore learnt from whitened rows. Coefficients are those of least squares in the band of the fit: they
+predict even where the law of friction is not quite right.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _SIGNIFICANT = 3.0
 
 
 def with_friction(settings: Settings) -> tuple[Effect, ...]:
-    """Return the effects to fit: those that the user names, ordinary friction if that is left open."""
+    """Return the effects to fit: those that the user names, baseline friction if that is left open."""
     if settings.effects is not None:
         return settings.chosen_effects() if settings.effects else ()
     return tuple(effect(identifier) for identifier in PLAIN if identifier not in settings.exclude)
@@ -65,7 +64,7 @@ def with_machine(
     offsets = {name: d for name, (d, _) in late.items()}
     reading = prepared.reading if clocks is None else clocks.read_with(prepared.reading, offsets)
     prepared = replace(prepared, reading=reading, late=late)
-    # What is fast may tell a width that what is slow contradicts: each joint has that which leaves less.
+    # High frequencies may give a width that low ones contradict: each joint gets the width with the smaller residual.
     narrow = prepared.columns.scales
     better = _left(prepared, wide, effects, held) < _left(prepared, narrow, effects, held)
     scales = [new if less else old for old, new, less in zip(narrow, wide, better.tolist(), strict=True)]
@@ -87,7 +86,7 @@ def _left(
 
 
 def _learnt(prepared: Prepared, held: frozenset[str]) -> Clocks | None:
-    """Return what whitened rows of a wide band tell of clocks and friction; None if they tell nothing."""
+    """Return clocks and friction estimated from whitened rows of a wide band; None if they cannot be."""
     seen = [prepared.reading.surveys[k] for k in not_held_out(prepared.reading, prepared.kept_back)]
     try:
         return in_band(prepared.reading, band_hz(seen), prepared.kept_back, held)
@@ -98,13 +97,13 @@ def _learnt(prepared: Prepared, held: frozenset[str]) -> Clocks | None:
 def _estimate_at_speed(
     prepared: Prepared, clocks: Clocks | None
 ) -> tuple[dict[str, tuple[float, float]], list[JointScale]]:
-    """Return clocks and how wide friction's sign changes are, as whitened rows of a wide band tell them.
+    """Return clock offsets, and widths of friction's sign change, estimated from whitened rows of a wide band.
 
-    Those of which plain least squares says otherwise are told by a law that is wrong: such clocks lie between the two,
-    such sign changes stay as wide as the velocity's error makes them.
+    If plain least squares disagrees, the law of friction is wrong. Such clock offsets are taken between the two
+    estimates, and such sign changes stay as wide as the velocity's error makes them.
 
     Returns:
-        by recording, the offset of its clocks and its standard deviation [s]; what each joint covers.
+        by recording, the offset of its clocks and its standard deviation [s]; the scales of each joint.
     """
     scales = list(prepared.columns.scales)
     if clocks is None:

@@ -1,4 +1,4 @@
-"""What a fit says of inertial parameters, one by one and in the combinations that motion can tell."""
+"""Estimates of inertial parameters, one by one and in identifiable combinations."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def base_estimates(prepared: Prepared, model: FittedModel, base: BaseParameters)
 
 
 def inertial_estimates(prepared: Prepared, model: FittedModel) -> list[ParameterEstimate]:
-    """Return every inertial parameter with its uncertainty and what the data tell of it."""
+    """Return every inertial parameter with its uncertainty and its status."""
     std = model.inertial_covariance(model.covariance).diagonal().sqrt()
     known = identifiability(prepared.prior, model, prepared.filtering.effective_rate)
     return [
@@ -49,7 +49,7 @@ def inertial_estimates(prepared: Prepared, model: FittedModel) -> list[Parameter
 
 
 def values_alone(prepared: Prepared, model: FittedModel, base: BaseParameters) -> list[ParameterEstimate]:
-    """Return what is known of the parameters of an estimator that tells nothing of its errors."""
+    """Return the parameters of an estimator without uncertainties."""
     robot, fitted = prepared.robot, set(prepared.prior.inertial.tolist())
     found = []
     for k, name in enumerate(robot.parameter_names):

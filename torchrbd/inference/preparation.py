@@ -49,19 +49,19 @@ class Prepared:
         reading: the recordings and how they are read.
         columns: layout of x.
         statistics: all blocks.
-        held_out: (B,) bool, blocks that no fit may see.
+        held_out: (B,) bool, held-out blocks.
         holdout_words: the same for a person.
         prior: around the URDF.
-        found_encoder_noise: (n_dof,) standard deviation of the positions as the recordings to fit show it, whatever the
-            user knows of it; root mean square over them, NaN where none tells, [rad] or [m].
-        input_noise: what position noise does to a fit on filtered states.
-        states: what uncertain states take from the information, None if the states are filtered ones.
+        found_encoder_noise: (n_dof,) standard deviation of the positions estimated from the recordings to fit, whatever
+            the user states; root mean square over them, NaN where it cannot be estimated, [rad] or [m].
+        input_noise: effect of position noise on a fit on filtered states.
+        states: information lost to uncertain states; None if the states are filtered ones.
         notes: what the user should know of the input.
-        believed: by effect and site, standard deviations (K,) of its coefficients, where more is known of them than
-            that their torque is no larger than the joint's.
-        known_shapes: by effect and site, what is known of its shapes from elsewhere, mean and standard deviation.
-        late: by recording, how much later its torque is than its motion and the standard deviation [s], where that is
-            told: it is read so much earlier. Under "" that of other recordings. None if it was not asked.
+        believed: by effect and site, standard deviations (K,) of its coefficients, where the prior knows more than that
+            their torque is no larger than the joint's.
+        known_shapes: by effect and site, prior of its shapes from another fit, mean and standard deviation.
+        late: by recording, how much later its torque is than its motion, and the standard deviation [s], where that is
+            identified: it is read so much earlier. Under "" that of other recordings. None if it was not estimated.
     """
 
     robot: RobotModel
@@ -116,7 +116,7 @@ class Prepared:
 
     @property
     def judging(self) -> BlockStatistics:
-        """Blocks kept back, ``unweighted``."""
+        """Held-out blocks, ``unweighted``."""
         return self.unweighted.select(self.held_out)
 
     @property

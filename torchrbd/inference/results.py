@@ -77,12 +77,11 @@ class ParameterEstimate:
         unit: SI unit.
         urdf: the value the URDF gives.
         value, std: posterior mean and standard deviation; std is NaN for an estimator without intervals.
-        prior_share: 0 (told by the data) to 1 (told by the URDF alone); NaN where std is.
-        status: "identified" (the data tells it alone), "combination" (only a sum with others is told), "unexcited" (the
-            robot could tell it, this data does not), "not identifiable" (no motion of this robot tells it), "held"
-            (zero-mass or trusted link, kept as the URDF has it), "term", "not judged" (no intervals, so that nobody
-            knows what the data tells of it).
-        suggestion: what to record to tell it, if "unexcited" and a short motion would.
+        prior_share: share of information from the prior, 0 (the data alone) to 1 (the URDF alone); NaN where std is.
+        status: "identified"; "combination" (only a sum with others is identified); "unexcited" (other motions would
+            identify it); "not identifiable" (by no motion of this robot); "held" (zero-mass or trusted link, kept as
+            the URDF has it); "term"; "not judged" (an estimator without intervals).
+        suggestion: a short motion that would identify it, if it is "unexcited" and there is one.
     """
 
     name: str
@@ -98,14 +97,14 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class BaseParameterEstimate:
-    """A combination of inertial parameters that this robot's motion can tell, with what these data tell of it.
+    """A combination of inertial parameters that motion of this robot can identify.
 
     Attributes:
         expression: in terms of the inertial parameters, e.g. "Iyy_link2 - 0.3 mcx_link3".
         unit: SI unit.
         urdf: its value by the URDF.
         value, std: posterior mean and standard deviation; std is NaN for an estimator without intervals.
-        prior_share: 0 (told by the data) to 1 (told by the URDF alone); NaN where std is.
+        prior_share: share of information from the prior, 0 (the data alone) to 1 (the URDF alone); NaN where std is.
     """
 
     expression: str
@@ -159,15 +158,15 @@ class Identification(Displayed):
 
     Attributes:
         robot: the robot as its URDF gives it.
-        recordings, held_out: names of the recordings fitted; what was kept back, in words.
+        recordings, held_out: names of the recordings fitted; what was held out, in words.
         cutoff_hz: the one band limit of all torques and features.
         fits: "urdf", "rigid_body" and, after a diagnosis or with effects, "extended".
         verdict: the worst that is known of the last model: "identified"; "doubtful", there are ``doubts``; "worse", its
-            mean nmse on held-out data is above 1.2 times the URDF's; or "suspect": the recordings do not mean what they
-            say, or it predicts held-out torque no better than a constant.
+            mean nmse on held-out data is above 1.2 times the URDF's; or "suspect": the recordings seem to mean
+            something else, or it predicts held-out torque no better than a constant.
         parameters: every inertial parameter, then the coefficients of the terms.
         combinations: what is identified of the parameters that are not identified alone, one sentence each.
-        base: what the robot's motion can tell, with intervals.
+        base: the identifiable combinations, with intervals.
         base_combination: K (n_base, n_params): the base parameters are K times the inertial ones.
         base_covariance: (n_base, n_base) of the base parameters; None for an estimator without intervals.
         covariance: (n_params, n_params) of all inertial parameters, or None.
@@ -175,11 +174,11 @@ class Identification(Displayed):
         regime: what position noise does to the fit, and whether states are filtered or smoothed.
         series: torques against time.
         model: the fitted module.
-        posterior: draws robots, and tells the variance of predicted torques; None for an estimator without intervals.
+        posterior: draws robots, and gives the variance of predicted torques; None for an estimator without intervals.
         remarks: what looks wrong with input or result, but for ``suspicions`` and ``regime``.
         notes: what else the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
-        suspicions: what the recordings may mean instead of what they say, and what was tested.
-        simulation: by length of the window, how far models move from what was recorded; empty where that is not known.
+        suspicions: what else the recordings may mean, and what was tested.
+        simulation: by length of the window, how far models move from the recorded motion; empty where unknown.
         finished: whether the search came to its end; False if a time limit or the user ended it before.
     """
 

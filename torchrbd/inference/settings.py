@@ -99,7 +99,7 @@ class Settings(Options):
         return torch.tensor([given.get(name, everywhere) for name in robot.joint_names], dtype=torch.float64)
 
     def held_bodies(self, robot: RobotModel) -> tuple[str, ...]:
-        """Return the bodies that ``trust`` keeps; a link that is fixed to a body stands for the body."""
+        """Return the bodies that ``trust`` keeps; a link that is fixed to a body means that body."""
         body_of = {link.name: body for body, links in robot.folded.items() for link in links}
         _check_names(self.trust, tuple(body_of), "link", robot.name)
         return tuple(dict.fromkeys(body_of[name] for name in self.trust))

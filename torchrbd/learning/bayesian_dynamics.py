@@ -1,6 +1,6 @@
 """The posterior of a robot as a module: torques with their uncertainty, robots to train with, and a loss.
 
-The mean is a physical robot, trained in log-Cholesky coordinates and coefficients theta; around it the inertial
+The mean is a physical robot, trained in log-Cholesky coordinates and coefficients theta. Around it the inertial
 parameters and coefficients x = (pi, w), in which the torque is linear, are Gaussian:
 
     theta = theta_0 + W m,   x ~ N(x(theta), R R'),   R = V T
@@ -11,8 +11,8 @@ m, T and the noise sigma are fitted by autograd to the evidence lower bound of i
     E (tau - tau(x))^2 = (tau - tau(theta))^2 + A R R' A',   A = dtau/dx = [Y, phi]
     KL = kappa sum_bodies (D + tr(D'' R R') / 2) + that of the coefficients - log det T + const
 
-with D the entropic divergence from the URDF's bodies, the prior of ``identify``, to second order. Where data are many
-the mean is therefore the convex fit's, and where bodies are known all of it is the closed form's.
+with D the entropic divergence from the URDF's bodies, the prior of ``identify``, to second order. With much data the
+mean is therefore that of the convex fit; with known bodies the whole posterior is that of the closed form.
 
 Source: Ting, Mistry, Peters, Schaal, Nakanishi, "A Bayesian Approach to Nonlinear Parameter Identification for Rigid
     Body Dynamics", RSS 2006, for variational inference of these parameters (of inputs without noise here).
@@ -71,7 +71,8 @@ class BayesianDynamics(nn.Module):
         bayes.whiten(q, qd, qdd, tau)                 # coordinates in which all directions are as steep
         loss = -bayes.elbo(q, qd, qdd, tau) / len(q)
 
-    States and torques are taken as exact and samples as independent; ``torchrbd.identify`` knows better of recordings.
+    States and torques are taken as exact and samples as independent; for recordings ``torchrbd.identify`` models both
+    better.
 
     Args:
         physics: where it starts, around which the prior is, and whose bodies and terms are free; copied.
@@ -283,12 +284,12 @@ class BayesianDynamics(nn.Module):
         return energy + 0.5 * (square / self.prior_std.square()).sum() - self.raw_factor.diagonal().sum()
 
     def whiten(self, q: Tensor, qd: Tensor, qdd: Tensor, tau: Tensor, t: Tensor | None = None) -> None:
-        """Choose coordinates in which the loss of a sample is as steep in all directions, around the mean.
+        """Choose coordinates in which the loss of a sample is equally steep in all directions, around the mean.
 
             W W' = N (J'(sum_i A_i' A_i / sigma^2) J + prior curvature)^-1,   V V' = (the same in x)^-1,   J = dx/dtheta
 
         so that a plain gradient step on -ELBO / N is a Gauss-Newton step. Noise starts from the residual of the torque,
-        and the prior of coefficients is as wide as ten times the joint's torque would make it. Where the mean has gone
+        and the prior of coefficients is as wide as ten times the joint's torque would make it. If the mean has moved
         far, whiten again, and give an optimiser the new parameters.
 
         Args:

@@ -1,9 +1,9 @@
-"""What is believed of bodies before the data, by their log-Cholesky coordinates theta.
+"""The prior of bodies, by their log-Cholesky coordinates theta.
 
     p(theta) ~ exp(-kappa D),   D(J | J_0) = tr(J_0^-1 J) - log det(J_0^-1 J) - 4
     log det J = 8 alpha + 2 (d1 + d2 + d3)
 
-Its mode is the body of the URDF, as that of the convex fit's prior.
+Its mode is the body of the URDF, as for the prior of the convex fit.
 
 Source: Lee, Wensing, Park, "Geometric Robot Dynamic Identification: A Convex Programming Approach", IEEE T-RO 2020,
     eq. (25), (31).

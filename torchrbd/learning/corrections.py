@@ -107,12 +107,12 @@ class Resistance(Correction):
 
 
 class Lagrangian(Correction):
-    """A torque that adds to the robot's Lagrangian: a potential V(q), and kinetic energy qd' M(q) qd / 2 if asked for.
+    """A torque that adds to the robot's Lagrangian: a potential V(q), and optionally kinetic energy qd' M(q) qd / 2.
 
         tau = dV/dq + d/dt (M qd) - d/dq (qd' M qd) / 2,    M = L L'
 
-    The network sees positions alone and says [V, L's lower triangle by rows]; M is never negative, so that mass
-    matrices stay positive definite. The samples of a batch must not mix in it.
+    The network has positions as inputs and returns [V, L's lower triangle by rows]. M is never negative, so that mass
+    matrices stay positive definite. It must not mix the samples of a batch.
 
     Args:
         encoder, network: as of ``Correction``.

@@ -48,11 +48,11 @@ class Training:
 
 
 class _Objective(nn.Module):
-    """What is minimised, as a module's call, which data-parallel training needs.
+    """The loss, as a module's call, which data-parallel training needs.
 
         mean w (residual - change of physics - network)^2  +  orthogonality * said  +  anchor * |theta - theta_0|^2
 
-    ``said`` is the mean square of that part of the network's torque that the physics could say, in units of noise.
+    ``said`` is the mean square of the part of the network's torque that the physics could explain, in units of noise.
     """
 
     def __init__(self, model: ResidualDynamics, dataset: ResidualDataset, orthogonality: float, anchor: float) -> None:
@@ -96,29 +96,29 @@ def fit_residual(
     """Train a ``ResidualDynamics`` in place, and leave it in evaluation mode.
 
     The loss is the squared torque error in units of each joint's noise, and the penalty. Where torch.distributed runs,
-    each process takes its part of every batch, and they end with one model, up to rounding that of one process alone.
+    each process takes its part of every batch. All end with one model, up to rounding that of one process alone.
 
     Args:
         model: on any device; normalisation and region are taken from the data.
-        dataset: what to learn from, the same in all processes.
-        validation: what to choose by. The network's torque is scaled by the part that these data surely bear out, joint
-            by joint, and of the models after each epoch, scaled so, and the physics alone, the best is kept. Without
-            such data nothing keeps the network from learning noise: give them, or few epochs.
+        dataset: training data, the same in all processes.
+        validation: validation data. The network's torque is scaled, joint by joint, by the part that this data
+            certainly confirms. The best of the models after each epoch, so scaled, and of the physics alone is kept.
+            Without validation data nothing keeps the network from learning noise: give some, or few epochs.
         epochs: in all, those of a checkpoint among them.
         batch_size: samples a step, of all processes together.
         lr: AdamW's rate for the network; the physics learns at a tenth of it.
         weight_decay: AdamW's for the network.
-        orthogonality: weight of the penalty for torque that the physics could say [-]. The network keeps about one
-            part in (1 + orthogonality) of it. Where physics has never been fitted, fit it or choose less.
-        anchor: weight of the squared distance of the physics' parameters from where they began, unless frozen.
-        checkpoint: a file that is written after every epoch, and gone on from where it is there.
-        progress: show a bar, on a terminal, of what takes over two seconds.
+        orthogonality: weight of the penalty for torque that the physics could explain [-]. The network keeps about one
+            part in (1 + orthogonality) of it. If the physics has never been fitted, fit it or choose less.
+        anchor: weight of the squared distance of the physics' parameters from their start, unless frozen.
+        checkpoint: a file that is written after every epoch; training resumes from it if it exists.
+        progress: show a bar, on a terminal, if training takes over two seconds.
         amp: compute the network in bfloat16; the physics never is.
         seed: of the order of the samples, and of the network's own randomness.
 
     Raises:
         OptionError: a number that is out of range.
-        InputError: data that are not of this model, or a checkpoint that is not.
+        InputError: data that is not of this model, or a checkpoint that is not.
     """
     for name, value, least in (("epochs", epochs, 0), ("batch_size", batch_size, _size()), ("lr", lr, 0.0)):
         if not value >= least:
@@ -158,7 +158,7 @@ def _settle(
     validation: ResidualDataset | None,
     best: dict[str, Tensor] | None,
 ) -> None:
-    """Leave the best model, and what it leaves of the torque."""
+    """Keep the best model, and its residual torque."""
     model.eval()
     if best is not None:
         model.load_state_dict(best)

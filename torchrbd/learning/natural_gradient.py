@@ -2,10 +2,10 @@
 
     theta <- theta - lr s J^-1 (H + lambda_k D)^-1 J^-T grad,   J = dx/dtheta
 
-Torque is linear in x = (pi, w), so that H = mean_i sum_j weight_j A_ij' A_ij of all samples seen is the loss's own
-curvature there, near and far. D holds, for bodies, the Hessian of the entropic divergence, the metric in which a step
-of length one still leaves a body; for coefficients the diagonal of H. Damping starts at the mean of tr(D^-1 H) and
-falls as one over the steps taken; s <= 1 keeps a step within one of D.
+Torque is linear in x = (pi, w), so that H = mean_i sum_j weight_j A_ij' A_ij of all samples so far is the exact
+curvature of the loss in x, near and far. For bodies, D holds the Hessian of the entropic divergence; in its metric a
+step of length one still leaves a body. For coefficients it holds the diagonal of H. Damping starts at the mean of
+tr(D^-1 H) and falls as one over the steps taken; s <= 1 keeps a step within one of D.
 
 Sources: Amari, "Natural Gradient Works Efficiently in Learning", Neural Computation 1998; Levenberg and Marquardt for
     the damping; Lee, Wensing, Park, "Geometric Robot Dynamic Identification", IEEE T-RO 2020, eq. (25), for D.

@@ -115,7 +115,7 @@ def residual_dataset(
 
     Torque and the model's torque, computed from states at the recording's full rate, go through one low-pass filter and
     are thinned together; features are states in the same band. The model's residual on the recordings that it was
-    fitted to is smaller than on new ones: keep some recordings, or time, from the fit.
+    fitted to is smaller than on new ones: hold some recordings, or time, out of the fit.
 
     Splits are windows of time with gaps as long as the filters reach: "train", "validation" and "test" of the same
     recordings and ``fractions`` never share a sample of the raw recording. Cut-off and weights are those of all parts.

@@ -175,11 +175,11 @@ def _pictures(
     if not pictures.measured[joint]:
         return found
     models = pictures.compared(name)
-    stretch = None
+    excerpt = None
     if item.where.time_s or curve is None:
-        stretch = pictures.around(joint, item.where, models, whole=item.depends_on == ("t",))
-    if stretch is not None:
-        return [*found, Picture(f"{name}, {stretch[0]}", models, stretch[1])]
+        excerpt = pictures.around(joint, item.where, models, whole=item.depends_on == ("t",))
+    if excerpt is not None:
+        return [*found, Picture(f"{name}, {excerpt[0]}", models, excerpt[1])]
     signal = next((pictures.states[s] for s in signals if s in pictures.states), None)
     signal = signal or (telling_signal(pictures.series, joint, models[0]), joint)
     return [*found, Picture(f"{name}, held out", models, pictures.over_state(joint, signal, models))]

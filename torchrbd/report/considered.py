@@ -1,4 +1,4 @@
-"""What was considered: hypotheses by their evidence, ordinary friction, clocks, in words and bars."""
+"""What was considered: hypotheses by their evidence, baseline friction, clocks, in words and bars."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Ordinary:
-    """Ordinary friction of one joint in words; evidence against leaving out viscous and Coulomb friction.
+    """Baseline friction of one joint in words; evidence against leaving out viscous and Coulomb friction.
 
     ``urdf_viscous`` and ``urdf_coulomb`` are what the URDF has of it, empty if nothing.
     """

@@ -13,7 +13,7 @@ SIGNALS = {"q": "position", "qd": "velocity", "qdd": "acceleration"}
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Excerpt:
     """Samples ``index`` of one recording that a figure shows, and where they lie, in words."""
 
     recording: str
@@ -21,11 +21,11 @@ class Stretch:
     words: str
 
 
-def informative_stretch(series: TorqueSeries, joint: int, model: str) -> Stretch:
+def informative_excerpt(series: TorqueSeries, joint: int, model: str) -> Excerpt:
     """Return the 15 s of held-out data in which ``model`` leaves the largest residual at a joint."""
     energy = np.nan_to_num(series.residual(model)[:, joint] ** 2)
     energy = np.where(series.held_out, energy, 0.0) if (energy * series.held_out).any() else energy
-    best, score = Stretch("", np.zeros(0, dtype=int), ""), -1.0
+    best, score = Excerpt("", np.zeros(0, dtype=int), ""), -1.0
     for r, name in enumerate(series.recordings):
         rows = np.flatnonzero(series.recording == r)
         if not rows.size:
@@ -38,7 +38,7 @@ def informative_stretch(series: TorqueSeries, joint: int, model: str) -> Stretch
         if total[end[k]] - total[start[k]] > score:
             score, index = total[end[k]] - total[start[k]], rows[start[k] : end[k]]
             part = f", {t[start[k]]:.1f} to {t[end[k] - 1]:.1f} s, where the residual is largest"
-            best = Stretch(name, index, name + part * (len(index) < len(rows)))
+            best = Excerpt(name, index, name + part * (len(index) < len(rows)))
     return best
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from torchrbd.diagnosis.results import Curve
 from torchrbd.inference.results import TorqueSeries
-from torchrbd.report.excerpt import Stretch, binned_mean, shown_rows, signal_words
+from torchrbd.report.excerpt import Excerpt, binned_mean, shown_rows, signal_words
 from torchrbd.report.inline import COLOURS, HELD_OUT, MARK, MEASURED, SOFT, canvas
 from torchrbd.report.text.numbers import power_of_ten
 
@@ -43,7 +43,7 @@ def _zero_line(axes: Axes, label: str) -> None:
 def time_figure(
     series: TorqueSeries,
     joint: int,
-    stretch: Stretch,
+    excerpt: Excerpt,
     units: Units,
     models: Sequence[str],
     compared: Sequence[str],
@@ -53,7 +53,7 @@ def time_figure(
 
     ``marks`` are the intervals [s] to which a finding is confined.
     """
-    rows = stretch.index[:: max(1, -(-len(stretch.index) // MAX_LINE))]
+    rows = excerpt.index[:: max(1, -(-len(excerpt.index) // MAX_LINE))]
     t, measured = series.t[rows], series.measured[rows, joint].copy()
     step = np.diff(t, prepend=t[0])
     measured[step > 5 * np.median(step)] = np.nan  # a gap in the recording is no straight line

@@ -15,7 +15,7 @@ from torchrbd.inference.results import Identification, ParameterEstimate
 from torchrbd.outputs import write_whole
 from torchrbd.report.cards import Card, PlainRow, finding_cards, plain_rows, plain_titles, unexplained_cards
 from torchrbd.report.considered import BAR_END, Considered, considered
-from torchrbd.report.excerpt import informative_stretch
+from torchrbd.report.excerpt import informative_excerpt
 from torchrbd.report.inline import page_style
 from torchrbd.report.pictures import Pictures
 from torchrbd.report.springs import spring_figure
@@ -190,11 +190,11 @@ class Page:
         """Return what is drawn of one joint."""
         name, draw = self.joints[joint], self.pictures
         compared = draw.compared(name)
-        stretch = informative_stretch(draw.series, joint, compared[0])
-        marks = self.marks(name, stretch.recording)
-        time = draw.over_time(joint, stretch, compared, marks)
+        excerpt = informative_excerpt(draw.series, joint, compared[0])
+        marks = self.marks(name, excerpt.recording)
+        time = draw.over_time(joint, excerpt, compared, marks)
         states = [draw.over_state(joint, (s, joint), compared) for s in ("q", "qd")]
-        return JointFigures(time, stretch.words, bool(marks), states)
+        return JointFigures(time, excerpt.words, bool(marks), states)
 
     def marks(self, joint: str, recording: str) -> list[tuple[float, float]]:
         """Return when in a recording something that was found at a joint holds, if it does not always."""

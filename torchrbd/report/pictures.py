@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from torchrbd.diagnosis.results import Curve, Location, ResidualMap, Where
 from torchrbd.inference.results import Identification
-from torchrbd.report.excerpt import SIGNALS, Stretch, signal_words
+from torchrbd.report.excerpt import SIGNALS, Excerpt, signal_words
 from torchrbd.report.figures import (
     Units,
     curve_figure,
@@ -124,9 +124,9 @@ class Pictures:
             figure, f"residual of {self.joints[joint]} against {signal_words(self.series, joint, signal)}"
         )
 
-    def over_time(self, joint: int, stretch: Stretch, models: list[str], marks: list[tuple[float, float]]) -> Markup:
+    def over_time(self, joint: int, excerpt: Excerpt, models: list[str], marks: list[tuple[float, float]]) -> Markup:
         """Draw torque and residual of a joint against time."""
-        figure = time_figure(self.series, joint, stretch, self.units[joint], self.drawn, models, marks)
+        figure = time_figure(self.series, joint, excerpt, self.units[joint], self.drawn, models, marks)
         return self.inline(figure, f"torque of {self.joints[joint]} against time")
 
     def around(self, joint: int, where: Where, models: list[str], *, whole: bool) -> tuple[str, Markup] | None:

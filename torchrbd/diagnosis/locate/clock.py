@@ -89,9 +89,9 @@ class Clock:
     def _owner(self, edge: float) -> int:
         return int(np.searchsorted(self.starts, edge, side="right")) - 1
 
-    def inside(self, stretch: Interval) -> np.ndarray:
+    def inside(self, interval: Interval) -> np.ndarray:
         """Return 1 within a window and 0 outside, as the filter leaves it, (M,)."""
-        return self.scene.since(self.axis - stretch.low) - self.scene.since(self.axis - stretch.high)
+        return self.scene.since(self.axis - interval.low) - self.scene.since(self.axis - interval.high)
 
     def scan(self, fit: Fit, phi: Mapping[int, np.ndarray]) -> Interval:
         """Return the window of one recording in which features (K, M) at joints act best."""
@@ -117,18 +117,18 @@ class Clock:
             found, reach = (finer if finer.gain > found.gain else found), spacing
         return found
 
-    def place(self, stretch: Interval) -> tuple[str, tuple[float, float] | None]:
+    def place(self, interval: Interval) -> tuple[str, tuple[float, float] | None]:
         """Return the recording of a window, and its begin and end there [s], None if it is the whole recording."""
-        k = self._owner(stretch.low)
-        begins, ends = stretch.low in self.starts, stretch.high in self.ends
-        low = float(self._first[k]) if begins else stretch.low - float(self.shift[k])
-        high = float(self._last[k]) if ends else stretch.high - float(self.shift[k])
+        k = self._owner(interval.low)
+        begins, ends = interval.low in self.starts, interval.high in self.ends
+        low = float(self._first[k]) if begins else interval.low - float(self.shift[k])
+        high = float(self._last[k]) if ends else interval.high - float(self.shift[k])
         name = self.scene.samples.recordings[self.numbers[k]]
         return name, None if begins and ends else (round(low, 2), round(high, 2))
 
-    def window(self, stretch: Interval) -> Window:
+    def window(self, interval: Interval) -> Window:
         """Return the axis' window as a ``Window``, open where it begins or ends with its recording."""
-        k = self._owner(stretch.low)
-        low = -np.inf if stretch.low in self.starts else stretch.low - float(self.shift[k])
-        high = np.inf if stretch.high in self.ends else stretch.high - float(self.shift[k])
+        k = self._owner(interval.low)
+        low = -np.inf if interval.low in self.starts else interval.low - float(self.shift[k])
+        high = np.inf if interval.high in self.ends else interval.high - float(self.shift[k])
         return Window(self.scene.samples.recordings[self.numbers[k]], float(low), float(high))

@@ -71,13 +71,13 @@ def _location(search: Search, part: Part, without: Fit, left: np.ndarray, quiet:
         depends_on = (part.smooth.signal.name,)
         if depends_on != ("t",):
             curve = _curve(smooth(without, scene, part.joints[0], part.smooth.signal))
-    elif part.stretch is not None:
+    elif part.window is not None:
         depends_on = ("t",)
     links, hit = (), None
     if part.body is not None:
         links = (robot.body_names[part.body],)
         hit = attack(without, _touched(search, part), part.form, robot.gravity.numpy())
-    course = "abrupt" if part.stretch else "slow" if depends_on == ("t",) else ""
+    course = "abrupt" if part.window else "slow" if depends_on == ("t",) else ""
     unit = torque_unit(robot, felt[0])
     names = tuple(joints[j] for j in felt)
     share = _share(_counted(visible, rows), _counted(left, rows))
@@ -102,14 +102,14 @@ def _touched(search: Search, part: Part) -> dict[int, np.ndarray]:
     """Return what a mass, or a force at a point, on the body of a part takes at each joint, (K, M)."""
     scene = search.scene
     held = scene.carried if part.form == "payload" else scene.held.reshape(*scene.held.shape[:2], 12, -1)
-    inside = 1.0 if part.stretch is None else search.clock.inside(part.stretch)
+    inside = 1.0 if part.window is None else search.clock.inside(part.window)
     return {j: held[part.body, j] * inside for j in scene.seen}
 
 
 def _where(clock: Clock, part: Part, without: Fit) -> Where:
     """Return recordings, times and region of a part."""
-    if part.stretch is not None:
-        recording, span = clock.place(part.stretch)
+    if part.window is not None:
+        recording, span = clock.place(part.window)
         return Where((recording,) if len(clock.numbers) > 1 else None, None if span is None else (span,))
     region = None
     if part.region is not None and part.smooth is not None:

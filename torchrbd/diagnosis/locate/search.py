@@ -28,7 +28,7 @@ LEAST_START, SHORT_OF_BEST, ROUNDS, SHARPENINGS = 4.0, 0.25, 1, 2
 LEAST_ROWS = 2
 # Torque sensors drift: a slow level must gain so much more.
 DRIFT_COST = 15.0
-MOST_PARTS, SHORTLIST, STRETCHES = 5, 6, 3
+MOST_PARTS, SHORTLIST, WINDOWS = 5, 6, 3
 # A function is confined to an interval if one without freedom there, nothing elsewhere, gains this part as much.
 # An interval that holds this part of all samples is none.
 REGION_PART, MOST_OF_A_SIGNAL = 0.7, 0.9
@@ -46,7 +46,7 @@ class Part:
         cost: of its freedom and of the search, in the same units.
         columns: (K, M) by joint; a body's coefficients are the same at all joints.
         smooth: the function of a signal, if that is what it is.
-        stretch: the window of time, if it acts in one.
+        window: the window of time, if it acts in one.
         body: on which it acts.
         region: the interval of the signal to which the function is confined; None if it is not.
     """
@@ -57,7 +57,7 @@ class Part:
     cost: float
     columns: Mapping[int, np.ndarray]
     smooth: Smooth | None = None
-    stretch: Interval | None = None
+    window: Interval | None = None
     body: int | None = None
     region: Interval | None = None
 
@@ -146,7 +146,7 @@ class Search:
 
     def _candidates(self, fit: Fit, joints: Sequence[int] | None = None) -> Iterator[Part]:
         """Yield what may explain the residual of joints, of all by default."""
-        stretches, counts = [], fit.rows.counts
+        windows, counts = [], fit.rows.counts
         for j in self.scene.seen if joints is None else joints:
             for one in self._bases[j].smooths(fit):
                 if one.gain > 0 and len(one.columns):
@@ -158,16 +158,16 @@ class Search:
                 phi = form_columns(self.scene, j, form)
                 if not len(phi):
                     continue
-                stretch = self.clock.scan(fit, {j: phi})
-                stretches.append(stretch)
-                if stretch.gain > 0:
+                window = self.clock.scan(fit, {j: phi})
+                windows.append(window)
+                if window.gain > 0:
                     cost = _freedom(len(phi), counts[j]) + np.log(self.clock.fine.count)
-                    acting = {j: phi * self.clock.inside(stretch)}
-                    yield Part((j,), stretch.gain, form, cost, acting, stretch=stretch)
+                    acting = {j: phi * self.clock.inside(window)}
+                    yield Part((j,), window.gain, form, cost, acting, window=window)
         if joints is None or len(joints) > 1:
-            yield from self._bodies(fit, sorted(stretches, key=lambda s: -s.gain)[:STRETCHES])
+            yield from self._bodies(fit, sorted(windows, key=lambda s: -s.gain)[:WINDOWS])
 
-    def _bodies(self, fit: Fit, stretches: Sequence[Interval]) -> Iterator[Part]:
+    def _bodies(self, fit: Fit, windows: Sequence[Interval]) -> Iterator[Part]:
         """Yield the body that a mass, a force at a point, or a force and a moment explain best in a window of time."""
         scene, seen = self.scene, self.scene.seen
         point = scene.held.reshape(*scene.held.shape[:2], 12, -1)
@@ -177,30 +177,30 @@ class Search:
         several = (
             self.clock.scan(fit, {j: f[scene.outermost, j] for j in seen}) for f in (scene.carried, scene.pressed)
         )
-        stretches = [s for s in (*stretches, *several) if np.isfinite(s.gain)]
+        windows = [s for s in (*windows, *several) if np.isfinite(s.gain)]
         for form, features, heaviest in kinds:
             # A load that is always there is the link's own.
-            offered = [*stretches, None] if form == "force" else stretches
+            offered = [*windows, None] if form == "force" else windows
             options = [(*one, s) for s in offered for one in each_body(fit, features * self._inside(s), seen)]
             if not options:
                 continue
-            gain, body, w, stretch = max(options, key=lambda option: option[0])
+            gain, body, w, window = max(options, key=lambda option: option[0])
             cost = _freedom(len(w), sum(fit.rows.counts)) + np.log(self.clock.fine.count * len(features))
             if gain <= cost or np.abs(w[: 1 if form == "payload" else 3]).max() > heaviest:
                 continue
             phi = features[body]
             for _ in range(SHARPENINGS):
-                if stretch is None:
+                if window is None:
                     break
                 mixture = {j: (w @ phi[j])[None] for j in seen}
-                stretch = self.clock.sharpened(fit, mixture, replace(stretch, gain=-np.inf))
-                gain, w = coefficients(fit, {j: phi[j] * self.clock.inside(stretch) for j in seen})
-            acting = {j: f * self._inside(stretch) for j, f in enumerate(phi)}
+                window = self.clock.sharpened(fit, mixture, replace(window, gain=-np.inf))
+                gain, w = coefficients(fit, {j: phi[j] * self.clock.inside(window) for j in seen})
+            acting = {j: f * self._inside(window) for j, f in enumerate(phi)}
             joints = tuple(j for j, f in acting.items() if f.any())
-            yield Part(joints, gain - cost, form, cost, acting, stretch=stretch, body=body)
+            yield Part(joints, gain - cost, form, cost, acting, window=window, body=body)
 
-    def _inside(self, stretch: Interval | None) -> np.ndarray | float:
-        return 1.0 if stretch is None else self.clock.inside(stretch)
+    def _inside(self, window: Interval | None) -> np.ndarray | float:
+        return 1.0 if window is None else self.clock.inside(window)
 
 
 def enough(fit: Fit) -> bool:

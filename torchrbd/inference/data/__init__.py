@@ -1,1 +1,1 @@
-"""What fits read: columns of x, and second moments per joint and stretch of time, from recordings and known loads."""
+"""What fits read: columns of x, and second moments per joint and block of time, from recordings and known loads."""

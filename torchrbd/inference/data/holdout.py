@@ -1,4 +1,4 @@
-"""Which blocks are kept back: no fit sees them, all models are judged on them."""
+"""Which blocks are held out: no fit sees them, all models are judged on them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torchrbd.recordings import Recording
 
 _LEAST_BLOCKS = 6
 
-# Neighbouring blocks that are kept back together: fewer seams between what is fitted and what is judged.
+# Neighbouring blocks that are held out together: fewer seams between what is fitted and what is judged.
 _RUN = 2
 
 
@@ -54,7 +54,7 @@ def _check_judges(reading: Reading, held_out: Sequence[int]) -> None:
         names = ", ".join(reading.recordings[k].name for k in held_out)
         raise RecordingError(
             f"nothing moves in what is held out ({names}), or no torque changes there, so that it judges no model; "
-            "hold out others, or none: a part of each recording is kept back then"
+            "hold out others, or none: a part of each recording is held out then"
         )
 
 
@@ -91,11 +91,11 @@ def check_enough(held: Tensor, words: str, block_s: float, cutoff_hz: float, run
     """Refuse recordings that leave too little to fit, and say how much more is needed.
 
     Args:
-        held: (B,) bool, blocks kept back.
+        held: (B,) bool, held-out blocks.
         words: the same for a person.
         block_s: length of a block [s].
         cutoff_hz: of the filters.
-        runs: fraction and seed of ``held_out_runs``; None where whole recordings are kept back.
+        runs: fraction and seed of ``held_out_runs``; None where whole recordings are held out.
     """
     n_training = int((~held).sum())
     if n_training >= _LEAST_BLOCKS:
@@ -113,7 +113,7 @@ def check_enough(held: Tensor, words: str, block_s: float, cutoff_hz: float, run
 def _runs(n_blocks: int, fraction: float, seed: int) -> Tensor:
     period = max(2, round(_RUN / fraction))
     run = min(_RUN, period // 2)
-    # Counted through all recordings; of very few blocks at least the last is kept back.
+    # Counted through all recordings; of very few blocks at least the last is held out.
     held = (torch.arange(n_blocks) + seed * run) % period >= period - run
     if not held.any():
         held[-run:] = True

@@ -104,7 +104,7 @@ def _named(source: Path | InMemory) -> tuple[Path | Data, str | None]:
 
 
 def _same(source: NamedSource) -> str | int:
-    """Return what tells a recording from others: its file, its data, or the name of one that has been opened."""
+    """Return what identifies a recording: its file, its data, or the name of one that has been opened."""
     return id(source.data) if isinstance(source, InMemory) else _words(source)
 
 

@@ -54,12 +54,12 @@ class Estimate:
 
 
 def estimate(prepared: Prepared, name: str, terms: Sequence[Candidate] = ()) -> Estimate:
-    """Estimate a robot's parameters from the blocks that are not kept back.
+    """Estimate a robot's parameters from the blocks that are not held out.
 
     Args:
         prepared: the data, with filtered states.
         name: one of ``estimators()``.
-        terms: effects that are fitted beside the inertial parameters.
+        terms: effects that are fitted with the inertial parameters.
 
     Raises:
         OptionError: an unknown name, or an estimator that cannot be used on these recordings.

@@ -2,8 +2,9 @@
 
     (tau_j - Y_j x0) / s_j = (Y_b,j / s_j) beta + unit noise
 
-The rows of all joints form one regression; s_j is what weighted least squares leaves. Columns have unit mean square, so
-that methods that depend on scale treat all alike; 0 is the URDF. Stretches of time are the folds of cross-validation.
+The rows of all joints form one regression; s_j is the residual's standard deviation by weighted least squares. Columns
+have unit mean square, so that methods that depend on scale treat all alike; 0 is the URDF. Blocks of time are the folds
+of cross-validation.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The linear problem that every estimator solves: the combinations of coefficients that the data tells, and their lift.
+"""The linear problem that every estimator solves: identifiable combinations of coefficients, and their lift.
 
     tau - Y x0 = Y_b beta + noise,   beta = K dx,   x = x0 + dx
 
@@ -37,12 +37,12 @@ _MOST_ROUNDS, _SETTLED = 10, 1e-6
 
 @dataclass(frozen=True)
 class LinearProblem:
-    """What the fitted blocks tell of the coefficients.
+    """The fitted blocks as one linear problem.
 
     Attributes:
         prepared: the data.
         training: blocks to fit.
-        terms: the free terms beside the rigid body.
+        terms: the free terms besides the rigid body.
         free: indices in x of the fitted columns.
         chosen: (d,) indices in x of the independent ones among them, Y_b.
         lift: (n, d) with dx = lift beta.
@@ -91,7 +91,7 @@ class LinearProblem:
         return with_noise(self.training, fit, rounds=_MOST_ROUNDS, tolerance=_SETTLED)
 
     def information(self) -> Tensor:
-        """Return what the fitted blocks tell of x as weighted least squares weighs them, (n, n)."""
+        """Return the information of the fitted blocks on x, by the weights of weighted least squares, (n, n)."""
         _, variance = self.weighted()
         return assemble(self.training.columns, self.training.total(), 1.0 / variance)[0]
 
@@ -109,17 +109,17 @@ class LinearProblem:
 
 
 def linear_problem(prepared: Prepared, terms: Sequence[Candidate] = ()) -> LinearProblem:
-    """Find what the data tells of a robot's inertial parameters and of terms.
+    """Return the linear problem of a robot's inertial parameters and terms.
 
     Args:
         prepared: the data.
-        terms: effects that are fitted beside the inertial parameters.
+        terms: effects that are fitted with the inertial parameters.
     """
     columns, prior, training = prepared.columns, prepared.prior, without_columns_at_rest(prepared.training)
     free = columns_of(prepared, terms)
     H, _ = assemble(columns, training.total(), 1.0 / first_noise_variance(training))
     H = H[free][:, free]
-    # What a column tells in units of the prior: that of a parameter without effect is rounding, not exactly zero.
+    # Information of a column in units of the prior: that of a parameter without effect is rounding, not exactly zero.
     seen = H.diagonal() * prior.scale[free].square().sum(1)
     length = torch.where(seen > _EFFECT * seen.max(), H.diagonal(), torch.inf).sqrt()
     G = H / (length.unsqueeze(1) * length)

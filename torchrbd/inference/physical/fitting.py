@@ -35,8 +35,8 @@ class FittedModel:
 
     Attributes:
         columns: layout of x.
-        terms: what is free beside the rigid body: terms, and slopes of refined ones in their shapes, which keep the
-            coefficient zero and carry the covariance of the shapes.
+        terms: what is free besides the rigid body: terms, and slopes of refined ones in their shapes. The coefficient
+            of a slope stays zero; it carries the covariance of the shape.
         x: (n,) coefficients.
         free: indices of the fitted ones.
         laplace: (n_free, n_free) covariance from the curvature, counting independent samples.
@@ -44,7 +44,7 @@ class FittedModel:
         noise_variance: (n_dof,) of the band-limited torque.
         converged: False if the torques are so far from any rigid body's that the fit stopped early.
         prior_covariance: (n_free, n_free) covariance before the data.
-        scatter: how far single blocks move the fit, where that has been worked out.
+        scatter: how far single blocks move the fit, where that has been computed.
     """
 
     columns: Columns
@@ -87,9 +87,9 @@ class FittedModel:
         return self.x[self.free[at]], self.covariance[at.unsqueeze(1), at]
 
     def module(self) -> RigidBodyDynamics:
-        """Return the model as a module; friction that the URDF has stays in it unless a term has re-fitted it.
+        """Return the model as a module; friction of the URDF stays in it unless a term has re-fitted it.
 
-        Rotors and springs that the robot's description tells stay: what is fitted comes on top of them.
+        Rotors and springs of the robot's description stay: what is fitted is added to them.
         """
         columns = self.columns
         refitted = {k for c in self.terms for k in columns.of(c)}
@@ -123,9 +123,9 @@ def fit_model(
     Args:
         statistics: blocks to fit.
         prior: prior of the inertial parameters.
-        terms: terms that are fitted beside them; other columns keep the URDF's value.
+        terms: terms that are fitted with them; other columns keep the URDF's value.
         noise: (n_dof,) variances of the torque noise; estimated if not given.
-        states: what uncertain states take from the information, if they were smoothed.
+        states: information lost to uncertain states, if they were smoothed.
     """
     columns = statistics.columns
     term_columns = torch.tensor(sorted({k for c in terms for k in columns.of(c)}), dtype=torch.long)
@@ -267,7 +267,7 @@ def _varied(statistics: BlockStatistics) -> list[int]:
 def relative_to_constant(fitted: BlockStatistics, judged: BlockStatistics, x: Tensor) -> Tensor:
     """Return squared errors on blocks over those of a constant, the mean of other blocks' torque, (n_dof,).
 
-    Unlike nmse it does not ask a model to know the mean of a short stretch. NaN where either has no torque.
+    Unlike nmse it does not expect a model to know the mean of a short block. NaN where either has no torque.
 
     Args:
         fitted: blocks that have the mean.

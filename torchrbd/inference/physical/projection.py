@@ -13,7 +13,7 @@ distance. Both follow from convexity at the minimum, where f'(x) = kappa (J^-1 -
 
 Two metrics are of use: that of ``relevance``, a weight for each parameter, with which Ting et al. make their estimate
 physical, and the information of the data (the Gram matrix). The first moves parameters one by one, and so loses the
-combinations that the data has told; the second keeps them: projecting an unconstrained fit gives the constrained one.
+combinations that the data identifies; the second keeps them: projecting an unconstrained fit gives the constrained one.
 
 Source: Ting, Mistry, Peters, Schaal, Nakanishi, "A Bayesian Approach to Nonlinear Parameter Identification for Rigid
 Body Dynamics", RSS 2006 (there by minimisation in nonlinear coordinates; here the problem is convex).

@@ -3,14 +3,14 @@
     d_b = (P - H_b)^-1 s_b,   s_b = sum_j A_jb (tau - x) / sigma_j^2,   P = sum_b H_b + prior curvature
     v = (B - 1)/B sum_b (g'd_b - mean)^2 + g'P^-1 (P - sum_b H_b) P^-1 g
 
--d_b is the step from the fit to all blocks to the fit to all but b. A block that alone tells a parameter pulls the fit
-to itself, so that its own error s_b says too little; leaving out H_b makes up for that. The steps tell the variance of
+-d_b is the step from the fit to all blocks to the fit to all but b. A block that alone identifies a parameter pulls the
+fit to itself, so that its own error s_b is too small; leaving out H_b corrects that. The steps estimate the variance of
 g'x as well as nu blocks of equal weight would, 1/nu = sum_b p_b^2 with p_b the part of the information on g'x that
-block b has. Few blocks tell it badly, so that what the fit assumed, u, counts as two more:
+block b has. Few blocks estimate it badly, so that what the fit assumed, u, counts as two more:
 
     var(g'x) = (2 u + (nu - 1) v) / (nu + 1)
 
-and the interval is Student's with nu + 1 degrees of freedom, told here as the variance of a normal one as wide.
+and the interval is Student's with nu + 1 degrees of freedom, given here as the variance of a normal one as wide.
 
 Sources: MacKinnon, White, "Some heteroskedasticity-consistent covariance matrix estimators with improved finite sample
 properties", J. Econometrics 1985 (the jackknife); Bell, McCaffrey, "Bias reduction in standard errors for linear
@@ -86,7 +86,7 @@ class Scatter:
         )
 
     def effective_blocks(self, g: Tensor) -> float:
-        """Return nu: how many blocks of equal weight would tell g'x as evenly."""
+        """Return nu: the number of blocks of equal weight with as even an information on g'x."""
         at = torch.nonzero(g).flatten()
         variances = (self._block_covariances[:, at][:, :, at] @ g[at]) @ g[at]
         power = float(variances.square().sum())
@@ -102,7 +102,7 @@ class Scatter:
 
 
 def _information(statistics: BlockStatistics, weights: Tensor, free: Tensor) -> Iterator[Tensor]:
-    """Yield what each block tells of some coefficients (F,), H_b (F, F)."""
+    """Yield the information of each block on some coefficients (F,), H_b (F, F)."""
     for b in range(len(statistics)):
         H, _ = assemble(statistics.columns, [m[b] for m in statistics.moments], weights)
         yield H[free.unsqueeze(1), free]

@@ -14,7 +14,7 @@ from torchrbd.likelihood.shapes import Axis, ShapeSlope, axes
 
 # Of the range of a shape on the grid.
 _DIFFERENCE = 1e-3
-# A coefficient is told from so many standard deviations on; one is not that may be so many times what is believed.
+# A coefficient is significant from so many standard deviations on; another may be so many times its prior size.
 _SIGNIFICANT, _WIDE = 3.0, 10.0
 
 
@@ -62,9 +62,9 @@ def term_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple
 
 
 def estimated_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple[float, float]]:
-    """Return the same; what the data leave far more open than what is believed of it without them is not a number.
+    """Return the same; NaN where the data leaves a coefficient far more open than its prior does.
 
-    Of several coefficients what is believed are proportions: the size is that of those that are told.
+    The prior of several coefficients has their proportions: their size is that of the significant ones.
     """
     found, believed = term_parameters(model, candidate), candidate.effect.prior.proportions
     if len(believed) != len(found):

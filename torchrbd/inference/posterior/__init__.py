@@ -1,1 +1,1 @@
-"""What is known after a fit: robots drawn from the posterior, predictive variance, what the data does not tell."""
+"""What is known after a fit: robots drawn from the posterior, predictive variance, parameters not identified."""

@@ -1,4 +1,4 @@
-"""Short motions that could be added to a recording, and what each would tell.
+"""Short motions that could be added to a recording, and the information of each.
 
 A motion is a handful of states, worth ``SECONDS`` of recording at the present noise; its information about x is
 
@@ -79,7 +79,7 @@ def states(robot: RobotModel, motion: Motion) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def information(model: FittedModel, motion: Motion, T: Tensor, rate_hz: float) -> Tensor:
-    """Return what a motion tells of the free coefficients in coordinates T, (n_free, n_free).
+    """Return the information of a motion on the free coefficients in coordinates T, (n_free, n_free).
 
     Args:
         model: the fit, which gives the noise.
@@ -97,7 +97,7 @@ def information(model: FittedModel, motion: Motion, T: Tensor, rate_hz: float) -
             continue
         at = place[index]
         own = T[at[at >= 0]]
-        # A joint tells nothing of the bodies that it does not move.
+        # A joint has no information on bodies that it does not move.
         seen = torch.nonzero(own.any(0)).flatten()
         row = (SECONDS * rate_hz / (a.shape[1] * variance)) ** 0.5 * (own[:, seen].T @ a[at >= 0])
         found[seen.unsqueeze(1), seen] += row @ row.T

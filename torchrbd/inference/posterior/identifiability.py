@@ -1,11 +1,11 @@
-"""What the data tells of each inertial parameter, what the prior, and which motion would tell more.
+"""How each inertial parameter is identified: by data or prior, and which motion would add most information.
 
     share = var(pi_k | data) / var(pi_k),   floor = var(pi_k | base parameters) / var(pi_k)
 
 The variances belong to the curvature at the fit, with and without that of the data. The floor is what remains of a
-parameter's variance when every motion has been made; the part of what motions can tell that this data has not told is
+parameter's variance after every possible motion. Of the part that motion can identify, this data leaves open
 
-    untold = (share - floor) / (1 - floor)
+    unidentified = (share - floor) / (1 - floor)
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from torchrbd.parameters import PARAMETERS_PER_BODY, BaseParameters, base_parame
 
 Status = Literal["identified", "combination", "unexcited", "not identifiable", "held"]
 
-# Told: more than half of what any motion could tell.
+# Not identified: this data leaves open more than this part of what motion can identify.
 _UNIDENTIFIED = 0.5
 # A simpler motion is suggested if it leaves at most this much more than the best, or so little that it does not matter.
 _AS_GOOD, _ENOUGH = 1.3, 0.15
@@ -39,12 +39,12 @@ class Identifiability:
 
     Attributes:
         name, owner: of the parameter and its body.
-        prior_share: 0 (told by the data) to 1 (told by the URDF alone).
-        least_share: what would remain after every motion; above 0 where only combinations can be told.
-        status: "identified" alone, in a "combination" with others, "unexcited" (this data does not identify it, the
-            robot could), "not identifiable" tells it with the base fixed, or "held" as the URDF has it.
-        combinations: the combinations of it that motions can tell, one sentence each, shortest first.
-        motion: what to record to tell it, if "unexcited"; None where no short motion would at the present noise.
+        prior_share: share of information from the prior: 0 (the data alone) to 1 (the URDF alone).
+        least_share: the same after every possible motion; above 0 where only combinations are identifiable.
+        status: "identified" alone, in a "combination" with others, "unexcited" (other motions would identify it), "not
+            identifiable" with the base fixed, or "held" as the URDF has it.
+        combinations: its identifiable combinations, one sentence each, shortest first.
+        motion: what to record to identify it, if "unexcited"; None where no short motion would at the present noise.
         suggestion: the same in words, otherwise empty.
         prior_share_after: predicted, with ten seconds of that motion added.
         statement: all this in one sentence.
@@ -182,7 +182,7 @@ def _suggestions(model: FittedModel, state: _State, rate_hz: float) -> dict[int,
         if least > _USELESS * float(before[row]):
             found[row] = (None, float(state.share[row]))
             continue
-        # Motions stand in the order of their simplicity; of the simplest kind the joint that tells most.
+        # Motions are ordered by simplicity; of the simplest kind, the joint with most information is taken.
         good = [i for i in range(len(motions)) if float(left[i, row]) <= max(_AS_GOOD * least, _ENOUGH)]
         kind = motions[good[0]].kind
         best = motions[min((i for i in good if motions[i].kind == kind), key=lambda i: float(left[i, row]))]

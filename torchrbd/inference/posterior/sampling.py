@@ -4,7 +4,7 @@
 
 The likelihood is quadratic in x; with the covariance from the curvature (``laplace``) H is that of the data, with the
 widened covariance C it is weakened to H = C^-1 - kappa D''(x_fit), at least 0. The fit is the mode of p in both cases.
-It is a density over pi, and skewed, so that its mean is not its mode: of a body that no data tells, J follows the
+It is a density over pi, and skewed, so that its mean is not its mode: for a body without data, J follows the
 Wishart distribution of 2 kappa + 5 degrees of freedom, whose mean is (2 kappa + 5) / (2 kappa) J0.
 
 With J = F (1 + X) F' around the mode of p det(J)^(5/2), where the Wishart's mean is, and k = kappa + 5/2,
@@ -97,7 +97,7 @@ def sample_robots(
 
 
 def sample_around(prior: Prior, x: Tensor, free: Tensor, covariance: Tensor, n_samples: int, seed: int) -> RobotSamples:
-    """Draw robots around a mode, whose curvature is told by a covariance.
+    """Draw robots around a mode, whose curvature is given by a covariance.
 
     Args:
         prior: around which the robots are physical.

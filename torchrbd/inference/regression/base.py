@@ -57,7 +57,7 @@ class Regression(ABC):
 
     @property
     def noisy_coefficients(self) -> Tensor:
-        """Coefficients (d,) that predict y from inputs as noisy as the training ones; b itself unless told apart."""
+        """Coefficients (d,) that predict y from inputs as noisy as the training ones; b itself unless they differ."""
         return self.coefficients if self._noisy_b is None else self._noisy_b
 
     @abstractmethod

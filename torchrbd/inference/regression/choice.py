@@ -93,7 +93,7 @@ class BestRegression(Regression):
 
     Psi unknown: FactorRegression, which finds Psi where inputs have much in common, stepwise selection and least
     squares, judged by their prediction from noisy inputs. Two models that predict equally well from noisy inputs can
-    differ at noiseless ones, and no data tells which is right (see FactorRegression). Therefore least squares stays
+    differ at noiseless ones, and no data can show which is right (see FactorRegression). Therefore least squares stays
     unless another one is better by two standard errors. Where noise is known, give it.
 
     Args:

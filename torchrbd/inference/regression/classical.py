@@ -12,7 +12,7 @@ from torchrbd.errors import OptionError
 from torchrbd.inference.regression.base import Regression
 from torchrbd.inference.regression.moments import Moments, as_float64
 
-# Moments hold squares, so that singular values below the root of the rounding error cannot be told from zero.
+# Moments hold squares: singular values below the root of the rounding error cannot be distinguished from zero.
 ROUNDING = 1e-6
 
 

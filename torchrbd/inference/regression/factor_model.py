@@ -100,7 +100,7 @@ def choose_rank(moments: Moments, noise: Tensor) -> int:
             seen[rank] = sum(_misfit(fit_factors(a.xx, rank, noise, 1e-2).covariance, b.xx) for a, b in parts)
         return seen[rank]
 
-    # Beyond (d - 1) / 2 factors a covariance is not told from any other.
+    # With more than (d - 1) / 2 factors the model fits any covariance.
     most, best, step = max(0, (moments.d - 1) // 2), 0, 1
     while best + step <= most and misfit(best + step) < misfit(best):
         best, step = best + step, 2 * step

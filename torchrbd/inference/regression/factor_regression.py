@@ -29,7 +29,7 @@ class FactorRegression(Regression):
 
     so that b't is the best linear guess of gamma'f + delta'u from noiseless inputs t. E[f | x] and E[u | x] are linear
     in x; EIVARD says why regression on such guesses is consistent. S has far fewer free parameters than in EIVARD, and
-    is right only where the inputs follow a factor model: ``choose`` tells by left-out blocks.
+    is right only where the inputs follow a factor model: ``choose`` finds out on left-out blocks.
 
     Psi known: D is what the factor model finds above Psi. What is within sampling error of 0, at most
     (1 + sqrt(2 log d)) standard deviations U_i sqrt(2 / N) of the variance U_i that is not common, takes no part in the

@@ -32,7 +32,7 @@ class Moments:
         """Return X if it is moments, otherwise those of the rows X (N, d) and y (N,).
 
         Raises:
-            InputError: as ``from_data``; y missing, or given beside moments, which hold it.
+            InputError: as ``from_data``; y missing, or given although moments hold it.
         """
         if isinstance(X, Moments):
             if y is not None:
@@ -119,7 +119,7 @@ def as_float64(values: Tensor | ArrayLike, name: str) -> Tensor:
     """Return numbers as a float64 tensor, a tensor's own device and gradient kept.
 
     Raises:
-        InputError: what ``name`` stands for is no array of numbers.
+        InputError: the argument called ``name`` is no array of numbers.
     """
     if isinstance(values, Tensor):
         return values.to(torch.float64)

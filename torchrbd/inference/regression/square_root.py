@@ -42,8 +42,8 @@ class SquareRoot:
     def solve(self) -> tuple[Tensor, Tensor]:
         """Return the least squares solution (d,), and a root S (d, d) of its covariance S S' at unit noise.
 
-        Columns are scaled to unit length first, so that units do not make the condition worse. What the rows do not
-        tell, to rounding, has the least norm in the scaled columns and no part in S.
+        Columns are scaled to unit length first, so that units do not make the condition worse. Directions without
+        information, to rounding, have the least norm in the scaled columns and no part in S.
         """
         R, y = self.factor[:-1, :-1], self.factor[:-1, -1]
         length = R.norm(dim=0)

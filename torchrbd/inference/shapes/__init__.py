@@ -1,1 +1,1 @@
-"""Effects that a user tells, at their places, and the refinement of their nonlinear (shape) parameters."""
+"""Effects that a user requests, at their places, and the refinement of their nonlinear (shape) parameters."""

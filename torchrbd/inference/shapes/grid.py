@@ -53,9 +53,9 @@ def best_on_grid(prepared: Prepared, terms: Sequence[Candidate]) -> Terms:
 
 
 def _best(prepared: Prepared, others: Sequence[Candidate], grid: Sequence[Candidate]) -> Candidate:
-    """Return the candidate that lowers the loss of a linear fit most beside other terms.
+    """Return the candidate that lowers the loss of a linear fit most, given other terms.
 
-    With S and r the precision and score of its fresh columns beside those of the others, it is r' S^-1 r / 2.
+    With S and r the precision and score of its own columns given those of the others, the gain is r' S^-1 r / 2.
     """
     base, (_, noise) = columns_of(prepared, others), linear_fit_of(prepared, others)
     equations = scaled_equations(prepared.prior, prepared.training.total(), prepared.columns, 1.0 / noise)

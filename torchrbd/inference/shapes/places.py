@@ -10,10 +10,10 @@ from torchrbd.likelihood.columns import Columns
 
 
 def check_seen(wanted: Sequence[RequestedEffect], columns: Columns) -> None:
-    """See that the recordings let every told effect show somewhere, and at the place that is told.
+    """Check that every requested effect can show in the recordings, at its place if one is named.
 
     Raises:
-        OptionError: they do not.
+        OptionError: one cannot.
     """
     seen = {(c.effect.id, c.site) for c in columns.candidates}
     for one in wanted:

@@ -2,8 +2,8 @@
 
 From the best point of the grid on, every pass linearises the terms in their shapes (``likelihood/shapes.py``) and takes
 the Gauss-Newton steps of all shapes at once, none further than to the next value on the grid. A term that fits its
-joint worse than before goes half the way back. The load, and the friction beside it, is that of the last fit. A shape's
-prior is its grid around where it stands, or what is known of it from elsewhere (``Prepared.known_shapes``).
+joint worse than before goes half the way back. Load and friction are those of the last fit. A shape's prior is
+its grid around its present value, or a prior from another fit (``Prepared.known_shapes``).
 
 Source: Golub, Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
 separate", SIAM J. Numerical Analysis 1973, for the profile (variable projection) problem; solved here in the full

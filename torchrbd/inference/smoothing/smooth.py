@@ -50,8 +50,8 @@ class Smoothed:
 
     Attributes:
         trajectories: per recording.
-        columns: layout of x, with directions of motion as sharp as smoothed velocities tell them.
-        states: what their uncertainty takes from the information on x.
+        columns: layout of x, with directions of motion as sharp as smoothed velocities allow.
+        states: information on x that their uncertainty loses.
         encoder_std: (n_dof,) position noise, [rad] or [m].
     """
 
@@ -76,14 +76,14 @@ def smooth(
     kept_back: Callable[[str, Tensor], Tensor],
     progress: Callable[[float], None],
 ) -> Smoothed:
-    """Estimate states and parameters together; friction is fitted along, lest it bend the states.
+    """Estimate states and parameters together; friction is fitted as well, as it would else bend the states.
 
     Args:
         reading: the recordings, filtered states.
         prior: of x.
         start: a fit on filtered states.
         noise: of the positions, and what it does to that fit.
-        kept_back: tells of a recording's name and times (O,) which are held out: there the torque is not looked at.
+        kept_back: says of a recording's name and times (O,) which are held out: the torque is not used there.
         progress: called with the stage and the part of it that is done.
     """
     found: list[tuple[Stretch, ...]] = []
@@ -118,6 +118,6 @@ def smooth(
 
 
 def _friction(columns: Columns) -> Tensor:
-    """Return the columns of friction at joints that move: a direction of motion that is never told bends everything."""
+    """Return the columns of friction at joints that move; of others the direction is unknown and bends all states."""
     own = (c for c in columns.urdf_friction if columns.scale(c.site).moves)
     return torch.tensor([k for c in own for k in columns.of(c)], dtype=torch.long)

@@ -38,7 +38,7 @@ from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, to_log_cholesky
 from torchrbd.robot import pseudo_inertia
 
-# A position that never changes has no noise to tell; no encoder is better than this [rad, m].
+# A position that never changes shows no noise; no encoder is better than this [rad, m].
 _LEAST_ENCODER_STD = 1e-7
 _MOST_ITERATIONS, _SETTLED, _LEAST_FREEDOM, _HALVINGS = 12, 0.05, 0.02, 4
 
@@ -50,7 +50,7 @@ class StateSmoother(nn.Module):
         columns: layout of x.
         prior: of the inertial parameters.
         stretches: the data.
-        terms: indices of the columns of x that are free beside the inertial ones.
+        terms: indices of the columns of x that are free besides the inertial ones.
         x: (n_columns,) where to start.
         torque_std: (n_dof,) torque noise to start from; inf for a joint without torque.
         encoder_std: (n_dof,) position noise to start from.
@@ -104,7 +104,7 @@ class StateSmoother(nn.Module):
         return torch.cat((self.prior.inertial, self.terms))
 
     def refresh(self, wanted: Tensor | None = None) -> Information:
-        """Linearise anew, which makes q(c) optimal for the present means and noise; say what this tells of x.
+        """Linearise anew, which makes q(c) optimal for the present means and noise; return the information on x.
 
         Args:
             wanted: columns of x that ``Information`` is about; the free ones by default.

@@ -4,8 +4,8 @@
 
 Torque is sampled every dt_out, about 0.4 / f_c. One knot to a torque sample bends a motion near f_c (5 Hz at f_c = 7
 Hz by some per cent, all of which would go into the parameters); more knots pass it, and more noise with it. The
-dynamics are evaluated ``substeps`` times as often as torque is sampled, lest what they make of a motion near f_c is
-aliased into the band; the torque filter reaches over ``reach`` of these steps to each side.
+dynamics are evaluated ``substeps`` times as often as torque is sampled. Otherwise their response to a motion near f_c
+would be aliased into the band. The torque filter reaches over ``reach`` of these steps to each side.
 """
 
 from __future__ import annotations

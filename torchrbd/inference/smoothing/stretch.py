@@ -1,7 +1,7 @@
 """What the smoother keeps of a recording: stretches of some hundred torque samples, encoder data reduced to a spline.
 
-Encoder noise is white and linear in the spline, so that its least squares fit c0 and B'B hold all that the positions
-say of the coefficients c:  |q_m - B c|^2 = misfit + (c - c0)' B'B (c - c0).
+Encoder noise is white and linear in the spline, so that its least squares fit c0 and B'B hold all the information of
+the positions on the coefficients c:  |q_m - B c|^2 = misfit + (c - c0)' B'B (c - c0).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Stretch:
         segment: of the recording.
         grid: the knots.
         tau: (O, n) band-limited torque, [N m] or [N].
-        counts: (O, n) independent samples that each stands for; zero where unmeasured or kept back.
+        counts: (O, n) number of independent samples that each represents; zero where unmeasured or held out.
         bands: (4, K) the diagonals of B'B, of one joint: the main one first.
         encoder: c0 (K, n), the spline closest to the positions.
         misfit: (n,) squared distance that it leaves, [rad^2] or [m^2].
@@ -75,7 +75,7 @@ def stretches(
     Args:
         recording, survey, filtering: the data.
         tiles: its states, of which the band-limited torque is used.
-        counted: tells for times (O,) which torques (O, n) count, bool.
+        counted: returns for times (O,) which torques (O, n) count, bool.
     """
     torques: dict[int, list[tuple[Tensor, Tensor]]] = {}
     step = 0.0

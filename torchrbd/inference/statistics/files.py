@@ -108,7 +108,7 @@ def _header(path: str | Path, text: str) -> dict[str, Any]:
 
 
 def _head(header: dict[str, Any], file: Any, place: str) -> Statistics:
-    """Return what a file that is open holds beside its numbers, whose shapes and kinds are checked."""
+    """Return what an open file holds besides its numbers, whose shapes and kinds are checked."""
     made, origins = rebuilt(Conditions, header["conditions"]), rebuilt(tuple[Origin, ...], header["origins"])
     scales, labels = rebuilt(tuple[JointScale, ...], header["scales"]), rebuilt(_LABELS, header["labels"])
     time, recording = (file.get_tensor(name).tolist() for name in ("time", "recording"))

@@ -72,7 +72,7 @@ def write_statistics(
         cutoff_hz: band limit of torque and features [Hz]. Default: chosen from the data.
         encoder_noise: standard deviation of the positions [rad, m], one number or JOINT=number for each. In Python, a
             number or {joint: number}. Default: estimated.
-        progress: told how many are done, at which rate, and how far the work is.
+        progress: called with how many are done, the rate, and the part of the work that is done.
 
     Returns:
         the files, in the order of the recordings.
@@ -186,7 +186,7 @@ def _rows(file: Path) -> int:
 
 
 def _progress_of(progress: Progress, total: int) -> Callable[[float, int], None]:
-    """Return what tells the progress: recordings done (a part of one counts as such), and rows since the last time."""
+    """Return a callback for the progress: recordings done (with parts), and rows since the last call."""
     start, rows = time.perf_counter(), 0
 
     def tell(done: float, more: int) -> None:

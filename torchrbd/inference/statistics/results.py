@@ -36,7 +36,7 @@ _REMEDIES = {
 
 @dataclass(frozen=True)
 class Conditions:
-    """What moments depend on beside the recording.
+    """What moments depend on, besides the recording.
 
     The URDF's inertias and friction are not among it: they are the prior of a fit, and may be others for each.
 

@@ -1,7 +1,7 @@
-"""The geometry that the torques ask for: joints moved in their parent links, bodies and friction re-fitted beside.
+"""The geometry that the torques suggest: joints moved in their parent links, bodies and friction re-fitted.
 
-With E what the torques change by as the joints move by B_k, the re-fitted coefficients following them, and r what is
-left, a Gauss-Newton step of the moves' sizes s with the prior N(0, width^2) is
+With r the residual, and E the change of the torques as the joints move by B_k and the re-fitted coefficients follow, a
+Gauss-Newton step of the moves' sizes s with the prior N(0, width^2) is
 
     (E' W E + 1/width^2) ds = E' W r - s/width^2,   E = D - A (A' W A + prior)^-1 A' W D
 
@@ -50,7 +50,7 @@ class Moved:
     noise: tuple[Tensor, Tensor]
 
     def squares(self, change: Tensor) -> Tensor:
-        """Return the weighed squares (n_dof,) of what is left as the sizes change by (K,)."""
+        """Return the weighted squared residual (n_dof,) as the sizes change by (K,)."""
         own, cross, alone = self._products
         return (alone + (own @ change + 2.0 * cross) @ change).clamp_min(0.0)
 
@@ -70,7 +70,7 @@ def move_joints(
     within: tuple[float, float],
     further_effects: Sequence[str],
 ) -> Moved:
-    """Return the robot whose joints sit where the torques ask for.
+    """Return the robot with its joints where the torques suggest.
 
     Args:
         samples: of the table.
@@ -78,7 +78,7 @@ def move_joints(
         moves: (K, n_dof, 6) B, shifts [m] and rotation vectors [rad] in the parent links' axes.
         width: prior standard deviation of s.
         within: least and largest s.
-        beside: effects that every joint has as well, as of ``Samples.explained``.
+        further_effects: effects that every joint has as well, as of ``Samples.explained``.
     """
     robot, size = samples.robot, torch.zeros(len(moves), dtype=torch.float64)
     before, effect, left, precision, weight = size, *(torch.empty(0),) * 4

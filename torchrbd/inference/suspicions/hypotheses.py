@@ -107,7 +107,7 @@ def _gravities(robot: RobotModel, now: Writing) -> Iterator[Hypothesis]:
         return
     own = torch.tensor(now.gravity, dtype=torch.float64) / size
     axes = torch.cat((torch.eye(3, dtype=torch.float64), -torch.eye(3, dtype=torch.float64)))
-    # That which is nearest to what is told is no other.
+    # The writing nearest to the given one is the given one.
     for axis in sorted(axes.tolist(), key=lambda axis: float(own @ own.new_tensor(axis))):
         if float(own @ own.new_tensor(axis)) < 0.5:
             yield Hypothesis("gravity", (), replace(now, gravity=tuple(size * x + 0.0 for x in axis)))
@@ -118,7 +118,7 @@ def gains(now: Writing, gain: Sequence[float]) -> Iterator[Hypothesis]:
 
     Args:
         now: how the table is read now.
-        gain: (n_dof,) by which its torques exceed the URDF's; not above zero where that is not told.
+        gain: (n_dof,) by which its torques exceed the URDF's; not above zero where unknown.
     """
     driven = [j for j, g in enumerate(gain) if g > 0]
     if not driven:

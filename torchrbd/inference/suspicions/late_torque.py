@@ -1,8 +1,8 @@
 """Torques of another sample than the motion: written some rows later or earlier, in all recordings alike.
 
-By how much the clocks of torque and motion are apart is an unknown of every fit (``ordinary.py``), told by what is
-fast, so that such a table spoils no parameter. What is not corrected silently is said: whole samples that all
-recordings agree on are how a table was written. Other offsets are a filter's, a bus's or the drive's.
+Every fit has an unknown clock offset between torque and motion (``ordinary.py``), so that such a table biases no
+parameter. The correction is reported, not silent: whole samples that all recordings agree on are how a table was
+written. Other offsets are a filter's, a bus's or the drive's.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""What else may explain a table that seems to mean something else, and has to be far less likely too.
+"""Rival explanations of a table that seems to mean something else: they have to be far less likely.
 
-Exchanged columns are two joints' torques that fit each other's place better. A torque that is none, of a joint that is
-not driven or whose sensor is dead, fits any place as well as its own, and spoils what its neighbours tell: that one of
-the two, or both, are read for nothing is the rival. Gravity along another axis makes torques that depend on positions,
-as springs and cables do: both directions are tried beside a spring at every joint.
+Exchanged columns are two joints' torques that fit each other's place better. The torque of a joint that is not driven,
+or of a dead sensor, fits any place as well as its own, and spoils the estimates of its neighbours. The rival is
+therefore that one of the two, or both, are not used. Gravity along another axis makes torques that depend on positions,
+as springs and cables do: both directions are tried with a spring at every joint.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
-"""The samples of a table, and how well ordinary models explain what its columns would mean.
+"""The samples of a table, and how well baseline models explain what its columns would mean.
 
-Two models are tried. The shape alone, joint by joint, with the URDF's torque s_j and friction's features F_j,
+Two models are tried. The first has the shape alone, joint by joint, with the URDF's torque s_j and friction's features
+F_j,
 
     tau_j = g_j s_j + F_j w_j,   g_j >= 0
 
-costs one recursion over the samples and tells which writings are worth the second: the rigid body re-fitted with the
-URDF's inertials as its prior, always physical, and friction that may differ by direction. Samples that are spread over
-all recordings stand for long ones. It is judged on four parts of the time, each left out of the fit in turn: that a
-recording is short does not leave it untold.
+It costs one recursion over the samples and selects the writings for the second: the rigid body re-fitted with the
+URDF's inertials as its prior, always physical, and friction that may differ by direction. Long recordings are
+represented by samples that are spread over all of them. The second model is judged on four parts of the time, each left
+out of the fit in turn, so that a short recording can be judged too.
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ from torchrbd.recordings import States
 from torchrbd.robot import RobotModel, pseudo_inertia
 
 SPRINGS, ROTORS = "joint_spring", "rotor_inertia"
-"""What every joint may have beside ordinary physics."""
+"""What every joint may have besides baseline friction."""
 _DENSITY = Density(most_states=30_000, least_rate_hz=60.0, rate_cycles=10.0)
 # Parts of the time that are left out of the fit in turn.
 _MOST_PARTS = 4
-# What a model leaves out it leaves out in all blocks, so that more of the same does not tell more.
+# What a model lacks it lacks in all blocks: more blocks of the same do not add evidence.
 _MOST_BLOCKS = 8
 
 
@@ -53,9 +54,9 @@ class Samples:
         blocks: of time, whose errors are independent.
         kappa: weight of the URDF's inertials.
         recording, t: (M,) the number of each sample's recording, and its time there [s].
-        tau: (n_dof, M) torques, known ones taken off.
-        weight: (n_dof, M) independent samples that each stands for.
-        tiles: the states at which they are, motion of a finer clock.
+        tau: (n_dof, M) torques, known ones subtracted.
+        weight: (n_dof, M) number of independent samples that each represents.
+        tiles: the states at the samples, motion of a finer clock.
     """
 
     def __init__(self, prepared: Prepared) -> None:
@@ -114,7 +115,7 @@ class Samples:
         w, tau = self.weight[seen].sqrt(), self.tau[seen] * self.weight[seen].sqrt()
         torque = tau.square().sum(1)
         for j, place in enumerate(writing.q_order):
-            # Beside friction's features (J, M, 3), weighed as the torques of the joints (J, M) that this may be.
+            # Given friction's features (J, M, 3), weighed as the torques of the joints (J, M) that this may be.
             F, _ = torch.linalg.qr(self._features[place][self._plain[place]].T * w.unsqueeze(-1))
             s = modelled[j] * w
             power, (s, t) = s.square().sum(1), (_residual_of(F, x) for x in (s, tau))
@@ -134,12 +135,12 @@ class Samples:
         robot: RobotModel | None = None,
         noise: Tensor | None = None,
     ) -> Explained:
-        """Re-fit the ordinary model to a writing, without each part of the time in turn, and judge it there.
+        """Re-fit the baseline model to a writing, without each part of the time in turn, and judge it there.
 
         Args:
             writing: what the columns are to mean.
-            tightness: how many times the URDF's inertials weigh what the user lets them.
-            beside: effects that every joint has as well, of ``SPRINGS`` and ``ROTORS``.
+            tightness: factor on the user's weight of the URDF's inertials.
+            further_effects: effects that every joint has as well, of ``SPRINGS`` and ``ROTORS``.
             unread: joints whose torque is taken for that of something else: a constant explains it as well.
             robot: one of other geometry; the URDF's if None.
             noise: (n_dof,) variances of the torques, if they are known.
@@ -173,10 +174,10 @@ class Samples:
     def fitted(
         self, writing: Writing, robot: RobotModel, further_effects: Sequence[str], noise: Tensor | None = None
     ) -> tuple[FittedModel, Tensor]:
-        """Re-fit the ordinary model of a robot to all samples; return it and the torque that it leaves, (n_dof, M).
+        """Re-fit the baseline model of a robot to all samples; return it and the residual torque, (n_dof, M).
 
         Args:
-            writing, robot, beside, noise: as of ``explained``.
+            writing, robot, further_effects, noise: as of ``explained``.
         """
         whole = self._statistics(writing, robot=robot)
         prior = data_prior(whole, self._trusted, self.kappa)
@@ -230,7 +231,7 @@ class Samples:
 
 
 def _residual_of(F: Tensor, x: Tensor) -> Tensor:
-    """Return what is left of x (J, M) beside orthonormal columns F (J, M, K)."""
+    """Return the residual of x (J, M) given orthonormal columns F (J, M, K)."""
     return x - (F @ (F.mT @ x.unsqueeze(-1)))[..., 0]
 
 

@@ -1,24 +1,24 @@
-"""Try what a table may mean instead of what it says, and tell what explains the recordings far better.
+"""Try what else a table may mean, and report what explains the recordings far better.
 
 A writing h of the table is likelier than another, 0, by
 
     log odds = sum_j N/2 log(e_j0 / e_jh) + 3 sum_j log(l_j0 / l_jh)
 
-with e the squared error of the re-fitted ordinary model on time that is left out of the fit, or that of a constant
-where it is less: a writing has to beat knowing nothing too, and its rivals (``rivals.py``). Each of the N blocks counts
-once, but no more than 8 of them: what a model leaves out it leaves out in all of them, so that more of the same does
-not tell more. l is max(1, how many times a joint
-goes beyond the URDF's limits of position and of speed), or the clock beyond those of robots, 5 Hz to 20 kHz. Limits are
-often wrong by a factor, rarely by ten: the probability to be x times beyond falls as x^-3.
+- e: squared error of the re-fitted baseline model on time that is left out of the fit, or that of a constant where it
+  is less. A writing therefore has to beat a constant too, and its rivals (``rivals.py``).
+- N: number of blocks, but no more than 8: what a model lacks it lacks in all of them.
+- l: max(1, how many times a joint goes beyond the URDF's limits of position and of speed), or the clock beyond those of
+  robots, 5 Hz to 20 kHz. Limits are often wrong by a factor, rarely by ten: the probability to be x times beyond falls
+  as x^-3.
 
-Torques in another unit are told by the bodies, whose divergence D from the URDF (``urdf_prior``) they raise alike,
+Torques in another unit show in the bodies, whose divergence D from the URDF (``urdf_prior``) they all raise,
 
     log odds = kappa D_0 - 10 kappa D_h - 5 per gain + sum_j N/2 log(e_j0 / e_jh)
 
-both fitted at ten times the weight of the URDF: what is left of the divergence must be a tenth. A gain costs what it
-takes to choose it among many decades. That a joint's torque has the shape of the URDF's at all must have the same odds.
+both fitted at ten times the weight of the URDF: the divergence must fall to a tenth. A gain costs its choice among many
+decades. That a joint's torque has the shape of the URDF's at all must have the same odds.
 
-A table is suspected from odds of 1000 on, whatever the hypothesis: that is how rare wrong tables are among those that
+A table is suspected at odds above 1000, whatever the hypothesis: that is how rare wrong tables are among those that
 look otherwise.
 """
 
@@ -53,7 +53,7 @@ _TIGHT, _GAIN_COST = 10.0, 5.0
 _FAR, _PEAK = 30.0, 5.0
 # Clocks of robots.
 _LEAST_RATE_HZ, _MOST_RATE_HZ = 5.0, 2e4
-# Joints at which single columns are doubted; hypotheses that are re-fitted; suspicions that are told.
+# Joints at which single columns are doubted; hypotheses that are re-fitted; suspicions that are reported.
 _MOST_JOINTS, _MOST_FITTED, _MOST_FOUND = 6, 8, 4
 
 
@@ -68,7 +68,7 @@ class _Tried:
 
 
 def suspicions(prepared: Prepared) -> Suspicions:
-    """Return what is suspected of the recordings; nothing where a simulation stands for the URDF."""
+    """Return what is suspected of the recordings; nothing where a simulation replaces the URDF."""
     if prepared.reading.simulated:
         return NO_SUSPICIONS
     samples = Samples(prepared)
@@ -179,7 +179,7 @@ def _beyond(robot: RobotModel, surveys: Sequence[Survey], writing: Writing) -> f
 
 
 def _speed(surveys: Sequence[Survey], writing: Writing) -> np.ndarray:
-    """Return the speeds that joints reach (n_dof,) [rad/s, m/s], of single bad samples what their RMS tells."""
+    """Return the speeds that joints reach (n_dof,) [rad/s, m/s]; by their RMS where single samples are bad."""
     fast = [np.minimum(s.velocity_max, _PEAK * s.velocity_rms) for s in surveys]
     reached = np.max(fast, axis=0)[list(writing.q_order)]
     return np.abs(writing.q_scale) * reached / writing.time

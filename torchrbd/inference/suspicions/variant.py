@@ -1,9 +1,9 @@
-"""The URDF of another variant of the robot: links of other lengths, which no inertial parameters make up for.
+"""The URDF of another variant of the robot: links of other lengths, which no inertial parameters can absorb.
 
-How far each joint is from its parent link is scaled, bodies re-fitted beside (``geometry.py``), and friction, a spring
-and a rotor at every joint, which lengths imitate in part. As many lengths go back to the URDF's as can without a loss
-of odds above the bound; those that stay are judged on time left out of the fit as every writing is. They have to beat
-joints that are turned, too, as by wrong zeros or a tilted base.
+The distance of each joint from its parent link is scaled. Bodies are re-fitted (``geometry.py``), with friction, a
+spring and a rotor at every joint, which absorb lengths in part. As many lengths as possible go back to the URDF's
+without a loss of odds above the bound. The others are judged on time left out of the fit, like every writing. They also
+have to beat joints that are turned, as by wrong zeros or a tilted base.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Collapsed:
-    """What is left of q(Z, T). With r = y - c'x, the mean of t is p x + q r.
+    """The remaining parts of q(Z, T). With r = y - c'x, the mean of t is p x + q r.
 
     ``h``, ``p``, ``q``, ``c`` (d,); ``S`` (); ``xr`` (d,) and ``rr`` (): mean of x r and of r^2.
     """

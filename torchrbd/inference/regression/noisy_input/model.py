@@ -34,9 +34,9 @@ class NoisyInputRegression(nn.Module, Regression):
     in units of the column's mean square: mode ``noise_share`` for an input, 0.1 for the output and 0.1/d for the hidden
     noise. They are maximised, not integrated.
 
-    What the data cannot tell. An input has two moments that matter, x_m^2 and x_m y, and three unknowns. The
+    What the data cannot identify. An input has two moments that matter, x_m^2 and x_m y, and three unknowns. The
     likelihood of (x, y) is the same for every rho_m = w_xm^2 / (w_xm^2 + psi_xm) as long as output noise is left:
-    sum_m b_m^2 rho_m psi_xm below what least squares leaves. So:
+    sum_m b_m^2 rho_m psi_xm below the residual variance of least squares. So:
 
     - Predictions for queries as noisy as the data (``noisy_coefficients``) tend to least squares, whatever the noise.
     - b is that divided by rho, and rho comes from ``input_noise`` or else from the prior. Without knowledge of the
@@ -61,7 +61,7 @@ class NoisyInputRegression(nn.Module, Regression):
         history: bound at the start and after each iteration [nat], for columns of mean square 1.
         converged: whether ``tolerance`` was reached.
 
-    ``state_dict`` holds the data's moments beside the parameters, so that ``load_state_dict`` of a new regression with
+    ``state_dict`` holds the data's moments with the parameters, so that ``load_state_dict`` of a new regression with
     the same options needs no data; it leaves ``history`` out.
 
     Source: Ting, Mistry, Peters, Schaal, Nakanishi, "A Bayesian approach to nonlinear parameter identification for
@@ -129,7 +129,7 @@ class NoisyInputRegression(nn.Module, Regression):
         return self.fit(moments).coefficients
 
     def start(self, X: Tensor | ArrayLike | Moments, y: Tensor | ArrayLike | None = None) -> Self:
-        """Take the data and go to the documented start: least squares in what the data tells, priors elsewhere.
+        """Take the data and go to the documented start: least squares where the data has information, priors elsewhere.
 
         From there ``update``, or any optimizer on ``elbo``, goes on.
         """
@@ -194,7 +194,7 @@ class NoisyInputRegression(nn.Module, Regression):
 
     @property
     def output_noise(self) -> Tensor:
-        """psi_y plus the sum of psi_z () [unit of y, squared]; the data tells no more than the sum."""
+        """psi_y plus the sum of psi_z () [unit of y, squared]; the data identifies only the sum."""
         s = self.posterior
         total = s.output_noise if s.hidden_noise is None else s.output_noise + s.hidden_noise.sum()
         return (total * self.y_scale**2).detach()

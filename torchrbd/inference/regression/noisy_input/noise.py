@@ -17,7 +17,7 @@ from torchrbd.inference.regression.noisy_input.updates import Bounds, NoiseBound
 _RELEVANCE = 1e-6
 _NOISE_SHAPE = 1.0
 _OUTPUT_SHARE = 0.1
-# Less noise than this part of a column's mean square is not told from none.
+# Noise below this part of a column's mean square counts as none.
 _LEAST_NOISE = 1e-8
 
 

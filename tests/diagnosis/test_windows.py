@@ -1,4 +1,4 @@
-"""Check stretches of time, and recordings, in which something acts against sums over their rows."""
+"""Check windows of time, and recordings, in which something acts against sums over their rows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simulated import Motion
 
 from torchrbd.diagnosis.edges import Edges
 from torchrbd.diagnosis.hypotheses import average_over_shapes, hypothesis_of
-from torchrbd.diagnosis.stretches import Windows, in_recordings, in_windows, located, weigh_windows
+from torchrbd.diagnosis.windows import Windows, in_recordings, in_windows, located, weigh_windows
 from torchrbd.effects import JointScale, Shape, Site, Window
 from torchrbd.effects.registry import effect
 from torchrbd.effects.stribeck_friction import StribeckFriction
@@ -36,25 +36,25 @@ def two_recordings() -> tuple[Likelihood, Rows]:
     return fit, carried(fit)
 
 
-def test_stretches_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Rows]) -> None:
+def test_windows_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Rows]) -> None:
     """Each stretch is judged as its whitened columns are, zero outside of it, beside the fit."""
     fit, rows = two_recordings
     c = candidate(rows, "payload", Site(body=1, window=Window("second")))
-    stretches = Windows.of_blocks(rows, "second")
+    windows = Windows.of_blocks(rows, "second")
     F, always = rows.features(c), candidate(rows, "payload", Site(body=1))
     std, scales = coefficient_std(always, rows.rms(always), fit.machine.torque_rms)
     expected, best = [], -np.inf
-    for begin, end in stretches.times[stretches.pairs]:
+    for begin, end in windows.times[windows.pairs]:
         inside = (rows.t >= begin) & (rows.t < end) & (rows.recording == 1)
         columns = {j: fit.hyper.noise[j].white(F[:, j]) * inside[i] for j, i in enumerate(fit.index)}
         S, r = fit.gaussian.precision_and_score(columns)
         own = [added(S, r, k * std, c.effect.prior.positive).log_evidence for k in scales]
         expected, best = expected + own, max(best, logsumexp(own) - np.log(len(own)))
-    (found,) = weigh_windows(fit, rows, c, [stretches])
+    (found,) = weigh_windows(fit, rows, c, [windows])
     assert found is not None
     got, one = found
     assert one == pytest.approx(best, abs=1e-6)
-    assert got.tried == len(stretches.pairs) == len(expected) // len(scales)
+    assert got.tried == len(windows.pairs) == len(expected) // len(scales)
     assert got.log_evidence == pytest.approx(logsumexp(expected) - np.log(len(expected)), abs=1e-6)
     window = got.candidate.site.window
     assert window is not None
@@ -269,16 +269,16 @@ def test_located_window_pays_for_all_that_may_be(two_recordings: tuple[Likelihoo
     assert found.log_evidence == pytest.approx(alone.log_evidence + found.paid)
 
 
-def test_stretches_cover_most_of_a_single_recording_at_most(two_recordings: tuple[Likelihood, Rows]) -> None:
+def test_windows_cover_most_of_a_single_recording_at_most(two_recordings: tuple[Likelihood, Rows]) -> None:
     rows = carried(fitted())
-    stretches = Windows.of_blocks(rows, rows.recordings[0])
-    n = len(stretches.times) - 1
+    windows = Windows.of_blocks(rows, rows.recordings[0])
+    n = len(windows.times) - 1
     longest = int(0.9 * n)
     # What has one end is of another kind.
     expected = {(a, b) for a in range(1, n) for b in range(a + 1, min(a + longest, n - 1) + 1)}
-    assert set(map(tuple, stretches.pairs.tolist())) == expected
+    assert set(map(tuple, windows.pairs.tolist())) == expected
     assert longest < n
-    assert (np.diff(stretches.times) > 0).all()
+    assert (np.diff(windows.times) > 0).all()
     whole = Windows.of_blocks(two_recordings[1], "second")
     assert (0, len(whole.times) - 1) in set(map(tuple, whole.pairs.tolist()))
 

@@ -245,14 +245,14 @@ def weigh_windows(
 def _average_over_windows(
     rows: Rows,
     candidate: Candidate,
-    stretches: Windows,
+    windows: Windows,
     sums: Sequence[np.ndarray],
     std: np.ndarray,
     scales: np.ndarray,
 ) -> tuple[Hypothesis, float] | None:
     """Average over windows, given the sums before their edges and standard deviations (K,) with multiples (S,)."""
     V, gram, passed, score = sums
-    begin, end = stretches.pairs.T
+    begin, end = windows.pairs.T
     own = (gram[end] + gram[begin]) - (passed + passed.transpose(0, 2, 1))[begin]
     counts = np.trace(own, axis1=1, axis2=2) > 0
     if not counts.any():
@@ -265,7 +265,7 @@ def _average_over_windows(
     k, size = np.unravel_index(int(evidence_of.argmax()), evidence_of.shape)
     window = candidate.site.window
     assert window is not None
-    edges = float(stretches.times[begin[k]]), float(stretches.times[end[k]])
+    edges = float(windows.times[begin[k]]), float(windows.times[end[k]])
     best = rows.columns.candidate(
         candidate.effect, replace(candidate.site, window=Window(window.recording, *edges)), candidate.shape
     )
@@ -372,10 +372,10 @@ def located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     window = h.candidate.site.window
     assert window is not None
     always = replace(h.candidate, site=replace(h.candidate.site, window=Window(window.recording)))
-    stretches = Windows.near(Edges(fit, rows, window.recording), window)
-    (near,) = weigh_windows(fit, rows, always, [stretches]) if len(stretches.pairs) else (None,)
+    windows = Windows.near(Edges(fit, rows, window.recording), window)
+    (near,) = weigh_windows(fit, rows, always, [windows]) if len(windows.pairs) else (None,)
     exact = None if near is None else hypothesis_of(fit, rows, near[0].candidate)
     if near is None or exact is None:
         return h
-    paid = near[1] - near[0].log_evidence - math.log(len(stretches.pairs) / h.tried)
+    paid = near[1] - near[0].log_evidence - math.log(len(windows.pairs) / h.tried)
     return replace(exact, log_evidence=exact.log_evidence - paid, tried=h.tried, paid=-paid)
