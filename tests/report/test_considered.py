@@ -48,7 +48,7 @@ def test_hypotheses_are_shown_with_bars_places_units_and_times(tmp_path):
     assert "Last step" not in text
     assert "adopted" not in text
     assert [float(x) for x in re.findall(r'<i class="[^"]*" style="width: ([\d.]+)%"', part)][:3] == [100.0, 20.0, 0.0]
-    assert part.count('<i class="told beyond"') == 1
+    assert part.count('<i class="likely beyond"') == 1
     assert part.count("<details>") == 2
 
 
