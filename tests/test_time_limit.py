@@ -90,12 +90,12 @@ def test_a_tiny_limit_leaves_marked_results(
     for name in ("parameters.json", *(["diagnosis.json"] if command == "diagnose" else [])):
         content = json.loads((tmp_path / name).read_text())
         assert content["finished"] is False
-        assert any("unfinished" in note for note in content["notes"])
+        assert any("unfinished: the search ended at the time limit of 0.01 s" in note for note in content["notes"])
     assert "(unfinished)" in (tmp_path / "report.html").read_text()
     model = torchrbd.load_model(tmp_path / "model.safetensors")
     assert model.robot.joint_names == tuple(NAMES)
     if command == "diagnose":
-        assert "Unfinished: the search ended at the time limit of 0.01 s" in content["statement"]
+        assert "Unfinished: the search was ended early" in content["statement"]
         assert content["findings"] == [] or content["ranking"]["adopted"] == []
 
 
@@ -124,7 +124,8 @@ def test_the_first_interrupt_finishes_with_what_was_found(
     assert "(unfinished): " in told.out
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     assert content["finished"] is False
-    assert "because you asked for it" in content["statement"]
+    assert "Unfinished: the search was ended early" in content["statement"]
+    assert any("because you asked for it" in note for note in content["notes"])
     assert len(content["ranking"]["adopted"]) == 1
     fits = {name: np.mean(list(fit["nmse"].values())) for name, fit in content["fit"].items()}
     assert fits["extended"] < 0.5 * fits["rigid_body"]

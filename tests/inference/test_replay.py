@@ -235,8 +235,6 @@ def test_what_cannot_be_replayed() -> None:
     model = RigidBodyDynamics(torchrbd.RobotModel.from_urdf(URDF), conditions={"fit": Condition()})
     with pytest.raises(OptionError, match="no row is held out; give recordings that it was not fitted to"):
         torchrbd.replay(model, one)
-    with pytest.raises(OptionError, match="replay: unknown option 'cutof'; expected cutoff_hz"):
-        torchrbd.replay(model, one, cutof=3.0)
 
 
 def test_simulation_has_the_torque_at_the_time_of_the_motion() -> None:

@@ -60,7 +60,7 @@ def test_friction_is_what_the_motion_tells(case: str) -> None:
         d, c = parameters[f"viscous_friction_{name}.viscous"], parameters[f"coulomb_friction_{name}.coulomb"]
         if name in resting or name in silent:
             dynamics = etree.fromstring(torchrbd.to_urdf(found.model)).find(f"joint[@name='{name}']/dynamics")
-            assert {k: float(v) for k, v in dynamics.attrib.items()} == pytest.approx(GIVEN[name], rel=1e-6)
+            assert {k: float(v) for k, v in dynamics.attrib.items()} == pytest.approx(GIVEN[name], rel=1e-3)
         if name in resting:
             assert min(d.prior_share, c.prior_share) > 0.9
             assert c.std > GIVEN[name]["friction"]

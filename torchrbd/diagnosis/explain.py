@@ -33,6 +33,7 @@ from torchrbd.diagnosis.results import (
     Where,
     strongest_first,
 )
+from torchrbd.diagnosis.simplifying import as_estimated
 from torchrbd.diagnosis.terms import Explanation
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.effects import Site, effect
@@ -224,7 +225,7 @@ def _acts_in(block: Block, site: Site) -> bool:
 
 def _sure(extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:
     """Yield the terms of a model that may be findings, their log evidence, and how sure they are."""
-    model, found, terms = extended.model, extended.found, extended.model.proper_terms
+    found, terms = extended.found, extended.model.proper_terms
     for friction, candidate in zip(extended.friction, terms, strict=False):
         friction = _as_estimated(friction, candidate, extended)
         if (p := friction.probability) > LIKELY:
@@ -232,10 +233,8 @@ def _sure(extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:
     for term, candidate, covariance in zip(found.terms, extended.terms, extended.open, strict=True):
         if is_curve(candidate):
             continue
-        std = believed(found.fit, found.rows, term.own.candidate)[0] * term.own.scale
-        less = min(0.0, estimate_evidence(model, candidate, std, covariance) - term.own.log_evidence)
-        own, *rivals = (replace(h, log_evidence=h.log_evidence + less) for h in (term.own, *term.rivals))
-        yield candidate, own.log_evidence, inclusion(own, rivals, found.rows)
+        one = as_estimated(extended, term, candidate, covariance)
+        yield candidate, one.own.log_evidence, inclusion(one.own, one.rivals, found.rows)
 
 
 def _as_estimated(friction: Friction, term: Candidate, extended: Extended) -> Friction:

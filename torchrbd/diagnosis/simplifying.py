@@ -1,11 +1,13 @@
 """Laws no richer than their estimates: a spring whose stiffness may be zero is a constant torque.
 
-A law may have all columns of a rival at the same place, and some more. Where the coefficients of these are zero, it is
-the rival. It is likelier than the rival by no more than their estimates allow, see ``estimate_evidence``:
+A law that has all columns of a rival at the same place, and some more, is the rival where the coefficients of these are
+zero. It is likelier than the rival by no more than what their estimates say, see ``estimate_evidence``:
 
     log B(law) <= log B(rival) + log B(the other coefficients, given the law)
 
-If the rival is then the likelier of the two, it replaces the law in the model.
+Where the rival is then the likelier of the two, it takes the law's place in the model. The simplest rival of all is
+nothing: a term leaves the model if its estimate makes "nothing" likelier than the term and all its rivals. Terms leave
+one at a time, the least likely first, since two that share a torque are each uncertain and together are not.
 """
 
 from __future__ import annotations
@@ -14,10 +16,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from torchrbd.diagnosis.estimate_evidence import estimate_evidence
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.hypotheses import Hypothesis, believed
+from torchrbd.diagnosis.posterior import log_odds
+from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.terms import Term
 from torchrbd.inference.preparation import Prepared
 from torchrbd.likelihood.columns import Candidate
@@ -31,38 +36,65 @@ def simplified(model: Extended, prepared: Prepared, may: Sequence[str], progress
         model: the extended model.
         prepared: the data that it was made from.
         may: ids of effects that may be there.
-        progress: called with the stage and the part of it that is done.
+        progress: told how far the work is.
     """
     found = model.found
-    every = zip(found.terms, model.terms, model.open, strict=True)
-    terms = tuple(_as_estimated(model, *one) for one in every)
-    same = all(new.own.name == old.own.name for new, old in zip(terms, found.terms, strict=True))
-    if same:
-        return replace(model, found=replace(found, terms=terms))
-    extra = [
-        old if new.own.name == term.own.name else new.own.extra(found.fit, found.rows)
-        for new, term, old in zip(terms, found.terms, found.fit.extra, strict=True)
-    ]
-    fit = found.fit.extended(extra).refit
-    return simplified(extended(prepared, replace(found, fit=fit, terms=terms), may, progress), prepared, may, progress)
+    terms = tuple(_with_simpler_law(model, *one) for one in zip(found.terms, model.terms, model.open, strict=True))
+    if any(new.own.name != old.own.name for new, old in zip(terms, found.terms, strict=True)):
+        extra = [
+            old if new.own.name == term.own.name else new.own.extra(found.fit, found.rows)
+            for new, term, old in zip(terms, found.terms, found.fit.extra, strict=True)
+        ]
+        fit = found.fit.extended(extra).refit
+        again = extended(prepared, replace(found, fit=fit, terms=terms), may, progress)
+        return simplified(again, prepared, may, progress)
+    return _without_uncertain(replace(model, found=replace(found, terms=terms)))
 
 
-def _as_estimated(model: Extended, term: Term, candidate: Candidate, covariance: np.ndarray) -> Term:
+def as_estimated(model: Extended, term: Term, candidate: Candidate, covariance: np.ndarray) -> Term:
+    """Return a term, and its rivals, no surer than the estimate of the term.
+
+    Args:
+        model: the fit that has the estimate.
+        term: of its search.
+        candidate: the same term in the fit, its shape final.
+        covariance: (K, K) of its coefficients in the likelihood of the search.
+    """
+    std = _prior_std(model, term.own)
+    less = min(0.0, estimate_evidence(model.model, candidate, std, covariance) - term.own.log_evidence)
+    own, *rivals = (replace(h, log_evidence=h.log_evidence + less) for h in (term.own, *term.rivals))
+    return Term(own, tuple(rivals))
+
+
+def _without_uncertain(model: Extended) -> Extended:
+    """Return a model without terms in whose place nothing is likelier than any law."""
+    while True:
+        odds = dict[Candidate, float]()
+        for term, candidate, covariance in zip(model.found.terms, model.terms, model.open, strict=True):
+            if not is_curve(candidate):
+                one = as_estimated(model, term, candidate, covariance)
+                odds[candidate] = float(logsumexp([log_odds(h, model.found.rows) for h in (one.own, *one.rivals)]))
+        least = min(odds, key=lambda c: odds[c], default=None)
+        if least is None or odds[least] >= 0.0:
+            return model
+        model = model.without([least])
+
+
+def _with_simpler_law(model: Extended, term: Term, candidate: Candidate, covariance: np.ndarray) -> Term:
     """Return a term with the evidence that its estimate leaves it against simpler laws, and the likeliest law first."""
-    own, found = term.own, model.found
-    std = believed(found.fit, found.rows, own.candidate)[0] * own.scale
+    own, std = term.own, _prior_std(model, term.own)
     for simpler in (h for h in term.rivals if _is_part(h.candidate, candidate)):
         more = set(candidate.labels).difference(simpler.candidate.labels)
         most = simpler.log_evidence + estimate_evidence(model.model, candidate, std, covariance, labels=more)
         own = replace(own, log_evidence=min(own.log_evidence, most))
-    best = Term(own, term.rivals).best(found.rows)
+    best = Term(own, term.rivals).best(model.found.rows)
     if best is own or not _is_part(best.candidate, candidate):
         return Term(own, term.rivals)
-    return Term(best, (own, *_others(term.rivals, best)))
+    return Term(best, (own, *(h for h in term.rivals if h is not best)))
 
 
-def _others(rivals: Sequence[Hypothesis], one: Hypothesis) -> tuple[Hypothesis, ...]:
-    return tuple(h for h in rivals if h is not one)
+def _prior_std(model: Extended, own: Hypothesis) -> np.ndarray:
+    return believed(model.found.fit, model.found.rows, own.candidate)[0] * own.scale
 
 
 def _is_part(one: Candidate, other: Candidate) -> bool:

@@ -12,6 +12,8 @@ from torchrbd.inference.results import ParameterEstimate
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.shapes import Axis, ShapeSlope, axes
 
+# Part of the coefficients that is rounding.
+_ROUNDING = 1e-14
 # Of the range of a shape on the grid.
 _DIFFERENCE = 1e-3
 # A coefficient is significant from so many standard deviations on; another may be so many times its prior size.
@@ -57,7 +59,10 @@ def term_parameters(model: FittedModel, candidate: Candidate) -> dict[str, tuple
         slope = torch.cat((slope, by_shape[name]))
         seen = at >= 0
         g = torch.zeros(len(model.free), dtype=torch.float64).index_add(0, at[seen], slope[seen])
-        found[name] = (float(value.detach()), (_variance(model, g) + float(slope.square() @ grid_only)) ** 0.5)
+        # A sum of coefficients that is zero is so to rounding.
+        estimate = float(value.detach())
+        estimate = estimate if abs(estimate) > _ROUNDING * float(w.detach().abs().sum()) else 0.0
+        found[name] = (estimate, (_variance(model, g) + float(slope.square() @ grid_only)) ** 0.5)
     return found
 
 
