@@ -9,11 +9,11 @@ import pytest
 from diagnosis.test_unexplained import FIRST, MAY, diagnosed
 from likelihood.fits import URDF, at_joint
 from simulated import Motion, record
-from torchrbd.diagnosis.trifling import split_negligible
 
 import torchrbd
 from torchrbd.diagnosis import explain as explaining
 from torchrbd.diagnosis.explain import explain
+from torchrbd.diagnosis.negligible import split_negligible
 from torchrbd.diagnosis.results import HELD_OUT, Finding
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.likelihood.columns import Candidate
@@ -35,7 +35,7 @@ def test_every_finding_has_the_error_of_the_table() -> None:
         return np.sign(motion.qd) * [0.9, 0.7] + motion.q * [0.0, 8.0]
 
     found = torchrbd.diagnose(URDF, record(URDF, 3, extra=extra, duration_s=20.0), seed=1)
-    assert not found.trifling
+    assert not found.not_confirmed
     assert {"coulomb_friction", "joint_spring"} <= {one.effect for one in found.findings}
     check(found.findings, found.identification.fits["extended"].nmse)
 
