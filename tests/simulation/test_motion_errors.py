@@ -130,9 +130,9 @@ def test_the_report_marks_what_is_no_better_than_coasting(tmp_path: Path) -> Non
     motion = MotionError(0.5, False, {"joint1": 12, "slide": 12}, errors)
     page = render(replace(identification(names), simulation=(motion,)), tmp_path)
     text = " ".join(Text(page).words)
-    assert "Motion: simulated from recorded states under recorded torque" in text
+    assert "Motion error: simulation from recorded states under recorded torque" in text
     assert "joint1 20 10–40 3.1 1.6–6.2 40 20–80 mrad" in text
     assert "slide ∞ 500–∞ 90 45–180 30 15–60 mm" in text
-    assert "over 12 windows of 0.5 s, on data that no fit has seen; * anywhere" in text
+    assert "over 12 windows of 0.5 s of held-out data (*: of all data" in text
     assert page.count('class=" worse"') == 1
     assert "Motion" not in " ".join(Text(render(identification(names), tmp_path)).words)

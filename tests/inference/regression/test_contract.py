@@ -60,7 +60,7 @@ def test_what_cannot_be_used_is_refused(build: Callable[[], Regression]) -> None
             before()
     with pytest.raises(InputError, match="y is missing"):
         method.fit(X)
-    with pytest.raises(InputError, match="y is given beside moments"):
+    with pytest.raises(InputError, match="y is given with moments"):
         method.fit(Moments.from_data(X, y), y)
     with pytest.raises(InputError, match="X: expected an array of numbers, got list"):
         method.fit([["a"] * 6] * 80, y)
