@@ -50,6 +50,8 @@ def app() -> App:
         version=f"torchrbd {__version__}\n",
         group_parameters=about,
         group_arguments=Group("Arguments", sort_key=1),
+        # ``main`` answers Ctrl-C, with a word and exit code 130.
+        suppress_keyboard_interrupt=False,
     )
     for k, (title, modules) in enumerate(_COMMANDS.items()):
         group = Group(title, sort_key=k)
