@@ -95,7 +95,7 @@ def test_moments_say_what_the_default_says_where_nothing_is_amiss(case: Path, ma
 def test_a_report_is_written_without_time_series(case: Path, made: list[Path], tmp_path: Path) -> None:
     torchrbd.write_report(torchrbd.identify(case / "arm.urdf", made), tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
-    assert text.count("Not drawn: only second moments were at hand.") == 3
+    assert text.count("Not drawn: only second moments are available.") == 3
     assert "was not recorded" not in text
     assert "Motion: simulated" not in text
 
@@ -221,7 +221,7 @@ def test_what_moments_cannot_do_is_said(case: Path, made: list[Path], tmp_path: 
         torchrbd.identify(urdf, [made[1], monday])
     with pytest.raises(OptionError, match=r"'ridge' needs recordings"):
         torchrbd.identify(urdf, made, estimator="ridge")
-    with pytest.raises(OptionError, match=r"known loads are taken off when statistics are made"):
+    with pytest.raises(OptionError, match=r"known loads are subtracted when statistics are made"):
         torchrbd.identify(urdf, made, payload="monday.npz=1,0,0,0")
     with pytest.raises(OptionError, match=r"statistics need --cutoff HZ, the same for all"):
         write_statistics(urdf, monday, tmp_path)

@@ -104,8 +104,10 @@ class FittedModel:
             index = columns.of(c)
             # Two terms may share a column; its whole coefficient belongs to the first.
             w = torch.stack([self.x[k] * float(k not in shared) for k in index])
+            own = not shared.issuperset(index)
             shared.update(index)
-            if bool(w.any()):
+            # A coefficient that is fitted as zero has a posterior too.
+            if own:
                 fitted.append(Term(c.effect, c.site, w, c.shape))
         width = torch.tensor([scale.rest_width for scale in columns.scales], dtype=torch.float64)
         return RigidBodyDynamics(columns.robot, self.pi, [*kept, *known_terms(columns.robot), *fitted], width)
