@@ -6,7 +6,7 @@ import pytest
 import real_recordings as real
 
 import torchrbd
-from torchrbd import Diagnosis
+from torchrbd import Diagnosis, Finding
 
 FOLDER = real.data_folder()
 pytestmark = pytest.mark.skipif(FOLDER is None, reason="TORCHRBD_DATA names no folder of real recordings")
@@ -106,3 +106,19 @@ def test_double_pendulum_with_wrong_lengths(folder: Path) -> None:
     (geometry,) = [f for f in diagnosis.findings if f.effect == "geometry_error"]
     assert geometry.joints == ("elbow",)
     assert geometry.parameters["z"].value == pytest.approx(-0.1, abs=0.02)
+
+
+@pytest.mark.slow
+def test_ur10_has_no_spring_and_no_counterbalance(folder: Path) -> None:
+    """Its authors publish viscous and Coulomb friction and two offsets; an offset is a spring that rests far away."""
+    ur10 = folder / "ur10"
+    diagnosis = torchrbd.diagnose(ur10 / "robot.urdf", ur10 / "fit.csv", holdout=ur10 / "holdout.csv")
+    found = {(f.effect, f.joints) for f in diagnosis.findings}
+    assert not {"joint_spring", "counterbalance"} & {name for name, _ in found}
+    assert ("torque_offset", ("wrist_2_joint",)) in found
+    assert all(f.probability < 0.99 for f in diagnosis.findings if holds_zero(f))
+
+
+def holds_zero(finding: Finding) -> bool:
+    """Return whether the 95 % interval of every parameter of a finding holds zero."""
+    return all(abs(q.value) < 1.96 * q.std for q in finding.parameters.values())
