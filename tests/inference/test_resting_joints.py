@@ -10,6 +10,7 @@ import pytest
 import real_recordings as real
 from lxml import etree
 from rest_motions import CASES, COULOMB, DEMO, JOINTS, VISCOUS, recorded, sines
+from shortened import slow_but
 
 import torchrbd
 from torchrbd import RobotModel
@@ -95,12 +96,12 @@ def test_uneven_friction_resists_in_both_directions() -> None:
     assert values["asymmetric_coulomb_friction_joint4.coulomb_minus"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_estimators_have_no_friction_that_drives_either() -> None:
+@pytest.mark.parametrize("estimator", slow_but(("ols",), ("ols", "ridge", "moments")))
+def test_estimators_have_no_friction_that_drives_either(estimator: str) -> None:
     table = recorded(sines(1, 20.0).locked(2), 0)
     for j, name in enumerate(JOINTS):
         table[f"tau_{name}"] = table[f"tau_{name}"] - 2.0 * VISCOUS[j] * np.gradient(table[f"q_{name}"], table["t"])
-    for estimator in ("ols", "ridge", "moments"):
-        no_file_drives_a_joint(torchrbd.identify(urdf(), table, estimator=estimator))
+    no_file_drives_a_joint(torchrbd.identify(urdf(), table, estimator=estimator))
 
 
 REAL = {
@@ -116,7 +117,7 @@ FOLDER = real.data_folder()
 
 
 @pytest.mark.skipif(FOLDER is None, reason="TORCHRBD_DATA names no folder of real recordings")
-@pytest.mark.parametrize("name", REAL)
+@pytest.mark.parametrize("name", slow_but(("emps", "ur10"), REAL))
 def test_real_robots_have_no_friction_that_drives(name: str) -> None:
     assert FOLDER is not None
     folder: Path = FOLDER / name

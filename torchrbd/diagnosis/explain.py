@@ -117,6 +117,8 @@ def explain(extended: Extended) -> Explained:
         kept = [(term, fits.judged(term, one, others)) for term, one in again]
         kept += [(term, proven(term, one, [t for t, _ in more], unseen)) for term, one in new]
         others += [term for term, _ in more]
+    uncertain = _terms_and_findings(extended, likely=False)
+    not_confirmed += completed([(term, fits.judged(term, one, [])) for term, one in uncertain])
     still = tuple(term for term in extended.terms if term in others)
     return Explained(completed(_once(kept, extended.model.columns)), not_confirmed, extended, still)
 
@@ -131,14 +133,19 @@ def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[t
     return [pair for pair, (one, own) in zip(kept, every, strict=True) if not is_part(one, own)]
 
 
-def _terms_and_findings(extended: Extended) -> list[tuple[Candidate, Finding]]:
-    """Return terms that are likelier than not, or whose family is, with their findings."""
+def _terms_and_findings(extended: Extended, *, likely: bool = True) -> list[tuple[Candidate, Finding]]:
+    """Return terms that are likelier than not, or whose family is, with their findings.
+
+    Args:
+        extended: the model.
+        likely: False for the other terms of the model: the search adopted them, their estimates are too uncertain.
+    """
     reading = extended.prepared.reading
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
     return [
         (term, _finding(term, evidence, sure, extended, ends_s, _alternatives(term, sure, extended)))
         for term, evidence, sure in _sure(extended)
-        if max(sure.probability, sure.family_probability) > LIKELY
+        if (max(sure.probability, sure.family_probability) > LIKELY) is likely
     ]
 
 

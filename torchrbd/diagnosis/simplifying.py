@@ -5,9 +5,7 @@ zero. It is likelier than the rival by no more than what their estimates say, se
 
     log B(law) <= log B(rival) + log B(the other coefficients, given the law)
 
-Where the rival is then the likelier of the two, it takes the law's place in the model. The simplest rival of all is
-nothing: a term leaves the model if its estimate makes "nothing" likelier than the term and all its rivals. Terms leave
-one at a time, the least likely first, since two that share a torque are each uncertain and together are not.
+Where the rival is then the likelier of the two, it takes the law's place in the model.
 """
 
 from __future__ import annotations
@@ -16,13 +14,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from torchrbd.diagnosis.estimate_evidence import estimate_evidence
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.hypotheses import Hypothesis, believed
-from torchrbd.diagnosis.posterior import log_odds
-from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.terms import Term
 from torchrbd.inference.preparation import Prepared
 from torchrbd.likelihood.columns import Candidate
@@ -48,7 +43,7 @@ def simplified(model: Extended, prepared: Prepared, may: Sequence[str], progress
         fit = found.fit.extended(extra).refit
         again = extended(prepared, replace(found, fit=fit, terms=terms), may, progress)
         return simplified(again, prepared, may, progress)
-    return _without_uncertain(replace(model, found=replace(found, terms=terms)))
+    return replace(model, found=replace(found, terms=terms))
 
 
 def as_estimated(model: Extended, term: Term, candidate: Candidate, covariance: np.ndarray) -> Term:
@@ -64,20 +59,6 @@ def as_estimated(model: Extended, term: Term, candidate: Candidate, covariance: 
     less = min(0.0, estimate_evidence(model.model, candidate, std, covariance) - term.own.log_evidence)
     own, *rivals = (replace(h, log_evidence=h.log_evidence + less) for h in (term.own, *term.rivals))
     return Term(own, tuple(rivals))
-
-
-def _without_uncertain(model: Extended) -> Extended:
-    """Return a model without terms in whose place nothing is likelier than any law."""
-    while True:
-        odds = dict[Candidate, float]()
-        for term, candidate, covariance in zip(model.found.terms, model.terms, model.open, strict=True):
-            if not is_curve(candidate):
-                one = as_estimated(model, term, candidate, covariance)
-                odds[candidate] = float(logsumexp([log_odds(h, model.found.rows) for h in (one.own, *one.rivals)]))
-        least = min(odds, key=lambda c: odds[c], default=None)
-        if least is None or odds[least] >= 0.0:
-            return model
-        model = model.without([least])
 
 
 def _with_simpler_law(model: Extended, term: Term, candidate: Candidate, covariance: np.ndarray) -> Term:
