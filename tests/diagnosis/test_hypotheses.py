@@ -315,13 +315,14 @@ def test_effect_without_features_is_no_hypothesis() -> None:
     assert hypothesis_of(fit, rows, c) is None
 
 
+@pytest.mark.xfail(strict=True, reason="40 nats now, 61 before the gain of fast motion had two terms")
 def test_offset_of_a_torque_is_no_drift() -> None:
     """Were a recording's level to tell how large its drift is, an offset would pass for the level of a large one."""
     plain, fit = fitted(), fitted(at_joint(1, lambda m: 0.0 * m.t + 1.5))
     rows = carried(fit)
     found = [h for h in screened(fit, rows, ALL) if h.candidate.site.always]
     (offset,) = (h for h in found if h.name == ("torque_offset", Site(1)))
-    assert offset.log_evidence > 30.0
+    assert offset.log_evidence > 50.0
     best = with_own_noise(fit, rows, offset)
     assert best.coefficients[0] == pytest.approx(1.5, abs=4.0 * best.std[0])
     assert fit.hyper.drift[1] < 10.0 * plain.hyper.drift[1]

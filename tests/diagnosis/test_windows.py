@@ -117,7 +117,14 @@ def test_effect_without_shapes_is_no_hypothesis_in_some_recordings(two_recording
 
 @pytest.mark.parametrize(
     ("name", "at"),
-    [("payload", Site(body=1)), ("external_wrench", Site(body=1)), ("torque_offset", Site(1))],
+    [
+        pytest.param(
+            *("payload", Site(body=1)),
+            marks=pytest.mark.xfail(strict=True, reason=".14 nats apart since the gain of fast motion has two terms"),
+        ),
+        ("external_wrench", Site(body=1)),
+        ("torque_offset", Site(1)),
+    ],
     ids=["payload", "external_wrench", "torque_offset"],
 )
 def test_what_begins_and_ends_at_once_is_told_as_its_rows_are(
@@ -134,7 +141,7 @@ def test_what_begins_and_ends_at_once_is_told_as_its_rows_are(
         assert found is not None
         exact = hypothesis_of(fit, rows, found[0].candidate)
         assert exact is not None
-        assert found[0].log_evidence == pytest.approx(exact.log_evidence, rel=0.02, abs=0.2)
+        assert found[0].log_evidence == pytest.approx(exact.log_evidence, rel=0.02, abs=0.1)
         window = found[0].candidate.site.window
         assert window == Window("second", *times[list(pair)])
 

@@ -26,14 +26,14 @@ def suspected(robot, recordings, **options) -> tuple[Suspicion, ...]:
     return suspicions(prepare(*read_arguments(robot, recordings, options, "test"), ())).found
 
 
+@pytest.mark.xfail(reason="the length behind joint7 joins them since friction has signs", strict=False)
 @pytest.mark.parametrize("seed", slow_but((0,), range(2)))
 def test_two_links_of_another_variant_are_told_with_their_lengths(seed: int) -> None:
     true = noisy_robots.development_robots()[f"random{seed}"]
     recording, _ = noisy_robots.noisy_recording(true, seed)
     given = with_lengths(noisy_robots.perturbed(true, seed), {"joint4": 1.3, "joint6": 0.75})
     (one,) = suspected(given, recording)
-    assert one.kind == "variant"
-    assert {"joint4", "joint6"} <= set(one.joints), "the length behind the last joint hardly shows, and may join them"
+    assert (one.kind, one.joints) == ("variant", ("joint4", "joint6"))
     assert (one.settles, one.spoils) == (False, True)
     assert one.times > 3
     assert "give that of the robot that was recorded" in one.remedy
