@@ -31,7 +31,7 @@ def simplified(model: Extended, prepared: Prepared, may: Sequence[str], progress
         model: the extended model.
         prepared: the data that it was made from.
         may: ids of effects that may be there.
-        progress: told how far the work is.
+        progress: called with the stage of the work and how far it is.
     """
     found = model.found
     terms = tuple(_with_simpler_law(model, *one) for one in zip(found.terms, model.terms, model.open, strict=True))
