@@ -9,10 +9,11 @@ import pytest
 from likelihood.arms import Torque, recorded, rows_of, wrong_robot
 from likelihood.fits import COULOMB, OPTIONS, URDF, VISCOUS, WIDTH, at_joint, with_friction
 from scipy.stats import multivariate_normal
-from simulated import joint_names
+from simulated import joint_names, record
 
+import torchrbd
 from torchrbd.diagnosis.friction import Friction, ordinary_friction
-from torchrbd.diagnosis.hypotheses import carried
+from torchrbd.diagnosis.hypotheses import carried, hypothesis_of
 from torchrbd.effects import Site, effect
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.learning import learn
@@ -152,3 +153,44 @@ def test_what_may_not_be_there_is_not(may: tuple[str, ...], names: set[str]) -> 
 def test_a_joint_without_torque_has_no_friction() -> None:
     found = told(learnt(None, joint_names(URDF)[0]))
     assert {joint for _, joint in found} == {1}
+
+
+def wandering(m) -> np.ndarray:
+    """Return an offset of the first joint that is no larger than its drift, at 0.05 Hz."""
+    return 0.5 + 0.5 * np.sin(0.1 * np.pi * m.t)
+
+
+def test_each_joint_has_an_offset_as_sure_as_the_search_is_of_it() -> None:
+    fit = learnt(at_joint(0, wandering))
+    rows = carried(fit)
+    for j in (0, 1):
+        one = told(fit, (*ALL, "torque_offset"))["torque_offset", j]
+        searched = hypothesis_of(fit, rows, rows.columns.candidate(effect("torque_offset"), Site(j), {}))
+        assert searched is not None
+        assert one.log_evidence == pytest.approx(searched.log_evidence)
+        assert one.probability < 0.5
+
+
+@pytest.mark.parametrize(("name", "site"), [("torque_offset", Site(0)), ("joint_spring", Site(0)), ("", Site(0))])
+def test_one_constant_torque_is_enough(name: str, site: Site) -> None:
+    """That of a law, or friction that differs by direction, takes its place."""
+    fit = learnt(PUSHED)
+    rows = carried(fit)
+    laws = [rows.columns.candidate(effect(name), site, {})] if name else []
+    fit = fit.extended([Extra(c.place, F, np.ones(len(F))) for c in laws if len(F := rows.features(c))])
+    every = ordinary_friction(fit, rows.columns, (*ALL, "torque_offset"), laws)
+    found = {f.candidate.effect.id for f in every if f.candidate.joint == 0}
+    assert "torque_offset" not in found
+    assert (UNEVEN in found) == (not name)
+
+
+def test_a_diagnosis_predicts_offsets_as_an_identification_does() -> None:
+    """Drift explains an offset of its own size, so that the search finds none; held-out data has it nevertheless."""
+    options = {**OPTIONS, "extra": with_friction(at_joint(0, wandering))}
+    one, other = record(URDF, 2, **options), record(URDF, 3, name="other", **options)
+    identified = torchrbd.identify(URDF, one, holdout=other)
+    diagnosed = torchrbd.diagnose(URDF, one, holdout=other, effects=["torque_offset", *ALL])
+    assert "torque_offset" not in {f.effect for f in diagnosed.findings}
+    joint = joint_names(URDF)[0]
+    before, after = (each.fits["extended"].nmse[joint] for each in (identified, diagnosed.identification))
+    assert after < 1.02 * before

@@ -1,21 +1,25 @@
-"""Baseline friction of every joint: how it differs from the URDF's, how certain that is, and whether directions differ.
+"""Baseline friction and offset of every joint: how they differ from the URDF's, and how certain that is.
 
 Coefficients are estimated in every model. Their evidence is the ratio of densities at the URDF's value, prior over
 posterior (Savage and Dickey). That Coulomb friction differs by direction has prior odds of one: every model has both
 directions, so that nothing is searched. Where a law that was found has the same column, each may absorb a part of the
 other. Both the coefficients alone and the sums then have to differ from the URDF.
+
+The likelihood has a level of the torque, too: the slowest part of its drift. A model that leaves it out predicts worse
+than least squares with an offset. The level is therefore a torque offset of the model, certain or not.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import expit
 
-from torchrbd.diagnosis.hypotheses import SHARED
-from torchrbd.diagnosis.posterior import LIKELY, probability_of
+from torchrbd.diagnosis.hypotheses import SHARED, carried, hypothesis_of
+from torchrbd.diagnosis.posterior import LIKELY, log_odds, probability_of
 from torchrbd.effects import Site, effect
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood
@@ -24,11 +28,12 @@ from torchrbd.robot import RobotModel
 # The label of a constant torque.
 _LEVEL = "1"
 VISCOUS, COULOMB, UNEVEN = "viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction"
+OFFSET = "torque_offset"
 
 
 @dataclass(frozen=True)
 class Friction:
-    """A term of baseline friction in a model.
+    """A term of baseline friction, or an offset, in a model.
 
     Attributes:
         candidate: the term.
@@ -71,18 +76,31 @@ def ordinary_friction(
             found_as[UNEVEN] = differ
         elif COULOMB in may:
             found_as[COULOMB] = 1.0 - differ
+        if OFFSET in may and UNEVEN not in found_as and j not in shifted:
+            found_as[OFFSET] = 1.0
         for name, law in found_as.items():
-            evidence = _evidence(fit, columns.robot, name, j, laws)
             candidate = columns.candidate(effect(name), Site(j), {})
-            found.append(Friction(candidate, evidence, probability_of(evidence), law))
+            found.append(weighed_given(Friction(candidate, 0.0, 0.0, law), fit, columns.robot, laws))
     return tuple(found)
 
 
 def weighed_given(one: Friction, fit: Likelihood, robot: RobotModel, laws: Sequence[Candidate]) -> Friction:
     """Return the same friction with its evidence in another likelihood and given other laws."""
-    assert one.candidate.joint is not None
-    evidence = _evidence(fit, robot, one.candidate.effect.id, one.candidate.joint, laws)
-    return replace(one, log_evidence=evidence, probability=probability_of(evidence))
+    name, joint = one.candidate.effect.id, one.candidate.joint
+    assert joint is not None
+    if name == OFFSET:
+        evidence, probability = _offset(fit, joint)
+    else:
+        evidence = _evidence(fit, robot, name, joint, laws)
+        probability = probability_of(evidence)
+    return replace(one, log_evidence=evidence, probability=probability)
+
+
+def _offset(fit: Likelihood, joint: int) -> tuple[float, float]:
+    """Return evidence and probability of an offset that is larger than the level of the drift, as the search does."""
+    rows = carried(fit)
+    found = hypothesis_of(fit, rows, rows.columns.candidate(effect(OFFSET), Site(joint), {}))
+    return (-math.inf, 0.0) if found is None else (found.log_evidence, float(expit(log_odds(found, rows))))
 
 
 def _evidence(fit: Likelihood, robot: RobotModel, name: str, joint: int, laws: Sequence[Candidate]) -> float:
