@@ -11,7 +11,7 @@ import pytest
 from inference.problems import urdf_of
 from simulated import Motion, joint_names, record
 
-from torchrbd.cli import main
+from torchrbd.cli import fleet, main
 
 URDF = urdf_of(2, 2)
 ROBOTS = 7
@@ -146,3 +146,16 @@ def test_the_earlier_time_is_another_folder(case: Path, capsys: pytest.CaptureFi
     assert (
         "--before is the folder of -o, so that nothing could have changed; give the folder" in capsys.readouterr().err
     )
+
+
+def test_only_another_format_makes_all_results_anew(case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = [case / "out" / f"arm{k}" / "parameters.json" for k in range(ROBOTS)]
+    command = ["fleet", str(case / "robots.yaml"), "-o", str(case / "out"), "-j", "1"]
+    assert main(command) == 0
+    before = [file.stat().st_mtime_ns for file in files]
+    monkeypatch.setattr(fleet, "__version__", "9.9.dev1", raising=False)
+    assert main(command) == 0
+    assert [file.stat().st_mtime_ns for file in files] == before
+    monkeypatch.setattr(fleet, "FORMAT", fleet.FORMAT + 1)
+    assert main(command) == 0
+    assert all(file.stat().st_mtime_ns != then for file, then in zip(files, before, strict=True))

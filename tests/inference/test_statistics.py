@@ -14,6 +14,7 @@ from simulated import joint_names, record
 
 import torchrbd
 from torchrbd import InputError, OptionError, merge_statistics, write_statistics
+from torchrbd.inference.statistics import building
 from torchrbd.inference.statistics import files as files_module
 from torchrbd.inference.statistics import folder as folder_module
 from torchrbd.inference.statistics.files import read_statistics, write_file
@@ -164,7 +165,6 @@ def test_merging_adds(made: list[Path], tmp_path: Path) -> None:
         ),
         ({"gravity": (0.0, 9.81, 0.0)}, "gravity .*; make all with one --gravity"),
         ({"effects": ()}, r"effects .* and \(\); make all with the same --effects"),
-        ({"version": "0"}, "version .* and 0; make all with one version of torchrbd"),
         ({"time": (0.0, 3.0)}, "time None and .*; make all with the same --time"),
     ],
 )
@@ -180,9 +180,7 @@ def test_the_same_recording_does_not_count_twice(made: list[Path]) -> None:
         added([read_statistics(made[0])] * 2)
 
 
-def test_files_that_do_not_fit_are_refused(
-    case: Path, made: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_that_do_not_fit_are_refused(case: Path, made: list[Path], tmp_path: Path) -> None:
     urdf, torn = case / "arm.urdf", tmp_path / "torn.stats"
     with pytest.raises(InputError, match=r"none.stats: no such file"):
         torchrbd.identify(urdf, tmp_path / "none.stats")
@@ -206,9 +204,35 @@ def test_files_that_do_not_fit_are_refused(
         torchrbd.identify(other, made)
     with pytest.raises(InputError, match=r"cutoff_hz 5.0 and 6.0; make all with one --cutoff"):
         torchrbd.identify(urdf, made, cutoff_hz=6.0)
-    monkeypatch.setattr(files_module, "__version__", "9.9")
-    with pytest.raises(InputError, match=r"was made by torchrbd .*, this is 9.9; make it anew"):
-        torchrbd.identify(urdf, made)
+
+
+@pytest.mark.parametrize("written", [files_module.FORMAT - 1, files_module.FORMAT + 1, "torchrbd-statistics-2"])
+def test_files_of_another_format_are_refused_with_what_to_do(
+    case: Path, made: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: object
+) -> None:
+    found, other = read_statistics(made[0]), tmp_path / "other.stats"
+    with monkeypatch.context() as patched:
+        patched.setattr(files_module, "FORMAT", written)
+        write_file(found, other)
+    words = (
+        rf"other.stats: has format '?{written}'?, and this torchrbd reads format {files_module.FORMAT}; make it anew "
+        r"with 'torchrbd stats', or use the torchrbd that made it"
+    )
+    for call in (lambda: torchrbd.identify(case / "arm.urdf", other), lambda: merge_statistics([*made, other], other)):
+        with pytest.raises(InputError, match=words):
+            call()
+
+
+def test_files_of_one_format_add_whichever_version_of_the_package_made_them(
+    case: Path, made: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torchrbd, "__version__", "9.9.dev1")
+    for module in (files_module, building):
+        monkeypatch.setattr(module, "__version__", "9.9.dev1", raising=False)
+    (newer,) = write_statistics(case / "arm.urdf", recordings(case)[2], tmp_path, cutoff_hz=CUTOFF_HZ)
+    whole = merge_statistics([*made[:2], newer], tmp_path / "all.stats")
+    assert [one.name for one in whole.origins] == [f"{name}.npz" for name in NAMES]
+    assert newer.read_bytes() == made[2].read_bytes()
 
 
 def test_what_moments_cannot_do_is_said(case: Path, made: list[Path], tmp_path: Path) -> None:

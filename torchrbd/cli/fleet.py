@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from torchrbd import __version__
 from torchrbd.cli.progress import progress_bar
 from torchrbd.diagnosis.fleet.compare import compare_fleet
 from torchrbd.diagnosis.fleet.results import FleetComparison
@@ -30,6 +29,8 @@ from torchrbd.report.text.numbers import number
 
 # The inputs of a robot's files, saved with them; this one is written last.
 _MADE_FROM = "made_from.json"
+# Of those files; it counts the changes after which results of before and after cannot be compared.
+FORMAT = 1
 # That the table names.
 _MOST_ROBOTS = 40
 
@@ -104,7 +105,7 @@ def _made_from(entry: RobotEntry) -> str:
     if "mapping" in entry.options:
         files["mapping"] = entry.options["mapping"]
     content = {
-        "version": __version__,
+        "format": FORMAT,
         "options": options,
         "files": {key: [path.name, *digest(path)] for key, path in files.items()},
     }

@@ -20,7 +20,7 @@ AFTER = "\n\n".join(
         """\
 DIR/<recording>.stats holds second moments, what the recording is (name, size,
 SHA-256), and all that the moments depend on: kinematics and gravity of the
-robot, cut-off, options, version. --cutoff is required: the same for all that
+robot, cut-off, options, format. --cutoff is required: the same for all that
 are used together. From them,
   torchrbd identify ROBOT.urdf DIR/*.stats -o OUT
 gives, to rounding, what

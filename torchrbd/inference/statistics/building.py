@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from torchrbd import __version__
 from torchrbd.effects import Effect, JointScale
 from torchrbd.errors import OptionError
 from torchrbd.inference.ordinary import with_friction
@@ -41,7 +40,6 @@ def conditions(robot: RobotModel, settings: Settings) -> Conditions:
     if mapping is not None:
         read_mapping(mapping)
     return Conditions(
-        version=__version__,
         robot=robot.name,
         kinematics_sha256=kinematics_sha256(robot),
         joints=robot.joint_names,

@@ -11,7 +11,6 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
-from torchrbd import __version__
 from torchrbd.effects import JointScale
 from torchrbd.errors import InputError
 from torchrbd.inference.statistics.results import Conditions, Origin, Statistics
@@ -20,7 +19,10 @@ from torchrbd.outputs import write_whole
 from torchrbd.rebuilding import rebuilt
 from torchrbd.recordings.formats import STATISTICS
 
-_FORMAT, _HEADER = "torchrbd-statistics-2", "statistics"
+FORMAT = 3
+"""Of the files; it counts each change of what they hold or of what their numbers mean. Those of one format add."""
+
+_HEADER = "statistics"
 _REMEDY = "give those that 'torchrbd stats' wrote"
 _LABELS = tuple[tuple[str, ...], ...]
 
@@ -39,7 +41,7 @@ def write_file(found: Statistics, path: str | Path) -> None:
     tensors["time"] = torch.tensor([[b.start_s, b.end_s] for b in found.blocks], dtype=torch.float64).reshape(-1, 2)
     tensors["recording"] = torch.tensor([number[b.recording] for b in found.blocks], dtype=torch.int64)
     header = {
-        "format": _FORMAT,
+        "format": FORMAT,
         "conditions": asdict(found.conditions),
         "origins": [asdict(one) for one in found.origins],
         "scales": [asdict(one) for one in found.scales],
@@ -54,7 +56,7 @@ def read_statistics(path: str | Path) -> Statistics:
     """Read what ``write_file`` wrote.
 
     Raises:
-        InputError: no such file, none of ours, or of another version.
+        InputError: no such file, none of ours, or of another format.
     """
     head = read_head(path)
     try:
@@ -71,7 +73,7 @@ def read_head(path: str | Path) -> Statistics:
     """Read what a file says of itself and of its blocks: all but its numbers, of which there are none, (0, ...) each.
 
     Raises:
-        InputError: no such file, none of ours, or of another version.
+        InputError: no such file, none of ours, or of another format.
     """
     if Path(path).is_dir():
         raise InputError(f"{path}: is a folder; give the files in it, e.g. {path}/*{STATISTICS}")
@@ -90,19 +92,14 @@ def read_head(path: str | Path) -> Statistics:
 
 
 def _header(path: str | Path, text: str) -> dict[str, Any]:
-    """Return the metadata of a file of this version."""
+    """Return the metadata of a file of this format."""
     header = json.loads(text)
     if not header:
         raise InputError(f"{path}: is no statistics file; {_REMEDY}")
-    if header.get("format") != _FORMAT:
+    if header.get("format") != FORMAT:
         raise InputError(
-            f"{path}: is no statistics file of torchrbd {__version__}; expected format '{_FORMAT}', got "
-            f"'{header.get('format')}'; make it anew with 'torchrbd stats'"
-        )
-    version = header["conditions"]["version"]
-    if version != __version__:
-        raise InputError(
-            f"{path}: was made by torchrbd {version}, this is {__version__}; make it anew with 'torchrbd stats'"
+            f"{path}: has format {header.get('format')}, and this torchrbd reads format {FORMAT}; make it anew with "
+            "'torchrbd stats', or use the torchrbd that made it"
         )
     return header
 

@@ -46,7 +46,7 @@ def write_statistics(
 ) -> list[Path]:
     """Stream recordings into files of second moments, which ``identify`` takes in place of them.
 
-    A file that is there, of the same recording, options and version, is left as it is: an interrupted call goes on
+    A file that is there, of the same recording, options and format, is left as it is: an interrupted call goes on
     where it was. Memory does not grow with the recordings.
 
     Args:

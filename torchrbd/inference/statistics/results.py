@@ -20,7 +20,6 @@ MOST_BLOCKS = 256
 """That a fit looks at, or one a recording."""
 
 _REMEDIES = {
-    "version": "make all with one version of torchrbd",
     "robot": "they are of different robots",
     "kinematics_sha256": "their URDFs differ in joints, axes, placements, rotors or springs; make all with one URDF",
     "joints": "their URDFs differ in joints; make all with one URDF",
@@ -41,7 +40,6 @@ class Conditions:
     The URDF's inertias and friction are not among it: they are the prior of a fit, and may be others for each.
 
     Attributes:
-        version: of torchrbd.
         robot: its name.
         kinematics_sha256: of joints, axes, placements and bodies, and of rotors and springs that are known.
         joints: (n_dof,) names.
@@ -54,7 +52,6 @@ class Conditions:
         encoder_noise: (n_dof,) as stated [rad, m], None where estimated.
     """
 
-    version: str
     robot: str
     kinematics_sha256: str
     joints: tuple[str, ...]
