@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from torchrbd import InputError, OptionError
+from torchrbd import InputError, OptionError, deadline
 from torchrbd.engines import Engine
 
 
@@ -45,6 +45,15 @@ def test_local_processes_do_all_in_order() -> None:
     assert [one.value for one in found] == [0, 1, 4, None, 16, 25]
     assert str(found[3].error) == "three cannot be used"
     assert len(told) == 6
+
+
+def test_what_is_not_begun_is_not_tried_again() -> None:
+    told = []
+    with deadline.asked():
+        deadline.finish_soon()
+        found = Engine(retries=2).done(square, range(4), told.append)
+    assert [type(one.error).__name__ for one in found] == ["UnfinishedError"] * 4
+    assert len(told) == 4
 
 
 @pytest.mark.parametrize(("retries", "value"), [(0, None), (1, 7)])

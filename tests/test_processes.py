@@ -14,7 +14,8 @@ from threading import get_ident
 
 import pytest
 
-from torchrbd.errors import OptionError
+from torchrbd import deadline
+from torchrbd.errors import OptionError, UnfinishedError
 from torchrbd.processes import Attempt, side_by_side
 
 ROOT = Path(__file__).parent.parent
@@ -168,6 +169,36 @@ def test_what_is_raised_while_told_ends_all(error: type[BaseException], tmp_path
     assert time.monotonic() - start < LONG_S / 2
     (helper,) = helpers_in(tmp_path)
     assert not lives(helper)
+
+
+def ends_when_asked(parent: int, folder: Path, task: int) -> tuple[int, int]:
+    """Ask for an end here, once a helper is at work, and return what has ended early."""
+    together(folder, task)
+    if os.getpid() == parent:
+        deadline.finish_soon()
+    assert until(deadline.asked_for)
+    return task, os.getpid()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_work_that_is_asked_to_end_keeps_what_is_begun_and_begins_no_more(jobs: int, tmp_path: Path) -> None:
+    told: list[Attempt] = []
+    work = partial(ends_when_asked, os.getpid(), tmp_path) if jobs == 2 else asks_for_an_end
+    with deadline.asked():
+        found = side_by_side(work, list(range(8)), jobs=jobs, on_result=told.append)
+        assert len(told) == 8
+        (unbegun,) = side_by_side(math.sqrt, [4.0], jobs=jobs)
+    done = [one.value for one in found if one.value is not None]
+    assert len(done) == jobs
+    assert {process for _, process in done} == {os.getpid(), *(helpers_in(tmp_path) if jobs == 2 else ())}
+    assert {type(one.error) for one in (*found, unbegun) if one.value is None} == {UnfinishedError}
+    assert str(unbegun.error) == "was not begun: you asked for an early end; do it again"
+    assert [one.value for one in side_by_side(math.sqrt, [4.0], jobs=jobs)] == [2.0]
+
+
+def asks_for_an_end(task: int) -> tuple[int, int]:
+    deadline.finish_soon()
+    return task, os.getpid()
 
 
 SCRIPT = """

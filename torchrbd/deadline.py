@@ -23,6 +23,7 @@ Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _ASKED = threading.Event()
+_LISTENERS: list[Callable[[], None]] = []
 
 
 @dataclass
@@ -90,6 +91,25 @@ def asked() -> Iterator[None]:
 def finish_soon() -> None:
     """Ask the work to end with its results so far; may be called from a signal handler."""
     _ASKED.set()
+    for listener in tuple(_LISTENERS):
+        listener()
+
+
+def asked_for() -> bool:
+    """Return whether the user has asked for an early end."""
+    return _ASKED.is_set()
+
+
+@contextmanager
+def on_request(listener: Callable[[], None]) -> Iterator[None]:
+    """Call a function, perhaps in a signal handler, if the user asks for an early end or has already asked."""
+    _LISTENERS.append(listener)
+    try:
+        if asked_for():
+            listener()
+        yield
+    finally:
+        _LISTENERS.remove(listener)
 
 
 def is_over() -> bool:

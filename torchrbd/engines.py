@@ -12,7 +12,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, Literal, TypeVar
 
-from torchrbd.errors import OptionError, TorchRBDError
+from torchrbd.deadline import asked_for
+from torchrbd.errors import OptionError, TorchRBDError, UnfinishedError
 from torchrbd.processes import Attempt, attempted, cores, side_by_side
 
 Task = TypeVar("Task")
@@ -52,6 +53,9 @@ class Engine:
         on_result: Callable[[Attempt[Value]], None] = lambda _: None,
     ) -> list[Attempt[Value]]:
         """Do the work on each task; an error of one does not stop the others.
+
+        If the user asks for an early end (``deadline.py``), no other task is begun: the attempt at it has an
+        UnfinishedError. What a cluster is working on is left undone as well.
 
         Args:
             work: done on one task; it can be pickled, as can tasks and values.
@@ -119,13 +123,20 @@ def _by_dask(
         tried = _Attempted(work, engine.retries)
         futures = {client.submit(tried, task, pure=False): k for k, task in enumerate(tasks)}
         found: dict[int, Attempt[Value]] = {}
-        for future in as_completed(futures):
+        for future in () if asked_for() else as_completed(futures):
             try:
                 one: Attempt[Value] = future.result()
             except Exception as error:
                 one = Attempt(None, RuntimeError(f"its worker died again and again ({error})"), 0.0)
             found[futures[future]] = one
             on_result(one)
+            if asked_for():
+                break
+    for k in range(len(tasks)):
+        if k not in found:
+            error = UnfinishedError("was not ended: you asked for an early end; do it again")
+            found[k] = Attempt(None, error, 0.0)
+            on_result(found[k])
     return [found[k] for k in range(len(tasks))]
 
 

@@ -30,6 +30,10 @@ class PhysicalError(TorchRBDError, ValueError):
     """Inertial parameters that no rigid body can have, in a computation that needs physical ones."""
 
 
+class UnfinishedError(TorchRBDError):
+    """Work that was not begun or not ended, since the user asked for an early end."""
+
+
 def closest(name: str, known: Iterable[str]) -> str:
     """Return "did you mean 'x'?" for the most similar known name; empty if none is similar."""
     alike = difflib.get_close_matches(name, list(known), n=1)

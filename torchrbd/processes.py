@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import time
@@ -20,7 +21,8 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import IO, Any, Generic, TypeVar
 
-from torchrbd.errors import OptionError
+from torchrbd.deadline import finish_soon, on_request
+from torchrbd.errors import OptionError, UnfinishedError
 
 Task = TypeVar("Task")
 Value = TypeVar("Value")
@@ -51,6 +53,9 @@ def side_by_side(
     on_result: Callable[[Attempt[Value]], None] = lambda _: None,
 ) -> list[Attempt[Value]]:
     """Do the work on each task; an error in one does not stop the others.
+
+    If the user asks for an early end (``deadline.py``), helpers are asked, too, and no other task is begun: the attempt
+    at it has an UnfinishedError.
 
     A helper takes a task when it has started, which takes as long as the imports of ``work``; this process works from
     the beginning. Tasks and values that cannot be pickled are processed here. So is everything, with a warning, if
@@ -88,6 +93,7 @@ def help_parent() -> None:
     The first message is the work; its answer is an error message, empty if there is none. The other messages are tasks;
     their answers are attempts, empty if they cannot be pickled.
     """
+    signal.signal(signal.SIGTERM, lambda *_: finish_soon())
     asked, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     # Printed text would mix with the answers.
     os.dup2(2, 1)
@@ -145,13 +151,20 @@ def _helpers(
             count = 0
     processes: list[subprocess.Popen[bytes]] = []
     threads: list[Thread] = []
+
+    def end_soon() -> None:
+        _leave_waiting(waiting, done)
+        for process in processes:
+            process.terminate()
+
     try:
-        for _ in range(count):
-            processes.append(_start())
-            given = processes[-1], message, waiting, done, problems
-            threads.append(Thread(target=_hand_over, args=given, daemon=True))
-            threads[-1].start()
-        yield
+        with on_request(end_soon):
+            for _ in range(count):
+                processes.append(_start())
+                given = processes[-1], message, waiting, done, problems
+                threads.append(Thread(target=_hand_over, args=given, daemon=True))
+                threads[-1].start()
+            yield
     finally:
         for process in processes:
             process.kill()
@@ -161,8 +174,17 @@ def _helpers(
             process.communicate()
 
 
+def _leave_waiting(waiting: deque[Any], done: SimpleQueue[Any]) -> None:
+    """Leave the waiting tasks undone; a signal handler may call it, as neither queue has a lock that it could hold."""
+    with suppress(IndexError):
+        while True:
+            k, _ = waiting.popleft()
+            error = UnfinishedError("was not begun: you asked for an early end; do it again")
+            done.put((k, Attempt(None, error, 0.0)))
+
+
 def _start() -> subprocess.Popen[bytes]:
-    """Start a helper with the same module path; only this process handles Ctrl-C."""
+    """Start a helper with the same module path; only this process handles Ctrl-C, and sends SIGTERM to helpers."""
     return subprocess.Popen(
         [sys.executable, "-c", _HELPER, *sys.path],
         stdin=subprocess.PIPE,

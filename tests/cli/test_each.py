@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,9 @@ from inference.problems import urdf_of
 from simulated import joint_names, record
 
 import torchrbd
+from torchrbd import deadline
 from torchrbd.cli import main
+from torchrbd.inference import many
 from torchrbd.report.text.numbers import number
 
 URDF = urdf_of(2, 2)
@@ -121,3 +125,53 @@ def test_processes_are_for_each(case: Path, tmp_path: Path, capsys: pytest.Captu
     files = [str(case / "arm.urdf"), str(case / "night.npz")]
     assert main(["identify", *files, "-o", str(tmp_path / "out"), "-j", "2"]) == 2
     assert "-j is for --each" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_keeps_what_is_done_and_begins_no_more(
+    kind: signal.Signals,
+    case: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """It comes in the first of three: that one is ended early and written, and the others are not begun."""
+    usual, calls = many.identify, []
+
+    def interrupted(robot, sources, **options):
+        calls.append(sources)
+        os.kill(os.getpid(), kind)
+        return usual(robot, sources, **options)
+
+    monkeypatch.setattr(many, "identify", interrupted)
+    for name in ("noon", "dawn"):
+        (tmp_path / f"{name}.npz").write_bytes((case / "night.npz").read_bytes())
+    others = [str(tmp_path / f"{name}.npz") for name in ("noon", "dawn")]
+    assert run(case, tmp_path / "out", "night.npz", *others, options=("-j", "1", "--effects", "stribeck_friction")) == 0
+    assert calls == [case / "night.npz"]
+    told = capfd.readouterr()
+    assert "finishing with what was found" in told.err
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"night"}
+    content = json.loads((tmp_path / "out" / "night" / "parameters.json").read_text())
+    assert content["finished"] is False
+    assert any("because you asked for it" in note for note in content["notes"])
+    cells = [[cell.strip() for cell in line.split("│")[1:3]] for line in told.out.splitlines() if line[:1] == "│"]
+    assert cells == [
+        ["night.npz", f"{content['verdict']} (unfinished)"],
+        ["noon.npz", "not begun"],
+        ["dawn.npz", "not begun"],
+    ]
+    assert "unfinished: 2 of 3 recordings were not begun" in told.out
+    assert not deadline.asked_for()
+
+
+def test_the_time_limit_is_for_each(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Both have ended at the limit; one limit for the whole would have left nothing of the second."""
+    options = ("-j", "1", "--effects", "stribeck_friction", "--time-limit", "0.01s")
+    assert run(case, tmp_path, "day[1].npz", "night.npz", options=options) == 0
+    assert capsys.readouterr().out.count("(unfinished)") == 2
+    for name in ("day[1]", "night"):
+        content = json.loads((tmp_path / name / "parameters.json").read_text())
+        assert any("at the time limit of 0.01 s" in note for note in content["notes"])
+    main(["identify", "--help"])
+    assert "--time-limit is for each" in " ".join(capsys.readouterr().out.split())

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import os
 import shutil
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -159,3 +162,40 @@ def test_only_another_format_makes_all_results_anew(case: Path, monkeypatch: pyt
     monkeypatch.setattr(fleet, "FORMAT", fleet.FORMAT + 1)
     assert main(command) == 0
     assert all(file.stat().st_mtime_ns != then for file, then in zip(files, before, strict=True))
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_keeps_what_is_done_and_the_next_call_goes_on(
+    kind: signal.Signals,
+    case: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """It comes in the third robot, whose search is ended early, so that it is identified again."""
+    usual, calls = fleet.identify, []
+
+    def interrupted(urdf, recordings, **options):
+        calls.append(recordings)
+        if len(calls) == 3:
+            os.kill(os.getpid(), kind)
+        found = usual(urdf, recordings, **options)
+        return dataclasses.replace(found, finished=False) if len(calls) == 3 else found
+
+    monkeypatch.setattr(fleet, "identify", interrupted)
+    listed, out = case / "robots.yaml", tmp_path / "out"
+    assert main(["fleet", str(listed), "-o", str(out), "-j", "1"]) == 0
+    told = capfd.readouterr()
+    assert len(calls) == 3
+    assert "finishing with what was found" in told.err
+    content = json.loads((out / "fleet.json").read_text())
+    assert content["finished"] is False
+    assert [one["verdict"] for one in content["members"]] == ["identified"] * 2 + ["unfinished"] * (ROBOTS - 2)
+    for words in (content["statement"], " ".join(told.out.split()), (out / "fleet.html").read_text()):
+        assert f"Unfinished: {ROBOTS - 2} of {ROBOTS} robots are not identified yet; the same call goes on." in words
+    assert (out / "arm2" / "parameters.json").is_file()
+    assert main(["fleet", str(listed), "-o", str(out), "-j", "1"]) == 0
+    assert len(calls) == 3 + ROBOTS - 2
+    content = json.loads((out / "fleet.json").read_text())
+    assert content["finished"] is True
+    assert "nfinished" not in content["statement"]

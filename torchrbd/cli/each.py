@@ -11,12 +11,14 @@ from typing import Any
 
 from rich.console import Console
 
+from torchrbd.cli.interrupts import finishing_on_interrupt
 from torchrbd.cli.progress import progress_bar
 from torchrbd.cli.tables import print_each
-from torchrbd.errors import InputError, OptionError, reason
+from torchrbd.errors import InputError, OptionError, UnfinishedError, reason
 from torchrbd.inference import Identification
 from torchrbd.inference.many import identify_and
 from torchrbd.outputs import OutputFolder, inside
+from torchrbd.processes import Attempt
 from torchrbd.report.files import IDENTIFIED, REPORT, write_files
 
 
@@ -29,7 +31,7 @@ class Brief:
     after: float
 
 
-_FAILED = Brief("failed", nan, nan)
+_FAILED, _NOT_BEGUN = Brief("failed", nan, nan), Brief("not begun", nan, nan)
 
 
 def identify_each(
@@ -43,6 +45,8 @@ def identify_each(
 ) -> None:
     """Identify each recording, write its results, and show all in a table.
 
+    If the user interrupts, what is begun ends with what it has found, and the others are not begun.
+
     Raises:
         OptionError: two recordings for one folder, or one for none inside the output folder.
         InputError: some could not be identified; it says which and why, the others are done.
@@ -51,14 +55,18 @@ def identify_each(
     for file in recordings:
         _folder_of(output, file)
     into = partial(_write_brief, output)
-    with OutputFolder(output), progress_bar(quiet=quiet) as progress:
+    with finishing_on_interrupt(), OutputFolder(output), progress_bar(quiet=quiet) as progress:
         found = identify_and(into, robot, recordings, "identify", options, jobs=jobs, progress=progress)
     pairs = list(zip(recordings, found, strict=True))
-    print_each((file.name, *astuple(one.value or _FAILED), one.seconds) for file, one in pairs)
-    failed = [(file, one.error) for file, one in pairs if one.error is not None]
-    if len(failed) < len(found):
-        words = f"wrote {', '.join(IDENTIFIED)} and {REPORT} to {output}/<recording>"
-        Console(highlight=False, soft_wrap=True).print(words, markup=False)
+    print_each((file.name, *astuple(_brief(one)), one.seconds) for file, one in pairs)
+    left = [file for file, one in pairs if isinstance(one.error, UnfinishedError)]
+    failed = [(file, one.error) for file, one in pairs if one.error is not None and file not in left]
+    out = Console(highlight=False, soft_wrap=True)
+    if any(one.value for one in found):
+        out.print(f"wrote {', '.join(IDENTIFIED)} and {REPORT} to {output}/<recording>", markup=False)
+    if left:
+        words = f"unfinished: {len(left)} of {len(found)} recordings were not begun; identify them in another call"
+        out.print(words, markup=False)
     if failed:
         reasons = "".join(f"\n  {_reason(file, error)}" for file, error in failed)
         raise InputError(f"{len(failed)} of {len(found)} recordings could not be identified{reasons}")
@@ -96,7 +104,12 @@ def _write_brief(folder: Path, result: Identification, recording: Path) -> Brief
     with OutputFolder(_folder_of(folder, recording)) as into:
         into.fill(partial(write_files, result))
     before, *_, after = (fit.mean_nmse for fit in result.fits.values())
-    return Brief(result.verdict, before, after)
+    return Brief(result.verdict if result.finished else f"{result.verdict} (unfinished)", before, after)
+
+
+def _brief(one: Attempt[Brief]) -> Brief:
+    """Return what the table says of an attempt."""
+    return one.value or (_NOT_BEGUN if isinstance(one.error, UnfinishedError) else _FAILED)
 
 
 def _reason(file: Path, error: Exception) -> str:

@@ -11,11 +11,13 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
+from torchrbd.cli.interrupts import finishing_on_interrupt
 from torchrbd.cli.progress import progress_bar
+from torchrbd.deadline import asked_for
 from torchrbd.diagnosis.fleet.compare import compare_fleet
-from torchrbd.diagnosis.fleet.results import FleetComparison
+from torchrbd.diagnosis.fleet.results import UNFINISHED, FleetComparison
 from torchrbd.engines import Engine
-from torchrbd.errors import InputError, OptionError, reason
+from torchrbd.errors import InputError, OptionError, UnfinishedError, reason
 from torchrbd.export.json_files import write_fleet
 from torchrbd.inference import identify
 from torchrbd.inference.many import WithEffects, counted
@@ -38,20 +40,26 @@ _MOST_ROBOTS = 40
 def fleet(robots_file: Path, output: Path, before: Path | None, engine: Engine, quiet: bool) -> None:
     """Identify what is not identified yet, compare all, and show who differs.
 
+    If the user interrupts, those that are identified are compared, and the next call identifies the others.
+
     Raises:
         InputError: some could not be identified; it says which and why, the others are done.
     """
     robots = read_robots(robots_file)
     _check_before(before, output)
-    with OutputFolder(output) as folder, progress_bar(time_left=True, quiet=quiet) as progress:
-        failed = identify_fleet(robots, output, engine, progress)
+    with (
+        finishing_on_interrupt(),
+        OutputFolder(output) as folder,
+        progress_bar(time_left=True, quiet=quiet) as progress,
+    ):
+        failed, left = identify_fleet(robots, output, engine, progress)
         if len(failed) == len(robots):
             raise InputError(f"no robot could be identified{_reasons(failed)}")
         progress("comparing", 1.0)
         names = [one.name for one in robots]
-        result = compare_fleet(output, names, before=before, failed=failed)
+        result = compare_fleet(output, names, before=before, failed=failed, left=left)
         folder.fill(partial(_write, result))
-    failed = {one.name: one.error for one in result.members if one.error}
+    failed = {one.name: one.error for one in result.members if one.error and one.verdict != UNFINISHED}
     _print(result)
     words = f"wrote fleet.json and fleet.html to {output}, and what was identified to {output}/<robot>"
     Console(highlight=False, soft_wrap=True).print(words, markup=False)
@@ -59,10 +67,17 @@ def fleet(robots_file: Path, output: Path, before: Path | None, engine: Engine, 
         raise InputError(f"{len(failed)} of {len(robots)} robots could not be identified{_reasons(failed)}")
 
 
-def identify_fleet(robots: Sequence[RobotEntry], output: Path, engine: Engine, progress: Progress) -> dict[str, str]:
-    """Identify those whose files are not there, or were made from something else; return by name why some failed."""
+def identify_fleet(
+    robots: Sequence[RobotEntry], output: Path, engine: Engine, progress: Progress
+) -> tuple[dict[str, str], list[str]]:
+    """Identify those whose files are not there, or were made from something else.
+
+    Returns:
+        by name why some failed, and the names of those that the user's interrupt has left.
+    """
     progress("looking at what is there", 0.0)
     failed: dict[str, str] = {}
+    left: list[str] = []
     tasks: list[tuple[RobotEntry, str]] = []
     for one in robots:
         try:
@@ -78,19 +93,27 @@ def identify_fleet(robots: Sequence[RobotEntry], output: Path, engine: Engine, p
         counted(progress, len(tasks), f"{there} there, "),
     )
     for (one, _), attempt in zip(tasks, engine.done(work, tasks, notable), strict=True):
-        if attempt.error is not None:
+        if isinstance(attempt.error, UnfinishedError):
+            left.append(one.name)
+        elif attempt.error is not None:
             failed[one.name] = reason(attempt.error)
-    return failed
+    return failed, left
 
 
 def _identify(output: Path, task: tuple[RobotEntry, str]) -> None:
-    """Identify one robot and write its files."""
+    """Identify one robot and write its files.
+
+    Raises:
+        UnfinishedError: the user's interrupt has ended it early; the next call identifies it again.
+    """
     entry, made_from = task
     folder = inside(output, entry.name)
     found = identify(entry.urdf, entry.recordings, **entry.options)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / _MADE_FROM).unlink(missing_ok=True)
     write_identified(found, folder)
+    if not found.finished and asked_for():
+        raise UnfinishedError(f"{entry.name}: was ended early; identify it again")
     write_whole(folder / _MADE_FROM, made_from.encode())
 
 
@@ -141,7 +164,7 @@ def _print(result: FleetComparison) -> None:
     """Print the robots that differ, changed or failed."""
     out = Console(highlight=False)
     out.print(result.statement, markup=False)
-    notable = [one for one in result.members if one.deviations or one.changes or one.error]
+    notable = [one for one in result.members if one.is_notable]
     table = Table(Column("robot", no_wrap=True), "verdict", Column("nmse", justify="right"), "what")
     for one in notable[:_MOST_ROBOTS]:
         table.add_row(Text(one.name), one.verdict, number(one.nmse), Text(one.statement, overflow="fold"))

@@ -197,14 +197,15 @@ def write_fleet(result: FleetComparison, path: Path) -> None:
 
     statement: in a sentence.
     earlier: folder of the earlier time, empty without one.
-    members: in the order given: list of name, verdict of the identification ("failed" where there is none), nmse (held
-        out, mean over the joints), error (why it failed), sisters (robots it was compared with, itself among them),
-        deviations (most certain first: parameter, kind, value with std, median, spread, z, chance: the number of such
-        differences in a fleet of equal robots), load (links, mass, std: what would explain a difference in inertia) or
-        null, changes by parameter (before, after, difference, std, probability; null without an earlier time),
-        statement, doubts.
+    finished: false if the user ended the run before all robots were identified.
+    members: in the order given: list of name, verdict of the identification ("failed" or "unfinished" where there is
+        none), nmse (held out, mean over the joints), error (why there is none), sisters (robots it was compared with,
+        itself among them), deviations (most certain first: parameter, kind, value with std, median, spread, z, chance:
+        the number of such differences in a fleet of equal robots), load (links, mass, std: what would explain a
+        difference in inertia) or null, changes by parameter (before, after, difference, std, probability; null without
+        an earlier time), statement, doubts.
     """
-    content = _stated(result) | {"members": [_stated(one) for one in result.members]}
+    content = _stated(result) | {"finished": result.finished, "members": [_stated(one) for one in result.members]}
     _write(path, {"schema": SCHEMA, **content})
 
 

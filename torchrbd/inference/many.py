@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar, cast
 
 from torchrbd.display import brief
 from torchrbd.effects import Effect, known_effects, register
-from torchrbd.errors import OptionError, RecordingError
+from torchrbd.errors import OptionError, RecordingError, UnfinishedError
 from torchrbd.inference.data.bodies import check_masses
 from torchrbd.inference.identify import identify, read_arguments
 from torchrbd.inference.ordinary import with_friction
@@ -86,7 +86,7 @@ def identify_many(
     """Identify many robots, or one robot many times, as ``identify(robot, recording, ...)`` does each.
 
     The work is shared out to processes, one a core; one recording is identified in this one alone. What cannot be used
-    does not stop the others:
+    does not stop the others, and ``time_limit`` is for each:
 
         outcomes = torchrbd.identify_many("robot.urdf", files)
         models = {one.name: one.identification.model for one in outcomes if one.identification}
@@ -210,6 +210,8 @@ def counted(progress: Progress, total: int, before: str = "") -> Callable[[Attem
         progress(words, sum(counts.values()) / max(1, total))
 
     def on_result(attempt: Attempt[Any]) -> None:
+        if isinstance(attempt.error, UnfinishedError):
+            return
         counts["identified" if attempt.error is None else "failed"] += 1
         tell()
 

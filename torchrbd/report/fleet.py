@@ -27,18 +27,14 @@ def write_fleet_report(result: FleetComparison, path: Path) -> None:
     """Write one HTML file that needs nothing else: no scripts, no external style, font or picture."""
     templates = environment()
     templates.filters |= {"parameter_name": parameter_name, "bar": bar}
-    notable = sorted(filter(_is_notable, result.members), key=_first)
-    alike = [one for one in result.members if not _is_notable(one)]
+    notable = sorted((one for one in result.members if one.is_notable), key=_first)
+    alike = [one for one in result.members if not one.is_notable]
     with page_style():
         picture = errors_picture(result)
     text = templates.get_template("fleet.html.j2").render(
         result=result, notable=notable, alike=alike[:MOST_ALIKE], more=max(0, len(alike) - MOST_ALIKE), picture=picture
     )
     write_whole(path, text.encode())
-
-
-def _is_notable(one: MemberResult) -> bool:
-    return bool(one.deviations or one.changes or one.error)
 
 
 def _first(one: MemberResult) -> tuple[bool, float]:

@@ -24,7 +24,7 @@ ROBOTS.yaml, files from its folder ('torchrbd schema robots' has its keys):
 DIR/<name> holds what 'identify' writes, without its report; DIR/fleet.html and
 fleet.json report who differs from its sisters, robots with the same
 kinematics, and what changed. What is there, made from the same files and
-options, is not identified again.""",
+options, is not identified again. After Ctrl-C the same call goes on.""",
     )
 )
 

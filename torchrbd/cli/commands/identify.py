@@ -32,7 +32,8 @@ def identify(
         bool,
         flag(
             "identify each RECORDING on its own, into DIR/<its name without ending>, instead of one robot from all; "
-            "one that cannot be used does not stop the others"
+            "one that cannot be used does not stop the others, and --time-limit is for each; Ctrl-C ends those that "
+            "are begun early, and begins no other"
         ),
     ] = False,
     jobs: Annotated[

@@ -9,7 +9,7 @@ from pathlib import Path
 from torchrbd.diagnosis.changes.inertia import load_like
 from torchrbd.diagnosis.fleet.earlier import since_earlier
 from torchrbd.diagnosis.fleet.reading import read_member
-from torchrbd.diagnosis.fleet.results import FleetComparison, Member, MemberResult
+from torchrbd.diagnosis.fleet.results import UNFINISHED, FleetComparison, Member, MemberResult
 from torchrbd.diagnosis.fleet.sisters import deviations, median_inertia, sisters
 from torchrbd.errors import InputError
 
@@ -20,6 +20,7 @@ def compare_fleet(
     *,
     before: str | Path | None = None,
     failed: Mapping[str, str] | None = None,
+    left: Sequence[str] = (),
 ) -> FleetComparison:
     """Say who differs from its sisters, and what changed.
 
@@ -30,15 +31,21 @@ def compare_fleet(
         names: of the robots.
         before: folder of the same fleet at an earlier time; robots of the same name are compared.
         failed: by name why a robot could not be identified.
+        left: names of robots that an interrupt has left; they are not compared.
     """
     failed, members = dict(failed or {}), []
     for name in names:
-        if name not in failed:
+        if name not in failed and name not in left:
             try:
                 members.append(read_member(Path(folder) / name, name))
             except InputError as error:
                 failed[name] = f"{error} (remove {Path(folder) / name} to have it identified again)"
-    found = {name: MemberResult(name, "failed", math.nan, why, 0, (), None, None, ()) for name, why in failed.items()}
+    words = dict.fromkeys(left, "is not identified yet, as the run was ended early")
+    found = {
+        name: MemberResult(name, verdict, math.nan, why, 0, (), None, None, ())
+        for verdict, reasons in (("failed", failed), (UNFINISHED, words))
+        for name, why in reasons.items()
+    }
     for group in sisters(members):
         found |= {one.name: one for one in _compared(group, None if before is None else Path(before))}
     ordered = tuple(found[name] for name in names)

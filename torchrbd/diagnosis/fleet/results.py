@@ -9,6 +9,9 @@ from torchrbd.diagnosis.changes.results import Difference, Load
 from torchrbd.diagnosis.results import Quantity
 from torchrbd.display import Stated
 
+UNFINISHED = "unfinished"
+"""Verdict of a robot that an interrupt has left."""
+
 
 @dataclass(frozen=True)
 class Member:
@@ -64,9 +67,9 @@ class MemberResult(Stated):
 
     Attributes:
         name: in the fleet.
-        verdict: of its identification; "failed" where there is none.
-        nmse: held out; NaN where it failed.
-        error: why it failed; empty if it did not.
+        verdict: of its identification; "failed" or "unfinished" where there is none.
+        nmse: held out; NaN where there is none.
+        error: why there is none; empty if there is one.
         sisters: how many robots it was compared with, itself among them.
         deviations: where it differs from them, the most certain first.
         load: a load that explains what is different in its inertia, or None.
@@ -88,6 +91,11 @@ class MemberResult(Stated):
     not_compared: str = ""
     not_compared_detail: str = ""
 
+    @property
+    def is_notable(self) -> bool:
+        """Whether there is something to look at: it differs, has changed or has failed."""
+        return self.verdict != UNFINISHED and bool(self.deviations or self.changes or self.error)
+
 
 @dataclass(frozen=True)
 class FleetComparison(Stated):
@@ -100,3 +108,8 @@ class FleetComparison(Stated):
 
     members: tuple[MemberResult, ...]
     earlier: str
+
+    @property
+    def finished(self) -> bool:
+        """Whether no robot was left by an interrupt."""
+        return all(one.verdict != UNFINISHED for one in self.members)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from torchrbd.diagnosis.changes.results import Difference
-from torchrbd.diagnosis.fleet.results import Deviation, FleetComparison, MemberResult
+from torchrbd.diagnosis.fleet.results import UNFINISHED, Deviation, FleetComparison, MemberResult
 from torchrbd.diagnosis.fleet.sisters import LEAST_SISTERS
 from torchrbd.report.text.comparison import as_if
 from torchrbd.report.text.numbers import number, with_unit
@@ -31,7 +31,8 @@ def member_statement(one: MemberResult) -> str:
 def fleet_statement(result: FleetComparison) -> str:
     """Say what there is to look at."""
     members = result.members
-    failed = [one.name for one in members if one.error]
+    left = [one.name for one in members if one.verdict == UNFINISHED]
+    failed = [one.name for one in members if one.error and one.verdict != UNFINISHED]
     off = [one.name for one in members if one.deviations]
     changed = [one.name for one in members if one.changes]
     differ = "differs from its sisters" if len(off) == 1 else "differ from their sisters"
@@ -41,7 +42,11 @@ def fleet_statement(result: FleetComparison) -> str:
     if failed:
         parts.append(f"{len(failed)} could not be identified")
     text = ", ".join(parts)
-    return f"{text[0].upper()}{text[1:]}."
+    text = f"{text[0].upper()}{text[1:]}."
+    if left:
+        were = "robot is" if len(left) == 1 else "robots are"
+        text += f" Unfinished: {len(left)} of {len(members)} {were} not identified yet; the same call goes on."
+    return text
 
 
 def parameter_name(parameter: str) -> str:
