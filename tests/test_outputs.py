@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from torchrbd.cli import main
+from torchrbd.cli import main, running
 from torchrbd.errors import OptionError
 from torchrbd.outputs import OutputFolder, write_whole
 
@@ -126,6 +128,64 @@ def test_two_runs_into_one_folder_are_refused(tmp_path: Path) -> None:
         first.fill(lambda into: write_set(into, "o"))
     with OutputFolder(tmp_path):
         pass
+
+
+def removed_words(folder: Path) -> str:
+    return rf"output '{folder}': another process has removed it.* nothing was written; .*run it again"
+
+
+@pytest.mark.parametrize("when", ["before", "while"])
+def test_a_folder_that_is_removed_meanwhile_is_told_with_what_to_do(when: str, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+
+    def write(into: Path) -> None:
+        if when == "while":
+            shutil.rmtree(folder)
+        write_set(into, "x")
+
+    with pytest.raises(OptionError, match=removed_words(folder)), OutputFolder(folder) as out:
+        if when == "before":
+            shutil.rmtree(folder)
+        out.fill(write)
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_folder_that_another_run_has_made_anew_is_left_to_it(tmp_path: Path) -> None:
+    """The first run would write into the second's folder, and remove what it is writing."""
+    folder = tmp_path / "out"
+    with pytest.raises(OptionError, match=removed_words(folder)), OutputFolder(folder) as first:
+        shutil.rmtree(folder)
+        second = OutputFolder(folder).__enter__()
+        first.fill(lambda into: write_set(into, "x"))
+    second.fill(lambda into: write_set(into, "o"))
+    second.__exit__(None, None, None)
+    assert letters(folder) == {"o"}
+    assert sorted(os.listdir(folder)) == sorted(NAMES)
+
+
+def test_a_run_whose_folder_is_removed_ends_with_two(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def removes(*_: object) -> None:
+        shutil.rmtree(tmp_path / "out")
+
+    monkeypatch.setattr(running, "compare", removes)
+    assert main(["compare", "before", "after", "-o", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert re.search(removed_words(tmp_path / "out"), told)
+    assert "Errno" not in told
+
+
+def test_files_that_others_write_into_a_removed_folder_are_told_likewise(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    with pytest.raises(OptionError, match=removed_words(folder)), OutputFolder(folder):
+        shutil.rmtree(folder)
+        write_whole(folder / "one", b"")
+
+
+def test_a_file_that_is_missing_elsewhere_is_told_as_it_is(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no\.urdf"), OutputFolder(tmp_path / "out"):
+        (tmp_path / "no.urdf").read_text()
 
 
 def test_the_lock_of_a_dead_process_is_none(tmp_path: Path) -> None:

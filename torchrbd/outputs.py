@@ -123,19 +123,27 @@ class OutputFolder:
             _finish(self.folder)
             self._reserve()
         except OSError as error:
-            self.__exit__()
+            self._release()
             why = _reason(error)
             raise OptionError(f"output '{self.folder}': cannot be written ({why}); make room or name another") from None
         except BaseException:
-            self.__exit__()
+            self._release()
             raise
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        removed = isinstance(error, FileNotFoundError) and not self._is_own()
+        self._release()
+        if removed:
+            raise self._removed() from None
+
+    def _release(self) -> None:
+        """Remove what was made for this run alone."""
         if self._lock is not None:
-            shutil.rmtree(self.folder / _WRITING, ignore_errors=True)
-            with suppress(OSError):
-                (self.folder / _LOCK).unlink()
+            if self._is_own():
+                shutil.rmtree(self.folder / _WRITING, ignore_errors=True)
+                with suppress(OSError):
+                    (self.folder / _LOCK).unlink()
             self._lock.close()
             self._lock = None
         for path in self._made:
@@ -147,6 +155,9 @@ class OutputFolder:
 
         Args:
             write: writes files, no folders, into the folder that it is given.
+
+        Raises:
+            OptionError: another process has removed the folder.
         """
         self._check()
         writing = self.folder / _WRITING
@@ -157,12 +168,28 @@ class OutputFolder:
         _finish(self.folder)
         return value
 
+    def _is_own(self) -> bool:
+        """Say whether the folder is still the one that this process has locked: others may remove and make it anew."""
+        if self._lock is None:
+            return False
+        with suppress(OSError):
+            return os.path.samestat(os.fstat(self._lock.fileno()), (self.folder / _LOCK).stat())
+        return False
+
+    def _removed(self) -> OptionError:
+        return OptionError(
+            f"output '{self.folder}': another process has removed it during the run, and nothing was written; see "
+            "which one does, and run it again, or name another folder"
+        )
+
     def _check(self) -> None:
         """Reject files of others at the places of this process's own lock and folders.
 
         Raises:
-            OptionError: it is a link, or not what torchrbd would make.
+            OptionError: it is a link, or not what torchrbd would make; or another process has removed the folder.
         """
+        if self._lock is not None and not self._is_own():
+            raise self._removed()
         for name, kind in ((_LOCK, stat.S_ISREG), (_WRITING, stat.S_ISDIR), (_READY, stat.S_ISDIR)):
             with suppress(FileNotFoundError):
                 found = (self.folder / name).lstat()
