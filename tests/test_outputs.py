@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import resource
 import shutil
-import signal
 import subprocess
 import sys
 import textwrap
-import time
+from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from torchrbd.cli import main, running
+from torchrbd.cli import main
 from torchrbd.errors import OptionError
 from torchrbd.outputs import OutputFolder, write_whole
 
@@ -75,37 +74,56 @@ def test_a_folder_that_was_made_for_nothing_is_removed(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
 
 
-REWRITING = """
-    import sys
+# A process that is killed right before one of its changes to files, at each of them in turn.
+KILLED = """
+    import json, os, signal, sys
+    from itertools import count
     from pathlib import Path
-    from test_outputs import fill
-    print("ready", flush=True)
-    while True:
-        for letter in "ox":
-            fill(Path(sys.argv[1]), letter)
+    from test_outputs import fill, letters
+    from torchrbd import outputs
+
+    outputs._ROOM = 1 << 20
+    folder, changes = Path(sys.argv[1]), ("open", "os.mkdir", "os.remove", "os.rename", "os.rmdir")
+
+    def killed_before(change):
+        left = change
+
+        def kill(event, _):
+            nonlocal left
+            if event in changes and (left := left - 1) == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+        if (child := os.fork()) == 0:
+            sys.addaudithook(kill)
+            fill(folder, "x")
+            os._exit(0)
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+
+    found = []
+    for change in count(1):
+        fill(folder, "o")
+        if not killed_before(change):
+            break
+        mixed = sorted(letters(folder))
+        if (folder / ".torchrbd-ready").exists():
+            with outputs.OutputFolder(folder):
+                pass
+        found.append((mixed, sorted(letters(folder))))
+    print(json.dumps(found))
 """
 
 
-def test_killed_at_twenty_moments_a_set_is_whole(tmp_path: Path) -> None:
+def test_killed_before_any_change_a_set_is_whole(tmp_path: Path) -> None:
     """What a kill has left is, once the next run has looked, one set or the other."""
-    rng = np.random.default_rng(27)
-    fill(tmp_path, "o")
-    seen: set[str] = set()
-    for _ in range(20):
-        writer = python(REWRITING, tmp_path)
-        assert writer.stdout is not None
-        writer.stdout.readline()
-        time.sleep(rng.uniform(0.0, 0.1))
-        writer.send_signal(signal.SIGKILL)
-        writer.communicate()
-        if (tmp_path / ".torchrbd-ready").exists():
-            with OutputFolder(tmp_path):
-                pass
-        found = letters(tmp_path)
-        assert len(found) == 1
-        seen |= found
-    assert seen == {"o", "x"}
-    fill(tmp_path, "x")
+    told, errors = python(KILLED, tmp_path).communicate()
+    assert not errors
+    mixed, found = zip(*json.loads(told), strict=True)
+    # Once it is ready, and only then, the new set replaces the old one.
+    first = found.index(["x"])
+    assert list(found) == [["o"]] * first + [["x"]] * (len(found) - first)
+    # Each of the files is written, and moved.
+    assert first > len(NAMES)
+    assert mixed.count(["o", "x"]) == len(NAMES) - 1
     assert letters(tmp_path) == {"x"}
     assert sorted(os.listdir(tmp_path)) == sorted(NAMES)
 
@@ -130,6 +148,12 @@ def test_two_runs_into_one_folder_are_refused(tmp_path: Path) -> None:
         pass
 
 
+def run_into(folder: Path, work: Callable[[], None], write: Callable[[Path], None]) -> None:
+    with OutputFolder(folder) as out:
+        work()
+        out.fill(write)
+
+
 def removed_words(folder: Path) -> str:
     return rf"output '{folder}': another process has removed it.* nothing was written; .*run it again"
 
@@ -143,20 +167,22 @@ def test_a_folder_that_is_removed_meanwhile_is_told_with_what_to_do(when: str, t
             shutil.rmtree(folder)
         write_set(into, "x")
 
-    with pytest.raises(OptionError, match=removed_words(folder)), OutputFolder(folder) as out:
-        if when == "before":
-            shutil.rmtree(folder)
-        out.fill(write)
+    with pytest.raises(OptionError, match=removed_words(folder)):
+        run_into(folder, lambda: shutil.rmtree(folder) if when == "before" else None, write)
     assert os.listdir(tmp_path) == []
 
 
 def test_a_folder_that_another_run_has_made_anew_is_left_to_it(tmp_path: Path) -> None:
     """The first run would write into the second's folder, and remove what it is writing."""
     folder = tmp_path / "out"
-    with pytest.raises(OptionError, match=removed_words(folder)), OutputFolder(folder) as first:
+    second = OutputFolder(folder)
+
+    def make_anew() -> None:
         shutil.rmtree(folder)
-        second = OutputFolder(folder).__enter__()
-        first.fill(lambda into: write_set(into, "x"))
+        second.__enter__()
+
+    with pytest.raises(OptionError, match=removed_words(folder)):
+        run_into(folder, make_anew, lambda into: write_set(into, "x"))
     second.fill(lambda into: write_set(into, "o"))
     second.__exit__(None, None, None)
     assert letters(folder) == {"o"}
@@ -169,7 +195,7 @@ def test_a_run_whose_folder_is_removed_ends_with_two(
     def removes(*_: object) -> None:
         shutil.rmtree(tmp_path / "out")
 
-    monkeypatch.setattr(running, "compare", removes)
+    monkeypatch.setattr("torchrbd.cli.running.compare", removes)
     assert main(["compare", "before", "after", "-o", str(tmp_path / "out")]) == 2
     told = capsys.readouterr().err
     assert re.search(removed_words(tmp_path / "out"), told)
@@ -178,9 +204,13 @@ def test_a_run_whose_folder_is_removed_ends_with_two(
 
 def test_files_that_others_write_into_a_removed_folder_are_told_likewise(tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    with pytest.raises(OptionError, match=removed_words(folder)), OutputFolder(folder):
+
+    def write_own() -> None:
         shutil.rmtree(folder)
         write_whole(folder / "one", b"")
+
+    with pytest.raises(OptionError, match=removed_words(folder)):
+        run_into(folder, write_own, lambda into: write_set(into, "x"))
 
 
 def test_a_file_that_is_missing_elsewhere_is_told_as_it_is(tmp_path: Path) -> None:
