@@ -110,9 +110,9 @@ def test_the_first_interrupt_finishes_with_what_was_found(
     """It comes where the first term has been added: that is fitted and reported."""
     started, before = search._Search.__init__, signal.getsignal(kind)
 
-    def stops_after_one(self: search._Search, rows: Any, effects: Any, report: Callable[[int], None]) -> None:
-        def stop(terms: int) -> None:
-            report(terms)
+    def stops_after_one(self: search._Search, rows: Any, effects: Any, report: Callable[[float], None]) -> None:
+        def stop(part: float) -> None:
+            report(part)
             os.kill(os.getpid(), kind)
 
         started(self, rows, effects, stop)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -59,7 +59,13 @@ def rows() -> Rows:
 
 
 def settled(
-    rows: Rows, monkeypatch: pytest.MonkeyPatch, worth: Any, chosen: str, seen: Sequence[str], curve: str = ""
+    rows: Rows,
+    monkeypatch: pytest.MonkeyPatch,
+    worth: Any,
+    chosen: str,
+    seen: Sequence[str],
+    curve: str = "",
+    report: Callable[[float], None] = lambda _: None,
 ) -> tuple[frozenset[str], tuple[Term, ...]]:
     """Return the model and terms of a search in which ``worth(name, beside)`` is the evidence."""
 
@@ -77,7 +83,7 @@ def settled(
         c = candidate(rows, *SITES[name], **shape)
         return Hypothesis(c, 99.0, np.zeros(len(c.labels)), np.ones(len(c.labels)), 1.0, 1)
 
-    at = Table(rows, (), lambda _: None)
+    at = Table(rows, (), report)
     none = cast(Any, frozenset())
     fit, terms, _ = at.swap_and_drop(
         none,
@@ -118,6 +124,21 @@ def test_a_curve_takes_the_place_of_a_law_that_is_not_needed_beside_it(
     fit, terms = settled(rows, monkeypatch, worth, "A", [""], curve="S")
     assert names(terms) == stands
     assert fit == set(stands)
+
+
+def test_a_sweep_is_half_of_what_is_left_in_equal_steps(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[float] = []
+    settled(rows, monkeypatch, lambda *_: 40.0, "ACEF", [""] * 4, report=told.append)
+    np.testing.assert_allclose(told, np.arange(1, 5) / 8)
+
+
+def test_progress_never_falls_where_terms_are_dropped(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[float] = []
+    settled(rows, monkeypatch, lambda name, _: {"A": -5.0}.get(name, 40.0), "FCA", [""] * 3, report=told.append)
+    # All are judged, and what meets the dropped one a second time.
+    assert len(told) == 4
+    assert told == sorted(set(told))
+    assert told[-1] < 1.0
 
 
 def test_a_term_that_nothing_asks_for_beside_all_others_is_dropped(rows: Rows, monkeypatch) -> None:

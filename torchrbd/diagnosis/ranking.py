@@ -231,8 +231,8 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
     surveys = [reading.surveys[k] for k in not_held_out(reading, kept_back)]
     band = settings.cutoff_hz or band_hz(surveys)
 
-    def report(terms: int) -> None:
-        progress("ranking given the findings", min(terms / 4, 0.9))
+    def report(part: float) -> None:
+        progress("ranking", part)
 
     try:
         clocks = in_band(reading, band, kept_back, frozenset(settings.held_bodies(robot)), progress)

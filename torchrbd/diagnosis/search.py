@@ -41,15 +41,17 @@ _RIVALS, _JUDGED, _SWEEPS = 12, 3, 2
 _TURNS = 2
 # How often effects are given the load of their own fit, and how many nats that has to be worth.
 _LOADS, _SAME = 3, 1.0
+# Part that adding a term is of the work that is left; how many there will be, nobody knows.
+_STEP = 1 / 8
 
 
-def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[int], None]) -> Explanation:
+def explained(base: Likelihood, effects: Sequence[Effect], report: Callable[[float], None]) -> Explanation:
     """Search among effects, and curves where they do not suffice.
 
     Args:
         base: rigid body and baseline friction.
         effects: what may be there.
-        report: called after each step with the number of terms.
+        report: called after each step with the part of the work that is done, which rises.
     """
     search = _Search(carried(base), effects, report)
     first = search.leading(base)
@@ -84,10 +86,15 @@ def _only_once(chosen: Sequence[Hypothesis], effects: Sequence[Effect]) -> set[t
 class _Search:
     """Rows, what may be there, and the steps of one search."""
 
-    def __init__(self, rows: Rows, effects: Sequence[Effect], report: Callable[[int], None]) -> None:
-        self.rows, self.effects, self.report = rows, effects, report
+    def __init__(self, rows: Rows, effects: Sequence[Effect], report: Callable[[float], None]) -> None:
+        self.rows, self.effects, self.report, self.part = rows, effects, report, 0.0
         # What leads with normal noise where nothing is explained, and what acts for a time: steps look heavy-tailed.
         self.given_normal_noise: list[Hypothesis] | None = None
+
+    def advance(self, share: float) -> None:
+        """Report a step that was this share of the work that was left."""
+        self.part += share * (1.0 - self.part)
+        self.report(self.part)
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return hypotheses, the likeliest first."""
@@ -308,7 +315,7 @@ class _Search:
                     break
             seen.append(found[1:])
             chosen = [*chosen, found[0]]
-            self.report(len(chosen))
+            self.advance(_STEP)
             fit = fit.extended([*fit.extra, found[0].extra(fit, self.rows)]).refit
             fit = self.felt_through(fit, len(chosen) - 1, found[0])
             if found[0].candidate.effect.uses_load:
@@ -360,6 +367,8 @@ class _Search:
                     terms += stays[:1]
                     continue
                 term = self._judged_again(base, chosen, k, seen[k])
+                # A sweep is half of what is left, in equal steps.
+                self.advance(1 / (2 * len(chosen) - k))
                 own, best = term.own, term.best(self.rows)
                 needless = log_odds(best, self.rows) <= 0.0
                 if needless or best is not own:
