@@ -127,12 +127,41 @@ complete_now() { COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=(); _torch
 complete_now torchrbd dia
 complete_now torchrbd identify arm.urdf a.csv --hold
 complete_now torchrbd export out --to ""
+complete_now torchrbd identify arm.urdf a.csv --estimator ri
+complete_now torchrbd diagnose arm.urdf a.csv --effects ""
+complete_now torchrbd stats arm.urdf a.csv --exclude stri
+complete_now torchrbd compare-estimators arm.urdf a.csv --estimators p
+complete_now torchrbd fleet robots.yaml --engine ""
+complete_now torchrbd schema ""
 """
     done = subprocess.run(["bash", "-c", script + asked], capture_output=True, text=True, check=True)
-    commands, options, formats = done.stdout.splitlines()
-    assert commands.split() == ["diagnose"]
-    assert options.split() == ["--holdout", "--holdout-fraction"]
-    assert formats.split() == ["urdf", "mjcf"]
+    commands, options, *values = (line.split() for line in done.stdout.splitlines())
+    assert commands == ["diagnose"]
+    assert options == ["--holdout", "--holdout-fraction"]
+    assert values == [
+        ["urdf", "mjcf"],
+        ["ridge"],
+        list(torchrbd.known_effects()),
+        ["stribeck_friction"],
+        ["physical", "pls", "pcr"],
+        ["local", "dask"],
+        ["mapping", "robots", "config", "diagnosis"],
+    ]
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_other_shells_know_the_values_too(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert all(name in script for name in torchrbd.known_effects())
+
+
+def test_values_that_are_completed_are_not_the_only_ones() -> None:
+    """EFFECT@PLACE is none of them."""
+    offered = app({"effects": ("viscous_friction",)})
+    given = ["identify", "arm.urdf", "a.csv", "-o", "out", "--effects", "viscous_friction@joint1", "viscous_friction"]
+    _, bound, _ = offered.parse_args(given, exit_on_error=False, print_error=False)
+    assert bound.kwargs["effects"] == ["viscous_friction@joint1", "viscous_friction"]
 
 
 def test_every_option_has_a_spelling() -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
 from cyclopts import App, Group
 
 from torchrbd import __version__
@@ -22,7 +25,7 @@ from torchrbd.cli.commands import (
     simulate,
     stats,
 )
-from torchrbd.cli.parameters import usage
+from torchrbd.cli.parameters import completing, usage
 
 _COMMANDS = {
     "Identify and diagnose": (
@@ -39,8 +42,12 @@ _COMMANDS = {
 }
 
 
-def app() -> App:
-    """Return the application."""
+def app(offered: Mapping[str, Sequence[str]] = MappingProxyType({})) -> App:
+    """Return the application.
+
+    Args:
+        offered: values of options, by name, that a shell is to complete, see ``completing``.
+    """
     about = Group("Options", sort_key=2)
     found = App(
         "torchrbd",
@@ -58,7 +65,7 @@ def app() -> App:
         for j, module in enumerate(modules):
             # The one that completes the others has to know them.
             name = module.__name__.rpartition(".")[2]
-            command = module.of(found) if module is completion else getattr(module, name)
+            command = module.of(app) if module is completion else completing(getattr(module, name), offered)
             name = name.replace("_", "-")
             found.command(
                 command,

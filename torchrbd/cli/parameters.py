@@ -1,10 +1,11 @@
 """The parameters of commands: those made from ``torchrbd.options``, and those that several commands share."""
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
+from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from cyclopts import Group, Parameter
 
@@ -126,6 +127,24 @@ def _annotation(name: str, how: Spelling) -> Any:
     if how.count > 1:
         kind = tuple[(kind,) * how.count]
     return Annotated[kind | None, value(how.metavar, plain_words(name), name=spelt(name), group=how.group)]
+
+
+def completing(command: Command, offered: Mapping[str, Sequence[str]]) -> Command:
+    """Return a command for whose options, by name, a shell offers these values; others are understood as well."""
+    own, kinds = inspect.signature(command), get_type_hints(command, include_extras=True)
+    if not own.parameters.keys() & offered.keys():
+        return command
+
+    @wraps(command)
+    def same(*arguments: Any, **options: Any) -> Any:
+        return command(*arguments, **options)
+
+    for name in own.parameters.keys() & offered.keys():
+        kinds[name] = Annotated[list[Literal[tuple(offered[name])] | str] | None, kinds[name].__metadata__[0]]
+    named = [p.replace(annotation=kinds[p.name]) for p in own.parameters.values()]
+    same.__signature__ = own.replace(parameters=named)  # type: ignore[attr-defined]
+    same.__annotations__ = kinds
+    return cast(Command, same)
 
 
 def examples(*lines: str) -> str:
