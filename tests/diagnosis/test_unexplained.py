@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib import import_module
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from likelihood.arms import recorded
 from likelihood.fits import COULOMB, OPTIONS, URDF, VISCOUS, at_joint, with_friction
+from report import fabricated
+from report.rendered import Text, render
 from shortened import slow_but
 from simulated import Motion, inverse_dynamics, joint_names, with_wrong_inertials
 
@@ -20,7 +24,7 @@ from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import HeldOutCheck, Unexplained, Where
-from torchrbd.diagnosis.unexplained import _drifting, _loud, _silent, unexplained
+from torchrbd.diagnosis.unexplained import _drifting, _loud, _silent, one_entry, unexplained
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
@@ -254,3 +258,34 @@ def test_no_joint_that_is_told_badly_is_silent(
     told = [one.statement for one in _silent(model, [proof], {FIRST} if named else set())]
     assert len(told) == bool(says)
     assert all(says in one for one in told)
+
+
+def test_the_error_of_a_joint_is_said_where_its_residual_is() -> None:
+    """Alone it says how large the error is, and that nothing explains it, which a curve of the joint contradicts."""
+    curve = Unexplained((FIRST,), (f"q_{FIRST}",), Where(), 0.4, sizes={"torque_rms": 3.0})
+    tone = Unexplained((FIRST,), ("t",), Where(), 0.1, kind="tone", sizes={"low": 1.0, "high": 2.0, "frequency": 3.0})
+    error = Unexplained((FIRST,), (), Where(), 1.0, kind="error", sizes={"nmse": 0.05})
+    larger = Unexplained((SECOND,), (), Where(), 0.5, kind="larger error", sizes={"ratio": 2.0})
+    first, second, third = one_entry((curve, tone, error, larger))
+    assert (second, third) == (tone, larger)
+    assert first == replace(curve, sizes={"torque_rms": 3.0, "nmse": 0.05})
+    assert first.statement == (
+        f"{curve.statement} The NMSE of {FIRST} on held-out data is 0.0500 (5 % of the torque variance), with "
+        "correlated errors."
+    )
+    drift = Unexplained((SECOND,), ("t",), Where(), 0.3, kind="drift", sizes={"torque_rms": 0.3})
+    (only,) = one_entry((larger, drift))
+    assert only.statement == (
+        f"{drift.statement} The error of {SECOND} on held-out data is 2.00 times that of the fitted data."
+    )
+    assert one_entry((error, larger)) == (error, larger)
+    assert "No known effect and no function" in error.statement
+
+
+def test_a_joint_with_a_curve_has_one_card_and_its_error(tmp_path: Path) -> None:
+    result = fabricated.diagnosis((FIRST, SECOND))
+    (curve,) = result.unexplained
+    error = Unexplained(curve.joints, (), Where(), 1.0, kind="error", sizes={"nmse": 0.05})
+    page = render(replace(result, unexplained=one_entry((curve, error))), tmp_path)
+    assert page.count(f"<h3>Unexplained at {curve.joints[0]}") == 1
+    assert "5 % of the torque variance" in " ".join(Text(page).words)

@@ -137,6 +137,7 @@ def unexplained() -> list[Unexplained]:
         Unexplained(at, ("t",), Where(), 0.4, kind="drift", sizes=torque),
         Unexplained(at, ("t",), Where(("a.csv",)), 0.4, kind="tone", sizes={"low": 1.0, "high": 2.0, "frequency": 3.0}),
         Unexplained(at, (), Where(), 1.0, kind="error", sizes={"nmse": 0.2}),
+        Unexplained(at, ("t",), Where(), 0.4, kind="drift", sizes={**torque, "nmse": 0.2, "ratio": 2.0}),
         Unexplained(at, (), Where(), 0.5, kind="larger error", sizes={"ratio": 2.0}),
         Unexplained(at, (), Where(), 0.5, kind="not confirmed"),
     ]

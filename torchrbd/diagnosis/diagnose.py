@@ -24,7 +24,7 @@ from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.simplifying import simplified
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect
-from torchrbd.diagnosis.unexplained import only_where_fitted, tones, unexplained
+from torchrbd.diagnosis.unexplained import one_entry, only_where_fitted, tones, unexplained
 from torchrbd.effects import Site, effect
 from torchrbd.effects.registry import PLAIN
 from torchrbd.errors import OptionError
@@ -149,7 +149,7 @@ def diagnose(
         findings = strongest_first((*findings, late))
     findings = with_springs(findings, springs)
     proof = held_out_checks(identification.series, identification.cutoff_hz)
-    rest = (*alone, *unexplained(model, () if plainly else findings, proof))
+    rest = one_entry((*alone, *unexplained(model, () if plainly else findings, proof)))
     if plainly:
         known = {joint for one in rest for joint in one.joints}
         rest = (*rest, *(one for one in only_where_fitted(full, model) if one.joints[0] not in known))

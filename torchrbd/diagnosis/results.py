@@ -264,7 +264,8 @@ class Unexplained(Stated):
             "error", a large error on held-out data; "larger error", errors on held-out data above those of the fit; or
             "not confirmed", explained where it was fitted alone.
         sizes: numbers of that kind, by name: torque_rms [``unit``], low and high amplitude [``unit``], frequency [Hz],
-            nmse on held-out data, and ratio of the errors there to those of the fit.
+            nmse on held-out data, and ratio of the errors there to those of the fit; these two, where errors have a
+            memory, also of a curve, tone or drift of the joint, which then has no entry of its own for its error.
         unit: of torques.
     """
 

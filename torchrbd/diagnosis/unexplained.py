@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -28,6 +29,8 @@ _ACTS = 0.5
 _LARGER = 1.5
 # Part of a joint's torque variance that is much.
 _MUCH = 0.01
+# Kinds of entries that are about the held-out error of a joint.
+_ERRORS = ("error", "larger error")
 # Errors that stay alike for so many times as long as white noise does are no noise.
 _LASTS = 2.0
 
@@ -45,6 +48,22 @@ def unexplained(
     nameless = (*functions(extended), *tones(extended.found), *_drifting(extended.found))
     reported = {joint for one in (*findings, *nameless) for joint in one.joints}
     return (*nameless, *_silent(extended, held_out_checks, reported))
+
+
+def one_entry(found: Sequence[Unexplained]) -> tuple[Unexplained, ...]:
+    """Return the same with the held-out error of a joint in the first other entry of that joint, if there is one.
+
+    Of itself the error says how large it is, and that nothing explains it.
+    """
+    errors = {one.joints: one for one in found if one.kind in _ERRORS}
+    others = {one.joints: one for one in reversed(found) if one.kind not in _ERRORS}
+    kept = []
+    for one in found:
+        if one is others.get(one.joints) and one.joints in errors:
+            kept.append(replace(one, sizes={**one.sizes, **errors[one.joints].sizes}))
+        elif one.kind not in _ERRORS or one.joints not in others:
+            kept.append(one)
+    return tuple(kept)
 
 
 def functions(extended: Extended) -> list[Unexplained]:

@@ -12,7 +12,24 @@ _RECORDING_WORDS = 6
 
 
 def unexplained_statement(one: Unexplained) -> str:
-    """Say how large a residual is and what it depends on."""
+    """Say how large a residual is and what it depends on, and the held-out error of its joint."""
+    error = _error(one)
+    if one.kind in ("error", "larger error"):
+        return f"{error} {_NOTHING_ELSE}"
+    return f"{_residual(one)} {error}".rstrip()
+
+
+def _error(one: Unexplained) -> str:
+    where, sizes, found = joined(one.joints), one.sizes, []
+    if (nmse := sizes.get("nmse")) is not None:
+        share = f"{number(nmse)} ({percent(nmse)} of the torque variance)"
+        found.append(f"The NMSE of {where} on held-out data is {share}, with correlated errors.")
+    if (ratio := sizes.get("ratio")) is not None:
+        found.append(f"The error of {where} on held-out data is {number(ratio)} times that of the fitted data.")
+    return " ".join(found)
+
+
+def _residual(one: Unexplained) -> str:
     where, sizes = joined(one.joints), one.sizes
     if one.kind == "drift":
         torque = with_unit(number(sizes["torque_rms"]), one.unit)
@@ -22,15 +39,6 @@ def unexplained_statement(one: Unexplained) -> str:
         size = with_unit(low if low == high else f"{low} to {high}", one.unit)
         tone = f"A vibration of {sizes['frequency']:.2f} Hz at {where}"
         return f"{tone} is unexplained{_inside(one)}; its amplitude is {size}."
-    if one.kind == "error":
-        nmse = sizes["nmse"]
-        return (
-            f"The NMSE of {where} on held-out data is {number(nmse)} ({percent(nmse)} of the torque variance), with "
-            f"correlated errors. {_NOTHING_ELSE}"
-        )
-    if one.kind == "larger error":
-        ratio = number(sizes["ratio"])
-        return f"The error of {where} on held-out data is {ratio} times that of the fitted data. {_NOTHING_ELSE}"
     if one.kind == "not confirmed":
         return (
             f"At {where}, the fitted data shows an effect with {percent(one.share)} of the residual's variance. "
