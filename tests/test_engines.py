@@ -93,6 +93,20 @@ assert [one.value for one in found] == list(range(6))
 
 
 @pytest.mark.slow
+def test_dask_leaves_the_rest_where_an_early_end_is_asked_for() -> None:
+    elsewhere("""
+told = []
+def stop(one):
+    told.append(one)
+    deadline.finish_soon()
+found = Engine("dask", jobs=1).done(square, [2, 4, 5, 6], stop)
+done = [one.value for one in found if one.error is None]
+assert len(done) == 1 and len(told) == 4
+assert {type(one.error).__name__ for one in found if one.error} == {"UnfinishedError"}
+""")
+
+
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_told() -> None:
     elsewhere("""
 try:
