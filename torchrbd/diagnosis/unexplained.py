@@ -13,13 +13,15 @@ from torchrbd.diagnosis.curves import fitted_curve
 from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.explain import torque_rms
 from torchrbd.diagnosis.extending import Extended
+from torchrbd.diagnosis.held_out_checks import EXTENDED
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.negligible import LEAST_TORQUE
 from torchrbd.diagnosis.residual import depends_on, is_curve
-from torchrbd.diagnosis.results import Finding, HeldOutCheck, Region, Unexplained, Where
+from torchrbd.diagnosis.results import HeldOutCheck, Region, Unexplained, Where
 from torchrbd.diagnosis.terms import Explanation
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.fitting import judge
+from torchrbd.inference.results import TorqueSeries
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.robot.units import torque_unit
 
@@ -35,19 +37,9 @@ _ERRORS = ("error", "larger error")
 _LASTS = 2.0
 
 
-def unexplained(
-    extended: Extended, findings: Sequence[Finding], held_out_checks: Sequence[HeldOutCheck]
-) -> tuple[Unexplained, ...]:
-    """Return what no known effect explains.
-
-    Args:
-        extended: the fit with what was found.
-        findings: what has a name.
-        held_out_checks: how the extended model predicts held-out data.
-    """
-    nameless = (*functions(extended), *tones(extended.found), *_drifting(extended.found))
-    reported = {joint for one in (*findings, *nameless) for joint in one.joints}
-    return (*nameless, *_silent(extended, held_out_checks, reported))
+def unexplained(extended: Extended) -> tuple[Unexplained, ...]:
+    """Return torques that no known effect explains: smooth functions, tones and drift."""
+    return (*functions(extended), *tones(extended.found), *_drifting(extended.found))
 
 
 def one_entry(found: Sequence[Unexplained]) -> tuple[Unexplained, ...]:
@@ -124,17 +116,18 @@ def _curve(extended: Extended, term: Candidate) -> Unexplained:
     return Unexplained((name,), signals, where, share, curve, sizes={"torque_rms": carried}, unit=unit)
 
 
-def _silent(
-    extended: Extended, held_out_checks: Sequence[HeldOutCheck], reported: Collection[str]
+def large_errors(
+    series: TorqueSeries, held_out_checks: Sequence[HeldOutCheck], reported: Collection[str]
 ) -> Iterator[Unexplained]:
-    """Yield joints whose held-out torque is predicted badly, by errors that have a memory.
+    """Yield joints whose held-out torque is predicted badly by the extended model, by errors that have a memory.
 
     "Badly" is a large NMSE or, at joints where nothing is ``reported``, an error clearly above that of the fit. White
     errors are noise, of which some motions make more than others.
     """
-    prepared, x = extended.prepared, extended.model.x
-    lasting = {p.joint for p in held_out_checks if p.memory_s["extended"] > _LASTS * p.white_s}
-    seen, unseen = judge(prepared.judging_fitted, x).rmse, judge(prepared.judging, x)
+    lasting = {p.joint for p in held_out_checks if p.memory_s[EXTENDED] > _LASTS * p.white_s}
+    if not lasting:
+        return
+    seen, unseen = series.fit(EXTENDED, held_out=False).rmse, series.fit(EXTENDED)
     for name, rmse in unseen.rmse.items():
         if name not in lasting:
             continue

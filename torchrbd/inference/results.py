@@ -62,9 +62,10 @@ class TorqueSeries:
         """Return measured minus predicted torque, (M, n)."""
         return self.measured - self.predicted[model]
 
-    def fit(self, model: str) -> Fit:
-        """Return how well a model predicts the held-out rows, every row counting alike."""
-        return torque_fit(self.joints, self.measured[self.held_out], self.predicted[model][self.held_out])
+    def fit(self, model: str, *, held_out: bool = True) -> Fit:
+        """Return how well a model predicts the held-out rows, or the fitted ones, every row counting alike."""
+        rows = self.held_out if held_out else ~self.held_out
+        return torque_fit(self.joints, self.measured[rows], self.predicted[model][rows])
 
 
 @dataclass(frozen=True)
