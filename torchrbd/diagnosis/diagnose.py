@@ -9,7 +9,7 @@ from torchrbd.deadline import is_over, time_limited
 from torchrbd.diagnosis.clock_offset import clock_offset
 from torchrbd.diagnosis.deflection import joint_deflections
 from torchrbd.diagnosis.detection_limits import detection_limits
-from torchrbd.diagnosis.explain import explain, likeliest_left
+from torchrbd.diagnosis.explain import explain, likeliest_left, reported
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.held_out_checks import held_out_checks
 from torchrbd.diagnosis.locate import locate
@@ -150,8 +150,8 @@ def diagnose(
     findings = with_springs(findings, springs)
     proof = held_out_checks(identification.series, identification.cutoff_hz)
     nameless = unexplained(model)
-    reported = {joint for one in (*(() if plainly else findings), *nameless) for joint in one.joints}
-    rest = one_entry((*alone, *nameless, *large_errors(identification.series, proof, reported)))
+    explaining = {joint for one in (*(() if plainly else findings), *nameless) for joint in one.joints}
+    rest = one_entry((*alone, *nameless, *large_errors(identification.series, proof, explaining)))
     if plainly:
         known = {joint for one in rest for joint in one.joints}
         rest = (*rest, *(one for one in only_where_fitted(full, model) if one.joints[0] not in known))
