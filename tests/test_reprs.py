@@ -15,7 +15,7 @@ from report import fabricated
 from simulated import record
 
 import torchrbd
-from torchrbd.display import brief, few
+from torchrbd.display import Remark, brief, few
 from torchrbd.inference import Fit, Outcome
 from torchrbd.inference.comparison import EstimatorRow
 from torchrbd.inference.replay import Replay
@@ -40,10 +40,11 @@ def diagnosis() -> torchrbd.Diagnosis:
 
 def estimators() -> torchrbd.EstimatorComparison:
     fit = Fit(dict.fromkeys(JOINTS, 0.25), dict.fromkeys(JOINTS, 1.0))
-    rows = EstimatorRow("wls", fit, fit, True, 0.1, ""), EstimatorRow("iv", None, None, None, 0.0, "no set-points")
+    failed, fact = Remark("estimator failed", {"error": "no set-points"}), Remark("gravity", {"gravity": [0.0] * 90})
+    rows = EstimatorRow("wls", fit, fit, True, 0.1, None), EstimatorRow("iv", None, None, None, 0.0, failed)
     regime = NoiseRegime("physical", "filtered", matters=False, excess=1.0)
     return torchrbd.EstimatorComparison(
-        "arm", JOINTS, ("a.csv",), "b.csv", 5.0, 40, 90.0, regime, False, rows, ("note " * 90,), ()
+        "arm", JOINTS, ("a.csv",), "b.csv", 5.0, 40, 90.0, regime, False, rows, (fact,), ()
     )
 
 

@@ -128,9 +128,7 @@ def stopped() -> bool:
     return limit is not None and limit.stopped
 
 
-def reason_words() -> str:
-    """Return why work ended early: "at the time limit of 60 s"."""
+def reached_limit_s() -> float | None:
+    """Return the limit [s] at which work ended early; None where the user asked for its end."""
     limit = _LIMIT.get()
-    if limit is None or _ASKED.is_set():
-        return "because you asked for it"
-    return f"at the time limit of {limit.seconds:.6g} s"
+    return None if limit is None or _ASKED.is_set() else limit.seconds

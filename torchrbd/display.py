@@ -6,7 +6,7 @@ Result packages are imported before the report, which has the words and cards: t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 # Largest number of names in a line, and of letters in one value.
@@ -69,10 +69,16 @@ class Remark(Stated):
     Attributes:
         kind: key of its words in ``report/text/remarks.py``.
         values: for the words: names, numbers in SI units.
+        recording: the one that it is about, if it stands among remarks on several.
     """
 
     kind: str
     values: dict[str, Any] = field(default_factory=dict)
+    recording: str = ""
+
+    def of(self, recording: str) -> Remark:
+        """Return the same with the name of its recording."""
+        return replace(self, recording=recording)
 
     def __str__(self) -> str:
         return self.statement

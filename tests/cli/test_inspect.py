@@ -207,7 +207,7 @@ def test_a_current_stays_a_current_and_a_constant_of_one_is_named(tmp_path, look
     (tmp_path / "one.yaml").write_text(text.format(1.0))
     (tmp_path / "real.yaml").write_text(text.format(12.5))
     told = look(tmp_path / "r.csv", tmp_path / "arm.urdf", "--mapping", tmp_path / "one.yaml")
-    assert "torque_constant times gear_ratio is 1 for lift: the torque is then the current in ampere" in told
+    assert "torque_constant times gear_ratio is 1 for lift. The torque is then the current in ampere" in told
     told = look(
         tmp_path / "r.csv", tmp_path / "arm.urdf", "--mapping", tmp_path / "real.yaml", "-o", tmp_path / "map.yaml"
     )

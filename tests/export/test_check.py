@@ -74,7 +74,7 @@ def test_lags_are_left_out_on_both_sides_of_mjcf_and_not_of_urdf() -> None:
     lag = term("actuator_lag", Site(0), time_constant=0.05)
     found = checked("mjcf", lag)
     assert found.joints[0].part < 1e-9
-    (note,) = found.notes
+    (note,) = map(str, found.notes)
     assert note.endswith(
         "(time_constant 0.05 s, bandwidth 1e+04 Hz): is in the file's actuators, whose course in time is not compared"
     )

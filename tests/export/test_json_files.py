@@ -22,6 +22,7 @@ from torchrbd.diagnosis.results import (
     Unexplained,
     Where,
 )
+from torchrbd.display import Remark
 from torchrbd.export import write_parameters
 from torchrbd.export.json_files import write_comparison, write_diagnosis
 from torchrbd.inference import EstimatorComparison, Fit, Identification, identify
@@ -55,9 +56,12 @@ def test_base_parameters_follow_from_the_file_alone(found: Identification, tmp_p
 
 
 def test_a_row_of_a_matrix_is_a_line_and_text_stays_as_it_is(found: Identification, tmp_path: Path) -> None:
-    odd = replace(found, notes=("[1,  2]", "a [\n 1\n]"))
+    texts = ["[1,  2]", "a [\n 1\n]"]
+    odd = replace(found, facts=(Remark("unused columns", {"columns": texts}),))
     write_parameters(odd, tmp_path / "p.json")
-    assert read(tmp_path / "p.json")["notes"] == ["[1,  2]", "a [\n 1\n]"]
+    content = read(tmp_path / "p.json")
+    assert content["facts"] == [{"kind": "unused columns", "values": {"columns": texts}, "recording": ""}]
+    assert content["notes"] == [f"columns not used: {', '.join(texts)}"]
     lines = (tmp_path / "p.json").read_text().splitlines()
     rows = [line for line in lines if line.strip().startswith("[ ") and line.count(",") > 3]
     assert len(rows) == 2 * len(found.base)
@@ -98,7 +102,7 @@ def test_a_ranking_keeps_its_numbers_and_its_gaps(found: Identification, tmp_pat
 
 def test_a_comparison_with_an_error_beyond_all_numbers_is_json(tmp_path: Path) -> None:
     fit = Fit({"a": np.inf}, {"a": np.nan})
-    rows = (EstimatorRow("tls", fit, fit, False, 0.1, ""),)
+    rows = (EstimatorRow("tls", fit, fit, False, 0.1, None),)
     regime = NoiseRegime("physical", "filtered", matters=False, excess=1.0)
     compared = EstimatorComparison("arm", ("a",), ("x",), "y", 5.0, 3, np.inf, regime, False, rows, (), ())
     write_comparison(compared, tmp_path / "e.json")

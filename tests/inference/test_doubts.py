@@ -83,7 +83,7 @@ def test_a_temperature_that_some_recordings_lack(arrays: dict[str, np.ndarray]) 
     ]
     prepared = prepare(RobotModel.from_urdf(URDF), days, Settings(), ())
     assert not any(scale.temperature for scale in prepared.columns.scales)
-    assert [note for note in prepared.notes if "temperature" in note] == [
+    assert [note for note in map(str, prepared.facts) if "temperature" in note] == [
         f"day: no temperature of {', '.join(names[1:])}, so that of others is not used there"
     ]
 

@@ -13,7 +13,7 @@ from simulated import Motion as Made
 from simulated import inverse_dynamics, joint_names, multisine
 
 from torchrbd.inference.physical.fitting import FittedModel, fit_model
-from torchrbd.inference.posterior.experiments import Motion, extent, in_words, information, states
+from torchrbd.inference.posterior.experiments import Motion, described, extent, information, states
 from torchrbd.inference.posterior.identifiability import Identifiability, _State, identifiability
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
@@ -76,7 +76,7 @@ def test_with_much_data_only_structure_is_left() -> None:
             assert found.status == ("identified" if k in base.alone else "combination")
             assert found.prior_share == pytest.approx(left[k], abs=2e-3)
             assert found.least_share == pytest.approx(left[k], abs=1e-6)
-            assert all(found.name in sentence for sentence in found.combinations)
+            assert all(found.name in one.values["expression"] for one in found.combinations)
             assert bool(found.combinations) == (k not in base.alone)
 
 
@@ -122,10 +122,10 @@ def test_motions_keep_inside_the_limits() -> None:
 def test_words() -> None:
     robot = RobotModel.from_urdf(urdf_of(7, 4))
     a, b, *_ = robot.joint_names
-    assert in_words(robot, Motion("slow", 0, ())) == f"move {a} slowly through its range"
-    assert in_words(robot, Motion("accelerate", 0, (1,))).endswith(f"/s^2) in several postures of {b}")
-    assert in_words(robot, Motion("fast", 1, (0, 2, 3))).endswith("in several postures of the other joints")
-    assert in_words(robot, Motion("all", None, ())) == "move all joints at once, at changing speed"
+    assert str(described(robot, Motion("slow", 0, ()))) == f"move {a} slowly through its range"
+    assert str(described(robot, Motion("accelerate", 0, (1,)))).endswith(f"/s^2) in several postures of {b}")
+    assert str(described(robot, Motion("fast", 1, (0, 2, 3)))).endswith("in several postures of the other joints")
+    assert str(described(robot, Motion("all", None, ()))) == "move all joints at once, at changing speed"
 
 
 def recorded(urdf: str, motion: Made, name: str, scale: np.ndarray, seed: int) -> Recording:

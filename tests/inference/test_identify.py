@@ -85,7 +85,7 @@ def test_status_follows_from_the_robot(found: Identification) -> None:
         assert p.status == expected
         assert p.std > 0
         assert 0 <= p.prior_share <= 1
-    assert found.combinations == base.sentences()
+    assert found.combinations == base.combinations()
 
 
 def test_what_no_motion_tells_is_told_by_the_urdf_alone(found: Identification) -> None:

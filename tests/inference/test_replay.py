@@ -151,7 +151,7 @@ def test_identified(off: dict[str, float], tmp_path: Path) -> None:
     )
     assert ("a command that actuators follow" in words) is ("lag_s" in off)
     comments = " ".join(str(c.text) for c in etree.fromstring(torchrbd.to_urdf(model)).iter(etree.Comment))
-    assert all(one in comments for one in not_in_urdf(model) if "recordings" in one)
+    assert all(one in comments for one in map(str, not_in_urdf(model)) if "recordings" in one)
     if not off:
         return
     model.conditions = {name: one.without_clock() for name, one in model.conditions.items()}

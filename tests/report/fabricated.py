@@ -69,7 +69,7 @@ def identification(
         fits=fits,
         verdict=verdict_of(fits, remarks),
         parameters=parameters,
-        combinations=("Izz_link1 + Iyy_link2 = 0.30 ± 0.01 kg m^2",),
+        combinations=(Remark("only combination", {"expression": "Izz_link1 + Iyy_link2"}),),
         base=(BaseParameterEstimate("Izz_link1 + Iyy_link2", "kg m^2", 0.31, 0.3, 0.01, 0.02),),
         base_combination=np.eye(1, 20),
         base_covariance=np.eye(1),
@@ -80,7 +80,7 @@ def identification(
         model=cast(Any, None),
         posterior=None,
         remarks=remarks,
-        notes=("Column 'mode' was ignored.",),
+        facts=(Remark("unused columns", {"columns": ["mode"]}, "a.csv"),),
     )
 
 

@@ -11,7 +11,8 @@ from torchrbd.cli.tables import print_diagnosis
 from torchrbd.diagnosis.ranking import Ranked
 from torchrbd.diagnosis.results import Diagnosis
 from torchrbd.likelihood.misspecification import Misfit
-from torchrbd.report.considered import misfit_sentence, nats
+from torchrbd.report.considered import nats
+from torchrbd.report.text.hypotheses import misfit_sentence
 from torchrbd.report.text.names import words_of
 
 JOINTS = ("joint1", "joint2", "slide")

@@ -39,7 +39,33 @@ from torchrbd.diagnosis.results import (
 )
 from torchrbd.display import Remark, Stated
 from torchrbd.effects import known_effects
+from torchrbd.excitation.conditioning import ConditionNumbers
+from torchrbd.inference.posterior.experiments import Motion
+from torchrbd.inference.posterior.identifiability import Identifiability
 from torchrbd.inference.results import NoiseRegime
+from torchrbd.likelihood.misspecification import Misfit
+from torchrbd.report.text.console import (
+    AS_RECORDED,
+    FAVOURED,
+    LACKING,
+    MAPPING_HINT,
+    PHYSICAL,
+    check_words,
+    clearance_words,
+    combinations_words,
+    condition_words,
+    ends_words,
+    estimator_words,
+    measure_words,
+    more_words,
+    motion_words,
+    simulated_words,
+    wrote,
+    wrote_fleet,
+)
+from torchrbd.report.text.findings import CERTAINLY_MISSING, SHARED
+from torchrbd.report.text.hypotheses import WITHOUT_EFFECTS, clock_words, given_words, misfit_sentence
+from torchrbd.report.text.locations import excerpt_words
 from torchrbd.report.text.remarks import kinds
 from torchrbd.report.text.verdict import VERDICTS, headline
 
@@ -195,7 +221,146 @@ def remarks() -> list[Remark]:
         Remark("same recordings", {"recordings": ["a.csv"]}),
         Remark("other cutoff", {"before_hz": 5.0, "after_hz": 6.0}),
     ]
-    return [*found, *(Remark(kind) for kind in ("one simulated", "inertia not compared", "no detection limits"))]
+    found += [Remark(kind) for kind in ("one simulated", "inertia not compared", "no detection limits")]
+    return [*found, *recording_remarks(), *input_remarks(), *motion_remarks(), *export_remarks()]
+
+
+def recording_remarks() -> list[Remark]:
+    joint, joints, column = {"joint": "joint1"}, {"joints": ["joint1", "joint2"]}, {"column": "q_joint1"}
+    found = [
+        Remark("no torque", joints),
+        Remark("signal of some joints", {"signal": "qd"}),
+        Remark("unused columns", {"columns": ["mode"]}),
+        Remark("current as torque", {"joints": [f"joint{k}" for k in range(30)]}),
+        Remark("position jumps", {**joint, "speed": 30.0, "ratio": 40.0}),
+        Remark("torque peaks", {**joint, "torque": 30.0, "ratio": 40.0}),
+        Remark("velocity differs from dq/dt", {**joint, "ratio": 57.3}),
+        Remark("q_link equals q", joint),
+        Remark("q_link differs from q", {**joint, "ratio": 0.1}),
+        Remark("torque constant in motion", {**joint, "torque": 0.0, "begin_s": 1.0, "end_s": 3.0}),
+        Remark("repeated times", {"dropped": 2, "rows": 90}),
+        Remark("missing values", {"dropped": 2, "rows": 90, "empty": ["tau_joint1"]}),
+        Remark("gaps in time", {"pieces": 2}),
+        Remark("full turns unwrapped", joints),
+        Remark("accelerations not used"),
+        Remark("constant torque", joint, "a.csv"),
+        Remark("left out", {"begin_s": 1.0, "end_s": 3.0}, "a.csv"),
+        Remark("other unit", {**column, "unit": "deg"}),
+        Remark("cut off", {**column, "ends": [-1.0, 1.0]}),
+        Remark("coarse steps", {**column, "step": 0.1, "steps": 9.7}),
+        Remark("slow source", {**column, "rows": 3.0, "rate_hz": 50.0}),
+        Remark("constant column", column),
+        Remark("short recording", {"seconds": 2.0, "least_s": 10.0}),
+        Remark("uneven times"),
+    ]
+    return found
+
+
+def input_remarks() -> list[Remark]:
+    joint, some = {"joint": "joint1"}, {"recordings": ["a.csv"]}
+    intervals = {"estimator": "ols", "was_physical": False, "with_intervals": ["physical", "smoother", "moments"]}
+    return [
+        Remark("no changing torque", joint),
+        Remark("no temperature", {"joints": ["joint1"]}, "a.csv"),
+        Remark("unphysical URDF inertia", {"body": "hand"}),
+        Remark("gravity", {"gravity": [0.0, 9.81, 0.0]}),
+        Remark("known rotors or springs", {"parts": ["rotors", "springs"], "source": "arm.urdf"}),
+        Remark("massless body", {"body": "hand"}),
+        Remark("joint at rest", joint),
+        Remark("compared with a simulation", {"pairs": [["sim.csv", "a.csv"]]}),
+        Remark("simulation's clock moved", {"recording": "a.csv", "shift_s": 0.1}, "sim.csv"),
+        Remark("states not smoothed", some),
+        *(Remark(kind, {"limit_s": limit}) for kind in ("unfinished", "not tried") for limit in (None, 60.0)),
+        Remark("estimator failed", {"error": "singular matrix"}),
+        Remark("no intervals", intervals),
+        Remark("combinations of the URDF", {"kept": 3, "of": 40}),
+        *(Remark("passes", {"passes": 4, "settled": settled}) for settled in (True, False)),
+        Remark("identified by set-points", {"identified": 38, "of": 40}),
+        *(Remark("motion not simulated", values) for values in ({}, {"error": "no torque"})),
+        Remark("terms along the recorded motion", {"terms": [["time_delay", "joint1"]]}),
+        Remark("later start", {"begin_s": 1.0, "asked_s": 0.0}),
+        *(Remark("late torque moved", {"delay_s": delay}) for delay in (0.1, -0.1)),
+        Remark("torque is a command", {"lag_s": 0.1}),
+    ]
+
+
+def motion_remarks() -> list[Remark]:
+    moved = {"joint": "joint1", "unit": "rad", "speed": 2.0, "acceleration": 3.0, "others": 2}
+    varied = ([], ["joint2"], ["joint2", "joint3"])
+    found = [
+        Remark("motion", {"kind": k, **moved, "varied": v}) for k in ("slow", "accelerate", "fast") for v in varied
+    ]
+    return [
+        *found,
+        Remark("motion", {"kind": "all"}),
+        Remark("only combination", {"expression": "mcx_l1 - 0.5 m_l2"}),
+        Remark("never identified", {"parameters": ["m_l1", "mcy_l1"]}),
+        Remark("nothing open"),
+        Remark("rivals stay open", {"one": "payload on hand", "other": "backlash", "log_bayes_factor": 1.0}),
+        Remark("rivals without parameters", {"finding": "joint spring at joint2"}),
+    ]
+
+
+def export_remarks() -> list[Remark]:
+    joints, pair = {"joints": ["joint1", "joint2"]}, ["joint1", "joint2"]
+    term = {"name": "joint spring", "place": "joint1", "values": {"stiffness": [2.0, "N m/rad"], "rest": [0.1, "1"]}}
+    notes = sorted({note for e in known_effects().values() for note in (e.export_note, e.urdf_note) if note})
+    recordings = {"recordings": ["a.csv"]}
+    return [
+        Remark("what the file lacks"),
+        *(Remark("not exported", {"term": term, "reason": r}) for r in ("not always", "not finite", "MJCF", "URDF")),
+        *(Remark("not exported", {"term": term, "note": note, "by_hand": ['<joint damping="1"/>']}) for note in notes),
+        Remark("not compared", {"term": term}),
+        Remark("motor of two joints", joints),
+        Remark("coupling by speeds", {**joints, "damping": 0.7}),
+        Remark("coupling", {"joints": pair, "kind": "stiffness", "size": 1.0, "at_each": [1.0, 0.0]}),
+        Remark("dry friction near rest", joints),
+        Remark("delays", {**joints, "step_s": 5e-4}),
+        Remark("damping of three numbers", joints),
+        Remark("following joints", joints),
+        *(Remark("limits", {**joints, "fault": fault}) for fault in ("one side", "empty", "effort")),
+        Remark("velocity limits"),
+        Remark("shapes"),
+        Remark("massless link", {"link": "hand", "least": 1e-12}),
+        Remark("link without width", {"link": "hand", "lift": 1e-12}),
+        Remark("gravity not in URDF", {"gravity": [0.0, 9.81, 0.0]}),
+        *(Remark("condition of recordings", {**recordings, "delay_s": delay}) for delay in (0.1, -0.1)),
+        Remark("condition of recordings", {**recordings, "lag_s": 0.1, "by_hand": "<general/>"}),
+        Remark("condition of recordings", {**recordings, "load": 2.0}),
+        Remark("condition of recordings", {**recordings, "simulation": "sim.csv"}),
+    ]
+
+
+def identifiable() -> list[Identifiability]:
+    """Return a parameter of every status, with everything that its statement may say."""
+    pair = (Remark("only combination", {"expression": "m_l1 + m_l2"}),)
+    motion, advice = Motion("all", None, ()), Remark("motion", {"kind": "all"})
+    plain = Identifiability("m_l1", "l1", 0.5, 0.2, "identified", (), None, None, 0.5)
+    open_ = replace(plain, status="unexcited")
+    return [
+        plain,
+        replace(plain, status="held"),
+        replace(plain, status="not identifiable"),
+        replace(plain, status="combination", combinations=pair),
+        replace(plain, status="combination", combinations=pair * 3),
+        open_,
+        replace(open_, motion=motion, suggested=advice, prior_share_after=0.3),
+        replace(open_, motion=motion, suggested=advice, combinations=pair),
+    ]
+
+
+def console() -> list[str]:
+    """Return what the command line says around its tables."""
+    few, many = (ConditionNumbers(n, 9.0, 90.0, 20.0) for n in (1, 40))
+    return [
+        PHYSICAL, FAVOURED, LACKING, MAPPING_HINT, AS_RECORDED, measure_words("25 % of the time", 5.0),
+        combinations_words(40, 90.0), *(estimator_words("iv", "no set-points", failed=f) for f in (True, False)),
+        check_words(900, 5.0), simulated_words(0.0, 9.0), motion_words(3, 10.0, 100.0), condition_words(few),
+        condition_words(many), clearance_words(0.01), ends_words({"joint1": 0.1}), wrote("a.csv"), wrote("a", "out"),
+        wrote_fleet(Path("out")), more_words(3, "fleet.json"), SHARED, CERTAINLY_MISSING, excerpt_words("a.csv", 0.0, 15.0),
+        WITHOUT_EFFECTS, clock_words(1e-3, 1e-4), *(given_words(ranking(JOINTS).first[:n]) for n in (1, 2)),
+        misfit_sentence({"a": Misfit(2.0, 3, 0.57)}), misfit_sentence({"a": Misfit(2.0, 3, 1e-9)}),
+    ]  # fmt: skip
 
 
 def regimes() -> list[NoiseRegime]:
@@ -211,7 +376,16 @@ def test_remarks_of_every_kind_are_here() -> None:
 
 def stated() -> list[Stated]:
     deflected = [deflection(), deflection(stiffness=None), deflection(nmse_after=0.9)]
-    return [*remarks(), *regimes(), *findings(), *unexplained(), *locations(), *deflected, *diagnoses()]
+    return [
+        *remarks(),
+        *regimes(),
+        *identifiable(),
+        *findings(),
+        *unexplained(),
+        *locations(),
+        *deflected,
+        *diagnoses(),
+    ]
 
 
 def sentences(text: str) -> list[str]:
@@ -228,6 +402,12 @@ def length(sentence: str) -> int:
 def test_statements_are_plain_and_short(result: Stated) -> None:
     assert BANNED.findall(result.statement) == []
     assert [(length(s), s) for s in sentences(result.statement) if length(s) > MOST_WORDS] == []
+
+
+@pytest.mark.parametrize("text", console())
+def test_the_command_line_is_plain_and_short(text: str) -> None:
+    assert BANNED.findall(text) == []
+    assert [(length(s), s) for s in sentences(text) if length(s) > MOST_WORDS] == []
 
 
 @pytest.mark.parametrize("result", diagnoses())

@@ -20,6 +20,7 @@ from torchrbd.inference.many import identify_and
 from torchrbd.outputs import OutputFolder, inside
 from torchrbd.processes import Attempt
 from torchrbd.report.files import IDENTIFIED, REPORT, write_files
+from torchrbd.report.text.console import not_begun, wrote
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,9 @@ def identify_each(
     failed = [(file, one.error) for file, one in pairs if one.error is not None and file not in left]
     out = Console(highlight=False, soft_wrap=True)
     if any(one.value for one in found):
-        out.print(f"wrote {', '.join(IDENTIFIED)} and {REPORT} to {output}/<recording>", markup=False)
+        out.print(wrote(f"{', '.join(IDENTIFIED)} and {REPORT}", f"{output}/<recording>"), markup=False)
     if left:
-        words = f"unfinished: {len(left)} of {len(found)} recordings were not begun; identify them in another call"
-        out.print(words, markup=False)
+        out.print(not_begun(len(left), len(found)), markup=False)
     if failed:
         reasons = "".join(f"\n  {_reason(file, error)}" for file, error in failed)
         raise InputError(f"{len(failed)} of {len(found)} recordings could not be identified{reasons}")

@@ -16,6 +16,7 @@ from torchrbd.errors import OptionError
 from torchrbd.excitation import Excitation, excite
 from torchrbd.export.motion_files import check_rate, series_of, write_motion
 from torchrbd.outputs import check_file
+from torchrbd.report.text.console import clearance_words, condition_words, ends_words, motion_words, wrote
 from torchrbd.report.text.numbers import number
 
 
@@ -59,7 +60,7 @@ def design(
     asked = {"diagnosis": diagnosis, "rate_hz": rate_hz, **given}
     series = write_motion(result, file, rate_hz, asked)
     print_motion(result, rate_hz)
-    Console(highlight=False, soft_wrap=True).print(f"wrote {file} and {series}", markup=False)
+    Console(highlight=False, soft_wrap=True).print(wrote(f"{file} and {series}"), markup=False)
 
 
 def _parts(option: str, word: str, example: str) -> tuple[str, str]:
@@ -99,26 +100,16 @@ def _value(option: str, word: str) -> tuple[str, float]:
 
 def print_motion(result: Excitation, rate_hz: float) -> None:
     """Print length, condition numbers, what is used of the limits, and what it separates."""
-    out, condition = Console(highlight=False), result.condition
-    period = f"{result.periods} times {result.motion.period_s:.4g} s"
-    out.print(
-        Text.assemble((f"{result.robot.name}:", "bold"), f" {period}, {rate_hz:g} samples a second, from rest to rest")
-    )
-    parameters = (
-        "one base parameter" if condition.base_parameters == 1 else f"{condition.base_parameters} base parameters"
-    )
-    out.print(
-        f"condition number of the regressor of {parameters}: {number(condition.scaled)} "
-        f"(columns scaled to unit RMS), {number(condition.unscaled)} (SI units), "
-        f"{number(condition.with_friction)} with friction (scaled)",
-        soft_wrap=True,
-    )
+    out = Console(highlight=False)
+    words = motion_words(result.periods, result.motion.period_s, rate_hz)
+    out.print(Text.assemble((f"{result.robot.name}:", "bold"), f" {words}"))
+    out.print(condition_words(result.condition), soft_wrap=True)
     _print_uses(result, out)
     if math.isfinite(result.clearance):
-        out.print(f"links' origins keep {1e3 * result.clearance:.3g} mm from the ends of the box")
+        out.print(clearance_words(result.clearance))
     _print_separations(result, out)
-    start = zip(result.robot.joint_names, result.motion.start.tolist(), strict=True)
-    out.print("begins and ends at " + ", ".join(f"{j} {x:.4g}" for j, x in start), markup=False, soft_wrap=True)
+    start = dict(zip(result.robot.joint_names, result.motion.start.tolist(), strict=True))
+    out.print(ends_words(start), markup=False, soft_wrap=True)
     for note in result.notes:
         out.print(f"note: {note}", markup=False, soft_wrap=True)
 

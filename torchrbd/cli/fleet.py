@@ -27,6 +27,7 @@ from torchrbd.outputs import OutputFolder, inside, write_whole
 from torchrbd.recordings.contents import digest
 from torchrbd.report.files import IDENTIFIED, write_identified
 from torchrbd.report.fleet import write_fleet_report
+from torchrbd.report.text.console import more_words, wrote_fleet
 from torchrbd.report.text.numbers import number
 
 # The inputs of a robot's files, saved with them; this one is written last.
@@ -61,7 +62,7 @@ def fleet(robots_file: Path, output: Path, before: Path | None, engine: Engine, 
         folder.fill(partial(_write, result))
     failed = {one.name: one.error for one in result.members if one.error and one.verdict != UNFINISHED}
     _print(result)
-    words = f"wrote fleet.json and fleet.html to {output}, and what was identified to {output}/<robot>"
+    words = wrote_fleet(output)
     Console(highlight=False, soft_wrap=True).print(words, markup=False)
     if failed:
         raise InputError(f"{len(failed)} of {len(robots)} robots could not be identified{_reasons(failed)}")
@@ -171,7 +172,7 @@ def _print(result: FleetComparison) -> None:
     if notable:
         out.print(table)
     if len(notable) > _MOST_ROBOTS:
-        out.print(f"and {len(notable) - _MOST_ROBOTS} more in fleet.json", markup=False)
+        out.print(more_words(len(notable) - _MOST_ROBOTS, "fleet.json"), markup=False)
 
 
 def _reasons(failed: Mapping[str, str]) -> str:

@@ -14,6 +14,7 @@ from torchrbd.errors import OptionError
 from torchrbd.outputs import check_file, write_whole
 from torchrbd.recordings import Inspection, Mapping, inspect_recording, read_mapping
 from torchrbd.recordings.mapping_text import mapping_text
+from torchrbd.report.text.console import MAPPING_HINT, wrote
 from torchrbd.report.text.numbers import number
 from torchrbd.robot import RobotModel
 
@@ -36,7 +37,7 @@ def inspect(file: Path, urdf: Path | None, mapping_file: Path | None, into: Path
     if into is not None:
         sliding = () if robot is None else tuple(compress(robot.joint_names, robot.prismatic.tolist()))
         write_whole(into, mapping_text(found, mapping, sliding).encode())
-        Console(highlight=False, soft_wrap=True).print(f"wrote {into}", markup=False)
+        Console(highlight=False, soft_wrap=True).print(wrote(into), markup=False)
 
 
 def print_inspection(found: Inspection, hint: bool = True) -> None:
@@ -57,10 +58,10 @@ def print_inspection(found: Inspection, hint: bool = True) -> None:
         _print_motion(found, out)
         _print_channels(found, out)
     if found.lacking:
-        remedy = "" if not hint else "; '-o mapping.yaml' writes a mapping with what the names of the columns suggest"
+        remedy = f"; {MAPPING_HINT}" if hint else ""
         out.print(Text.assemble(("problem:", "bold yellow"), " ", found.lacking, remedy), soft_wrap=True)
     for remark in found.remarks:
-        out.print(Text.assemble(("warning:", "bold yellow"), " ", remark))
+        out.print(Text.assemble(("warning:", "bold yellow"), " ", str(remark)))
     for note in found.survey.notes if found.survey is not None else ():
         out.print(f"note: {note}", markup=False)
 

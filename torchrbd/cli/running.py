@@ -19,6 +19,7 @@ from torchrbd.inference import EstimatorComparison, Identification
 from torchrbd.outputs import OutputFolder
 from torchrbd.report import write_changes_report
 from torchrbd.report.files import REPORT, write_files
+from torchrbd.report.text.console import wrote
 
 Result = TypeVar("Result", Identification, Diagnosis, EstimatorComparison)
 
@@ -40,7 +41,7 @@ def run(
         names = () if folder is None else folder.fill(partial(write_files, result))
     show(result)
     if output is not None:
-        _say(f"wrote {', '.join(names)} to {output}")
+        _say(wrote(", ".join(names), output))
         if not isinstance(result, EstimatorComparison):
             report = f"report: {(output / REPORT).resolve()}"
             Console(highlight=False, soft_wrap=True).print(report, style="bold", markup=False)
@@ -54,7 +55,7 @@ def compare_results(before: Path, after: Path, output: Path | None) -> None:
             folder.fill(partial(_write_changes, result))
     print_changes(result)
     if output is not None:
-        _say(f"wrote comparison.json and comparison.html to {output}")
+        _say(wrote("comparison.json and comparison.html", output))
 
 
 def _write_changes(result: Comparison, folder: Path) -> None:

@@ -14,6 +14,7 @@ from torchrbd.cli.progress import progress_bar
 from torchrbd.errors import OptionError
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.outputs import check_file
+from torchrbd.report.text.console import AS_RECORDED, simulated_words, wrote
 from torchrbd.report.text.numbers import number
 from torchrbd.simulation import SimulatedMotion, check_suffix, simulate
 
@@ -56,17 +57,13 @@ def _model(given: Path, gravity: Sequence[float] | None) -> RigidBodyDynamics:
 
 def _print(found: SimulatedMotion, model: RigidBodyDynamics, file: Path) -> None:
     out = Console(highlight=False)
-    out.print(
-        f"Simulated from {found.t[0]:.4g} to {found.t[-1]:.4g} s of the recording; root mean square distance from the "
-        "recorded position:",
-        markup=False,
-    )
+    out.print(simulated_words(found.t[0], found.t[-1]), markup=False)
     table = Table("joint", "distance")
     sliding = dict(zip(model.robot.joint_names, model.robot.prismatic.tolist(), strict=True))
     for joint, distance in found.distance.items():
         words = f"{number(distance)} {'m' if sliding[joint] else 'rad'}" if distance == distance else "lost"
-        table.add_row(Text(joint), "moved as recorded: no torque" if joint in found.moved else words)
+        table.add_row(Text(joint), AS_RECORDED if joint in found.moved else words)
     out.print(table)
     for note in found.notes:
         out.print(f"note: {note}", markup=False)
-    out.print(f"wrote {file}", markup=False, soft_wrap=True)
+    out.print(wrote(file), markup=False, soft_wrap=True)

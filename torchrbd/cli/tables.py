@@ -20,15 +20,22 @@ from torchrbd.inference.comparison import EstimatorComparison
 from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
 from torchrbd.report.changes import shown, title
 from torchrbd.report.text.comparison import certainty, signed
+from torchrbd.report.text.console import (
+    FAVOURED,
+    LACKING,
+    PHYSICAL,
+    check_words,
+    combinations_words,
+    estimator_words,
+    measure_words,
+    more_words,
+    wrote,
+)
 from torchrbd.report.text.names import guessed, more_values, place, values, when
 from torchrbd.report.text.numbers import number, probability, unit
 from torchrbd.report.text.numbers import percent as exact_percent
 from torchrbd.report.text.verdict import badge, headline, model_words, worth
 
-_COMPARISON_WORDS = (
-    "physical? says whether every link has a mass and an inertia that a real body can have. If not, the nearest "
-    "physical parameters are used; 'identify --estimator' writes these. * is within 1 % of the least error."
-)
 # A probability from which on the table of plain friction says none.
 SURE = 0.95
 # What leaves room for the other columns on a narrow terminal: recordings that are named, letters in a line.
@@ -62,7 +69,7 @@ def _print_findings(findings: Sequence[Finding], recordings: int, heading: str, 
     table = Table(_whole("where"), Column(heading, overflow="fold"), "value ± 95 %", _right("probability"))
     for f in findings:
         more = more_values(f)
-        quantities = "\n".join([*values(f), *([f"{more} more in diagnosis.json"] if more else [])])
+        quantities = "\n".join([*values(f), *([more_words(more, "diagnosis.json")] if more else [])])
         inside = "\n".join((place(f), *_times(f.where, recordings)))
         table.add_row(Text(inside), Text(guessed(f)), Text(quantities), probability(f.probability))
     out.print(table)
@@ -150,11 +157,7 @@ def _whole(title: str) -> Column:
 
 
 def _print_measure(held_out: str, cutoff_hz: float, out: Console) -> None:
-    out.print(
-        f"NMSE on held-out data ({held_out}), torque and features band-limited at {cutoff_hz:.3g} Hz; 0 is perfect, 1 "
-        "is no better than a constant:",
-        markup=False,
-    )
+    out.print(measure_words(held_out, cutoff_hz), markup=False)
 
 
 def _print_doubts(doubts: Iterable[object], out: Console) -> None:
@@ -205,20 +208,14 @@ def print_comparison(result: EstimatorComparison) -> None:
     out.print(means)
     if len(result.joints) > 1:
         out.print(joints)
-    out.print(_COMPARISON_WORDS)
-    out.print(
-        f"The data identifies {result.base_parameters} combinations of parameters; the noise of the worst is "
-        f"{result.condition:.3g} times that of the best (condition number)."
-    )
+    out.print(PHYSICAL)
+    out.print(combinations_words(result.base_parameters, result.condition))
     out.print(result.regime.statement, markup=False)
     if result.noise_matters:
-        out.print(
-            "All are judged on torques predicted from filtered, noisy positions. This favours estimates that the noise "
-            "biases: 'smoother' may be better than it looks here."
-        )
+        out.print(FAVOURED)
     for row in result.rows:
         if row.note:
-            out.print(f"{row.name}: {row.note}" if row.raw else f"{row.name} is left out: {row.note}", markup=False)
+            out.print(estimator_words(row.name, row.note, failed=row.raw is None), markup=False)
     _print_notes(result.notes, out)
 
 
@@ -226,11 +223,7 @@ def print_export(file: Path, lacking: Sequence[str], found: FileCheck | None) ->
     """Print how far a file for a simulator and its model are apart, if that was looked at, and what the file lacks."""
     out = Console(highlight=False)
     if found is not None:
-        out.print(
-            f"The file in MuJoCo against the model, RMS torque over {found.samples} states, motion band-limited at "
-            f"{found.cutoff_hz:.3g} Hz:",
-            markup=False,
-        )
+        out.print(check_words(found.samples, found.cutoff_hz), markup=False)
         table = Table(_whole("joint"), *map(_right, ("torque", "file less model", "in per cent")))
         for one in found.joints:
             torques = (f"{number(value)} {one.unit}" for value in (one.torque, one.difference))
@@ -238,10 +231,10 @@ def print_export(file: Path, lacking: Sequence[str], found: FileCheck | None) ->
         out.print(table)
         _print_notes(found.notes, out)
     if lacking:
-        out.print("What the file lacks, or has otherwise:")
+        out.print(LACKING)
     for sentence in lacking:
         out.print(f"- {sentence}", markup=False)
-    out.print(f"wrote {file}", markup=False, soft_wrap=True)
+    out.print(wrote(file), markup=False, soft_wrap=True)
 
 
 def print_effects(known: Iterable[Effect]) -> None:

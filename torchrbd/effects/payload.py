@@ -49,7 +49,7 @@ class Payload(Effect):
         of_any_size=True,
     )
     export_note = (
-        "the inertial of a body without joints that is added to the link; MJCF cannot limit it to a window of time"
+        "the inertial of a body without joints that is added to the link. MJCF cannot limit it to a window of time"
     )
     _FURTHEST_M = 1.0
 

@@ -37,7 +37,7 @@ class TorqueSaturation(JointEffect):
     sees_friction = True
     drawn_over = "load"
     prior = CoefficientPrior("From a clipped reading to an actuator that gives half of its command.", std=(1.0,))
-    export_note = "a hard limit in place of a gradual one: of the actuator, or of the reading if the slope is negative"
+    export_note = "a hard limit, not a gradual one: of the actuator, or of the reading if the slope is negative"
     exported_in_part = True
     # As fractions of the largest load. Lower ones are a torque gain; higher ones are hardly ever reached.
     _LOWEST, _HIGHEST, _GRID_POINTS = 0.35, 0.88, 4

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from torchrbd.diagnosis import Diagnosis
+from torchrbd.display import Remark
 from torchrbd.errors import InputError, OptionError
 from torchrbd.excitation.conditioning import Conditioning
 from torchrbd.excitation.constraints import Constraints
@@ -96,7 +97,7 @@ def excite(
     if known is not None and known.questions:
         t = sampled(basis, _samples(basis, known.cutoff_hz))
         separating = Separating(known, limits, conditioning, t, periods)
-        stage = "designing a motion that separates what is open"
+        stage = "designing a motion that separates rivals"
     objective = conditioning.objective if separating is None else separating.objective
     problem = Problem(basis, objective, constraints, t)
     motion = optimised(problem, starts, seed, lambda part: progress(stage, part))
@@ -156,13 +157,12 @@ def _samples(basis: Basis, cutoff_hz: float) -> int:
     return max(SAMPLES * basis.harmonics, min(math.ceil(4.0 * cutoff_hz * basis.period_s), _MOST_SAMPLES))
 
 
-def _notes(separations: Sequence[Separation]) -> list[str]:
-    """Say what stays open, and what the motion is for if nothing is."""
+def _notes(separations: Sequence[Separation]) -> list[Remark]:
+    """Remark on what stays open, or that nothing is open."""
     if not separations:
-        return ["the diagnosis leaves nothing open that a motion could decide; this one identifies the parameters"]
+        return [Remark("nothing open")]
     return [
-        f"{one.one} and {one.other} may stay open: the expected log Bayes factor is {one.log_bayes_factor:.1f}; "
-        "they are the same on any such motion, or other limits are needed"
+        Remark("rivals stay open", {"one": one.one, "other": one.other, "log_bayes_factor": one.log_bayes_factor})
         for one in separations
         if one.log_bayes_factor < _SEPARATE
     ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from torchrbd.display import brief
+from torchrbd.display import Remark, brief
 from torchrbd.excitation.conditioning import ConditionNumbers
 from torchrbd.excitation.constraints import Constraints
 from torchrbd.excitation.fourier import FourierMotion
@@ -70,7 +70,7 @@ class Excitation:
         uses: joint by joint, what it uses of its limits.
         clearance: least distance of links' origins to the box [m]; NaN without one.
         separations: pairs of effects that a diagnosis has left open, and how well it distinguishes them.
-        notes: sentences for a person.
+        notes: what a user should know of it.
     """
 
     robot: RobotModel
@@ -81,7 +81,7 @@ class Excitation:
     uses: tuple[JointUse, ...]
     clearance: float
     separations: tuple[Separation, ...] = ()
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[Remark, ...] = field(default=())
 
     @property
     def duration_s(self) -> float:

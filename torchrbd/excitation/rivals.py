@@ -14,6 +14,7 @@ from torch import Tensor
 from torchrbd.diagnosis import Alternative, Diagnosis, Finding
 from torchrbd.diagnosis.changes.reading import side_of
 from torchrbd.diagnosis.screening import ORDINARY
+from torchrbd.display import Remark
 from torchrbd.effects import Effect, Shape, Site, Term, effect
 from torchrbd.errors import InputError
 from torchrbd.model import RigidBodyDynamics
@@ -65,14 +66,14 @@ class Known:
         questions: what is open.
         noise_std: (n,) of the torques, infinite where they are not measured [N m or N].
         cutoff_hz: band limit of the comparison.
-        notes: sentences for a person.
+        notes: what a user should know of it.
     """
 
     model: RigidBodyDynamics
     questions: tuple[Question, ...]
     noise_std: Tensor
     cutoff_hz: float
-    notes: tuple[str, ...]
+    notes: tuple[Remark, ...]
 
 
 def known_from(diagnosis: Diagnosis | str | Path) -> Known:
@@ -100,10 +101,7 @@ def known_from(diagnosis: Diagnosis | str | Path) -> Known:
         if len(rivals) > 1:
             questions.append(Question(rivals))
         if any(not a.parameters for a in finding.indistinguishable_from):
-            notes.append(
-                f"{_words(finding)}: the diagnosis does not say what parameters its rivals would have, so that no "
-                f"motion is sought for it; {_REMEDY}"
-            )
+            notes.append(Remark("rivals without parameters", {"finding": _words(finding)}))
     return Known(
         model=model.requires_grad_(False),
         questions=tuple(questions),

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from torchrbd.display import Remark
 from torchrbd.errors import OptionError
-from torchrbd.export.gathered import gather, named
+from torchrbd.export.gathered import described, gather
 from torchrbd.export.replay import replayed
 from torchrbd.export.simulators import written
 from torchrbd.model import RigidBodyDynamics
@@ -65,7 +66,7 @@ class FileCheck:
     joints: tuple[JointCheck, ...]
     samples: int
     cutoff_hz: float
-    notes: tuple[str, ...]
+    notes: tuple[Remark, ...]
 
 
 def check_file(
@@ -122,7 +123,9 @@ def _opened(
     ]
 
 
-def _met_by_inverse_dynamics(model: RigidBodyDynamics, *, in_time: bool) -> tuple[RigidBodyDynamics, tuple[str, ...]]:
+def _met_by_inverse_dynamics(
+    model: RigidBodyDynamics, *, in_time: bool
+) -> tuple[RigidBodyDynamics, tuple[Remark, ...]]:
     """Return a model without the clocks of recordings, and notes.
 
     With ``in_time`` it is also without what the file holds in its actuators' course in time, and the notes say what
@@ -130,9 +133,7 @@ def _met_by_inverse_dynamics(model: RigidBodyDynamics, *, in_time: bool) -> tupl
     """
     aside = {id(term) for term in gather(model).in_time} if in_time else set()
     notes = tuple(
-        f"{named(term, model.robot)}: is in the file's actuators, whose course in time is not compared"
-        for term in model.terms
-        if id(term) in aside
+        Remark("not compared", {"term": described(term, model.robot)}) for term in model.terms if id(term) in aside
     )
     kept = [term for term in model.terms if id(term) not in aside]
     conditions = {name: one.without_clock() for name, one in model.conditions.items()}

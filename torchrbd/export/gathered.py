@@ -1,14 +1,16 @@
-"""What a model's terms are in MJCF, all terms together, and what MJCF cannot hold, in sentences."""
+"""What a model's terms are in MJCF, all terms together, and what MJCF cannot hold."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.effects import Mjcf, Term
 from torchrbd.errors import PhysicalError
 from torchrbd.export.drive import Drive
@@ -19,8 +21,6 @@ from torchrbd.robot import RobotModel
 _SAME = 1e-9
 # Attributes of actuators and sensors alone.
 _IN_TIME = {"dyntype", "dynprm", "delay"}
-# A sentence names the numbers of an effect only up to so many.
-_MOST_NUMBERS = 6
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Gathered:
         added: what to add to a body's inertial parameters (10,), by index.
         shifts: how far the origins of joints move in their parents' axes (3,) [m], by index.
         turns: quaternions (w, x, y, z) that turn a joint's origin, one after the other; under None those of the base.
-        not_exported: what MJCF does not hold, in sentences.
+        not_exported: what MJCF does not hold.
         in_time: terms that are all in how actuators act in time, which inverse dynamics does not meet.
     """
 
@@ -55,7 +55,7 @@ class Gathered:
     added: dict[int, Tensor] = field(default_factory=dict)
     shifts: dict[int, Tensor] = field(default_factory=dict)
     turns: dict[int | None, list[tuple[float, ...]]] = field(default_factory=dict)
-    not_exported: list[str] = field(default_factory=list)
+    not_exported: list[Remark] = field(default_factory=list)
     in_time: list[Term] = field(default_factory=list)
 
 
@@ -71,9 +71,9 @@ def gather(model: RigidBodyDynamics) -> Gathered:
     for term in model.terms:
         written = term.effect.mjcf(term.parameters_by_name())
         if not term.site.always:
-            found.not_exported.append(f"{named(term, robot)}: does not act always, and the file is of one condition")
+            found.not_exported.append(left_out(term, robot, "not always"))
         elif not _finite(written):
-            found.not_exported.append(f"{named(term, robot)}: has numbers that are not finite")
+            found.not_exported.append(left_out(term, robot, "not finite"))
         else:
             _add(found, couplings, term, written, robot)
     gains = [drive.gain for drive in found.drives]
@@ -92,15 +92,26 @@ def gather(model: RigidBodyDynamics) -> Gathered:
     return found
 
 
-def named(term: Term, robot: RobotModel) -> str:
-    """Return what a term is called in a sentence: effect, place and values."""
+def left_out(term: Term, robot: RobotModel, reason: str = "", note: str = "", by_hand: Sequence[str] = ()) -> Remark:
+    """Return that a term is not in a file, or not all of it.
+
+    Args:
+        term: the term.
+        robot: its robot.
+        reason: key of the words, or "MJCF" or "URDF" where that has no element for it.
+        note: the effect's own reason, in place of that.
+        by_hand: elements to write by hand.
+    """
+    values = {"term": described(term, robot), "reason": reason, "note": note, "by_hand": list(by_hand)}
+    return Remark("not exported", values)
+
+
+def described(term: Term, robot: RobotModel) -> dict[str, Any]:
+    """Return name, place and values of a term, these with their units."""
     site, values = term.site, term.parameters_by_name()
     prismatic = site.joint is not None and bool(robot.prismatic[site.joint])
-    listed = ", ".join(
-        f"{name} {value:.4g} {term.effect.unit(name, prismatic=prismatic)}".removesuffix(" 1")
-        for name, value in values.items()
-    )
-    return f"{term.effect.words} at {site.name(robot)}" + (f" ({listed})" if len(values) <= _MOST_NUMBERS else "")
+    with_units = {name: [value, term.effect.unit(name, prismatic=prismatic)] for name, value in values.items()}
+    return {"name": term.effect.words, "place": site.name(robot), "values": with_units}
 
 
 def refuse_negative(joint: str, name: str, value: float) -> None:
@@ -122,11 +133,11 @@ def _finite(written: Mjcf) -> bool:
 
 
 def _add(found: Gathered, couplings: list[Tendon], term: Term, written: Mjcf, robot: RobotModel) -> None:
-    """Add one term's elements; what cannot be written becomes a sentence, with the elements to write by hand."""
+    """Add one term's elements; what cannot be written becomes a remark, with the elements to write by hand."""
     by_hand = {e: a for e, a in written.items() if not _add_element(found, couplings, term, e, a, robot)}
     if not written or by_hand or term.effect.exported_in_part:
-        why = [term.effect.export_note or "MJCF has no word for it", *(element_text(e, a) for e, a in by_hand.items())]
-        found.not_exported.append(f"{named(term, robot)}: {'; '.join(why)}")
+        elements = [element_text(e, a) for e, a in by_hand.items()]
+        found.not_exported.append(left_out(term, robot, "MJCF", term.effect.export_note, elements))
     elif all(attributes.keys() <= _IN_TIME for attributes in written.values()):
         found.in_time.append(term)
 
@@ -202,8 +213,8 @@ def _divide(found: Gathered, gains: list[float], robot: RobotModel) -> None:
         found.tendons[k] = replace(one, **sizes)
         for other in others:
             if gains[other] != gains[joint]:
-                names = " and ".join(robot.joint_names[j] for j in one.joints)
-                found.not_exported.append(f"motor of {names}: torques of both are divided by the gain of the first")
+                names = [robot.joint_names[j] for j in one.joints]
+                found.not_exported.append(Remark("motor of two joints", {"joints": names}))
 
 
 def _couple(found: Gathered, kind: str, couplings: list[Tendon], gains: list[float], robot: RobotModel) -> None:
@@ -225,18 +236,14 @@ def _couple(found: Gathered, kind: str, couplings: list[Tendon], gains: list[flo
         if back is not None and other < joint:
             continue
         k = forth if back is None else 0.5 * (forth + back)
-        names = robot.joint_names[joint], robot.joint_names[other]
+        names = [robot.joint_names[joint], robot.joint_names[other]]
         if kind == "damping" and min(found.drives[j].damping for j in (joint, other)) < abs(k):
-            found.not_exported.append(
-                f"coupling of {names[0]} and {names[1]} by their speeds ({k:.4g}): one of them has less damping, and "
-                "a negative damping would add energy"
-            )
+            found.not_exported.append(Remark("coupling by speeds", {"joints": names, "damping": k}))
             continue
         for drive in (found.drives[joint], found.drives[other]):
             setattr(drive, kind, getattr(drive, kind) - abs(k))
         found.tendons.append(Tendon((joint, other), (1.0, math.copysign(1.0, k)), **{kind: abs(k)}))
         if back is None or abs(forth - back) > _SAME * abs(k):
-            found.not_exported.append(
-                f"coupling of {names[0]} and {names[1]}: a tendon acts on both alike, with {kind} {k:.4g}; the model "
-                f"has {forth:.4g} at {names[0]} and {0.0 if back is None else back:.4g} at {names[1]}"
-            )
+            at_each = [forth, 0.0 if back is None else back]
+            values = {"joints": names, "kind": kind, "size": k, "at_each": at_each}
+            found.not_exported.append(Remark("coupling", values))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.errors import PhysicalError
 from torchrbd.export.xml_text import text
 from torchrbd.robot import inertia_matrix
@@ -15,17 +16,16 @@ LEAST = 1e-12
 _ROUNDING, _WRONG = 1e-12, 1e-9
 
 
-def inertial(pi: Tensor, link: str) -> tuple[dict[str, str], str]:
-    """Return the attributes of <inertial> for parameters pi (10,) about a link's origin, and what to say of them.
+def inertial(pi: Tensor, link: str) -> tuple[dict[str, str], list[Remark]]:
+    """Return the attributes of <inertial> for parameters pi (10,) about a link's origin, and what differs from these.
 
     Raises:
         PhysicalError: no rigid body has these parameters.
     """
     mass = float(pi[0])
     if mass == 0 and not pi.any():
-        return _attributes(LEAST, pi[1:4], LEAST * torch.eye(3, dtype=pi.dtype)), (
-            f"{link} moves and has no mass, which MuJoCo refuses: it has {LEAST:g} kg and {LEAST:g} kg m^2 in the file"
-        )
+        remark = Remark("massless link", {"link": link, "least": LEAST})
+        return _attributes(LEAST, pi[1:4], LEAST * torch.eye(3, dtype=pi.dtype)), [remark]
     if not mass > 0:
         raise PhysicalError(f"{link}: a mass of {mass:.4g} kg is none that MuJoCo takes; {_REMEDY}")
     c = pi[1:4] / mass
@@ -37,8 +37,8 @@ def inertial(pi: Tensor, link: str) -> tuple[dict[str, str], str]:
         raise PhysicalError(f"{link}: principal moments {moments} kg m^2 are those of no rigid body; {_REMEDY}")
     # Of a point or a thin rod: as little as makes it a body.
     lift = max(0.0, LEAST - low, short + _ROUNDING * high if short > -_ROUNDING * high else 0.0)
-    words = f"{link} is a point or a line without width: {lift:.1g} kg m^2 are added to its moments" if lift else ""
-    return _attributes(mass, c, central + lift * torch.eye(3, dtype=pi.dtype)), words
+    remarks = [Remark("link without width", {"link": link, "lift": lift})] if lift else []
+    return _attributes(mass, c, central + lift * torch.eye(3, dtype=pi.dtype)), remarks
 
 
 _REMEDY = "correct <inertial> in the URDF, or re-fit the link (identify or diagnose without --trust)"

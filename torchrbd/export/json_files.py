@@ -28,21 +28,22 @@ def write_parameters(result: Identification, path: Path) -> None:
     Keys besides those of all files (see ``_head``):
 
     parameters: list of name, owner (body or joint), unit, urdf, value, std, prior_share (share of information from the
-        prior: 0 the data alone, 1 the URDF alone), status, suggestion. std and prior_share are null for an estimator
-        without intervals.
+        prior: 0 the data alone, 1 the URDF alone), status, suggestion, suggested (the same as data, or null). std and
+        prior_share are null for an estimator without intervals.
     base_parameters: list of expression (four digits), unit, urdf, value, std, prior_share: the combinations of
         inertial parameters that motion can identify.
     base_combination: the same in full digits: columns (names of inertial parameters) and matrix K, a row per base
         parameter: base parameters = K times inertial parameters.
     base_covariance: of the base parameters, rows and columns in their order, [product of the two units]; or null.
-    combinations: what is identified of parameters that are not identified alone, in words.
+    combinations: what is identified of parameters that are not identified alone, in words; combination_remarks: the
+        same as data, see remarks.
     noise: per joint position, from_position, torque: standard deviations of the recorded position [rad, m], of the
         torque predicted from filtered positions for their noise alone, and of the residual torque [N m, N].
     noise_std: the last of these alone.
     states, regime: "filtered" or "smoothed", and why, in words.
     position_noise: the same as data: estimator asked for, states, matters, excess (squared error of parameters fitted
         to filtered states, over what it would be without position noise).
-    remarks: the doubts of the result as data: list of kind and values.
+    remarks, facts: the doubts and the notes of the result as data: list of kind, values and recording ("" for all).
     verdict: "identified"; "doubtful", there are ``doubts``; "worse" than the URDF on held-out data; "suspect": the
         recordings seem to mean something else, or the model predicts held-out torque no better than a constant.
     """
@@ -50,8 +51,9 @@ def write_parameters(result: Identification, path: Path) -> None:
         path,
         {
             **_head(result),
-            "parameters": [asdict(p) for p in result.parameters],
-            "combinations": list(result.combinations),
+            "parameters": [{**asdict(p), "suggestion": p.suggestion} for p in result.parameters],
+            "combinations": [one.statement for one in result.combinations],
+            "combination_remarks": [asdict(one) for one in result.combinations],
             "base_parameters": [asdict(p) for p in result.base],
             "base_combination": {
                 "columns": list(result.robot.parameter_names),
@@ -64,6 +66,7 @@ def write_parameters(result: Identification, path: Path) -> None:
             "regime": result.regime.statement,
             "position_noise": asdict(result.regime),
             "remarks": [asdict(one) for one in result.remarks],
+            "facts": [asdict(one) for one in result.facts],
             "verdict": result.verdict,
         },
     )
@@ -172,8 +175,13 @@ def _hypothesis(one: Ranked) -> dict[str, Any]:
 
 def write_comparison(result: EstimatorComparison, path: Path) -> None:
     """Write the errors of every estimator; "raw" of its parameters as found, "physical" of those made physical."""
-    regime, doubts = result.regime.statement, [one.statement for one in result.doubts]
-    words = {"regime": regime, "position_noise": asdict(result.regime), "doubts": doubts}
+    words = {
+        "regime": result.regime.statement,
+        "position_noise": asdict(result.regime),
+        "rows": [{**asdict(row), "note": row.note} for row in result.rows],
+        "notes": result.notes,
+        "doubts": [one.statement for one in result.doubts],
+    }
     _write(path, {"schema": SCHEMA, **asdict(result), **words})
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from lxml import etree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.export.conditions import conditions_not_exported
 from torchrbd.export.drive import Drive
 from torchrbd.export.gathered import Gathered, gather
@@ -43,8 +45,8 @@ def to_mjcf(model: RigidBodyDynamics) -> bytes:
     return _write(model)[0]
 
 
-def not_in_mjcf(model: RigidBodyDynamics) -> tuple[str, ...]:
-    """Return what ``to_mjcf`` cannot write, in sentences.
+def not_in_mjcf(model: RigidBodyDynamics) -> tuple[Remark, ...]:
+    """Return what ``to_mjcf`` cannot write.
 
     Raises:
         PhysicalError: a link's inertial parameters are those of no rigid body, or a joint's friction is negative.
@@ -52,7 +54,7 @@ def not_in_mjcf(model: RigidBodyDynamics) -> tuple[str, ...]:
     return _write(model)[1]
 
 
-def _write(model: RigidBodyDynamics) -> tuple[bytes, tuple[str, ...]]:
+def _write(model: RigidBodyDynamics) -> tuple[bytes, tuple[Remark, ...]]:
     """Return the file and what it does not hold."""
     robot, found = model.robot, gather(model)
     not_exported = list(found.not_exported)
@@ -62,7 +64,8 @@ def _write(model: RigidBodyDynamics) -> tuple[bytes, tuple[str, ...]]:
     base = etree.SubElement(world, "body", {"name": _base_name(robot)} | _place(upright, found, None))
     _write_links(base, model, found, not_exported)
     not_exported += [*_further(robot, found), *conditions_not_exported(model)]
-    root.extend(comment(words) for words in ("torchrbd: what this file lacks, or has otherwise:", *not_exported))
+    root.append(comment(f"torchrbd: {Remark('what the file lacks')}"))
+    root.extend(comment(str(one)) for one in not_exported)
     etree.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     etree.SubElement(root, "option", gravity=text(robot.gravity.tolist()))
     if any(drive.frictionloss for drive in found.drives):
@@ -99,7 +102,7 @@ def _pose(pose: Tensor) -> dict[str, str]:
     return place | ({"quat": text((w, *axis))} if any(axis) else {})
 
 
-def _write_links(base: etree._Element, model: RigidBodyDynamics, found: Gathered, not_exported: list[str]) -> None:
+def _write_links(base: etree._Element, model: RigidBodyDynamics, found: Gathered, not_exported: list[Remark]) -> None:
     """Write what hangs on the base, depth-first in the robot's order."""
     robot = model.robot
     bodies = dict(zip(robot.body_names, model.pi.detach().cpu().reshape(-1, PARAMETERS_PER_BODY), strict=True))
@@ -116,9 +119,9 @@ def _write_links(base: etree._Element, model: RigidBodyDynamics, found: Gathered
         body = etree.SubElement(parent, "body", {"name": joint.child} | place)
         if joint.kind != "fixed":
             etree.SubElement(body, "joint", _joint(joint, None if driven is None else found.drives[driven]))
-            attributes, words = inertial(bodies[joint.child], joint.child)
+            attributes, remarks = inertial(bodies[joint.child], joint.child)
             etree.SubElement(body, "inertial", attributes)
-            not_exported += [words] if words else []
+            not_exported += remarks
         stack.extend((child, body) for child in reversed(below[joint.child]))
 
 
@@ -193,32 +196,27 @@ def _history(delay: float) -> dict[str, str]:
     return {"delay": text(delay), "nsample": str(math.ceil(delay / _SHORTEST_STEP) + 1)} if delay else {}
 
 
-def _further(robot: RobotModel, found: Gathered) -> list[str]:
+def _further(robot: RobotModel, found: Gathered) -> list[Remark]:
     """Return what is to be known of any such file."""
-    said, names = [], robot.joint_names
-    rubbing = [name for name, drive in zip(names, found.drives, strict=True) if drive.frictionloss]
-    if rubbing:
-        said.append(
-            f"dry friction near rest, of {', '.join(rubbing)}: MuJoCo's is a constraint that holds the joint still, "
-            "and yields the more the lighter what the joint moves"
-        )
-    if late := [name for name, drive in zip(names, found.drives, strict=True) if drive.delay or drive.late]:
-        said.append(
-            f"delays of {', '.join(late)} need a MuJoCo that knows them, and steps of {_SHORTEST_STEP:g} s or more"
-        )
-    if drag := [name for name, drive in zip(names, found.drives, strict=True) if drive.drag]:
-        said.append(f"damping of {', '.join(drag)} has three numbers, which an older MuJoCo does not read")
-    if followers := [joint.name for joint in robot.description.joints if joint.mimic is not None]:
-        said.append(f"{', '.join(followers)} follow by constraints, which yield a little in motion")
-    half = [j.name for j in robot.description.joints if math.isfinite(j.lower) != math.isfinite(j.upper)]
-    if half:
-        said.append(f"limits of {', '.join(half)}, which are on one side only")
-    moving = [j for j in robot.description.joints if j.kind != "fixed"]
+    pairs, joints = list(zip(robot.joint_names, found.drives, strict=True)), robot.description.joints
+    moving = [j for j in joints if j.kind != "fixed"]
+    rubbing = [name for name, drive in pairs if drive.frictionloss]
+    late = [name for name, drive in pairs if drive.delay or drive.late]
+    drag = [name for name, drive in pairs if drive.drag]
+    followers = [joint.name for joint in joints if joint.mimic is not None]
+    half = [j.name for j in joints if math.isfinite(j.lower) != math.isfinite(j.upper)]
     empty = [j.name for j in moving if math.isfinite(j.lower) and math.isfinite(j.upper) and j.lower >= j.upper]
-    if empty:
-        said.append(f"limits of {', '.join(empty)}, whose lower end is not below the upper one")
-    if weak := [j.name for j in moving if j.mimic is None and j.effort <= 0]:
-        said.append(f"effort limits of {', '.join(weak)}, which are not above zero")
+    weak = [j.name for j in moving if j.mimic is None and j.effort <= 0]
+    named: list[tuple[list[str], str, dict[str, Any]]] = [
+        (rubbing, "dry friction near rest", {}),
+        (late, "delays", {"step_s": _SHORTEST_STEP}),
+        (drag, "damping of three numbers", {}),
+        (followers, "following joints", {}),
+        (half, "limits", {"fault": "one side"}),
+        (empty, "limits", {"fault": "empty"}),
+        (weak, "limits", {"fault": "effort"}),
+    ]
+    remarks = [Remark(kind, {"joints": names, **values}) for names, kind, values in named if names]
     if bool(torch.isfinite(robot.velocity).any()):
-        said.append("velocity limits: MJCF has none")
-    return [*said, "shapes to be seen and touched: geoms that are added do not change the masses"]
+        remarks.append(Remark("velocity limits"))
+    return [*remarks, Remark("shapes")]

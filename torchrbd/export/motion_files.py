@@ -95,7 +95,7 @@ def motion_yaml(result: Excitation, options: Mapping[str, Any]) -> bytes:
         "clearance": _number(result.clearance),
         "margin": result.limits.margin,
         "separations": [asdict(one) for one in result.separations],
-        "notes": list(result.notes),
+        "notes": [str(note) for note in result.notes],
         "options": {name: _plain(value) for name, value in options.items()},
     }
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None).encode()

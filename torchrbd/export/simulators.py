@@ -35,4 +35,4 @@ def not_exported(model: RigidBodyDynamics, to: str = "mjcf") -> tuple[str, ...]:
     """
     if to not in FORMATS:
         raise OptionError(f"there is no format '{to}'; expected {' or '.join(FORMATS)}")
-    return not_in_mjcf(model) if to == "mjcf" else not_in_urdf(model)
+    return tuple(map(str, not_in_mjcf(model) if to == "mjcf" else not_in_urdf(model)))

@@ -8,10 +8,11 @@ import torch
 from lxml import etree
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.effects import Term
 from torchrbd.errors import PhysicalError, RobotError
 from torchrbd.export.conditions import conditions_not_exported
-from torchrbd.export.gathered import named, refuse_negative
+from torchrbd.export.gathered import left_out, refuse_negative
 from torchrbd.export.xml_text import comment, element_text
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
@@ -51,26 +52,25 @@ def to_urdf(model: RigidBodyDynamics, warnings: Iterable[str] = ()) -> bytes:
         if index is not None:
             joint.extend(_comment(term, robot) for term in _left_out(model) if term.site.joint == index)
     root.extend(_comment(term, robot) for term in _left_out(model) if term.site.joint is None)
-    root.extend(comment(f"torchrbd: {words}") for words in conditions_not_exported(model))
+    root.extend(comment(f"torchrbd: {one}") for one in conditions_not_exported(model))
     root[:0] = [comment(f"torchrbd: WARNING: {words}") for words in warnings]
     etree.indent(root)
     return etree.tostring(root.getroottree(), xml_declaration=True, encoding="utf-8", pretty_print=True)
 
 
-def not_in_urdf(model: RigidBodyDynamics) -> tuple[str, ...]:
-    """Return what ``to_urdf`` cannot write, in sentences.
+def not_in_urdf(model: RigidBodyDynamics) -> tuple[Remark, ...]:
+    """Return what ``to_urdf`` cannot write.
 
     Raises:
         PhysicalError: a joint's friction is negative.
     """
     robot = model.robot
-    sentences = [_sentence(term, robot) for term in _left_out(model)]
+    remarks = [_remark(term, robot) for term in _left_out(model)]
     for index in range(robot.n_dof):
         _dynamics(model, index)
     if bool((robot.gravity != robot.gravity.new_tensor(STANDARD_GRAVITY)).any()):
-        x, y, z = (f"{v:.4g}" for v in robot.gravity.tolist())
-        sentences.append(f"gravity, which is {x} {y} {z} m/s^2 in the base's axes: set it in the simulator")
-    return (*sentences, *conditions_not_exported(model))
+        remarks.append(Remark("gravity not in URDF", {"gravity": robot.gravity.tolist()}))
+    return (*remarks, *conditions_not_exported(model))
 
 
 def _shared_out(pi: Tensor, folded: tuple[FoldedLink, ...]) -> list[tuple[str, Tensor]]:
@@ -145,17 +145,16 @@ def _left_out(model: RigidBodyDynamics) -> list[Term]:
     return [term for term in model.terms if term.effect.urdf_note or not _dynamics_of(term)]
 
 
-def _sentence(term: Term, robot: RobotModel) -> str:
-    """Say what of a term is left out."""
-    why = term.effect.urdf_note if _dynamics_of(term) else "URDF has no word for it"
+def _remark(term: Term, robot: RobotModel) -> Remark:
+    """Return what of a term is left out."""
     if not term.site.always:
-        why = "does not act always, and the file is of one condition"
-    return f"{named(term, robot)}: {why}"
+        return left_out(term, robot, "not always")
+    return left_out(term, robot, "URDF", term.effect.urdf_note if _dynamics_of(term) else "")
 
 
 def _comment(term: Term, robot: RobotModel) -> etree._Element:
     written = term.effect.mjcf(term.parameters_by_name())
-    words = [f"torchrbd: {_sentence(term, robot)}", *(element_text(*one) for one in written.items())]
+    words = [f"torchrbd: {_remark(term, robot)}", *(element_text(*one) for one in written.items())]
     if term.effect.export_note:
         words.append(term.effect.export_note)
     return comment("; ".join(words))

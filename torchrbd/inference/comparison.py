@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from torchrbd.deadline import is_over, reason_words, time_limited
+from torchrbd.deadline import is_over, reached_limit_s, time_limited
 from torchrbd.display import Remark, brief, few
 from torchrbd.effects import Effect
 from torchrbd.errors import OptionError, TorchRBDError
@@ -37,7 +37,7 @@ class EstimatorRow:
         physical: that of the physical ones, projected where the raw ones are not physical.
         was_physical: whether the raw ones are; None for the URDF and for what failed.
         seconds: of the estimate, without reading and filtering, except for the smoother, which does its own.
-        note: what a user should know; if it failed, why.
+        remark: what a user should know; if it failed, why. None if nothing.
     """
 
     name: str
@@ -45,7 +45,12 @@ class EstimatorRow:
     physical: Fit | None
     was_physical: bool | None
     seconds: float
-    note: str
+    remark: Remark | None
+
+    @property
+    def note(self) -> str:
+        """The remark in words, or nothing."""
+        return "" if self.remark is None else self.remark.statement
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,7 @@ class EstimatorComparison:
         noise_matters: whether it biases a fit on filtered states. All are judged on torques that filtered states
             predict; their noise then favours estimates that are biased the same way.
         rows: the URDF as given, then the estimators in the order asked for.
-        notes: what the user should know of the input.
+        facts: what the user should know of the input.
         doubts: what looks wrong with the options.
     """
 
@@ -77,8 +82,13 @@ class EstimatorComparison:
     regime: NoiseRegime
     noise_matters: bool
     rows: tuple[EstimatorRow, ...]
-    notes: tuple[str, ...]
+    facts: tuple[Remark, ...]
     doubts: tuple[Remark, ...]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The ``facts`` in words."""
+        return tuple(one.statement for one in self.facts)
 
     def __repr__(self) -> str:
         errors = {row.name: row.physical.mean_nmse for row in self.rows if row.physical is not None}
@@ -162,11 +172,12 @@ def compare_estimators(
     prepared = prepare(robot, opened, replace(settings, estimator="physical"), fitted, progress)
     terms = term_candidates(prepared.columns, [e.id for e in fitted])
     urdf = judge(prepared.judging, prepared.prior.reference)
-    rows = [EstimatorRow("urdf", urdf, urdf, None, 0.0, "")]
+    rows = [EstimatorRow("urdf", urdf, urdf, None, 0.0, None)]
     for k, name in enumerate(names):
         progress(name, k / len(names))
         if is_over():
-            rows.append(EstimatorRow(name, None, None, None, 0.0, f"not tried: the comparison ended {reason_words()}"))
+            late = Remark("not tried", {"limit_s": reached_limit_s()})
+            rows.append(EstimatorRow(name, None, None, None, 0.0, late))
             continue
         # An estimator that breaks down, in whatever way, is a result of the comparison and not its end.
         try:
@@ -176,7 +187,8 @@ def compare_estimators(
                 found = estimate(prepared, name, terms)
             rows.append(_row(prepared, found))
         except (TorchRBDError, ArithmeticError, ValueError, RuntimeError) as error:
-            rows.append(EstimatorRow(name, None, None, None, 0.0, " ".join(str(error).split())))
+            failed = Remark("estimator failed", {"error": " ".join(str(error).split())})
+            rows.append(EstimatorRow(name, None, None, None, 0.0, failed))
     problem = linear_problem(prepared, terms)
     return EstimatorComparison(
         robot=robot.name,
@@ -189,14 +201,14 @@ def compare_estimators(
         regime=regime_of(prepared, "physical"),
         noise_matters=prepared.input_noise.matters,
         rows=tuple(rows),
-        notes=prepared.notes,
+        facts=prepared.facts,
         doubts=encoder_doubts(prepared, settings),
     )
 
 
 def _row(prepared: Prepared, found: Estimate) -> EstimatorRow:
     raw, physical = (judge(prepared.judging, x) for x in (found.raw, found.x))
-    return EstimatorRow(found.name, raw, physical, found.was_physical, found.seconds, found.note)
+    return EstimatorRow(found.name, raw, physical, found.was_physical, found.seconds, found.remark)
 
 
 def _smoothed(
@@ -210,7 +222,7 @@ def _smoothed(
     start = time.perf_counter()
     prepared = prepare(robot, recordings, replace(settings, estimator="smoother"), effects, progress)
     if prepared.states is None:
-        raise OptionError(prepared.notes[-1])
+        raise OptionError(str(prepared.facts[-1]))
     terms = term_candidates(prepared.columns, [e.id for e in effects])
     x = prepared.fit(terms).x
-    return Estimate("smoother", x, True, x, time.perf_counter() - start, "")
+    return Estimate("smoother", x, True, x, time.perf_counter() - start, None)

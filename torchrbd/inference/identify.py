@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchrbd.deadline import reason_words, stopped, time_limited
+from torchrbd.deadline import reached_limit_s, stopped, time_limited
+from torchrbd.display import Remark
 from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.data.bodies import fixed_base
@@ -142,11 +143,7 @@ def marked(found: Identification) -> Identification:
     """Return an identification that says so if its search was ended early."""
     if not stopped():
         return found
-    note = (
-        f"unfinished: the search ended {reason_words()}; effects, better shapes and alternatives may be missing, and "
-        "probabilities may change: give it more time with time_limit"
-    )
-    return replace(found, finished=False, notes=(note, *found.notes))
+    return replace(found, finished=False, facts=(Remark("unfinished", {"limit_s": reached_limit_s()}), *found.facts))
 
 
 def _by_moments(
@@ -181,18 +178,15 @@ def _estimated(
     prepared: Prepared, name: str, models: Mapping[str, FittedModel]
 ) -> tuple[Prepared, dict[str, FittedModel]]:
     """Return the models with the coefficients of another estimator, nothing known of their errors, and notes on it."""
-    found, notes = {}, []
+    found, facts = {}, list[Remark]()
     for key, model in models.items():
         one = estimate(prepared, name, model.terms)
         unknown = torch.full_like(model.covariance, torch.nan)
         left = prepared.training.squared_error(one.x).sum(0) / prepared.training.torque[..., 0].sum(0)
         found[key] = replace(model, x=one.x, laplace=unknown, covariance=unknown, noise_variance=left, converged=True)
-        made = "" if one.was_physical else ", made physical"
-        notes = [
-            f"parameters are those of '{name}'{made}, without intervals, which come with {', '.join(WITH_INTERVALS)}",
-            *filter(None, [one.note]),
-        ]
-    return replace(prepared, notes=(*prepared.notes, *notes)), found
+        values = {"estimator": name, "was_physical": one.was_physical, "with_intervals": [*WITH_INTERVALS]}
+        facts = [Remark("no intervals", values), *filter(None, [one.remark])]
+    return replace(prepared, facts=(*prepared.facts, *facts)), found
 
 
 def summarise(
@@ -244,7 +238,7 @@ def summarise(
             *(inertial_estimates(prepared, final) if sure else values_alone(prepared, final, base)),
             *(p if sure else replace(p, std=np.nan, prior_share=np.nan) for p in term_estimates(final)),
         ),
-        combinations=base.sentences(),
+        combinations=base.combinations(),
         base=base_estimates(prepared, final, base),
         base_combination=base.combination.numpy(),
         base_covariance=(base.combination @ covariance @ base.combination.T).numpy() if sure else None,
@@ -255,12 +249,7 @@ def summarise(
         model=_judged(list(modules.values())[-1], series, prepared.filtering.cutoff_hz, list(fits.values())[-1]),
         posterior=Posterior(prepared.prior, final) if sure else None,
         remarks=remarks,
-        notes=(
-            *(() if own else map(str, mounting)),
-            *prepared.notes,
-            *simulation.notes,
-            *(one.words for one in suspected.found if not one.spoils),
-        ),
+        facts=(*(() if own else mounting), *prepared.facts, *simulation.notes),
         suspicions=suspected,
         simulation=simulation.errors,
     )

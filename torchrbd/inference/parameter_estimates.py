@@ -42,7 +42,7 @@ def inertial_estimates(prepared: Prepared, model: FittedModel) -> list[Parameter
             std=float(std[k]),
             prior_share=one.prior_share,
             status=one.status,
-            suggestion=one.suggestion,
+            suggested=one.suggested,
         )
         for k, one in enumerate(known)
     ]

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.effects import Effect, Site
 from torchrbd.effects.requested import requested_sites
 from torchrbd.errors import RecordingError
@@ -56,7 +57,7 @@ class Prepared:
             the user states; root mean square over them, NaN where it cannot be estimated, [rad] or [m].
         input_noise: effect of position noise on a fit on filtered states.
         states: information lost to uncertain states; None if the states are filtered ones.
-        notes: what the user should know of the input.
+        facts: what the user should know of the input.
         believed: by effect and site, standard deviations (K,) of its coefficients, where the prior knows more than that
             their torque is no larger than the joint's.
         known_shapes: by effect and site, prior of its shapes from another fit, mean and standard deviation.
@@ -74,7 +75,7 @@ class Prepared:
     found_encoder_noise: Tensor
     input_noise: InputNoise
     states: UncertainStates | None
-    notes: tuple[str, ...]
+    facts: tuple[Remark, ...]
     believed: Mapping[tuple[str, Site], Sequence[float]] = field(default_factory=dict)
     known_shapes: Mapping[tuple[str, Site], Mapping[str, tuple[float, float]]] = field(default_factory=dict)
     late: Mapping[str, tuple[float, float]] | None = None
@@ -198,7 +199,7 @@ def prepare(
         found_encoder_noise=_encoder_noise(found[: len(recordings)]),
         input_noise=input_noise(reading, columns, training, rough),
         states=None,
-        notes=(
+        facts=(
             *simulation_notes(simulated),
             *input_notes(columns, surveys, filtering, prior, held, used & (weight == 0)),
             *rest_notes(training),
@@ -281,11 +282,7 @@ def _smoothed(
         r.name for r, s in zip(reading.recordings, reading.surveys, strict=True) if not smoothable(s, reading.filtering)
     ]
     if slow:
-        note = (
-            f"states are not smoothed: in {', '.join(slow)} the clock leaves no room above the cut-off, or measured "
-            "velocities are better than what smoothed positions would give"
-        )
-        return replace(prepared, notes=(*prepared.notes, note))
+        return replace(prepared, facts=(*prepared.facts, Remark("states not smoothed", {"recordings": slow})))
     found = smooth(
         reading,
         prepared.prior,

@@ -13,10 +13,12 @@ from torchrbd.rebuilding import Unsaved, read_json, rebuilt
 
 _FILE = "parameters.json"
 # Parts under other keys than their own names.
-_KEYS = {"fits": "fit", "base": "base_parameters", "regime": "position_noise"}
+_KEYS = {
+    "fits": "fit", "base": "base_parameters", "regime": "position_noise", "combinations": "combination_remarks",
+}  # fmt: skip
 _PLAIN = (
     "recordings", "held_out", "cutoff_hz", "fits", "verdict", "parameters", "combinations", "base", "noise",
-    "regime", "remarks", "simulation",
+    "regime", "remarks", "facts", "simulation",
 )  # fmt: skip
 
 
@@ -49,7 +51,6 @@ def read_identification(kind: type, folder: str | Path) -> dict[str, Any]:
         found |= {
             "base_combination": np.array(matrix, dtype=float).reshape(len(found["base"]), columns),
             "base_covariance": None if covariance is None else np.array(covariance, dtype=float),
-            "notes": tuple(map(str, content["notes"][len(content["doubts"]) :])),
             "suspicions": rebuilt(
                 types["suspicions"], {"found": content["suspicions"], "tested": content["suspicions_tested"]}
             ),

@@ -82,7 +82,7 @@ class ParameterEstimate:
         status: "identified"; "combination" (only a sum with others is identified); "unexcited" (other motions would
             identify it); "not identifiable" (by no motion of this robot); "held" (zero-mass or trusted link, kept as
             the URDF has it); "term"; "not judged" (an estimator without intervals).
-        suggestion: a short motion that would identify it, if it is "unexcited" and there is one.
+        suggested: a short motion that would identify it, if it is "unexcited" and there is one.
     """
 
     name: str
@@ -93,7 +93,12 @@ class ParameterEstimate:
     std: float
     prior_share: float
     status: str
-    suggestion: str = ""
+    suggested: Remark | None = None
+
+    @property
+    def suggestion(self) -> str:
+        """That motion in words, or nothing."""
+        return "" if self.suggested is None else self.suggested.statement
 
 
 @dataclass(frozen=True)
@@ -166,7 +171,7 @@ class Identification(Displayed):
             mean nmse on held-out data is above 1.2 times the URDF's; or "suspect": the recordings seem to mean
             something else, or it predicts held-out torque no better than a constant.
         parameters: every inertial parameter, then the coefficients of the terms.
-        combinations: what is identified of the parameters that are not identified alone, one sentence each.
+        combinations: what is identified of the parameters that are not identified alone, and what no motion identifies.
         base: the identifiable combinations, with intervals.
         base_combination: K (n_base, n_params): the base parameters are K times the inertial ones.
         base_covariance: (n_base, n_base) of the base parameters; None for an estimator without intervals.
@@ -177,7 +182,7 @@ class Identification(Displayed):
         model: the fitted module.
         posterior: draws robots, and gives the variance of predicted torques; None for an estimator without intervals.
         remarks: what looks wrong with input or result, but for ``suspicions`` and ``regime``.
-        notes: what else the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
+        facts: what else the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
         suspicions: what else the recordings may mean, and what was tested.
         simulation: by length of the window, how far models move from the recorded motion; empty where unknown.
         finished: whether the search came to its end; False if a time limit or the user ended it before.
@@ -190,7 +195,7 @@ class Identification(Displayed):
     fits: dict[str, Fit]
     verdict: Verdict
     parameters: tuple[ParameterEstimate, ...]
-    combinations: tuple[str, ...]
+    combinations: tuple[Remark, ...]
     base: tuple[BaseParameterEstimate, ...]
     base_combination: np.ndarray
     base_covariance: np.ndarray | None
@@ -201,7 +206,7 @@ class Identification(Displayed):
     model: RigidBodyDynamics
     posterior: Posterior | None
     remarks: tuple[Remark, ...] = field(default=())
-    notes: tuple[str, ...] = field(default=())
+    facts: tuple[Remark, ...] = field(default=())
     suspicions: Suspicions = NO_SUSPICIONS
     simulation: tuple[MotionError, ...] = field(default=())
     finished: bool = True
@@ -218,6 +223,14 @@ class Identification(Displayed):
             *(one.words for one in self.suspicions.found if one.spoils),
             *(one.statement for one in self.remarks),
             *([self.regime.statement] if self.regime.biases else []),
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else the user should know, in words: ``facts``, and the suspicions that fits allow for."""
+        return (
+            *(one.statement for one in self.facts),
+            *(one.words for one in self.suspicions.found if not one.spoils),
         )
 
     @classmethod

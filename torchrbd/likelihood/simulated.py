@@ -163,23 +163,16 @@ def motion_doubts(found: Sequence[Simulated]) -> tuple[Remark, ...]:
     return tuple(doubts)
 
 
-def simulation_notes(found: Sequence[Simulated]) -> tuple[str, ...]:
+def simulation_notes(found: Sequence[Simulated]) -> tuple[Remark, ...]:
     """Return notes on the model that all is compared with."""
     if not found:
         return ()
-    names = ", ".join(f"{one.name} (for {one.recording})" for one in found)
     shifts = (
-        f"{one.name}: clock moved by {one.shift_s:.3g} s to fit the motion of {one.recording}"
+        Remark("simulation's clock moved", {"recording": one.recording, "shift_s": float(one.shift_s)}, one.name)
         for one in found
         if one.shift_s
     )
-    return (
-        f"compared with the simulation {names}: its torque, moved to the recorded states by the URDF's rigid body, "
-        "replaces the URDF's. Torques are shown less what the simulator has beyond the URDF; identified inertials "
-        "are the URDF's plus the difference between robot and simulator; the model written lacks what the simulator "
-        "has beyond the URDF",
-        *shifts,
-    )
+    return Remark("compared with a simulation", {"pairs": [[one.name, one.recording] for one in found]}), *shifts
 
 
 def _check(robot: RobotModel, real: Recording, simulated: Recording, seen: Survey, filtering: Filtering) -> None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.robot import RobotModel
 
 
@@ -41,31 +42,28 @@ class BaseParameters:
     @property
     def expressions(self) -> tuple[str, ...]:
         """The base parameters in terms of the inertial ones, such as "Iyy_link2 - 0.3 mcx_link3"."""
-        written = []
-        for row, k in enumerate(self.independent):
-            partners = [c for c in torch.nonzero(self.combination[row]).flatten().tolist() if c != k]
-            terms = (_term(float(self.combination[row, c]), self.names[c]) for c in partners)
-            written.append(self.names[k] + "".join(terms))
-        return tuple(written)
+        return tuple(map(self._expression, range(len(self.independent))))
 
-    def sentences(self) -> tuple[str, ...]:
-        """Return one sentence for each combination that is identifiable although its parts are not."""
-        said = [self._sentence(row) for row in range(len(self.independent)) if self._partners(row)]
-        if self.invisible:
-            said.append("no motion of this robot identifies " + ", ".join(self.names[k] for k in self.invisible))
-        return tuple(said)
+    def combinations(self) -> tuple[Remark, ...]:
+        """Return each combination that is identifiable although its parts are not, and what no motion identifies."""
+        found = [self._remark(row) for row in range(len(self.independent)) if self._partners(row)]
+        never = [self.names[k] for k in self.invisible]
+        return (*found, *([Remark("never identified", {"parameters": never})] if never else ()))
 
-    def sentences_with(self, k: int) -> tuple[str, ...]:
-        """Return the sentences about combinations that contain parameter k."""
+    def combinations_with(self, k: int) -> tuple[Remark, ...]:
+        """Return the combinations that contain parameter k."""
         rows = torch.nonzero(self.combination[:, k]).flatten().tolist()
-        return tuple(self._sentence(row) for row in rows if self._partners(row))
+        return tuple(self._remark(row) for row in rows if self._partners(row))
 
     def _partners(self, row: int) -> list[int]:
         return [c for c in torch.nonzero(self.combination[row]).flatten().tolist() if c != self.independent[row]]
 
-    def _sentence(self, row: int) -> str:
-        terms = "".join(_term(float(self.combination[row, c]), self.names[c]) for c in self._partners(row))
-        return f"only {self.names[self.independent[row]]}{terms} is identified"
+    def _expression(self, row: int) -> str:
+        terms = (_term(float(self.combination[row, c]), self.names[c]) for c in self._partners(row))
+        return "".join((self.names[self.independent[row]], *terms))
+
+    def _remark(self, row: int) -> Remark:
+        return Remark("only combination", {"expression": self._expression(row)})
 
 
 def _term(factor: float, name: str) -> str:

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
+from torchrbd.display import Remark
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.channels import Channel, channels_of
 from torchrbd.recordings.formats import Table, open_table
 from torchrbd.recordings.layouts import with_layout
 from torchrbd.recordings.mapping import Mapping
-from torchrbd.recordings.matching import no_torque, unnamed_torque
+from torchrbd.recordings.matching import no_torque, torqueless
 from torchrbd.recordings.motions import Motion, motions_of
 from torchrbd.recordings.recording import Recording, connect
 from torchrbd.recordings.survey import Survey, survey
@@ -40,7 +41,7 @@ class Inspection:
         recording, survey: None if the columns do not fit.
         channels, motions: of the joints; empty if the columns do not fit.
         units: by column, the unit that its values suggest.
-        remarks: what looks wrong, as sentences.
+        remarks: what looks wrong.
         ranges: by column, smallest and largest value, if the columns do not fit; NaN for those without numbers.
     """
 
@@ -53,7 +54,7 @@ class Inspection:
     channels: tuple[Channel, ...]
     motions: tuple[Motion, ...]
     units: dict[str, str]
-    remarks: tuple[str, ...]
+    remarks: tuple[Remark, ...]
     ranges: dict[str, tuple[float, float]]
 
 
@@ -81,13 +82,12 @@ def inspect_recording(path: Path, robot: RobotModel | None = None, mapping: Mapp
     except RecordingError as error:
         return _unmatched(path, table, joints, str(error) + no_torque(table.columns))
     if not recording.measured.any():
-        words = no_torque(table.columns) or unnamed_torque(table.columns)
-        lacking = f"{path}: no joint has a torque{words}"
+        lacking = str(torqueless(path, table.columns))
     seen = survey(recording)
     channels = channels_of(recording, {"q": seen.q_resolution, "tau": seen.tau_resolution})
     motions = motions_of(recording, seen, robot)
     units = suspected_units(recording, seen, channels, robot)
-    remarks = (*_unit_words(units), *_channel_words(channels, seen), *_time_words(seen))
+    remarks = (*_of_units(units), *_of_channels(channels, seen), *_of_time(seen))
     return Inspection(
         path.name, table.columns, tuple(joints), lacking, recording, seen, channels, motions, units, remarks, {}
     )
@@ -117,37 +117,35 @@ def _unmatched(path: Path, table: Table, joints: Sequence[str], lacking: str) ->
     return Inspection(path.name, table.columns, tuple(joints), lacking, None, None, (), (), {}, (), ranges)
 
 
-def _unit_words(units: dict[str, str]) -> list[str]:
-    return [f"{column} looks like {unit}: if so, say 'unit: {unit}' in the mapping" for column, unit in units.items()]
+def _of_units(units: dict[str, str]) -> list[Remark]:
+    return [Remark("other unit", {"column": column, "unit": unit}) for column, unit in units.items()]
 
 
-def _channel_words(channels: Sequence[Channel], seen: Survey) -> list[str]:
+def _of_channels(channels: Sequence[Channel], seen: Survey) -> list[Remark]:
     """Return remarks about single channels."""
-    words, steps = [], {"q": dict[str, float](), "tau": dict[str, float]()}
-    for signal, found in (("q", seen.q_resolution), ("tau", seen.tau_resolution)):
+    found, steps = [], {"q": dict[str, float](), "tau": dict[str, float]()}
+    for signal, resolution in (("q", seen.q_resolution), ("tau", seen.tau_resolution)):
         joints = list(dict.fromkeys(one.joint for one in channels))
-        steps[signal] = dict(zip(joints, found.tolist(), strict=False))
+        steps[signal] = dict(zip(joints, resolution.tolist(), strict=False))
     for one in channels:
-        ends = [f"{end:.4g}" for end, cut in ((one.low, one.clipped_low), (one.high, one.clipped_high)) if cut]
+        ends = [end for end, cut in ((one.low, one.clipped_low), (one.high, one.clipped_high)) if cut]
         if ends:
-            words.append(f"{one.column} is cut off at {' and '.join(ends)}: leave these times out, or raise the limit")
+            found.append(Remark("cut off", {"column": one.column, "ends": ends}))
         step, span = steps.get(one.signal, {}).get(one.joint, math.nan), one.high - one.low
         if step > _COARSE * span > 0:
-            words.append(f"{one.column} has only {span / step:.0f} steps of {step:.3g} in its range")
+            found.append(Remark("coarse steps", {"column": one.column, "step": step, "steps": span / step}))
         if one.held_rows > 1:
-            words.append(
-                f"{one.column} keeps each value for {one.held_rows:.2g} rows: its source is slower than the rows, "
-                f"{seen.rate_hz / one.held_rows:.3g} Hz"
-            )
+            values = {"column": one.column, "rows": one.held_rows, "rate_hz": seen.rate_hz / one.held_rows}
+            found.append(Remark("slow source", values))
         if one.high == one.low:
-            words.append(f"{one.column} never changes")
-    return words
+            found.append(Remark("constant column", {"column": one.column}))
+    return found
 
 
-def _time_words(seen: Survey) -> list[str]:
-    words = []
+def _of_time(seen: Survey) -> list[Remark]:
+    found = []
     if seen.duration_s < _SHORT_S:
-        words.append(f"{seen.duration_s:.3g} s are short: {_SHORT_S:.0f} s are the least, minutes are better")
+        found.append(Remark("short recording", {"seconds": seen.duration_s, "least_s": _SHORT_S}))
     if not seen.clock.regular:
-        words.append("rows are unevenly spaced in time: they are interpolated")
-    return words
+        found.append(Remark("uneven times"))
+    return found

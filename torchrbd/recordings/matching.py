@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import compress
+from pathlib import Path
 
 import numpy as np
 
+from torchrbd.display import Remark
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.guessing import torque_like
 from torchrbd.recordings.mapping import Mapping, Source, meant
@@ -32,7 +34,7 @@ class Match:
 
     sources: dict[str, tuple[Source, ...]]
     there: dict[str, np.ndarray]
-    notes: tuple[str, ...]
+    notes: tuple[Remark, ...]
 
 
 def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place: str, torque: bool = True) -> Match:
@@ -66,29 +68,37 @@ def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place
         )
     there = {key: np.array([s.column in present for s in wanted[key]]) for key in ("tau", *PARTIAL_SIGNALS)}
     if torque and not there["tau"].any():
-        expected = ", ".join(source.column for source in wanted["tau"])
-        raise RecordingError(
-            f"{place}: no joint has a torque; expected at least one of {expected}; present: {', '.join(columns)}"
-            f"{no_torque(columns) or unnamed_torque(columns)}"
-        )
+        raise torqueless(place, columns, [source.column for source in wanted["tau"]])
     notes = _unit_currents(joints, wanted["tau"], there["tau"])
     sources = {"t": (mapping.time,), "q": tuple(wanted["q"])}
     for key, some in there.items():
         if some.any():
             sources[key] = tuple(compress(wanted[key], some))
     if not there["tau"].all():
-        notes.append("no torque for " + ", ".join(compress(joints, ~there["tau"])))
+        notes.append(Remark("no torque", {"joints": list(compress(joints, ~there["tau"]))}))
     for key in OPTIONAL_SIGNALS:
         found = [source.column in present for source in wanted[key]]
         if all(found):
             sources[key] = tuple(wanted[key])
         elif any(found):
-            notes.append(f"{key} is not used: it is there for some joints only")
+            notes.append(Remark("signal of some joints", {"signal": key}))
     known = {source.column for group in wanted.values() for source in group} | {mapping.time.column}
     ignored = [c for c in columns if c not in known and not c.startswith(_OPTIONAL_CHANNELS)]
     if ignored:
-        notes.append("columns not used: " + ", ".join(ignored))
+        notes.append(Remark("unused columns", {"columns": ignored}))
     return Match(sources, there, tuple(notes))
+
+
+def torqueless(place: str | Path, columns: Sequence[str], expected: Sequence[str] = ()) -> RecordingError:
+    """Return the error of a table without a torque.
+
+    Args:
+        place: file or name.
+        columns: of the table.
+        expected: those that would be torques, if these are known.
+    """
+    wanted = f"; expected at least one of {', '.join(expected)}; present: {', '.join(columns)}" if expected else ""
+    return RecordingError(f"{place}: no joint has a torque{wanted}{no_torque(columns) or unnamed_torque(columns)}")
 
 
 def no_torque(columns: Sequence[str]) -> str:
@@ -106,16 +116,11 @@ def unnamed_torque(columns: Sequence[str]) -> str:
     return f"; if {', '.join(torque_like(columns))} hold torques or motor currents, name them in a mapping"
 
 
-def _unit_currents(joints: Sequence[str], sources: Sequence[Source], there: np.ndarray) -> list[str]:
-    """Say for which joints a current is read with a constant of one, as a mapping has it before it is edited."""
+def _unit_currents(joints: Sequence[str], sources: Sequence[Source], there: np.ndarray) -> list[Remark]:
+    """Remark on joints whose current is read with a constant of one, as a mapping has it before it is edited."""
     plain = [
         joint
         for joint, one, has in zip(joints, sources, there, strict=True)
         if has and one.is_current and abs(one.scale) == 1.0
     ]
-    if not plain:
-        return []
-    return [
-        f"torque_constant times gear_ratio is 1 for {', '.join(plain)}: the torque is then the current in ampere, and "
-        "masses and friction have a wrong scale. Put the values of the motor and its gear into the mapping"
-    ]
+    return [Remark("current as torque", {"joints": plain})] if plain else []

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchrbd.display import brief, few
+from torchrbd.display import Remark, brief, few
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.formats import ArrayTable, Table, open_table
 from torchrbd.recordings.layouts import with_layout
@@ -75,7 +75,7 @@ class Recording:
     linked: np.ndarray
     thermal: np.ndarray
     time: tuple[float, float] | None
-    notes: tuple[str, ...]
+    notes: tuple[Remark, ...]
     _table: Table
     _sources: dict[str, tuple[Source, ...]]
     torque_delay_s: float = 0.0

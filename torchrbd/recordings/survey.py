@@ -8,6 +8,7 @@ from itertools import compress
 
 import numpy as np
 
+from torchrbd.display import Remark
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.clock import Census, Clock, uniform_blocks
 from torchrbd.recordings.recording import Recording
@@ -50,7 +51,7 @@ class Survey:
         temperature_min, temperature_max: (n,) [deg C], NaN where not recorded.
         cutoff_hz: the cut-off that suits this recording.
         constant_q, constant_tau: joints whose position or torque never changes.
-        notes: for a person.
+        notes: what a user should know of it.
     """
 
     name: str
@@ -80,7 +81,7 @@ class Survey:
     cutoff_hz: float
     constant_q: tuple[str, ...]
     constant_tau: tuple[str, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Remark, ...]
 
     @property
     def qd_error_std(self) -> np.ndarray:
@@ -139,7 +140,7 @@ def survey(recording: Recording) -> Survey:
     lengths = [end - start for start, end in segments.values()]
     place = recording.path or recording.name
     if not segments:
-        notes = "; ".join(_notes(recording, census, 0))
+        notes = "; ".join(map(str, _notes(recording, census, 0)))
         raise RecordingError(f"{place}: no four usable rows in succession: {notes}")
     q_moves, tau_varies = np.split(extent.varies, 2)
     if not q_moves.any():
@@ -193,31 +194,27 @@ def survey(recording: Recording) -> Survey:
     )
 
 
-def _suspicions(recording: Recording, extent: _Extent, spectrum: Spectrum, velocity_used: np.ndarray) -> list[str]:
+def _suspicions(recording: Recording, extent: _Extent, spectrum: Spectrum, velocity_used: np.ndarray) -> list[Remark]:
     """Return hints at wrong units or bad samples."""
     joints, n, notes = recording.joints, len(recording.joints), []
     for k, joint in enumerate(joints):
         if spectrum.velocity_max[k] > _PEAK * spectrum.velocity_rms[k] > 0:
-            notes.append(
-                f"q_{joint} jumps: {spectrum.velocity_max[k]:.3g} per second is "
-                f"{spectrum.velocity_max[k] / spectrum.velocity_rms[k]:.0f} times its RMS speed; look for bad samples"
-            )
+            speed, usual = float(spectrum.velocity_max[k]), float(spectrum.velocity_rms[k])
+            notes.append(Remark("position jumps", {"joint": joint, "speed": speed, "ratio": speed / usual}))
         peak, rms = max(-float(extent.low[n + k]), float(extent.high[n + k])), float(extent.rms[n + k])
         if peak > _PEAK * rms > 0:
-            notes.append(f"tau_{joint} peaks at {peak:.3g}, {peak / rms:.0f} times its RMS; look for bad samples")
+            notes.append(Remark("torque peaks", {"joint": joint, "torque": peak, "ratio": peak / rms}))
     for joint, ratio, used in zip(joints, spectrum.velocity_ratio, velocity_used, strict=True):
         if abs(ratio - 1) > _VELOCITY_ERROR and not used:
-            notes.append(
-                f"qd_{joint} is {ratio:.3g} times dq/dt and not used; check its unit and sign, and those of q and t"
-            )
+            notes.append(Remark("velocity differs from dq/dt", {"joint": joint, "ratio": float(ratio)}))
     return notes
 
 
-def _strangers(recording: Recording, link_ratio: np.ndarray, differs: np.ndarray) -> list[str]:
+def _strangers(recording: Recording, link_ratio: np.ndarray, differs: np.ndarray) -> list[Remark]:
     """Return notes on positions behind the gear that do not move like q, or are a copy of it."""
     copies = compress(recording.joints, recording.linked & ~differs)
-    return [f"q_link_{joint} is q_{joint} to the last digit and is not used" for joint in copies] + [
-        f"q_link_{joint} moves {ratio:.3g} times as far as q_{joint} and is not used; check its unit, sign and gear"
+    return [Remark("q_link equals q", {"joint": joint}) for joint in copies] + [
+        Remark("q_link differs from q", {"joint": joint, "ratio": float(ratio)})
         for joint, ratio in zip(recording.joints, link_ratio, strict=True)
         if abs(ratio - 1.0) > _FOLLOWS
     ]
@@ -268,15 +265,13 @@ class _Stuck:
         k = int(lengths.argmax())
         self._longest = max(self._longest, (float(lengths[k]), float(runs[0, k]), float(tau[begins[k]])))
 
-    def notes(self, joint: str) -> list[str]:
+    def notes(self, joint: str) -> list[Remark]:
         """Return a note for a joint, with the longest time."""
         length, begin, value = self._longest
         if length < _STUCK_S:
             return []
-        return [
-            f"tau_{joint} is exactly {value:.3g} from {begin:.2f} to {begin + length:.2f} s while {joint} moves: its "
-            "drive is off then, or its torque was not recorded; leave that time out if it was not"
-        ]
+        values = {"joint": joint, "torque": value, "begin_s": begin, "end_s": begin + length}
+        return [Remark("torque constant in motion", values)]
 
 
 class _Extent:
@@ -300,21 +295,21 @@ class _Extent:
         return self.high - self.low > _SAME * (1 + np.abs(self.high))
 
 
-def _notes(recording: Recording, census: Census, segments: int) -> tuple[str, ...]:
+def _notes(recording: Recording, census: Census, segments: int) -> tuple[Remark, ...]:
     notes = []
     if census.duplicates:
-        notes.append(f"{census.duplicates} of {census.rows} rows dropped: their time repeats the row before")
+        notes.append(Remark("repeated times", {"dropped": census.duplicates, "rows": census.rows}))
     if census.incomplete:
         channels = [(signal, joint) for signal in ("q", "tau") for joint in recording.joints]
         sources = (recording.source(*channels[k]) for k in np.flatnonzero(census.missing == census.rows))
         empty = [source.column for source in sources if source is not None]
-        everywhere = f", in all rows of {', '.join(empty)}" if empty else ""
-        notes.append(f"{census.incomplete} of {census.rows} rows dropped: a value is missing{everywhere}")
+        values = {"dropped": census.incomplete, "rows": census.rows, "empty": empty}
+        notes.append(Remark("missing values", values))
     if segments > 1:
-        notes.append(f"gaps in time: {segments} separate pieces, nothing is interpolated between them")
+        notes.append(Remark("gaps in time", {"pieces": segments}))
     if census.wrapped:
-        wrapped = ", ".join(recording.joints[index] for index in sorted(census.wrapped))
-        notes.append(f"full turns unwrapped: {wrapped}")
+        wrapped = [recording.joints[index] for index in sorted(census.wrapped)]
+        notes.append(Remark("full turns unwrapped", {"joints": wrapped}))
     if recording.has_acceleration:
-        notes.append("measured accelerations are not used: they come from the filtered positions")
+        notes.append(Remark("accelerations not used"))
     return tuple(notes)

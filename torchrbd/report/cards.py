@@ -15,6 +15,7 @@ from torchrbd.effects.registry import PLAIN
 from torchrbd.report.excerpt import telling_signal
 from torchrbd.report.inline import COLOURS, UNKNOWN
 from torchrbd.report.pictures import Pictures, Sense
+from torchrbd.report.text.findings import CERTAINLY_MISSING, SHARED
 from torchrbd.report.text.names import alternatives, at, guessed, most_changed, when, words_of
 from torchrbd.report.text.numbers import measure, unit
 
@@ -139,8 +140,7 @@ def _doubt(finding: Finding) -> str:
     if finding.probability >= DOUBTFUL:
         return ""
     if finding.indistinguishable_from:
-        line = "The probability is shared with what it could also be."
-        return f"An effect is certainly missing here. {line}" if finding.log_evidence_gain > CERTAIN else line
+        return f"{CERTAINLY_MISSING} {SHARED}" if finding.log_evidence_gain > CERTAIN else SHARED
     return ""
 
 

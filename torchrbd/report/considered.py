@@ -7,11 +7,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from torchrbd.diagnosis.ranking import Ranked, Ranking
-from torchrbd.diagnosis.results import Alternative, Finding, Where
+from torchrbd.diagnosis.results import Where
 from torchrbd.effects import known_effects
-from torchrbd.likelihood.misspecification import MISFIT, Misfit
-from torchrbd.report.text.names import at, named, when
-from torchrbd.report.text.numbers import MINUS, joined, measure, number, with_unit
+from torchrbd.report.text.hypotheses import (
+    FIRST_STEP,
+    LAST_STEP,
+    WITHOUT_EFFECTS,
+    as_alternative,
+    clock_words,
+    given_words,
+    misfit_sentence,
+)
+from torchrbd.report.text.names import named, when
+from torchrbd.report.text.numbers import MINUS, joined, number, with_unit
 from torchrbd.robot import RobotModel
 
 # Evidence at which a bar ends [nats], rows of a table, and parameters that one row names.
@@ -97,11 +105,9 @@ def considered(found: Ranking, robot: RobotModel) -> Considered:
         rows = [_row(one, found, prismatic, adopted=_key(one) in known) for one in ranked[:MOST_ROWS]]
         return Step(title, condition, rows, max(found.considered, len(ranked)) - len(rows))
 
-    steps = [step("First step", "given a rigid body with baseline friction", found.first, adopted)]
+    steps = [step(FIRST_STEP, WITHOUT_EFFECTS, found.first, adopted)]
     if adopted:
-        first, *others = found.adopted
-        condition = f"given the {len(found.adopted)} adopted effects" if others else f"given {title(first)}"
-        steps.append(step("Last step", condition, found.last, adopted))
+        steps.append(step(LAST_STEP, given_words(found.adopted), found.last, adopted))
     return Considered(
         number=found.considered,
         band_hz=found.band_hz,
@@ -109,27 +115,9 @@ def considered(found: Ranking, robot: RobotModel) -> Considered:
         chance_at=min(1.0, _chance(found) / BAR_END),
         ordinary=_ordinary(found.ordinary, robot),
         misfit=misfit_sentence(found.misfit),
-        clocks=[(name, _clock(*delay)) for name, delay in found.delay_s.items()],
+        clocks=[(name, clock_words(*delay)) for name, delay in found.delay_s.items()],
         steps=steps,
     )
-
-
-def misfit_sentence(found: Mapping[str, Misfit]) -> str:
-    """Say at which joints whitened rows and least squares disagree on friction; nothing where that was not tested."""
-    wrong = [f"{joint} (p = {number(m.p_value)})" for joint, m in found.items() if m.p_value < MISFIT]
-    if not wrong:
-        agree = "Whitened rows and plain least squares agree on the friction of every joint."
-        return agree if any(m.dof for m in found.values()) else ""
-    return (
-        f"Whitened rows and plain least squares disagree on the friction of {joined(wrong)}. "
-        "Another law than viscous plus Coulomb friction acts there. The values shown are those of least squares."
-    )
-
-
-def title(one: Ranked) -> str:
-    """Return a hypothesis by name and place: "payload on hand"."""
-    depends_on = () if one.other is None else (f"q_{one.other}",)
-    return _title(Alternative(one.effect, one.joints, one.links, depends_on))
 
 
 def nats(evidence: float) -> str:
@@ -137,10 +125,6 @@ def nats(evidence: float) -> str:
     if not math.isfinite(evidence):
         return "–"
     return f"{evidence:.{0 if abs(evidence) >= 100 else 1}f}".replace("-0.0", "0.0").replace("-", MINUS)
-
-
-def _title(item: Finding | Alternative) -> str:
-    return named(item) + (at(item.joints, item.links) or " on the whole robot")
 
 
 def _key(one: Ranked) -> _Key:
@@ -156,8 +140,7 @@ def _beats_chance(one: Ranked, found: Ranking) -> bool:
 
 
 def _row(one: Ranked, found: Ranking, prismatic: Mapping[str, bool], *, adopted: bool) -> Row:
-    depends_on = () if one.other is None else (f"q_{one.other}",)
-    words = named(Alternative(one.effect, one.joints, one.links, depends_on))
+    words = named(as_alternative(one))
     bar = one.log_evidence / BAR_END if math.isfinite(one.log_evidence) else 0.0
     parameters = _parameters(one, prismatic)
     return Row(
@@ -213,8 +196,3 @@ def _ordinary(found: Sequence[Ranked], robot: RobotModel) -> list[Ordinary]:
             )
         )
     return rows
-
-
-def _clock(delay: float, std: float) -> str:
-    """Return by what the torque is later than the motion [s], or earlier."""
-    return f"{measure(1e3 * abs(delay), 1.96e3 * std)} ms {'earlier' if delay < 0 else 'later'}"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchrbd.inference.results import TorqueSeries
+from torchrbd.report.text.locations import excerpt_words
 
 WINDOW_S = 15.0
 SIGNALS = {"q": "position", "qd": "velocity", "qdd": "acceleration"}
@@ -37,8 +38,10 @@ def informative_excerpt(series: TorqueSeries, joint: int, model: str) -> Excerpt
         k = int(np.argmax(total[end] - total[start]))
         if total[end[k]] - total[start[k]] > score:
             score, index = total[end[k]] - total[start[k]], rows[start[k] : end[k]]
-            part = f", {t[start[k]]:.1f} to {t[end[k] - 1]:.1f} s, where the residual is largest"
-            best = Excerpt(name, index, name + part * (len(index) < len(rows)))
+            whole = len(index) == len(rows)
+            best = Excerpt(
+                name, index, name if whole else excerpt_words(name, float(t[start[k]]), float(t[end[k] - 1]))
+            )
     return best
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.errors import InputError, PhysicalError
 from torchrbd.likelihood.block_statistics import Block
 from torchrbd.likelihood.reading import Progress, Reading
@@ -29,7 +30,7 @@ LENGTHS_S = (0.2, 0.5, 1.0)
 COASTING = "constant_velocity"
 """The trivial prediction: every joint goes on as fast as it was."""
 _MOST_WINDOWS, _FEWEST_WINDOWS, _LOST, _QUARTILES = 40, 4, 1e300, (0.25, 0.5, 0.75)
-_NOTHING = "motion was not simulated: the recordings have no uninterrupted window"
+_NOTHING = Remark("motion not simulated")
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class MotionErrors(NamedTuple):
     """Errors by length of the window, shortest first, and what else is to be known of them."""
 
     errors: tuple[MotionError, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Remark, ...]
 
 
 def motion_errors(
@@ -90,7 +91,7 @@ def motion_errors(
     try:
         rolled = list(_rolled(reading, wanted, models, progress))
     except (InputError, PhysicalError) as error:
-        return MotionErrors((), (f"motion was not simulated: {error}",))
+        return MotionErrors((), (Remark("motion not simulated", {"error": str(error)}),))
     errors_by_length = [
         _motion_error(k, unseen[k], [errors for length, errors in rolled if length == k], names) for k in LENGTHS_S
     ]
@@ -163,10 +164,8 @@ def _motion_error(
     return MotionError(length, held_out, windows, spreads)
 
 
-def _notes(models: Mapping[str, RigidBodyDynamics], robot: RobotModel) -> tuple[str, ...]:
-    """Say which terms do not act as they would on a simulated motion."""
+def _notes(models: Mapping[str, RigidBodyDynamics], robot: RobotModel) -> tuple[Remark, ...]:
+    """Remark on terms do not act as they would on a simulated motion."""
     model = list(models.values())[-1]
-    along = [f"{term.effect.words} at {term.site.name(robot)}" for term in Plant(model).along]
-    if not along:
-        return ()
-    return (f"simulated motion takes the torque of these terms from the recorded motion: {', '.join(along)}",)
+    along = [[term.effect.id, term.site.name(robot)] for term in Plant(model).along]
+    return (Remark("terms along the recorded motion", {"terms": along}),) if along else ()

@@ -12,7 +12,7 @@ import torch
 from pyarrow import csv, parquet
 from scipy.interpolate import make_interp_spline
 
-from torchrbd.display import brief, few
+from torchrbd.display import Remark, brief, few
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.likelihood.reading import Progress
 from torchrbd.model import Condition, RigidBodyDynamics
@@ -58,7 +58,7 @@ class SimulatedMotion:
     tau: np.ndarray
     recorded: np.ndarray
     moved: tuple[str, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Remark, ...]
 
     def __repr__(self) -> str:
         errors = [f"{name}: {x:.3g}" for name, x in self.distance.items() if name not in self.moved]
@@ -205,15 +205,14 @@ def _opened(
     return open_recording(recording, names, mapping=None if mapping is None else read_mapping(mapping))
 
 
-def _notes(opened: Recording, condition: Condition, start: float, begin: float) -> tuple[str, ...]:
+def _notes(opened: Recording, condition: Condition, start: float, begin: float) -> tuple[Remark, ...]:
     notes = list(opened.notes)
     if begin > start + 1e-6:
-        notes.append(f"begins at {begin:.3g} s instead of {start:.3g} s: the filters need what lies before")
+        notes.append(Remark("later start", {"begin_s": begin, "asked_s": start}))
     if condition.delay_s:
-        way = "late" if condition.delay_s > 0 else "early"
-        notes.append(f"the model has the recorded torque {abs(condition.delay_s):.3g} s {way}: it is moved by that")
+        notes.append(Remark("late torque moved", {"delay_s": condition.delay_s}))
     if condition.lag_s:
-        notes.append(f"the recorded torque is a command: actuators follow it with a lag of {condition.lag_s:.3g} s")
+        notes.append(Remark("torque is a command", {"lag_s": condition.lag_s}))
     return tuple(notes)
 
 

@@ -39,11 +39,10 @@ def compare_fleet(
             try:
                 members.append(read_member(Path(folder) / name, name))
             except InputError as error:
-                failed[name] = f"{error} (remove {Path(folder) / name} to have it identified again)"
-    words = dict.fromkeys(left, "is not identified yet, as the run was ended early")
+                failed[name] = str(InputError(f"{error} (remove {Path(folder) / name} to have it identified again)"))
     found = {
         name: MemberResult(name, verdict, math.nan, why, 0, (), None, None, ())
-        for verdict, reasons in (("failed", failed), (UNFINISHED, words))
+        for verdict, reasons in (("failed", failed), (UNFINISHED, dict.fromkeys(left, "")))
         for name, why in reasons.items()
     }
     for group in sisters(members):

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import compress
 
 import numpy as np
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.likelihood.block_statistics import BlockStatistics
 from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.resting import at_rest
 from torchrbd.likelihood.urdf_prior import Prior, unphysical_bodies
 from torchrbd.recordings import Filtering, Survey, skipped_segments
-from torchrbd.robot import STANDARD_GRAVITY
+from torchrbd.robot import STANDARD_GRAVITY, RobotModel
 
 
 def input_notes(
@@ -23,43 +24,44 @@ def input_notes(
     prior: Prior,
     held: Sequence[str],
     without_torque: Tensor,
-) -> tuple[str, ...]:
-    """Return what the user should know of URDF and recordings, the recording's name first."""
-    robot, notes = columns.robot, []
-    for s in surveys:
-        found = [*s.notes, *(f"the torque of {name} never changes and is not used" for name in s.constant_tau)]
-        found += [
-            f"{a:.3g} to {b:.3g} s left out: too short for the filters" for a, b in skipped_segments(s, filtering)
-        ]
-        notes += [note if note.startswith(s.name) else f"{s.name}: {note}" for note in found]
-    warm = ~np.isnan([s.temperature_min for s in surveys])
-    for s, known in zip(surveys, warm, strict=True):
-        if lacked := [*compress(robot.joint_names, warm.any(0) & ~known)]:
-            notes.append(f"{s.name}: no temperature of {', '.join(lacked)}, so that of others is not used there")
-    silent = (name for name, none in zip(robot.joint_names, without_torque.tolist(), strict=True) if none)
-    notes += [f"no recording has a torque that changes for {name}" for name in silent]
-    notes += [
-        f"the URDF's inertia of {body} is that of no extended body of its mass; the fit starts from the nearest that is"
-        for body in unphysical_bodies(columns)
-    ]
-    if robot.gravity.tolist() != [*STANDARD_GRAVITY]:
-        notes.append(f"gravity is ({', '.join(f'{x:.4g}' for x in robot.gravity.tolist())}) m/s^2 in the base's axes")
-    known = [("rotors", robot.armature), ("springs", robot.stiffness)]
-    if given := [name for name, values in known if bool(values.any())]:
-        notes.append(
-            f"{' and '.join(given)} of joints are those of {robot.description.source}; what is fitted or found of them "
-            "comes on top, and nmse is of the torque that they leave"
-        )
-    massless = (n for b, n in enumerate(robot.body_names) if b not in prior.bodies and n not in held)
+) -> tuple[Remark, ...]:
+    """Return what the user should know of URDF and recordings."""
+    silent = compress(columns.robot.joint_names, without_torque.tolist())
     return (
-        *notes,
-        *(f"{name} has no mass in the URDF and keeps none; give it a rough one if it has any" for name in massless),
+        *_recording_notes(columns.robot, surveys, filtering),
+        *(Remark("no changing torque", {"joint": joint}) for joint in silent),
+        *_robot_notes(columns, prior, held),
     )
 
 
-def rest_notes(training: BlockStatistics) -> list[str]:
+def _recording_notes(robot: RobotModel, surveys: Sequence[Survey], filtering: Filtering) -> Iterator[Remark]:
+    """Yield the notes on each recording, with its name."""
+    for s in surveys:
+        yield from (note.of(s.name) for note in s.notes)
+        yield from (Remark("constant torque", {"joint": joint}, s.name) for joint in s.constant_tau)
+        for begin, end in skipped_segments(s, filtering):
+            yield Remark("left out", {"begin_s": float(begin), "end_s": float(end)}, s.name)
+    warm = ~np.isnan([s.temperature_min for s in surveys])
+    for s, known in zip(surveys, warm, strict=True):
+        if lacked := [*compress(robot.joint_names, warm.any(0) & ~known)]:
+            yield Remark("no temperature", {"joints": lacked}, s.name)
+
+
+def _robot_notes(columns: Columns, prior: Prior, held: Sequence[str]) -> Iterator[Remark]:
+    """Yield what to know of the URDF."""
+    robot = columns.robot
+    yield from (Remark("unphysical URDF inertia", {"body": body}) for body in unphysical_bodies(columns))
+    if robot.gravity.tolist() != [*STANDARD_GRAVITY]:
+        yield Remark("gravity", {"gravity": robot.gravity.tolist()})
+    known = [("rotors", robot.armature), ("springs", robot.stiffness)]
+    if given := [name for name, values in known if bool(values.any())]:
+        yield Remark("known rotors or springs", {"parts": given, "source": robot.description.source})
+    massless = (n for b, n in enumerate(robot.body_names) if b not in prior.bodies and n not in held)
+    yield from (Remark("massless body", {"body": body}) for body in massless)
+
+
+def rest_notes(training: BlockStatistics) -> list[Remark]:
     """Return which joints never move in the blocks that are fitted."""
     seen = training.torque[..., 0] > 0
     still = (at_rest(training) | ~seen).all(0) & seen.any(0)
-    names = compress(training.columns.robot.joint_names, still.tolist())
-    return [f"{name} does not move in these recordings: its friction stays that of the URDF" for name in names]
+    return [Remark("joint at rest", {"joint": j}) for j in compress(training.columns.robot.joint_names, still.tolist())]

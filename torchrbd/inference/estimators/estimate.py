@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.errors import OptionError
 from torchrbd.estimators import check_estimators
 from torchrbd.inference.estimators.instrumental import instrumental_variables
@@ -27,7 +28,7 @@ from torchrbd.inference.regression.noisy_input import NoisyInputRegression
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 
-Estimator = Callable[[LinearProblem], tuple[Tensor, str]]
+Estimator = Callable[[LinearProblem], tuple[Tensor, Remark | None]]
 """Finds x (n,), and says what a user should know of it."""
 
 
@@ -42,7 +43,7 @@ class Estimate:
         x: (n,) physical ones: ``raw``, or where it is not physical its projection in the metric of the data, whose
             torque on the fitted blocks is nearest.
         seconds: of the estimate, without reading and filtering.
-        note: what a user should know, or nothing.
+        remark: what a user should know, or None.
     """
 
     name: str
@@ -50,7 +51,7 @@ class Estimate:
     was_physical: bool
     x: Tensor
     seconds: float
-    note: str
+    remark: Remark | None
 
 
 def estimate(prepared: Prepared, name: str, terms: Sequence[Candidate] = ()) -> Estimate:
@@ -67,14 +68,14 @@ def estimate(prepared: Prepared, name: str, terms: Sequence[Candidate] = ()) -> 
     check_estimators([name], estimators())
     start = time.perf_counter()
     problem = linear_problem(prepared, terms)
-    raw, note = _ESTIMATORS[name](problem)
+    raw, remark = _ESTIMATORS[name](problem)
     if not bool(torch.isfinite(raw).all()):
         raise OptionError(f"estimator '{name}' finds no finite parameters on these recordings; use another")
     bodies = raw[prepared.prior.inertial].reshape(-1, PARAMETERS_PER_BODY)
     signs = not_negative(prepared.columns, terms)
     physical = bool(is_physical(bodies).all()) and bool((signs @ raw >= 0.0).all())
     x = raw if physical else project(prepared.prior, raw, problem.information(), problem.free_terms, signs)
-    return Estimate(name, raw, physical, x, time.perf_counter() - start, note)
+    return Estimate(name, raw, physical, x, time.perf_counter() - start, remark)
 
 
 def estimators() -> tuple[str, ...]:
@@ -82,20 +83,20 @@ def estimators() -> tuple[str, ...]:
     return tuple(_ESTIMATORS)
 
 
-def _ordinary(problem: LinearProblem) -> tuple[Tensor, str]:
+def _ordinary(problem: LinearProblem) -> tuple[Tensor, Remark | None]:
     """Least squares on base parameters; all joints count alike, a newton metre of one as much as of another."""
     seen = problem.training.torque[..., 0].sum(0) > 0
-    return problem.least_squares(seen.double())[0], ""
+    return problem.least_squares(seen.double())[0], None
 
 
-def _weighted(problem: LinearProblem) -> tuple[Tensor, str]:
+def _weighted(problem: LinearProblem) -> tuple[Tensor, Remark | None]:
     """Least squares on base parameters, joints weighted by their residual variance."""
-    return problem.weighted()[0], ""
+    return problem.weighted()[0], None
 
 
-def _physical(problem: LinearProblem) -> tuple[Tensor, str]:
+def _physical(problem: LinearProblem) -> tuple[Tensor, Remark | None]:
     """The physically valid fit with the entropic prior."""
-    return problem.prepared.fit(problem.terms).x, ""
+    return problem.prepared.fit(problem.terms).x, None
 
 
 def _plain(regression: Callable[[], Regression]) -> Estimator:

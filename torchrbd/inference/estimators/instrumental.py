@@ -7,6 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.errors import OptionError
 from torchrbd.inference.estimators.problem import LinearProblem
 from torchrbd.likelihood.block_statistics import filtered_rows
@@ -15,7 +16,7 @@ from torchrbd.likelihood.block_statistics import filtered_rows
 _SINGULAR = 1e-13
 
 
-def instrumental_variables(problem: LinearProblem) -> tuple[Tensor, str]:
+def instrumental_variables(problem: LinearProblem) -> tuple[Tensor, Remark | None]:
     """Fit with the set-points' regressor Z as instruments for the measured one.
 
         sum_j w_j Z_j' Y_j x = sum_j w_j Z_j' tau_j,   Z = Y(q_ref, qd_ref, qdd_ref)
@@ -58,7 +59,7 @@ def instrumental_variables(problem: LinearProblem) -> tuple[Tensor, str]:
     b = problem.chosen
     inverse, rank = _pseudo_inverse(G[b][:, b], length_sq[b].sqrt())
     x = problem.reference + problem.lift @ (inverse @ (g - G @ problem.reference)[b])
-    return x, "" if rank == len(b) else f"the set-points identify {rank} of {len(b)} combinations"
+    return x, None if rank == len(b) else Remark("identified by set-points", {"identified": rank, "of": len(b)})
 
 
 def _pseudo_inverse(A: Tensor, length: Tensor) -> tuple[Tensor, int]:

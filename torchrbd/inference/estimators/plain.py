@@ -14,6 +14,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.inference.estimators.problem import LinearProblem
 from torchrbd.inference.regression.base import Regression
 from torchrbd.inference.regression.moments import Moments
@@ -21,13 +22,15 @@ from torchrbd.inference.regression.moments import Moments
 _MOST_FOLDS = 10
 
 
-def regress(problem: LinearProblem, regression: Callable[[], Regression]) -> tuple[Tensor, str]:
+def regress(problem: LinearProblem, regression: Callable[[], Regression]) -> tuple[Tensor, Remark | None]:
     """Fit beta by a regression; return x (n,), and what a user should know."""
     _, variance = problem.weighted()
     return _fit(problem, robot_moments(problem, 1.0 / variance), regression())
 
 
-def regress_on_noisy_inputs(problem: LinearProblem, regression: Callable[[Tensor], Regression]) -> tuple[Tensor, str]:
+def regress_on_noisy_inputs(
+    problem: LinearProblem, regression: Callable[[Tensor], Regression]
+) -> tuple[Tensor, Remark | None]:
     """Fit beta by a regression that knows how noisy its inputs are.
 
     Position noise makes noise dY of the columns, as ``input_noise`` found by sending it through the chain. dY is in
@@ -63,12 +66,12 @@ def robot_moments(problem: LinearProblem, weights: Tensor) -> Moments:
     return Moments(blocks, (statistics.torque[..., 0] * (weights > 0.0)).sum(1))
 
 
-def _fit(problem: LinearProblem, moments: Moments, regression: Regression) -> tuple[Tensor, str]:
+def _fit(problem: LinearProblem, moments: Moments, regression: Regression) -> tuple[Tensor, Remark | None]:
     scale = moments.xx.diagonal().sqrt()
     b = regression.fit(moments.transform(torch.diag(scale.reciprocal()))).coefficients.detach()
     zeros = int((b == 0.0).sum())
-    note = f"{zeros} of {len(b)} combinations as in the URDF" if zeros else ""
-    return problem.reference + problem.lift @ (b / scale), note
+    remark = Remark("combinations of the URDF", {"kept": zeros, "of": len(b)}) if zeros else None
+    return problem.reference + problem.lift @ (b / scale), remark
 
 
 def _noise(problem: LinearProblem, weights: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.inference.estimators.problem import LinearProblem
 from torchrbd.likelihood.block_statistics import assemble, filtered_rows
 from torchrbd.likelihood.equations import bounded
@@ -13,7 +14,7 @@ _HUBER, _NORMAL_MAD = 1.345, 0.6745
 _MOST_PASSES, _SETTLED = 20, 0.1
 
 
-def iteratively_reweighted(problem: LinearProblem) -> tuple[Tensor, str]:
+def iteratively_reweighted(problem: LinearProblem) -> tuple[Tensor, Remark | None]:
     """Fit by weights that fall with a sample's residual r = tau - Y x.
 
         w = min(1, 1.345 s_j / |r|) / s_j^2,   s_j = median |r| / 0.6745 of joint j
@@ -34,9 +35,9 @@ def iteratively_reweighted(problem: LinearProblem) -> tuple[Tensor, str]:
         before, (x, _) = x, problem.least_squares(1.0 / variance, totals)
         moved = float(((x - before) @ H @ (x - before)).clamp_min(0.0).sqrt())
         if passes > 1 and moved < _SETTLED:
-            return x, f"{passes} passes over the recordings"
+            return x, Remark("passes", {"passes": passes, "settled": True})
         variance = found
-    return x, f"stopped after {_MOST_PASSES} passes while the weights still changed"
+    return x, Remark("passes", {"passes": _MOST_PASSES, "settled": False})
 
 
 def _reweighted_pass(problem: LinearProblem, x: Tensor, variance: Tensor) -> tuple[list[Tensor], Tensor]:

@@ -14,6 +14,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.posterior.predictive import torque_rows
 from torchrbd.robot import RobotModel
@@ -104,19 +105,18 @@ def information(model: FittedModel, motion: Motion, T: Tensor, rate_hz: float) -
     return found
 
 
-def in_words(robot: RobotModel, motion: Motion) -> str:
-    """Say what to do."""
+def described(robot: RobotModel, motion: Motion) -> Remark:
+    """Return what to do, with names and sizes."""
     if motion.joint is None:
-        return "move all joints at once, at changing speed"
+        return Remark("motion", {"kind": motion.kind})
     speed, acceleration, *_ = extent(robot, motion.joint)
-    name, unit = robot.joint_names[motion.joint], "m" if bool(robot.prismatic[motion.joint]) else "rad"
-    said = {
-        "slow": f"move {name} slowly through its range",
-        "accelerate": f"accelerate {name} back and forth (to about {acceleration:.2g} {unit}/s^2)",
-        "fast": f"move {name} fast (at about {speed:.2g} {unit}/s)",
-    }[motion.kind]
-    if not motion.varied:
-        return said
-    others = [robot.joint_names[k] for k in motion.varied]
-    all_others = len(others) == robot.n_dof - 1 and len(others) > 1
-    return f"{said} in several postures of {'the other joints' if all_others else ' and '.join(others)}"
+    values = {
+        "kind": motion.kind,
+        "joint": robot.joint_names[motion.joint],
+        "unit": "m" if bool(robot.prismatic[motion.joint]) else "rad",
+        "speed": speed,
+        "acceleration": acceleration,
+        "varied": [robot.joint_names[k] for k in motion.varied],
+        "others": robot.n_dof - 1,
+    }
+    return Remark("motion", values)

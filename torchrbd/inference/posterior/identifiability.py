@@ -16,8 +16,9 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from torchrbd.display import Remark, Stated
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.inference.posterior.experiments import KINDS, SECONDS, Motion, in_words, information
+from torchrbd.inference.posterior.experiments import KINDS, Motion, described, information
 from torchrbd.likelihood.urdf_prior import Prior, local_coordinates
 from torchrbd.parameters import PARAMETERS_PER_BODY, BaseParameters, base_parameters
 
@@ -34,7 +35,7 @@ _LEAST = 1e-13
 
 
 @dataclass(frozen=True)
-class Identifiability:
+class Identifiability(Stated):
     """What is known of one inertial parameter.
 
     Attributes:
@@ -43,11 +44,10 @@ class Identifiability:
         least_share: the same after every possible motion; above 0 where only combinations are identifiable.
         status: "identified" alone, in a "combination" with others, "unexcited" (other motions would identify it), "not
             identifiable" with the base fixed, or "held" as the URDF has it.
-        combinations: its identifiable combinations, one sentence each, shortest first.
+        combinations: its identifiable combinations, shortest first.
         motion: what to record to identify it, if "unexcited"; None where no short motion would at the present noise.
-        suggestion: the same in words, otherwise empty.
+        suggested: the same with names and sizes.
         prior_share_after: predicted, with ten seconds of that motion added.
-        statement: all this in one sentence.
     """
 
     name: str
@@ -55,11 +55,10 @@ class Identifiability:
     prior_share: float
     least_share: float
     status: Status
-    combinations: tuple[str, ...]
+    combinations: tuple[Remark, ...]
     motion: Motion | None
-    suggestion: str
+    suggested: Remark | None
     prior_share_after: float
-    statement: str
 
 
 def identifiability(prior: Prior, model: FittedModel, rate_hz: float) -> tuple[Identifiability, ...]:
@@ -78,7 +77,7 @@ def identifiability(prior: Prior, model: FittedModel, rate_hz: float) -> tuple[I
     for k, name in enumerate(robot.parameter_names):
         share, least = 1.0, 1.0
         status: Status = "held"
-        combinations = tuple(sorted(base.sentences_with(k), key=len))
+        combinations = tuple(sorted(base.combinations_with(k), key=lambda one: len(one.values["expression"])))
         row = fitted.get(k, -1)
         if row >= 0 and k in base.invisible:
             status = "not identifiable"
@@ -86,32 +85,10 @@ def identifiability(prior: Prior, model: FittedModel, rate_hz: float) -> tuple[I
             share, least = float(state.share[row]), float(state.floor[row])
             status = "unexcited" if row in suggested else "combination" if combinations else "identified"
         motion, after = suggested[row] if status == "unexcited" else (None, share)
-        words = "" if motion is None else in_words(robot, motion)
-        statement = _statement(name, status, combinations, words, (share, least, after))
+        advice = None if motion is None else described(robot, motion)
         owner = robot.body_names[k // PARAMETERS_PER_BODY]
-        found.append(Identifiability(name, owner, share, least, status, combinations, motion, words, after, statement))
+        found.append(Identifiability(name, owner, share, least, status, combinations, motion, advice, after))
     return tuple(found)
-
-
-def _statement(
-    name: str, status: Status, combinations: tuple[str, ...], motion: str, shares: tuple[float, float, float]
-) -> str:
-    if status == "held":
-        return f"{name} was not fitted"
-    if status == "not identifiable":
-        return f"no motion of this robot with its base fixed identifies {name}"
-    if status == "identified":
-        return f"{name} is identified"
-    if status == "combination":
-        shortest, *others = combinations
-        number = f"{len(others)} other combination{'s' if len(others) > 1 else ''}"
-        return shortest + (f", and {number} with {name}" if others else "")
-    share, least, after = (f"{100 * value:.0f} %" for value in shares)
-    said = f"this data does not identify {name} (prior's share {share})"
-    if not motion:
-        return f"{said}; at this noise no {SECONDS:.0f} s of motion would, record longer or with less noise"
-    floor = f"; less than {least} no motion can, it is identified in combination only" if combinations else ""
-    return f"{said}; to identify it, {motion}: {SECONDS:.0f} s would leave the prior a share of {after}{floor}"
 
 
 @dataclass(frozen=True)

@@ -108,9 +108,7 @@ def prepare_moments(
         found_encoder_noise=noise,
         input_noise=InputNoise(noise, unknown, torch.zeros_like(noise), 1.0, ()),
         states=None,
-        notes=tuple(
-            note if note.startswith(one.name) else f"{one.name}: {note}" for one in whole.origins for note in one.notes
-        ),
+        facts=tuple(note.of(one.name) for one in whole.origins for note in one.notes),
     )
 
 

@@ -11,6 +11,7 @@ from itertools import zip_longest
 import torch
 from torch import Tensor
 
+from torchrbd.display import Remark
 from torchrbd.effects import JointScale
 from torchrbd.errors import InputError
 from torchrbd.likelihood.block_statistics import Block, BlockStatistics, halved
@@ -90,7 +91,7 @@ class Origin:
         duration_s: of its uninterrupted pieces together.
         position_noise: (n_dof,) standard deviations [rad, m].
         payload: known loads that were taken off, in words.
-        notes: for a person.
+        notes: what a user should know of it.
     """
 
     name: str
@@ -100,7 +101,7 @@ class Origin:
     duration_s: float
     position_noise: tuple[float, ...]
     payload: tuple[str, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Remark, ...]
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,8 @@ from torchrbd.report.text.numbers import (
 )
 
 NOT_CONFIRMED = "Not confirmed on held-out data"
+SHARED = "The probability is shared with what it could also be."
+CERTAINLY_MISSING = "An effect is certainly missing here."
 # Words of a sentence that names what else it could be.
 _ALIKE_WORDS = 14
 

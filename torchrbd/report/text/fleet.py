@@ -23,6 +23,8 @@ _NOT_COMPARED = {
 
 def member_statement(one: MemberResult) -> str:
     """Say of one robot how it differs from its sisters, and what changed since the earlier time."""
+    if one.verdict == UNFINISHED:
+        return "is not identified yet, as the run was ended early"
     if one.error:
         return one.error
     return "; ".join(filter(None, (_sisters(one), _changes(one))))

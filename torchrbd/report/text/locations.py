@@ -18,6 +18,11 @@ _POINT_STD_M = 0.3
 _WORDS = 8
 
 
+def excerpt_words(recording: str, begin_s: float, end_s: float) -> str:
+    """Say what part of a recording is shown."""
+    return f"{recording}, {begin_s:.1f} to {end_s:.1f} s, where the residual is largest"
+
+
 def location_statement(one: Location) -> str:
     """Say what differs, where, when and how much."""
     return " ".join(filter(None, (_size(one), _dependence(one), _time(one))))

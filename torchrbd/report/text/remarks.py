@@ -6,15 +6,20 @@ from collections.abc import Callable
 from typing import Any
 
 from torchrbd.display import Remark
+from torchrbd.report.text.export import EXPORTED
 from torchrbd.report.text.identification import DOUBTS
+from torchrbd.report.text.inputs import FACTS
+from torchrbd.report.text.motions import MOTIONS
 from torchrbd.report.text.numbers import as_many_as_fit
+from torchrbd.report.text.recordings import NOTES
 
 _WORDS = 8
 
 
 def remark_statement(remark: Remark) -> str:
     """Say a remark."""
-    return _WORDS_OF[remark.kind](**remark.values)
+    words = _WORDS_OF[remark.kind](**remark.values)
+    return f"{remark.recording}: {words}" if remark.recording else words
 
 
 def _same_recordings(recordings: list[str]) -> str:
@@ -28,6 +33,10 @@ def _other_cutoff(before_hz: float, after_hz: float) -> str:
 
 _WORDS_OF: dict[str, Callable[..., str]] = {
     **DOUBTS,
+    **NOTES,
+    **FACTS,
+    **MOTIONS,
+    **EXPORTED,
     "same recordings": _same_recordings,
     "other cutoff": _other_cutoff,
     "one simulated": lambda: "one was compared with a simulation, the other with the URDF; these may differ too",

@@ -8,6 +8,7 @@ from torchrbd.diagnosis.changes.results import Change, Comparison
 from torchrbd.diagnosis.fleet.results import FleetComparison, MemberResult
 from torchrbd.diagnosis.results import Deflection, Diagnosis, Finding, Location, Unexplained
 from torchrbd.display import Remark
+from torchrbd.inference.posterior.identifiability import Identifiability
 from torchrbd.inference.results import NoiseRegime
 from torchrbd.inference.suspicions.results import Remedy, Suspicion
 from torchrbd.report.text.comparison import change_statement, comparison_statement
@@ -15,6 +16,7 @@ from torchrbd.report.text.findings import deflection_statement, finding_statemen
 from torchrbd.report.text.fleet import fleet_statement, member_statement
 from torchrbd.report.text.identification import regime_statement
 from torchrbd.report.text.locations import location_statement
+from torchrbd.report.text.motions import identifiability_statement
 from torchrbd.report.text.remarks import remark_statement
 from torchrbd.report.text.suspicions import remedy_statement, suspicion_statement
 from torchrbd.report.text.unexplained import unexplained_statement
@@ -38,5 +40,6 @@ in_words.register(MemberResult, member_statement)
 in_words.register(FleetComparison, fleet_statement)
 in_words.register(Remark, remark_statement)
 in_words.register(NoiseRegime, regime_statement)
+in_words.register(Identifiability, identifiability_statement)
 in_words.register(Suspicion, suspicion_statement)
 in_words.register(Remedy, remedy_statement)
