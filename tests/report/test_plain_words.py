@@ -309,7 +309,10 @@ def export_remarks() -> list[Remark]:
     return [
         Remark("what the file lacks"),
         *(Remark("not exported", {"term": term, "reason": r}) for r in ("not always", "not finite", "MJCF", "URDF")),
-        *(Remark("not exported", {"term": term, "note": note, "by_hand": ['<joint damping="1"/>']}) for note in notes),
+        *(
+            Remark("not exported", {"term": term, "note": note, "by_hand": ['MJCF: <joint damping="1">']})
+            for note in notes
+        ),
         Remark("not compared", {"term": term}),
         Remark("motor of two joints", joints),
         Remark("coupling by speeds", {**joints, "damping": 0.7}),
@@ -357,8 +360,9 @@ def console() -> list[str]:
         combinations_words(40, 90.0), *(estimator_words("iv", "no set-points", failed=f) for f in (True, False)),
         check_words(900, 5.0), simulated_words(0.0, 9.0), motion_words(3, 10.0, 100.0), condition_words(few),
         condition_words(many), clearance_words(0.01), ends_words({"joint1": 0.1}), wrote("a.csv"), wrote("a", "out"),
-        wrote_fleet(Path("out")), more_words(3, "fleet.json"), SHARED, CERTAINLY_MISSING, excerpt_words("a.csv", 0.0, 15.0),
-        WITHOUT_EFFECTS, clock_words(1e-3, 1e-4), *(given_words(ranking(JOINTS).first[:n]) for n in (1, 2)),
+        wrote_fleet(Path("out")), more_words(3, "fleet.json"), SHARED, CERTAINLY_MISSING,
+        excerpt_words("a.csv", 0.0, 15.0), WITHOUT_EFFECTS, clock_words(1e-3, 1e-4),
+        *(given_words(ranking(JOINTS).first[:n]) for n in (1, 2)),
         misfit_sentence({"a": Misfit(2.0, 3, 0.57)}), misfit_sentence({"a": Misfit(2.0, 3, 1e-9)}),
     ]  # fmt: skip
 
