@@ -224,7 +224,7 @@ def test_noise_too_great_for_any_short_motion_is_said() -> None:
     for p in identifiability(prior, loud, RATE_HZ):
         assert p.motion is None
         if p.status == "unexcited":
-            assert "at this noise no 10 s of motion would" in p.statement
+            assert "At this noise no 10 s of motion would" in p.statement
             assert p.prior_share_after == p.prior_share
 
 

@@ -16,6 +16,7 @@ from torchrbd.recordings import Inspection, Mapping, inspect_recording, read_map
 from torchrbd.recordings.mapping_text import mapping_text
 from torchrbd.report.text.console import MAPPING_HINT, wrote
 from torchrbd.report.text.numbers import number
+from torchrbd.report.text.recordings import survey_words, unmatched_words
 from torchrbd.robot import RobotModel
 
 
@@ -68,15 +69,8 @@ def print_inspection(found: Inspection, hint: bool = True) -> None:
 
 def _print_clock(found: Inspection, out: Console) -> None:
     seen = found.survey
-    if seen is None:
-        out.print(Text.assemble((f"{found.name}:", "bold"), f" {len(found.columns)} columns, not matched with joints"))
-        return
-    pieces = "no gaps" if len(seen.segments) == 1 else f"{len(seen.segments)} pieces with gaps between them"
-    lost = seen.duplicates + seen.incomplete
-    rows = f"{seen.rows} rows" + (f", {lost} of them not usable" if lost else "")
-    joints = "one joint" if len(found.joints) == 1 else f"{len(found.joints)} joints"
-    words = f" {joints}, {rows}, {seen.rate_hz:.4g} Hz, {seen.duration_s:.4g} s, {pieces}; motion up to "
-    out.print(Text.assemble((f"{found.name}:", "bold"), words, f"{seen.cutoff_hz:.2g} Hz"))
+    words = unmatched_words(len(found.columns)) if seen is None else survey_words(seen, len(found.joints))
+    out.print(Text.assemble((f"{found.name}:", "bold"), f" {words}"))
 
 
 def _print_motion(found: Inspection, out: Console) -> None:

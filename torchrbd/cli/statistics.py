@@ -15,7 +15,7 @@ from torchrbd.inference.statistics.folder import merge_statistics, write_statist
 from torchrbd.outputs import OutputFolder
 from torchrbd.ranks import Ranks, ranks
 from torchrbd.recordings.formats import STATISTICS
-from torchrbd.report.text.console import wrote
+from torchrbd.report.text.console import wrote_statistics, wrote_sum
 
 
 def stats(
@@ -30,9 +30,7 @@ def stats(
     ):
         files = write_statistics(robot, recordings, output, merged=merged, ranks=own, progress=progress, **options)
         if own.first:
-            also = f", and their sum to {merged}" if merged else ""
-            written = "1 statistics file" if len(files) == 1 else f"{len(files)} statistics files"
-            _say(wrote(written, f"{output}{also}"))
+            _say(wrote_statistics(len(files), output, merged))
 
 
 def merge(files: Sequence[Path], output: Path) -> None:
@@ -40,7 +38,7 @@ def merge(files: Sequence[Path], output: Path) -> None:
     _check_ending(output)
     found = merge_statistics(files, output)
     hours = sum(one.duration_s for one in found.origins) / 3600
-    _say(f"{wrote(output)}: {len(found.origins)} recordings, {hours:.3g} hours, in {len(found.blocks)} blocks")
+    _say(wrote_sum(output, len(found.origins), hours, len(found.blocks)))
 
 
 @contextmanager

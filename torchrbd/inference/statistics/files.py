@@ -19,14 +19,10 @@ from torchrbd.outputs import write_whole
 from torchrbd.rebuilding import rebuilt
 from torchrbd.recordings.formats import STATISTICS
 
-<<<<<<< HEAD
-FORMAT = 3
+FORMAT = 4
 """Of the files; it counts each change of what they hold or of what their numbers mean. Those of one format add."""
 
 _HEADER = "statistics"
-=======
-_FORMAT, _HEADER = "torchrbd-statistics-3", "statistics"
->>>>>>> 0859bd2 (Sentences of the command line, of exports, of excitation and of identifiability are made in report/text; a test keeps it so)
 _REMEDY = "give those that 'torchrbd stats' wrote"
 _LABELS = tuple[tuple[str, ...], ...]
 

@@ -103,6 +103,17 @@ def not_begun(count: int, of: int) -> str:
     return f"unfinished: {count} of {of} recordings were not begun; identify them in another call"
 
 
+def wrote_statistics(files: int, output: Path, merged: Path | None) -> str:
+    """Say what was written of the moments of recordings."""
+    written = "1 statistics file" if files == 1 else f"{files} statistics files"
+    return wrote(written, output) + (f", and their sum to {merged}" if merged else "")
+
+
+def wrote_sum(output: Path, recordings: int, hours: float, blocks: int) -> str:
+    """Say what a sum of moments holds."""
+    return f"{wrote(output)}: {recordings} recordings, {hours:.3g} hours, in {blocks} blocks"
+
+
 def more_words(count: int, file: str) -> str:
     """Say how many further rows a table would have, and where they are."""
     return f"{count} more in {file}"

@@ -4,9 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from torchrbd.recordings import Survey
 from torchrbd.report.text.numbers import as_many_as_fit
 
 _WORDS = 14
+
+
+def survey_words(seen: Survey, joints: int) -> str:
+    """Say what a recording of so many joints holds."""
+    pieces = "no gaps" if len(seen.segments) == 1 else f"{len(seen.segments)} pieces with gaps between them"
+    lost = seen.duplicates + seen.incomplete
+    rows = f"{seen.rows} rows" + (f", {lost} of them not usable" if lost else "")
+    number = "one joint" if joints == 1 else f"{joints} joints"
+    return (
+        f"{number}, {rows}, {seen.rate_hz:.4g} Hz, {seen.duration_s:.4g} s, {pieces}; motion up to "
+        f"{seen.cutoff_hz:.2g} Hz"
+    )
+
+
+def unmatched_words(columns: int) -> str:
+    """Say what a file holds that is no recording yet."""
+    return f"{columns} columns, not matched with joints"
 
 
 def _current_as_torque(joints: Sequence[str]) -> str:
