@@ -16,7 +16,7 @@ from torchrbd.recordings import Inspection, Mapping, inspect_recording, read_map
 from torchrbd.recordings.mapping_text import mapping_text
 from torchrbd.report.text.console import MAPPING_HINT, wrote
 from torchrbd.report.text.numbers import number
-from torchrbd.report.text.recordings import survey_words, unmatched_words
+from torchrbd.report.text.recordings import lacks_words, survey_words, unmatched_words
 from torchrbd.robot import RobotModel
 
 
@@ -78,7 +78,7 @@ def _print_motion(found: Inspection, out: Console) -> None:
     table = Table(Column("joint", overflow="fold"), *map(_right, columns), "rich enough?")
     for one in found.motions:
         values = (number(one.low), number(one.high), number(one.speed_rms), str(one.reversals))
-        table.add_row(Text(one.joint), *values, ", ".join(one.lacks) or "yes")
+        table.add_row(Text(one.joint), *values, lacks_words(one))
     out.print(table)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.survey import Survey
 from torchrbd.robot import RobotModel
 
+Lack = Literal["any motion", "range", "speed", "reversals", "any reversal"]
 _LAG_S = 0.05
 # Fraction of the RMS speed below which the direction does not count.
 _SLOW = 0.2
@@ -27,7 +29,7 @@ class Motion:
         low, high: range [rad or m].
         speed_rms: [rad/s or m/s].
         reversals: number of changes of direction.
-        lacks: what it has too little of, in words; empty if it is rich enough.
+        lacks: what it has too little of; empty if it is rich enough.
     """
 
     joint: str
@@ -35,7 +37,7 @@ class Motion:
     high: float
     speed_rms: float
     reversals: int
-    lacks: tuple[str, ...]
+    lacks: tuple[Lack, ...]
 
 
 def motions_of(recording: Recording, seen: Survey, robot: RobotModel | None = None) -> tuple[Motion, ...]:
@@ -69,14 +71,14 @@ def motions_of(recording: Recording, seen: Survey, robot: RobotModel | None = No
     )
 
 
-def _lacks(span: float, speed: float, reversals: int, sliding: bool) -> tuple[str, ...]:
+def _lacks(span: float, speed: float, reversals: int, sliding: bool) -> tuple[Lack, ...]:
     if span == 0:
-        return ("it never moves",)
-    lacks = []
+        return ("any motion",)
+    lacks: list[Lack] = []
     if span < _RANGE[int(sliding)]:
-        lacks.append("little range")
+        lacks.append("range")
     if speed < _SPEED[int(sliding)]:
-        lacks.append("slow")
+        lacks.append("speed")
     if reversals < _REVERSALS:
-        lacks.append("hardly turns back" if reversals else "never turns back")
+        lacks.append("reversals" if reversals else "any reversal")
     return tuple(lacks)

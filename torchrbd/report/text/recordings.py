@@ -5,9 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from torchrbd.recordings import Survey
+from torchrbd.recordings.motions import Motion
 from torchrbd.report.text.numbers import as_many_as_fit
 
 _WORDS = 14
+_LACKS = {
+    "any motion": "it never moves",
+    "range": "little range",
+    "speed": "slow",
+    "reversals": "hardly turns back",
+    "any reversal": "never turns back",
+}
 
 
 def survey_words(seen: Survey, joints: int) -> str:
@@ -20,6 +28,11 @@ def survey_words(seen: Survey, joints: int) -> str:
         f"{number}, {rows}, {seen.rate_hz:.4g} Hz, {seen.duration_s:.4g} s, {pieces}; motion up to "
         f"{seen.cutoff_hz:.2g} Hz"
     )
+
+
+def lacks_words(motion: Motion) -> str:
+    """Say what the motion of a joint has too little of; "yes" if it is rich enough."""
+    return ", ".join(_LACKS[one] for one in motion.lacks) or "yes"
 
 
 def unmatched_words(columns: int) -> str:
