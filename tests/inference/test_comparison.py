@@ -17,6 +17,7 @@ from torchrbd.inference.estimators import Estimate, estimate
 from torchrbd.inference.physical.fitting import judge, term_candidates
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
+from torchrbd.inference.torque_error import Fit
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
@@ -44,6 +45,13 @@ def test_rows_are_the_urdf_and_those_asked_for_once(compared: EstimatorCompariso
     assert compared.condition > 1.0
 
 
+def assert_same(one: Fit | None, other: Fit) -> None:
+    """Sums over threads may differ in their last digits."""
+    assert one is not None
+    assert one.nmse == pytest.approx(other.nmse, rel=1e-9)
+    assert one.rmse == pytest.approx(other.rmse, rel=1e-9)
+
+
 def test_errors_are_those_of_the_held_out_blocks(compared: EstimatorComparison, recordings: list[Recording]) -> None:
     settings = Settings.from_mapping({**OPTIONS, "estimator": "physical"}, "test")
     prepared = prepare(WRONG, recordings, settings, [effect("viscous_friction")])
@@ -51,10 +59,10 @@ def test_errors_are_those_of_the_held_out_blocks(compared: EstimatorComparison, 
     rows = {row.name: row for row in compared.rows}
     for name in ("physical", "wls"):
         found = estimate(prepared, name, terms)
-        assert rows[name].raw == judge(prepared.judging, found.raw)
-        assert rows[name].physical == judge(prepared.judging, found.x)
+        assert_same(rows[name].raw, judge(prepared.judging, found.raw))
+        assert_same(rows[name].physical, judge(prepared.judging, found.x))
         assert rows[name].was_physical == found.was_physical
-    assert rows["urdf"].raw == judge(prepared.judging, prepared.prior.reference)
+    assert_same(rows["urdf"].raw, judge(prepared.judging, prepared.prior.reference))
     assert rows["urdf"].was_physical is None
 
 
