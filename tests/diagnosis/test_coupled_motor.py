@@ -9,6 +9,8 @@ from simulated import inverse_dynamics, multisine, record, with_wrong_inertials
 import torchrbd
 from torchrbd.recordings import Recording
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 JOINTS, OWN, OTHER = 4, 3, 2
 MOTION = {"duration_s": 20.0, "rate_hz": 125.0}
 

@@ -6,9 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 from diagnosis.hanging_arm import URDF, multisine
+from shortened import slow_but
 
 import torchrbd
 from torchrbd.recordings import Recording
+
+pytestmark = pytest.mark.usefixtures("fit_alone")
 
 HALF_WIDTH, SECONDS, RATE_HZ, STEP_S = 0.4, 20.0, 250.0, 0.001
 ELBOW = 1
@@ -37,7 +40,7 @@ def recorded(half_width: float, gain: float, seed: int = 0) -> Recording:
     return Recording.from_arrays("zone", ["shoulder", "elbow"], t, q.T, tau.T)
 
 
-@pytest.mark.parametrize("gain", [60.0, 200.0])
+@pytest.mark.parametrize("gain", slow_but((60.0,), (60.0, 200.0)))
 def test_it_is_named(gain: float) -> None:
     result = torchrbd.diagnose(URDF, recorded(HALF_WIDTH, gain))
     (found,) = result.findings

@@ -10,10 +10,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from robot.random_robots import random_urdf
+from shortened import fit_alone
 from simulated import record, with_wrong_inertials
 
 import torchrbd
 from torchrbd import Diagnosis
+
+pytestmark = pytest.mark.usefixtures("fit_alone")
 
 SEED, JOINT = 5, "joint2"
 TRUE = random_urdf(SEED, 3, kinds=("revolute",), branching=0.0, massless=0.0)
@@ -51,7 +54,8 @@ def told(diagnosis: Diagnosis) -> dict[tuple[str, tuple[str, ...]], dict[str, tu
 
 @pytest.fixture(scope="module")
 def plain() -> Diagnosis:
-    return torchrbd.diagnose(URDF.encode(), recorded())
+    with fit_alone():
+        return torchrbd.diagnose(URDF.encode(), recorded())
 
 
 def assert_alike(found: Diagnosis, plain: Diagnosis, factors: dict[str, float], tolerance: float) -> None:

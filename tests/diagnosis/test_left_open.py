@@ -1,10 +1,13 @@
 """What the fit takes as known and the likelihood leaves open is in the intervals: friction that may be uneven."""
 
 import numpy as np
+import pytest
 from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, multisine, record, with_wrong_inertials
 
 import torchrbd
+
+pytestmark = pytest.mark.usefixtures("fit_alone")
 
 SEED, JOINT, REST, STIFFNESS, UNEVEN = 92, 1, 0.3, 0.15, 0.02
 

@@ -10,6 +10,8 @@ from diagnosis.hanging_arm import URDF, multisine
 import torchrbd
 from torchrbd.recordings import Recording
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 # The elbow's motor turns by itself; a tendon of limited length holds the link to it.
 MJCF = """<mujoco>
   <option timestep=".0002" integrator="implicitfast"/><compiler angle="radian"/>

@@ -11,6 +11,8 @@ from simulated import record
 
 import torchrbd
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 TILT = {"tilt_x": 0.004, "tilt_y": -0.006}
 
 
