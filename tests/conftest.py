@@ -38,3 +38,10 @@ def without_joint_figures() -> Iterator[None]:
     """Leave out of reports what a test does not look at, see ``shortened.without_joint_figures``."""
     with shortened.without_joint_figures():
         yield
+
+
+@pytest.fixture
+def without_simulation() -> Iterator[None]:
+    """Leave simulated motion out of results, see ``shortened.without_simulation``."""
+    with shortened.without_simulation():
+        yield

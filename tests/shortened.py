@@ -22,13 +22,20 @@ def fit_alone() -> Iterator[None]:
     Both take more than half of a short identification's time and change neither parameters nor torque errors.
     """
     from torchrbd.inference.suspicions import NO_SUSPICIONS
+
+    with pytest.MonkeyPatch.context() as patch, without_simulation():
+        for name in ("inference.identify", "diagnosis.diagnose"):
+            patch.setattr(import_module(f"torchrbd.{name}"), "suspicions", lambda *_: NO_SUSPICIONS)
+        yield
+
+
+@contextmanager
+def without_simulation() -> Iterator[None]:
+    """Let ``identify`` and ``diagnose`` not simulate motion."""
     from torchrbd.simulation import MotionErrors
 
-    identify, diagnose = (import_module(f"torchrbd.{name}") for name in ("inference.identify", "diagnosis.diagnose"))
     with pytest.MonkeyPatch.context() as patch:
-        for module in (identify, diagnose):
-            patch.setattr(module, "suspicions", lambda *_: NO_SUSPICIONS)
-        patch.setattr(identify, "motion_errors", lambda *_: MotionErrors((), ()))
+        patch.setattr(import_module("torchrbd.inference.identify"), "motion_errors", lambda *_: MotionErrors((), ()))
         yield
 
 

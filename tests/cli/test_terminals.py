@@ -32,7 +32,7 @@ def test_numbers_stay_readable_in_ascii() -> None:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
 def test_a_full_device_is_told_once() -> None:
     with Path("/dev/full").open("w") as full:
-        told = subprocess.run([*RUN, "effects"], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+        told = subprocess.run([*RUN, "--help"], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert told.returncode == 2
     assert "No space left on device" in told.stderr
     assert "Traceback" not in told.stderr
@@ -42,7 +42,7 @@ def test_a_full_device_is_told_once() -> None:
 def test_a_pipe_that_nobody_reads_is_no_error() -> None:
     reading, writing = os.pipe()
     os.close(reading)
-    told = subprocess.run([*RUN, "effects"], stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
+    told = subprocess.run([*RUN, "--help"], stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
     os.close(writing)
     assert (told.returncode, told.stderr) == (0, "")
 

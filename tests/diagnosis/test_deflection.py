@@ -15,8 +15,6 @@ from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import prepare
 from torchrbd.recordings import Recording
 
-pytestmark = pytest.mark.usefixtures("fit_alone")
-
 mujoco = pytest.importorskip("mujoco")
 
 JOINTS = ("shoulder", "elbow")

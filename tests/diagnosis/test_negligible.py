@@ -21,8 +21,6 @@ from torchrbd.diagnosis.results import Where
 from torchrbd.effects import Site
 from torchrbd.likelihood.columns import Candidate
 
-pytestmark = pytest.mark.usefixtures("fit_alone")
-
 
 def of_joints(*names: str) -> Any:
     """Return what a finding is judged beside: joints whose torque is 1 N m RMS."""

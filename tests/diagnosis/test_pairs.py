@@ -24,8 +24,6 @@ from torchrbd.report.page import Page
 from torchrbd.report.text.verdict import badge
 from torchrbd.robot import RobotModel
 
-pytestmark = pytest.mark.usefixtures("fit_alone")
-
 EFFECTS = ("viscous_friction", "coulomb_friction", "stribeck_friction", "torque_offset")
 NOISE = 0.02
 

@@ -33,8 +33,6 @@ from torchrbd.inference.results import TorqueSeries
 from torchrbd.inference.settings import Settings
 from torchrbd.robot import RobotModel
 
-pytestmark = pytest.mark.usefixtures("fit_alone")
-
 FIRST, SECOND = joint_names(URDF)
 SIZE, WIDTH = 2.0, 0.15
 TONE, TONE_HZ = 0.1, 2.73

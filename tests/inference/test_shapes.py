@@ -30,8 +30,6 @@ from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.shapes import Axis, ShapeSlope, axes, slopes, varied
 from torchrbd.recordings import Recording
 
-pytestmark = pytest.mark.usefixtures("fit_alone")
-
 
 @pytest.fixture(scope="module")
 def arm() -> Truth:

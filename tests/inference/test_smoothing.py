@@ -25,8 +25,6 @@ from torchrbd.inference.smoothing.smoother import StateSmoother
 from torchrbd.inference.smoothing.stretch import Stretch, stretches
 from torchrbd.robot import RobotModel
 
-pytestmark = pytest.mark.usefixtures("fit_alone")
-
 URDF = development_robots(1)["random0"]
 LOUD = 3e-3
 

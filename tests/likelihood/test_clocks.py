@@ -12,8 +12,6 @@ import torchrbd
 from torchrbd.likelihood.clocks import Clocks, in_time, of_one_machine
 from torchrbd.likelihood.reading import Reading
 
-pytestmark = pytest.mark.usefixtures("fit_alone")
-
 
 def test_a_held_out_recording_has_the_mean_of_the_others() -> None:
     found = {"a": (0.002, 0.0001), "b": (0.003, 0.0002)}
