@@ -1,4 +1,4 @@
-"""Kernels are built anew by each session of tests, once for all of its processes."""
+"""Kernels are built once for all processes of a session; long tests come first; what quick tests may leave out."""
 
 from __future__ import annotations
 
@@ -12,6 +12,12 @@ import pytest
 import shortened
 
 _MADE: list[str] = []
+# Of the tests that take longest; what comes last is short, so that no core waits for another.
+_FIRST = (
+    "test_cli.py", "test_docs_code.py", "test_real_recordings.py", "test_invariance.py", "test_suspect.py",
+    "test_dead_zone.py", "test_verdicts.py", "test_smoothing_hard_input.py", "test_resting_joints.py",
+    "test_coupled_motor.py", "test_tilted_base.py", "test_time_limit.py",
+)  # fmt: skip
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -19,6 +25,11 @@ def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
         _MADE.append(tempfile.mkdtemp(prefix="torchrbd-kernels-"))
         os.environ["TORCHRBD_CACHE"] = _MADE[0]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    place = {name: k for k, name in enumerate(_FIRST)}
+    items.sort(key=lambda item: place.get(item.path.name, len(place)))
 
 
 def pytest_unconfigure() -> None:

@@ -28,7 +28,7 @@ Table = dict[str, np.ndarray]
 def recorded() -> Table:
     """Record the arm with friction at all joints, and a spring at one."""
     found = record(
-        TRUE, SEED, duration_s=30.0, rate_hz=125.0,
+        TRUE, SEED, duration_s=20.0, rate_hz=125.0,
         extra=lambda m: 0.4 * np.sign(m.qd) + 0.5 * m.qd + np.array([0.0, 1.0, 0.0]) * (3.0 * m.q - 1.0),
     )  # fmt: skip
     chunk = next(iter(found.chunks(10**6)))
