@@ -86,6 +86,7 @@ def test_the_sense_of_an_axis(plain: Diagnosis) -> None:
     assert_alike(torchrbd.diagnose(ElementTree.tostring(root), table), plain, {"rest_position": -1.0}, 0.02)
 
 
+@pytest.mark.slow
 def test_how_long_a_second_is(plain: Diagnosis) -> None:
     c = 3.0
     table = {key: c * x if key == "t" else x for key, x in recorded().items()}

@@ -172,9 +172,9 @@ def test_a_spring_that_is_gone_on_another_day_is_not_named_but_friction_is(array
         for name, more in (("day", spring), ("night", 0.0))
     )
     friction = {(effect, (name,)) for effect in ("coulomb_friction", "viscous_friction") for name in NAMES}
-    alone = torchrbd.diagnose(URDF, day)
+    alone = torchrbd.diagnose(URDF, day, effects=EFFECTS)
     assert {(f.effect, f.joints) for f in alone.findings} == {*friction, ("joint_spring", (NAMES[0],))}
-    diagnosis = torchrbd.diagnose(URDF, [day], holdout=[night])
+    diagnosis = torchrbd.diagnose(URDF, [day], holdout=[night], effects=EFFECTS)
     told = {(f.effect, f.joints) for f in diagnosis.findings}
     # What the spring did to the joint's torque is noise now.
     assert {one for one in friction if one[1] != (NAMES[0],)} <= told <= friction
