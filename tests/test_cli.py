@@ -342,7 +342,6 @@ def test_bundled_run_settings_are_read(
     assert (code, capsys.readouterr().err) == (0, "")
 
 
-@pytest.mark.usefixtures("fit_alone")
 def test_demo_names_the_concealed_friction(tmp_path: Path) -> None:
     assert main(["demo", "-o", str(tmp_path)]) == 0
     truth = json.loads((Path(torchrbd.__file__).parent / "demo" / "truth.json").read_text())
