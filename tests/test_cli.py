@@ -1,5 +1,7 @@
 """The command line as a user meets it: files in, files out, clear words, exit codes."""
 
+import contextlib
+import io
 import json
 import re
 from pathlib import Path
@@ -45,13 +47,21 @@ def run(case: Path, *arguments: str) -> int:
     return main(files)
 
 
-def test_diagnose_writes_everything(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(case, "diagnose", "arm.urdf", "day.csv", "--holdout", "night.csv", "-o", str(tmp_path)) == 0
-    told = capsys.readouterr().out
+@pytest.fixture(scope="module")
+def diagnosed(case: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder that diagnose wrote, and what it printed."""
+    folder, printed = tmp_path_factory.mktemp("diagnosed"), io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert run(case, "diagnose", "arm.urdf", "day.csv", "--holdout", "night.csv", "-o", str(folder)) == 0
+    return folder, printed.getvalue()
+
+
+def test_diagnose_writes_everything(diagnosed: tuple[Path, str]) -> None:
+    folder, told = diagnosed
     assert told.startswith("Missing physics: ")
     assert "Coulomb friction" in told
-    assert str(tmp_path / "report.html") in told.replace("\n", "")
-    diagnosis = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert str(folder / "report.html") in told.replace("\n", "")
+    diagnosis = json.loads((folder / "diagnosis.json").read_text())
     assert diagnosis["schema"] == 1
     assert diagnosis["verdict"] == "missing_physics"
     assert diagnosis["joints"] == ["joint1", "joint2", "joint3"]
@@ -64,13 +74,13 @@ def test_diagnose_writes_everything(case: Path, tmp_path: Path, capsys: pytest.C
     assert finding["where"] == {"recordings": None, "time_s": None, "region": None}
     assert diagnosis["fit"].keys() == {"urdf", "rigid_body", "extended"}
     assert diagnosis["fit"]["extended"]["nmse"].keys() == set(diagnosis["joints"])
-    assert (tmp_path / "report.html").read_text().startswith("<!")
+    assert (folder / "report.html").read_text().startswith("<!")
 
 
-def test_written_urdf_and_model_are_the_fitted_robot(case: Path, tmp_path: Path) -> None:
-    assert run(case, "diagnose", "arm.urdf", "day.csv", "--holdout", "night.csv", "-o", str(tmp_path)) == 0
-    model = torchrbd.load_model(tmp_path / "model.safetensors")
-    from_urdf = torchrbd.RigidBodyDynamics.from_urdf(str(tmp_path / "identified.urdf"))
+def test_written_urdf_and_model_are_the_fitted_robot(diagnosed: tuple[Path, str]) -> None:
+    folder, _ = diagnosed
+    model = torchrbd.load_model(folder / "model.safetensors")
+    from_urdf = torchrbd.RigidBodyDynamics.from_urdf(str(folder / "identified.urdf"))
     assert from_urdf.pi.detach().numpy() == pytest.approx(model.pi.detach().numpy(), rel=1e-9, abs=1e-12)
     assert from_urdf.robot.friction[1] == pytest.approx(0.7, rel=0.1)
 
@@ -84,6 +94,7 @@ def test_second_opinion_on_the_identified_urdf(case: Path, tmp_path: Path) -> No
     assert again.verdict == "consistent"
 
 
+@pytest.mark.usefixtures("fit_alone", "without_joint_figures")
 def test_identify_writes_parameters(case: Path, tmp_path: Path) -> None:
     arguments = (
         "identify",
@@ -105,6 +116,7 @@ def test_identify_writes_parameters(case: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "diagnosis.json").exists()
 
 
+@pytest.mark.usefixtures("fit_alone", "without_joint_figures")
 @pytest.mark.parametrize(("estimator", "sure"), [("wls", False), ("physical", True)])
 def test_identify_says_the_same_on_the_screen_in_the_report_and_in_the_file(
     estimator: str, sure: bool, case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -130,6 +142,7 @@ def test_identify_says_the_same_on_the_screen_in_the_report_and_in_the_file(
     assert ("± –" in page) != sure
 
 
+@pytest.mark.usefixtures("fit_alone", "without_joint_figures")
 def test_names_in_brackets_are_no_markup(case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("arm.urdf", "day.csv"):
         (tmp_path / name).write_text((case / name).read_text().replace("joint2", "j[/b]"))
@@ -194,6 +207,7 @@ def test_compare_estimators_prints_and_writes_a_table(
     assert iv["raw"] is None
 
 
+@pytest.mark.usefixtures("fit_alone", "without_joint_figures")
 def test_configuration_file_gives_options_and_the_command_line_wins(case: Path, tmp_path: Path) -> None:
     (case / "run.yaml").write_text(f"cutoff: 6\nholdout: [{case / 'night.csv'}]\nexclude: joint_spring\n")
     assert (
@@ -205,6 +219,7 @@ def test_configuration_file_gives_options_and_the_command_line_wins(case: Path, 
     assert content["held_out"] == "night.csv"
 
 
+@pytest.mark.usefixtures("fit_alone", "without_joint_figures")
 def test_files_in_a_configuration_are_sought_from_its_folder(
     case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -315,6 +330,7 @@ def test_help_keeps_units(capsys: pytest.CaptureFixture[str]) -> None:
     assert "[N m, N]" in re.sub(r"[\s│]+", " ", capsys.readouterr().out)
 
 
+@pytest.mark.usefixtures("fit_alone", "without_joint_figures")
 @pytest.mark.parametrize(
     "path", sorted((Path(__file__).parent.parent / "configs").glob("run_*.yaml")), ids=lambda p: p.name
 )

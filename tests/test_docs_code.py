@@ -149,12 +149,17 @@ class Runner:
             raise AssertionError(f"{place}: no way to run '{' '.join(words)}'; mark the block")
         self.done.add(tuple(words))
 
-    def diagnose(self, *arguments: Any, **options: Any) -> Any:
-        """Diagnose what was not diagnosed with these arguments yet."""
-        key = repr((arguments, options))
+    def diagnose(self, robot: Any, recordings: Any, *, progress: Any = None, **options: Any) -> Any:
+        """Diagnose what was not diagnosed with these arguments yet, in Python or by a command."""
+        key = repr(_as_text((robot, recordings, sorted(options.items()))))
         if key not in self.diagnoses:
-            self.diagnoses[key] = _DIAGNOSE(*arguments, **options)
+            self.diagnoses[key] = _DIAGNOSE(robot, recordings, **options)
         return self.diagnoses[key]
+
+
+def _as_text(given: Any) -> Any:
+    """Return arguments with paths as text and lists as tuples."""
+    return tuple(map(_as_text, given)) if isinstance(given, list | tuple) else str(given)
 
 
 _DIAGNOSE = torchrbd.diagnose
@@ -166,10 +171,11 @@ def runner(folder: Path) -> Runner:
 
 
 @pytest.fixture
-def reader(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> Runner:
+def reader(runner: Runner, monkeypatch: pytest.MonkeyPatch, fit_alone: None) -> Runner:
     """Return the runner at the start of a page."""
     monkeypatch.chdir(runner.folder)
-    monkeypatch.setattr(torchrbd, "diagnose", runner.diagnose)
+    for module in (torchrbd, torchrbd.diagnosis):
+        monkeypatch.setattr(module, "diagnose", runner.diagnose)
     runner.names = {"__name__": "__main__"}
     out = ("diagnose", "robot.urdf", "monday.csv", "--holdout", "wednesday.csv", "-o", "out")
     runner.command("the folder", ["torchrbd", *out])
@@ -194,6 +200,7 @@ def test_every_block_says_what_it_is(page: Path) -> None:
             assert len(block.why.split()) >= 3, f"{block.place}: say why it does not run"
 
 
+@pytest.mark.usefixtures("without_joint_figures")
 @pytest.mark.parametrize("page", [p for p in PAGES if any(b.language in RUN for b in blocks(p))], ids=named)
 def test_blocks_of_a_page_run(page: Path, reader: Runner) -> None:
     for block in blocks(page):

@@ -12,6 +12,8 @@ from typing import Any
 import pytest
 import torch
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 FOLDER = Path(__file__).parent.parent / "examples" / "pipelines"
 TRUTH = 2.4  # N m at joint3 of the bundled arm
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from inference.problems import urdf_of
+from shortened import without_joint_figures
 from simulated import Motion, joint_names, record
 
 import torchrbd
@@ -35,7 +36,8 @@ def found() -> torchrbd.Diagnosis:
 @pytest.fixture(scope="module")
 def folder(found: torchrbd.Diagnosis, tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("out")
-    write_files(found, made)
+    with without_joint_figures():
+        write_files(found, made)
     return made
 
 

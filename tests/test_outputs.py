@@ -240,20 +240,16 @@ def test_the_lock_of_a_dead_process_is_none(tmp_path: Path) -> None:
     assert letters(tmp_path) == {"x"}
 
 
-def test_a_disk_without_room_is_told_before_the_work(tmp_path: Path) -> None:
+def test_a_disk_without_room_is_told_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A process that may not write large files stands for a full disk."""
     fill(tmp_path, "o")
-    run = python(
-        """
-        import sys
-        from torchrbd.cli import main
-        sys.exit(main(["identify", "no.urdf", "no.csv", "-o", sys.argv[1]]))
-        """,
-        tmp_path,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, 1 << 20)),
-    )
-    _, told = run.communicate()
-    assert run.returncode == 2
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, limits[1]))
+    try:
+        assert main(["identify", "no.urdf", "no.csv", "-o", str(tmp_path)]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    told = capsys.readouterr().err
     assert "cannot be written (File too large); make room or name another" in told
     assert "no.urdf" not in told
     assert letters(tmp_path) == {"o"}

@@ -44,6 +44,7 @@ def check_gears(diagnosis: Diagnosis) -> None:
     assert sorted(named) == [d.joint for d in springs]
 
 
+@pytest.mark.usefixtures("without_simulation")
 def test_emps(folder: Path) -> None:
     """A slide of 95 kg with Coulomb friction of 17 and 24 N and viscous friction of 203 N s/m, as was published."""
     emps = folder / "emps"

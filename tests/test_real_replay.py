@@ -9,7 +9,10 @@ import torchrbd
 from torchrbd.report.files import write_files
 
 FOLDER = data_folder()
-pytestmark = pytest.mark.skipif(FOLDER is None, reason="TORCHRBD_DATA names no folder of real recordings")
+pytestmark = [
+    pytest.mark.skipif(FOLDER is None, reason="TORCHRBD_DATA names no folder of real recordings"),
+    pytest.mark.usefixtures("fit_alone"),
+]
 QUICK = ("emps", "go2_leg", "pendulum", "ur10")
 
 
@@ -27,6 +30,7 @@ def replayed(how: str, name: str, into: Path) -> tuple[torchrbd.Identification, 
     return getattr(result, "identification", result), torchrbd.replay(into, case.holdout or case.recordings).nmse
 
 
+@pytest.mark.usefixtures("without_joint_figures")
 @pytest.mark.parametrize("name", by_time(list(CASES), QUICK))
 def test_identified(name: str, tmp_path: Path) -> None:
     result, nmse = replayed("identify", name, tmp_path)

@@ -14,6 +14,8 @@ import torchrbd
 from torchrbd.recordings import Recording
 from torchrbd.threads import single_threaded
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 URDF = urdf_of(2, 2)
 
 

@@ -195,6 +195,7 @@ def failing(case: Case) -> torch.Tensor:
     raise OptionError("no such thing")
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_small_run_from_end_to_end(capsys):
     chosen = {name: methods()[name] for name in ("URDF as given", "wls", DEFAULT)} | {"broken": failing}
     results = run(chosen, Conditions(recorded_s=12.0, controlled_s=0.3), range(1000, 1001))

@@ -19,6 +19,8 @@ from torchrbd.cli import main
 from torchrbd.inference import many
 from torchrbd.report.text.numbers import number
 
+pytestmark = pytest.mark.usefixtures("fit_alone", "without_joint_figures")
+
 URDF = urdf_of(2, 2)
 FILES = {"parameters.json", "identified.urdf", "model.safetensors", "report.html"}
 

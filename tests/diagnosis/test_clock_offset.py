@@ -8,6 +8,8 @@ from likelihood.fits import OPTIONS, URDF, with_friction
 from torchrbd import Diagnosis, diagnose
 from torchrbd.export import write_diagnosis
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 LATE_S = 0.021
 EFFECTS = ("viscous_friction", "asymmetric_coulomb_friction", "rotor_inertia", "time_delay", "actuator_lag")
 

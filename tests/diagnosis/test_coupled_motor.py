@@ -9,7 +9,14 @@ from simulated import inverse_dynamics, multisine, record, with_wrong_inertials
 import torchrbd
 from torchrbd.recordings import Recording
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 JOINTS, OWN, OTHER = 4, 3, 2
+# What such a motor may be taken for.
+RIVALS = [
+    "coupled_motor", "viscous_friction", "coulomb_friction", "stribeck_friction", "rotor_inertia", "joint_coupling",
+    "joint_spring", "torque_offset",
+]  # fmt: skip
 MOTION = {"duration_s": 20.0, "rate_hz": 125.0}
 
 
@@ -33,11 +40,14 @@ def recorded(urdf: str, seed: int, ratio: float | None) -> tuple[Recording, dict
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(("seed", "ratio"), slow_but([(72, -1.0)], [(71, 1.0), (72, -1.0), (73, 1.0)]))
-def test_a_motor_of_two_joints_is_named_with_its_numbers(seed: int, ratio: float) -> None:
+@pytest.mark.parametrize(
+    ("seed", "ratio", "effects"),
+    slow_but([(72, -1.0, RIVALS)], [(72, -1.0, RIVALS), (71, 1.0, None), (72, -1.0, None), (73, 1.0, None)]),
+)
+def test_a_motor_of_two_joints_is_named_with_its_numbers(seed: int, ratio: float, effects: list[str] | None) -> None:
     urdf = random_urdf(seed, JOINTS, kinds=("revolute",), branching=0.0, massless=0.0)
     recording, truth = recorded(urdf, seed, ratio)
-    found = torchrbd.diagnose(with_wrong_inertials(urdf, seed), recording)
+    found = torchrbd.diagnose(with_wrong_inertials(urdf, seed), recording, effects=effects)
     (one,) = [f for f in found.findings if f.effect == "coupled_motor"]
     assert one.joints == ("joint4", "joint3")
     assert one.parameters["ratio"].value == pytest.approx(ratio)

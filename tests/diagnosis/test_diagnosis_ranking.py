@@ -21,6 +21,8 @@ from torchrbd.inference.settings import Settings
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 EFFECTS = ("viscous_friction", "coulomb_friction", "joint_spring", "rotor_inertia", "payload")
 ARM = random_urdf(5, 2, kinds=("revolute",), branching=0.0, massless=0.0)
 MIXED = random_urdf(3, 3)

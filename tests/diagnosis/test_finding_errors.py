@@ -18,6 +18,8 @@ from torchrbd.diagnosis.results import HELD_OUT, Finding
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.likelihood.columns import Candidate
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 DRAG = "quadratic_drag"
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import t as student
+from shortened import slow_but
 from simulated_fleet import ACCURACY, PI, K, fleet, member
 
 from torchrbd import InputError
@@ -24,7 +25,12 @@ from torchrbd.report.fleet import write_fleet_report
 from torchrbd.report.text.fleet import parameter_name
 
 
-@pytest.mark.parametrize(("n", "scatter", "fewer"), [(6, 0.0, 4), (30, 0.0, 4), (6, 0.1, 9), (8, 0.1, 4), (30, 0.1, 4)])
+@pytest.mark.parametrize(
+    ("n", "scatter", "fewer"),
+    slow_but(
+        [(6, 0.0, 4), (6, 0.1, 9), (30, 0.1, 4)], [(6, 0.0, 4), (30, 0.0, 4), (6, 0.1, 9), (8, 0.1, 4), (30, 0.1, 4)]
+    ),
+)
 def test_fleets_of_equal_robots_raise_no_alarm(n: int, scatter: float, fewer: int) -> None:
     """Guard against regressions: the bound is what these seeds have had, and some more, not the rate.
 

@@ -10,10 +10,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from robot.random_robots import random_urdf
+from shortened import fit_alone
 from simulated import record, with_wrong_inertials
 
 import torchrbd
 from torchrbd import Diagnosis
+
+pytestmark = pytest.mark.usefixtures("fit_alone")
 
 SEED, JOINT = 5, "joint2"
 TRUE = random_urdf(SEED, 3, kinds=("revolute",), branching=0.0, massless=0.0)
@@ -25,7 +28,7 @@ Table = dict[str, np.ndarray]
 def recorded() -> Table:
     """Record the arm with friction at all joints, and a spring at one."""
     found = record(
-        TRUE, SEED, duration_s=30.0, rate_hz=125.0,
+        TRUE, SEED, duration_s=20.0, rate_hz=125.0,
         extra=lambda m: 0.4 * np.sign(m.qd) + 0.5 * m.qd + np.array([0.0, 1.0, 0.0]) * (3.0 * m.q - 1.0),
     )  # fmt: skip
     chunk = next(iter(found.chunks(10**6)))
@@ -51,7 +54,8 @@ def told(diagnosis: Diagnosis) -> dict[tuple[str, tuple[str, ...]], dict[str, tu
 
 @pytest.fixture(scope="module")
 def plain() -> Diagnosis:
-    return torchrbd.diagnose(URDF.encode(), recorded())
+    with fit_alone():
+        return torchrbd.diagnose(URDF.encode(), recorded())
 
 
 def assert_alike(found: Diagnosis, plain: Diagnosis, factors: dict[str, float], tolerance: float) -> None:
@@ -82,6 +86,7 @@ def test_the_sense_of_an_axis(plain: Diagnosis) -> None:
     assert_alike(torchrbd.diagnose(ElementTree.tostring(root), table), plain, {"rest_position": -1.0}, 0.02)
 
 
+@pytest.mark.slow
 def test_how_long_a_second_is(plain: Diagnosis) -> None:
     c = 3.0
     table = {key: c * x if key == "t" else x for key, x in recorded().items()}

@@ -6,9 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 from diagnosis.hanging_arm import URDF, multisine
+from shortened import slow_but
 
 import torchrbd
 from torchrbd.recordings import Recording
+
+pytestmark = pytest.mark.usefixtures("fit_alone")
 
 # The elbow's motor turns by itself; a tendon of limited length holds the link to it.
 MJCF = """<mujoco>
@@ -34,6 +37,11 @@ MJCF = """<mujoco>
   <actuator><motor joint="shoulder"/><motor joint="elbow"/></actuator>
 </mujoco>"""
 INERTIA, SECONDS, RATE_HZ = 0.003, 30.0, 500.0
+# What play may be taken for.
+RIVALS = [
+    "backlash", "joint_elasticity", "rotor_inertia", "viscous_friction", "coulomb_friction", "stribeck_friction",
+    "presliding_hysteresis", "time_delay", "actuator_lag", "joint_spring", "torque_offset",
+]  # fmt: skip
 GAINS, DAMPING = np.array([400.0, 250.0]), np.array([20.0, 8.0])
 
 
@@ -90,6 +98,7 @@ def test_nothing_is_named_in_its_place(play: float) -> None:
     }
 
 
-def test_no_play_is_none() -> None:
-    result = torchrbd.diagnose(URDF, recorded(1e-9))
+@pytest.mark.parametrize("effects", slow_but((RIVALS,), (RIVALS, None)), ids=["rivals", "all"])
+def test_no_play_is_none(effects: list[str] | None) -> None:
+    result = torchrbd.diagnose(URDF, recorded(1e-9), effects=effects)
     assert {f.effect for f in result.findings} == {"rotor_inertia"}

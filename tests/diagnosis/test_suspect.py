@@ -20,6 +20,8 @@ from torchrbd.recordings import Recording
 
 URDF = random_urdf(31, 3, kinds=("revolute",), branching=0.0, massless=0.0)
 NAMES = joint_names(URDF)
+# What the tests add to torques, and what may be taken for it.
+EFFECTS = ["viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction", "joint_spring", "torque_offset"]
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +42,7 @@ def flipped(arrays: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFact
     return folder
 
 
+@pytest.mark.usefixtures("without_simulation", "without_joint_figures")
 @pytest.mark.parametrize("command", ["diagnose", "identify"])
 def test_every_file_says_that_the_input_is_suspect(
     command: str, flipped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -83,6 +86,7 @@ def test_nothing_is_searched_for_in_suspect_input(arrays: dict[str, np.ndarray])
     assert "Suspect input" in diagnosis._repr_html_()  # type: ignore[attr-defined]
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_torques_of_nothing_have_no_findings(arrays: dict[str, np.ndarray]) -> None:
     noise = np.random.default_rng(0).standard_normal(arrays["tau"].shape)
     diagnosis = torchrbd.diagnose(URDF, Recording.from_arrays("day", NAMES, arrays["t"], arrays["q"], noise))
@@ -91,6 +95,7 @@ def test_torques_of_nothing_have_no_findings(arrays: dict[str, np.ndarray]) -> N
     assert "better than a constant" in diagnosis.statement
 
 
+@pytest.mark.usefixtures("fit_alone")
 @pytest.mark.parametrize("worse_than", slow_but(("the plain model",), ("a constant", "the plain model")))
 def test_what_held_out_recordings_contradict_is_not_named(
     arrays: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch, worse_than: str
@@ -101,7 +106,7 @@ def test_what_held_out_recordings_contradict_is_not_named(
     monkeypatch.setattr(diagnose, "is_refuted", lambda *_: True)
     spring = 3.0 * arrays["q"][:, :1] * (np.arange(3) == 0)
     recording = Recording.from_arrays("day", NAMES, arrays["t"], arrays["q"], arrays["tau"] + spring)
-    diagnosis = torchrbd.diagnose(URDF, recording)
+    diagnosis = torchrbd.diagnose(URDF, recording, effects=EFFECTS)
     assert (diagnosis.verdict, diagnosis.findings) == ("unexplained", ())
     (one,) = diagnosis.unexplained
     assert one.joints == (NAMES[0],)
@@ -141,6 +146,7 @@ def test_held_out_time_refutes_what_it_has_less_of_or_is_certain_to_be_worse_wit
     assert refuting.refuted(SimpleNamespace(judging=None), model, asked, there) is is_refuted
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_friction_is_told_where_held_out_time_refutes_all_else(
     arrays: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,13 +154,14 @@ def test_friction_is_told_where_held_out_time_refutes_all_else(
     friction = 0.5 * np.tanh(np.gradient(arrays["q"], arrays["t"], axis=0) / 0.02)
     spring = 3.0 * arrays["q"][:, :1] * (np.arange(3) == 0)
     recording = Recording.from_arrays("day", NAMES, arrays["t"], arrays["q"], arrays["tau"] + friction + spring)
-    diagnosis = torchrbd.diagnose(URDF, recording)
+    diagnosis = torchrbd.diagnose(URDF, recording, effects=EFFECTS)
     assert {f.effect for f in diagnosis.findings} <= {"coulomb_friction", "asymmetric_coulomb_friction"}
     assert {f.joints[0] for f in diagnosis.findings} >= set(NAMES[1:])
     assert "joint_spring" in {f.effect for f in diagnosis.not_confirmed}
     assert "do not improve the prediction of held-out data" in diagnosis.statement
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_a_spring_that_is_gone_on_another_day_is_not_named_but_friction_is(arrays: dict[str, np.ndarray]) -> None:
     """A joint that has ordinary friction may have something unexplained, too."""
     speed = np.gradient(arrays["q"], arrays["t"], axis=0)
@@ -165,9 +172,9 @@ def test_a_spring_that_is_gone_on_another_day_is_not_named_but_friction_is(array
         for name, more in (("day", spring), ("night", 0.0))
     )
     friction = {(effect, (name,)) for effect in ("coulomb_friction", "viscous_friction") for name in NAMES}
-    alone = torchrbd.diagnose(URDF, day)
+    alone = torchrbd.diagnose(URDF, day, effects=EFFECTS)
     assert {(f.effect, f.joints) for f in alone.findings} == {*friction, ("joint_spring", (NAMES[0],))}
-    diagnosis = torchrbd.diagnose(URDF, [day], holdout=[night])
+    diagnosis = torchrbd.diagnose(URDF, [day], holdout=[night], effects=EFFECTS)
     told = {(f.effect, f.joints) for f in diagnosis.findings}
     # What the spring did to the joint's torque is noise now.
     assert {one for one in friction if one[1] != (NAMES[0],)} <= told <= friction

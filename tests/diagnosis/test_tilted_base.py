@@ -7,10 +7,18 @@ moment nothing but the URDF tells: what that has wrong stands beside the tilt as
 from __future__ import annotations
 
 import pytest
+from shortened import slow_but
 from simulated import record
 
 import torchrbd
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
+# What a tilt may be taken for.
+RIVALS = [
+    "base_tilt", "viscous_friction", "coulomb_friction", "torque_offset", "torque_scale", "joint_spring", "payload",
+    "encoder_offset", "geometry_error",
+]  # fmt: skip
 TILT = {"tilt_x": 0.004, "tilt_y": -0.006}
 
 
@@ -34,9 +42,10 @@ def upright_arm(first_centre: float, tilt: dict[str, float] | None = None) -> st
     return f'<robot name="upright">{"".join(links + joints)}</robot>'
 
 
-def test_the_first_bodys_centre_of_mass_is_no_torque_of_its_own() -> None:
+@pytest.mark.parametrize("effects", slow_but((RIVALS,), (RIVALS, None)), ids=["rivals", "all"])
+def test_the_first_bodys_centre_of_mass_is_no_torque_of_its_own(effects: list[str] | None) -> None:
     recording = record(upright_arm(0.06, TILT), 4, duration_s=20.0, rate_hz=125.0, torque_noise=2e-3)
-    result = torchrbd.diagnose(upright_arm(0.02), recording)
+    result = torchrbd.diagnose(upright_arm(0.02), recording, effects=effects)
     (found,) = result.findings
     assert found.effect == "base_tilt"
     for name, true in TILT.items():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from inference.problems import urdf_of
 from report.fabricated import ranking
+from shortened import fit_alone
 from simulated import record, with_wrong_inertials
 
 from torchrbd.diagnosis.results import (
@@ -34,7 +35,8 @@ URDF = urdf_of(4, 4)
 
 @pytest.fixture(scope="module")
 def found() -> Identification:
-    return identify(with_wrong_inertials(URDF, 1), record(URDF, 4))
+    with fit_alone():
+        return identify(with_wrong_inertials(URDF, 1), record(URDF, 4))
 
 
 def read(path: Path) -> dict:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from robot.random_robots import random_urdf
+from shortened import fit_alone, without_simulation
 from simulated import joint_names, record
 
 from torchrbd.cli import main
@@ -18,12 +19,15 @@ from torchrbd.inference import Fit, compare_estimators, identify
 from torchrbd.inference.data.bodies import fixed_base
 from torchrbd.inference.many import identify_many
 from torchrbd.inference.preparation import prepare
+from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.verdict import verdict_of
 from torchrbd.recordings import Recording
 from torchrbd.report.text.numbers import number
 from torchrbd.report.text.verdict import CHECK_INPUT, headline
 from torchrbd.robot import RobotModel
+
+pytestmark = pytest.mark.usefixtures("without_simulation")
 
 BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 URDF = random_urdf(31, 3, kinds=("revolute",), branching=0.0, massless=0.0)
@@ -45,25 +49,36 @@ def test_right_input_is_not_doubted(arrays: dict[str, np.ndarray]) -> None:
     assert notes(arrays, qd=np.gradient(arrays["q"], arrays["t"], axis=0)) == ""
 
 
-def test_degrees(arrays: dict[str, np.ndarray]) -> None:
-    told = notes(arrays, q=np.rad2deg(arrays["q"]))
+@pytest.fixture(scope="module")
+def degrees(arrays: dict[str, np.ndarray]) -> Identification:
+    with without_simulation():
+        table = {**arrays, "q": np.rad2deg(arrays["q"])}
+        return identify(URDF, Recording.from_arrays("day", joint_names(URDF), **table), effects=[])
+
+
+def test_degrees(degrees: Identification) -> None:
+    told = "\n".join((*degrees.doubts, *degrees.notes))
     assert re.search(
         r"day is faster than the URDF allows: .*joint3 134 rad/s \(limit 5\S*\)\. Check the units of q and t", told
     )
     assert re.search(r"more than ten times off at joint\d.*\. Check the units", told)
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_velocity_that_is_not_the_derivative(arrays: dict[str, np.ndarray]) -> None:
     qd = np.gradient(arrays["q"], arrays["t"], axis=0)
     qd[:, 1] = np.rad2deg(qd[:, 1])
     assert "qd_joint2 is 57.3 times dq/dt and not used" in notes(arrays, qd=qd)
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_bad_samples(arrays: dict[str, np.ndarray]) -> None:
     q, tau = arrays["q"].copy(), arrays["tau"].copy()
     q[3000, 0] += 40.0
     tau[2000, 2] = 1e6
-    told = notes(arrays, q=q, tau=tau)
+    found = identify(URDF, Recording.from_arrays("day", joint_names(URDF), arrays["t"], q, tau), effects=[])
+    told = "\n".join((*found.doubts, *found.notes))
+    assert found.verdict == "suspect"
     assert "q_joint1 jumps" in told
     assert "tau_joint3 peaks at 1e+06" in told
 
@@ -100,17 +115,19 @@ def test_held_out_data_that_are_predicted_worse(arrays: dict[str, np.ndarray], t
     assert all(name in told for name in names)
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_masses_that_no_link_has(arrays: dict[str, np.ndarray]) -> None:
     assert "fitted masses are far from the URDF's: link" in notes(arrays, tau=30.0 * arrays["tau"])
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_masses_of_several_links_may_be_those_of_another_variant(arrays: dict[str, np.ndarray]) -> None:
     """Of one link alone they are not."""
     recording = Recording.from_arrays("day", joint_names(URDF), **arrays)
     far = {}
     for count in (1, 3):
         heavy = re.sub(r'<mass value="([^"]+)"', lambda m: f'<mass value="{12.0 * float(m[1])}"', URDF, count=count)
-        (far[count],) = (doubt for doubt in identify(heavy, recording).doubts if "masses are far" in doubt)
+        (far[count],) = (doubt for doubt in identify(heavy, recording, effects=[]).doubts if "masses are far" in doubt)
     assert far[3].endswith("or the URDF of another variant of the robot")
     assert "variant" not in far[1]
 
@@ -136,16 +153,15 @@ def test_verdict(urdf: tuple[float, ...], last: tuple[float, ...], doubts: tuple
     assert verdict_of(fits, doubts, suspect=True) == "suspect"
 
 
-def test_a_gain_over_an_absurd_urdf_is_no_praise(arrays: dict[str, np.ndarray]) -> None:
+def test_a_gain_over_an_absurd_urdf_is_no_praise(arrays: dict[str, np.ndarray], degrees: Identification) -> None:
     """The verdict comes first: a table in degrees lowers the error by more than 99 % and means nothing."""
-    degrees = Recording.from_arrays("day", joint_names(URDF), **{**arrays, "q": np.rad2deg(arrays["q"])})
-    found = identify(URDF, degrees)
-    first, more = headline(found)
-    assert found.verdict == "suspect"
-    assert found.fits["urdf"].mean_nmse > 100 * list(found.fits.values())[-1].mean_nmse
+    first, more = headline(degrees)
+    assert degrees.verdict == "suspect"
+    assert degrees.fits["urdf"].mean_nmse > 100 * list(degrees.fits.values())[-1].mean_nmse
     assert first == CHECK_INPUT
     assert "in degrees" in more
-    right = identify(URDF, Recording.from_arrays("day", joint_names(URDF), **arrays))
+    with fit_alone():
+        right = identify(URDF, Recording.from_arrays("day", joint_names(URDF), **arrays), effects=[])
     assert "lowers" in " ".join(headline(replace(right, fits={"urdf": fit(0.5, 0.5), "rigid_body": fit(0.1, 0.1)})))
     for urdf, last, words in (
         ((300.0, 0.5), (0.1, 0.1), "Check the units: the URDF's torque is more than ten times off at a."),
@@ -160,9 +176,10 @@ def test_a_gain_over_an_absurd_urdf_is_no_praise(arrays: dict[str, np.ndarray]) 
         assert "lowers" not in told
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_a_fit_that_is_no_better_than_a_constant_is_suspect(arrays: dict[str, np.ndarray]) -> None:
     tau = np.random.default_rng(5).permutation(arrays["tau"])
-    found = identify(URDF, Recording.from_arrays("day", joint_names(URDF), **{**arrays, "tau": tau}))
+    found = identify(URDF, Recording.from_arrays("day", joint_names(URDF), **{**arrays, "tau": tau}), effects=[])
     assert found.verdict == "suspect"
     assert "no better than a constant" in headline(found)[0]
     assert found.doubts
@@ -191,6 +208,7 @@ def test_a_urdf_without_masses_ends_with_exit_code_two(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_a_link_without_mass_is_a_note(arrays: dict[str, np.ndarray]) -> None:
     one = re.sub(r"(<link name=\"link3\">)\s*<inertial>.*?</inertial>", r"\1", URDF, flags=re.DOTALL)
     found = identify(one, Recording.from_arrays("day", joint_names(URDF), **arrays))
@@ -230,6 +248,7 @@ def test_a_trunk_on_legs_is_taken_as_fixed_and_that_is_told(urdf: bytes, told: b
     assert all("the base 'trunk' is taken as fixed to the world, and 2 limbs move on it" in str(one) for one in words)
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_a_base_is_doubted_where_the_torques_do_not_fit() -> None:
     urdf = legs().decode()
     (chunk,) = record(urdf, 7, duration_s=20.0).chunks(10**6)
@@ -243,6 +262,7 @@ def test_a_base_is_doubted_where_the_torques_do_not_fit() -> None:
     assert told.statement in walks.doubts
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_little_explained_on_held_out_data_alone(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
     """The held-out torque of one joint is another's: the fit is fine, what it predicts is not."""
     names = joint_names(URDF)
@@ -257,6 +277,7 @@ def test_little_explained_on_held_out_data_alone(arrays: dict[str, np.ndarray], 
     assert found.verdict == "doubtful"
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_stated_position_noise_that_the_recording_does_not_show(arrays: dict[str, np.ndarray]) -> None:
     q = arrays["q"] + 1e-4 * np.random.default_rng(1).standard_normal(arrays["q"].shape)
     recording = Recording.from_arrays("day", joint_names(URDF), **{**arrays, "q": q})
@@ -272,6 +293,7 @@ def test_stated_position_noise_that_the_recording_does_not_show(arrays: dict[str
     assert identify(URDF, recording, encoder_noise=1.5e-4).doubts == ()
 
 
+@pytest.mark.usefixtures("fit_alone")
 def test_smoothing_finds_the_position_noise_itself(arrays: dict[str, np.ndarray]) -> None:
     q = arrays["q"] + 3e-3 * np.random.default_rng(2).standard_normal(arrays["q"].shape)
     recording = Recording.from_arrays("day", joint_names(URDF), **{**arrays, "q": q})

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from inference.problems import urdf_of
-from shortened import slow_but
+from shortened import fit_alone, slow_but
 from simulated import Motion, joint_names, record, with_wrong_inertials
 
 from torchrbd.effects import effect
@@ -24,6 +24,8 @@ from torchrbd.parameters import base_parameters, is_physical
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 URDF = urdf_of(4, 4)
 WRONG = with_wrong_inertials(URDF, 1)
 
@@ -35,7 +37,8 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def found(recording: Recording) -> Identification:
-    return identify(WRONG, recording, effects=[])
+    with fit_alone():
+        return identify(WRONG, recording, effects=[])
 
 
 def saved(recording: Recording, path: Path, *, torque_scale: float = 1.0) -> Path:

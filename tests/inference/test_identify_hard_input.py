@@ -18,6 +18,8 @@ from torchrbd.parameters import is_physical
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 URDF = urdf_of(0, 4)
 ROBOT = RobotModel.from_urdf(URDF)
 

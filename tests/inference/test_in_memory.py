@@ -17,6 +17,8 @@ from torchrbd.inference.settings import Settings
 from torchrbd.recordings import Recording, listed_sources
 from torchrbd.robot import RobotModel
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 URDF = urdf_of(2, 4)
 GIVEN = with_wrong_inertials(URDF, 1)
 MOTION = {"duration_s": 12.0, "rate_hz": 125.0}

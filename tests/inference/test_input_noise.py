@@ -17,6 +17,8 @@ from torchrbd.likelihood.equations import scaled_equations
 from torchrbd.parameters import base_parameters, is_physical
 from torchrbd.robot import RobotModel
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 URDF = development_robots(2)["random1"]
 
 

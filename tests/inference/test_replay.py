@@ -27,6 +27,8 @@ from torchrbd.likelihood.reading import Reading
 from torchrbd.model import OTHERS, Condition, Reported, RigidBodyDynamics
 from torchrbd.recordings import Filtering, Recording, survey
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 EFFECTS = [pytest.param(e, id=e.id) for e in known_effects().values()]
 # More rows than a tile has.
 CUTOFF_HZ, RATE_HZ, DURATION_S = 5.0, 500.0, 10.0

@@ -17,6 +17,8 @@ from torchrbd import RobotModel
 from torchrbd.errors import RecordingError
 from torchrbd.inference.results import Identification
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 # The URDF's friction, off by a fifth: what joints at rest are to keep.
 GIVEN = {name: {"damping": 1.2 * d, "friction": 0.8 * c} for name, d, c in zip(JOINTS, VISCOUS, COULOMB, strict=True)}
 # Frictions that no data tell apart are as wide as their prior; those that are told err by chance and by the filter.

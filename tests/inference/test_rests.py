@@ -13,6 +13,8 @@ from vision_head.motion import Motion
 
 import torchrbd
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 SEED, COULOMB, VISCOUS, RATE_HZ = 5, 0.4, 0.5, 125.0
 NOISE = np.array([0.5, 0.3, 0.15])
 TRUE = random_urdf(SEED, 3, kinds=("revolute",), branching=0.0, massless=0.0)

@@ -26,6 +26,8 @@ from torchrbd.recordings import Filtering, Recording
 from torchrbd.recordings.recording import Chunk
 from torchrbd.robot import RobotModel
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 URDF = urdf_of(15, 3)
 GIVEN = with_wrong_inertials(URDF, 16)
 JOINTS = joint_names(URDF)

@@ -52,7 +52,7 @@ def payload(m: Motion) -> np.ndarray:
     return (loaded - inverse_dynamics(URDF, m)) * (m.t >= BEGIN_S)[:, None]
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def fitted(more: Torque | None = None, gain: float = 1.0, delay_s: float = 0.0, seed: int = 2) -> Likelihood:
     """Return what is learnt of a recording of an arm whose URDF is wrong by a tenth."""
     robot = wrong_robot(URDF, 1)

@@ -3,11 +3,14 @@
 import re
 from dataclasses import replace
 
+import pytest
 from report.fabricated import curve, diagnosis, with_friction
 from report.rendered import Text, render, tidy
 
 from torchrbd.diagnosis.results import Alternative, Law, Quantity, Region, Where
 from torchrbd.report.text.numbers import number
+
+pytestmark = pytest.mark.usefixtures("without_joint_figures")
 
 
 def test_finding_says_what_where_and_how_sure(tmp_path):
@@ -19,7 +22,7 @@ def test_finding_says_what_where_and_how_sure(tmp_path):
         Coulomb friction at joint2 | 1.000 ± 0.024 N m | 98 % | c sign(qd) | {before} → {after} | in hold.csv |
         4.0 to 7.0 s | Stribeck friction | cannot distinguish it from Stribeck friction. |
         Unexplained at joint2 | 42 % |
-        q_joint1 from −0.1 to 0.3 | where a finding holds | position of joint1 [rad]
+        q_joint1 from −0.1 to 0.3
     """
     for part in map(str.strip, parts.split("|")):
         assert part in text

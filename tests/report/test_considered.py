@@ -15,6 +15,8 @@ from torchrbd.report.considered import nats
 from torchrbd.report.text.hypotheses import misfit_sentence
 from torchrbd.report.text.names import words_of
 
+pytestmark = pytest.mark.usefixtures("without_joint_figures")
+
 JOINTS = ("joint1", "joint2", "slide")
 RIPPLE = Ranked("torque_ripple", ("joint1",), (), 33.0, {"amplitude": 1.0})
 

@@ -116,6 +116,7 @@ def test_torques_keep_their_impulse_and_positions_their_course() -> None:
     assert float(found["tau"].sum()) * 5e-3 == pytest.approx(impulse, abs=1e-8)
 
 
+@pytest.mark.usefixtures("without_joint_figures")
 def test_the_report_marks_what_is_no_better_than_coasting(tmp_path: Path) -> None:
     names = ("joint1", "slide")
 

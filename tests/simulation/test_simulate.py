@@ -17,6 +17,8 @@ from torchrbd.cli import main
 from torchrbd.effects import Site, Term, effect
 from torchrbd.model import RigidBodyDynamics
 
+pytestmark = pytest.mark.usefixtures("fit_alone")
+
 URDF = random_urdf(21, 2, kinds=("revolute", "prismatic"), branching=0.0, massless=0.0)
 
 

@@ -40,10 +40,14 @@ def write_report(result: Identification | Diagnosis, path: str | Path) -> None:
     """
     page = Page(result)
     templates = environment()
-    templates.filters |= {"part_left": part_left, "signal_words": page.pictures.words_of}
+    templates.filters |= {"part_left": part_left, "signal_words": _signal_words}
     with page_style():
         text = templates.get_template("report.html.j2").render(page=page)
     write_whole(Path(path), text.encode())
+
+
+def _signal_words(signal: str, pictures: Pictures) -> str:
+    return pictures.words_of(signal)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -10,8 +11,9 @@ from torchrbd.report.text.names import parameter_words
 from torchrbd.report.text.numbers import change, measure, number, plain, probability, sentence, tied, unit, with_unit
 
 
+@cache
 def environment() -> Environment:
-    """Return where templates are found, with filters for numbers and sentences."""
+    """Return where templates are found, with filters for numbers and sentences; each template is compiled once."""
     found = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
