@@ -9,7 +9,7 @@ import pytest
 from likelihood.arms import Torque, recorded, rows_of, wrong_robot
 from likelihood.fits import COULOMB, OPTIONS, URDF, VISCOUS, WIDTH, at_joint, with_friction
 from scipy.stats import multivariate_normal
-from simulated import joint_names, record
+from simulated import joint_names, record, with_wrong_inertials
 
 import torchrbd
 from torchrbd.diagnosis.friction import Friction, ordinary_friction
@@ -194,3 +194,15 @@ def test_a_diagnosis_predicts_offsets_as_an_identification_does() -> None:
     joint = joint_names(URDF)[0]
     before, after = (each.fits["extended"].nmse[joint] for each in (identified, diagnosed.identification))
     assert after < 1.02 * before
+
+
+def test_an_offset_costs_nothing_where_there_is_none() -> None:
+    """It has the prior of the drift's level, so that it does not absorb gravity."""
+    options = {**OPTIONS, "duration_s": 12.0, "extra": with_friction()}
+    wrong, one = with_wrong_inertials(URDF, 3), record(URDF, 2, **options)
+    other = record(URDF, 3, name="other", **options)
+    with_it, without = (
+        torchrbd.diagnose(wrong, one, holdout=other, effects=effects).identification.fits["extended"]
+        for effects in ([*ALL, "torque_offset"], ALL)
+    )
+    assert with_it.mean_nmse < 1.02 * without.mean_nmse

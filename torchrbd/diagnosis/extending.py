@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.friction import Friction, ordinary_friction, weighed_given
+from torchrbd.diagnosis.friction import OFFSET, Friction, ordinary_friction, weighed_given
 from torchrbd.diagnosis.residual import has_friction
 from torchrbd.diagnosis.sharpening import known_shapes
 from torchrbd.diagnosis.terms import Explanation
@@ -92,6 +92,9 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     for t in found.terms:
         at, std = (t.own.candidate.effect.id, t.own.candidate.site), t.own.extra(found.fit, found.rows).std
         believed[at] = np.maximum(std, believed.get(at, 0.0))
+    # The level of the drift, which these offsets are, has its size.
+    offsets = [f.candidate.site for f in friction if f.candidate.effect.id == OFFSET]
+    believed |= {(OFFSET, at): given.hyper.drift[np.array([at.joint])] for at in offsets}
     prepared = replace(prepared, believed=believed, known_shapes=known_shapes(found.fit, found.rows, own))
     own = [columns.candidate(c.effect, c.site, c.shape) for c in own]
     early = (*(f.candidate for f in friction), *(c for c in own if not has_friction(c)))
