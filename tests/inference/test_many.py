@@ -25,6 +25,7 @@ from torchrbd.robot import RobotModel
 URDF = urdf_of(2, 2)
 GIVEN = with_wrong_inertials(URDF, 1).encode()
 OPTIONS = {"effects": [], "cutoff_hz": 5.0}
+pytestmark = pytest.mark.usefixtures("without_simulation")
 
 
 class OwnFriction(ViscousFriction):

@@ -88,6 +88,7 @@ def test_the_other_design_of_the_double_pendulum(design: str, urdf: str) -> None
     assert float(length) == pytest.approx(0.2, abs=0.02)
 
 
+@pytest.mark.slow
 def test_identify_doubts_what_it_fits_to_another_variant() -> None:
     true = noisy_robots.development_robots()["random0"]
     recording, _ = noisy_robots.noisy_recording(true, 0)
