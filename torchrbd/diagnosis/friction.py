@@ -6,7 +6,8 @@ directions, so that nothing is searched. Where a law that was found has the same
 other. Both the coefficients alone and the sums then have to differ from the URDF.
 
 The likelihood has a level of the torque, too: the slowest part of its drift. A model that leaves it out predicts worse
-than least squares with an offset. The level is therefore a torque offset of the model, certain or not.
+than least squares with an offset. The level is therefore a torque offset of the model, and no finding: only the search
+finds offsets, which are larger.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit
 
-from torchrbd.diagnosis.hypotheses import SHARED, carried, hypothesis_of
-from torchrbd.diagnosis.posterior import LIKELY, log_odds, probability_of
+from torchrbd.diagnosis.hypotheses import SHARED
+from torchrbd.diagnosis.posterior import LIKELY, probability_of
 from torchrbd.effects import Site, effect
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood
@@ -38,7 +39,7 @@ class Friction:
     Attributes:
         candidate: the term.
         log_evidence: against what the URDF says.
-        probability: that the URDF is wrong there.
+        probability: that the URDF is wrong there; 0 of an offset, which the search judges.
         law: probability that directions differ, or do not, as the term has it.
     """
 
@@ -80,7 +81,7 @@ def ordinary_friction(
             found_as[OFFSET] = 1.0
         for name, law in found_as.items():
             candidate = columns.candidate(effect(name), Site(j), {})
-            found.append(weighed_given(Friction(candidate, 0.0, 0.0, law), fit, columns.robot, laws))
+            found.append(weighed_given(Friction(candidate, -math.inf, 0.0, law), fit, columns.robot, laws))
     return tuple(found)
 
 
@@ -89,18 +90,9 @@ def weighed_given(one: Friction, fit: Likelihood, robot: RobotModel, laws: Seque
     name, joint = one.candidate.effect.id, one.candidate.joint
     assert joint is not None
     if name == OFFSET:
-        evidence, probability = _offset(fit, joint)
-    else:
-        evidence = _evidence(fit, robot, name, joint, laws)
-        probability = probability_of(evidence)
-    return replace(one, log_evidence=evidence, probability=probability)
-
-
-def _offset(fit: Likelihood, joint: int) -> tuple[float, float]:
-    """Return evidence and probability of an offset that is larger than the level of the drift, as the search does."""
-    rows = carried(fit)
-    found = hypothesis_of(fit, rows, rows.columns.candidate(effect(OFFSET), Site(joint), {}))
-    return (-math.inf, 0.0) if found is None else (found.log_evidence, float(expit(log_odds(found, rows))))
+        return one
+    evidence = _evidence(fit, robot, name, joint, laws)
+    return replace(one, log_evidence=evidence, probability=probability_of(evidence))
 
 
 def _evidence(fit: Likelihood, robot: RobotModel, name: str, joint: int, laws: Sequence[Candidate]) -> float:
