@@ -69,6 +69,7 @@ def assert_alike(found: Diagnosis, plain: Diagnosis, factors: dict[str, float], 
             assert abs(seen[place][name][0] - factor * value) < tolerance * abs(factor) * std, (place, name)
 
 
+@pytest.mark.slow
 def test_units_of_force(plain: Diagnosis) -> None:
     table = {key: x * (1000.0 if key.startswith("tau") else 1.0) for key, x in recorded().items()}
     found = torchrbd.diagnose(with_inertia(1000.0), table)

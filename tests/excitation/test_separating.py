@@ -213,6 +213,7 @@ def diagnosis() -> Diagnosis:
         return torchrbd.diagnose(arm_urdf(friction=False), [recording])
 
 
+@pytest.mark.slow
 def test_alternatives_come_with_their_parameters(diagnosis: Diagnosis) -> None:
     found = [a for f in diagnosis.findings for a in f.indistinguishable_from]
     offset = next(a for a in found if a.effect == "torque_offset" and a.joints == ("joint2",))

@@ -101,6 +101,7 @@ def test_a_bad_recording_does_not_stop_the_others(recordings: list[Recording], t
     assert told[-1][0] == "identified 2 of 3, 1 failed"
 
 
+@pytest.mark.slow
 def test_each_recording_may_have_its_robot(recordings: list[Recording], tmp_path: Path) -> None:
     other = RobotModel.from_urdf(with_wrong_inertials(URDF, 2).encode(), gravity=(0.0, 0.0, -9.81))
     robots = [GIVEN, other, tmp_path / "leg.urdf"]

@@ -72,6 +72,7 @@ def test_what_is_fitted_is_the_sum(case: Path, made: list[Path], monkeypatch: py
         assert bool((a == b).all())
 
 
+@pytest.mark.slow
 def test_one_file_is_in_memory_at_a_time(
     case: Path, made: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -42,6 +42,7 @@ def recording() -> torchrbd.Recording:
     )
 
 
+@pytest.mark.slow
 def test_what_the_file_tells_is_known(recording: torchrbd.Recording, tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(arm(0.4, 20.0, 4.0))
     found = torchrbd.identify(tmp_path / "arm.xml", recording)

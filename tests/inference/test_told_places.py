@@ -64,6 +64,7 @@ def test_places_that_do_not_exist_are_told(given: str, message: str, arm: Truth)
         identify(arm.given, arm.recording(0.0 * arm.rigid), effects=given)
 
 
+@pytest.mark.slow
 def test_an_effect_that_cannot_show_is_told(arm: Truth) -> None:
     m, still = arm.motion, arm.motion.q.copy()
     still[:, 1] = 0.3

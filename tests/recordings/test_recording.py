@@ -148,6 +148,7 @@ def test_notes_name_what_is_left_aside(tmp_path):
     assert said == ["qd is not used: it is there for some joints only", "columns not used: mood"]
 
 
+@pytest.mark.slow
 def test_memory_stays_bounded(tmp_path):
     """A Parquet file of one huge row group streams in far less memory than it holds."""
     count = 400_000
