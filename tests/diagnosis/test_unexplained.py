@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,8 +23,9 @@ from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import HeldOutCheck, Unexplained, Where
-from torchrbd.diagnosis.unexplained import _drifting, _loud, large_errors, one_entry, unexplained
+from torchrbd.diagnosis.unexplained import _loud, drifts, large_errors, one_entry, unexplained
 from torchrbd.effects.smooth_torque import HUM
+from torchrbd.inference.identify import summarise
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
 from torchrbd.inference.preparation import prepare
@@ -155,10 +155,11 @@ def test_a_torque_that_wanders_is_told_though_noise_could_pass_for_it() -> None:
         return WALK * np.interp(m.t, 0.5 * np.arange(60), (steps - steps.mean()) / steps.std())
 
     model = diagnosed(at_joint(0, walk))
-    found = model.found
-    (one,) = unexplained(model)
+    assert unexplained(model) == ()
+    series = summarise(model.prepared, {"extended": model.model}, Settings.from_mapping({}, "test"), quiet).series
+    (one,) = drifts(series, model.prepared.robot)
     assert (one.joints, one.depends_on) == ((FIRST,), ("t",))
-    assert float(np.std(found.fit.part(0, found.fit.machine.wandering(0)))) == pytest.approx(WALK, rel=0.3)
+    assert one.sizes["torque_rms"] == pytest.approx(WALK, rel=0.3)
     assert 0.5 < one.share < 1.0
 
 
@@ -219,19 +220,29 @@ def test_a_curve_is_loud_around_its_largest_departure(torque: list[float], expec
     assert _loud(np.arange(float(len(torque))), np.array(torque, dtype=float)) == expected
 
 
-@pytest.mark.parametrize(("level", "told"), [(1.0, True), (0.02, False)], ids=["drifts", "next to nothing"])
-def test_drift_is_as_large_as_where_it_is_measured(level: float, told: bool) -> None:
-    """A recording that lacks the torque does not make the drift of the others smaller."""
-    measured = np.arange(100)[None] < 25
-    drift = np.where(measured[0], level, 0.0)
-    fit = SimpleNamespace(
-        machine=SimpleNamespace(wandering=lambda j: None, torque_rms=np.array([4.0])),
-        part=lambda j, at: drift,
-        hyper=SimpleNamespace(noise=(SimpleNamespace(std=0.5 * level),)),
-    )
-    columns = SimpleNamespace(robot=RobotModel.from_urdf(URDF))
-    rows = SimpleNamespace(seen=[True, False], measured=measured, columns=columns)
-    assert [one.share for one in _drifting(SimpleNamespace(fit=fit, rows=rows))] == [pytest.approx(0.8)] * told
+@pytest.mark.parametrize(
+    ("torque", "told"),
+    [
+        (lambda t: 0.5 * np.cos(0.1 * np.pi * t), True),
+        (lambda t: 0.02 * np.cos(0.1 * np.pi * t), False),
+        (lambda t: 2.0 * (np.arange(len(t)) % 25 < 2) * (-1.0) ** np.arange(len(t)), False),
+        (lambda t: 0.5 + 0.0 * t, False),
+    ],
+    ids=["drifts", "next to nothing", "spikes", "a level"],
+)
+def test_drift_is_slow_in_the_residual_that_is_reported(torque: Callable[[np.ndarray], np.ndarray], told: bool) -> None:
+    """Where it is measured: the other recording lacks this torque."""
+    rng, t = np.random.default_rng(0), np.tile(0.1 * np.arange(200), 2)
+    recording, none = np.repeat([0, 1], 200), np.zeros((400, 1))
+    left = (torque(t) + 0.1 * rng.standard_normal(400))[:, None]
+    measured = np.where(recording[:, None] == 0, left + 4.0 * np.sin(3.0 * t)[:, None], np.nan)
+    series = TorqueSeries(
+        (FIRST,), ("a", "b"), recording, t, np.zeros(400, bool), none, none, none, measured,
+        {"extended": measured - left},
+    )  # fmt: skip
+    found = list(drifts(series, RobotModel.from_urdf(URDF)))
+    assert len(found) == told
+    assert all(one.sizes["torque_rms"] == pytest.approx(0.5 / math.sqrt(2.0), rel=0.1) for one in found)
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,9 @@ from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.results import TorqueSeries
 from torchrbd.likelihood.columns import Candidate
+from torchrbd.likelihood.machine import DRIFT_HZ, MOST_DRIFT
+from torchrbd.likelihood.noise import drift_basis
+from torchrbd.robot import RobotModel
 from torchrbd.robot.units import torque_unit
 
 # A function acts where it is above this part of its largest departure from its middle.
@@ -38,8 +41,8 @@ _LASTS = 2.0
 
 
 def unexplained(extended: Extended) -> tuple[Unexplained, ...]:
-    """Return torques that no known effect explains: smooth functions, tones and drift."""
-    return (*functions(extended), *tones(extended.found), *_drifting(extended.found))
+    """Return torques that no known effect explains: smooth functions and tones."""
+    return (*functions(extended), *tones(extended.found))
 
 
 def one_entry(found: Sequence[Unexplained]) -> tuple[Unexplained, ...]:
@@ -72,13 +75,22 @@ def tones(found: Explanation) -> list[Unexplained]:
     return [_tone(found, term.own) for term in found.terms if term.own.candidate.effect is HUM]
 
 
-def _drifting(found: Explanation) -> Iterator[Unexplained]:
-    """Yield joints whose torque wanders with time by more than their noise explains."""
-    fit, robot = found.fit, found.rows.columns.robot
-    for j in np.flatnonzero(found.rows.seen).tolist():
-        wandering = fit.part(j, fit.machine.wandering(j))[found.rows.measured[j]]
-        drift, noise, name = float(np.sqrt(np.mean(wandering**2))), fit.hyper.noise[j].std, robot.joint_names[j]
-        if math.hypot(drift, noise) > _LARGER * noise and drift > LEAST_TORQUE * fit.machine.torque_rms[j]:
+def drifts(series: TorqueSeries, robot: RobotModel) -> Iterator[Unexplained]:
+    """Yield joints where the residual of the extended model, on fitted data, wanders by more than the rest of it.
+
+    The part that wanders is the projection on the lowest frequencies of each recording, without their levels.
+    """
+    residual = series.residual(EXTENDED)
+    for j, name in enumerate(series.joints):
+        rows = ~series.held_out & np.isfinite(residual[:, j])
+        if not rows.any():
+            continue
+        left = residual[rows, j]
+        basis, order = drift_basis(series.t[rows], series.recording[rows], DRIFT_HZ, MOST_DRIFT)
+        w = np.linalg.lstsq(basis.T, left, rcond=None)[0]
+        drift, noise = (float(np.sqrt(np.mean(x**2))) for x in (w[order > 0] @ basis[order > 0], left - w @ basis))
+        torque = float(np.sqrt(np.mean(series.measured[rows, j] ** 2)))
+        if math.hypot(drift, noise) > _LARGER * noise and drift > LEAST_TORQUE * torque:
             share, sizes, unit = drift**2 / (drift**2 + noise**2), {"torque_rms": drift}, torque_unit(robot, j)
             yield Unexplained((name,), ("t",), Where(), share, kind="drift", sizes=sizes, unit=unit)
 

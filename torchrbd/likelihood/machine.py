@@ -88,7 +88,7 @@ _WIDTH_STD, _WIDTH_STEP = 0.5, 1.1
 # Number of cached widths of sign changes, the most recent ones.
 _MOST_DIRECTIONS = 256
 # Highest frequency of drift [Hz], and largest number of its cosines per recording.
-_DRIFT_HZ, _MOST_DRIFT = 0.1, 12
+DRIFT_HZ, MOST_DRIFT = 0.1, 12
 # A joint counts as sticking below these multiples of its velocity's error: it creeps, and its friction is unknown.
 STICKS = (1.0, 3.0, 10.0)
 ORDINARY = ("viscous", "coulomb_plus", "coulomb_minus")
@@ -116,7 +116,7 @@ class Machine:
         self.torque_rms = np.sqrt((rows.tau**2).sum(1) / np.maximum(rows.measured.sum(1), 1))
         self.speed_rms = np.sqrt(np.mean(rows.qd**2, axis=1))
         self.moving = moving(rows.qd, rows.block, rows.columns.slow.numpy())
-        self._drift, self._drift_order = drift_basis(rows.t, rows.recording, _DRIFT_HZ, _MOST_DRIFT)
+        self._drift, self._drift_order = drift_basis(rows.t, rows.recording, DRIFT_HZ, MOST_DRIFT)
         self._local = len(ORDINARY) + 4 + len(STICKS) + _ROUNDING + len(self._drift)
         self._inside = [rows.recording == k for k in np.unique(rows.recording)]
         # Bodies that a joint does not move have no columns there.
