@@ -6,7 +6,7 @@ OUT ?= demo-report
 TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 CONCEALED = concealed/dev $(if $(TORCHRBD_DATA),concealed/real)
 
-.PHONY: demo test pytest lint types docs slow check concealed-dev clean
+.PHONY: demo test pytest lint types docs slow golden check concealed-dev clean
 
 demo: .venv/base
 	$(BIN)/torchrbd demo -o $(OUT)
@@ -21,6 +21,10 @@ pytest: .venv/test
 
 slow: .venv/test
 	$(TESTS) -m slow
+
+# What diagnoses of some 40 fixed cases say, as before: tests/golden.
+golden: .venv/test
+	$(TESTS) tests/golden -m ''
 
 check: lint types
 	$(BIN)/python -m pytest tests/test_architecture.py
