@@ -11,10 +11,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import torchrbd
 from golden.cases import CASES, Case
 from golden.contents import contents, differences
 from golden.counters import counters
+
+import torchrbd
 
 EXPECTED = Path(__file__).parent / "expected"
 
