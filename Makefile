@@ -11,10 +11,9 @@ CONCEALED = concealed/dev $(if $(TORCHRBD_DATA),concealed/real)
 demo: .venv/base
 	$(BIN)/torchrbd demo -o $(OUT)
 
-# Types and docs take a core each, then the tests take all.
+# The notebooks of the docs use one core at a time: the tests fill the others.
 test: .venv/dev
-	$(MAKE) --jobs 2 --output-sync lint types docs
-	$(MAKE) pytest
+	$(MAKE) --jobs 4 --output-sync=line lint types docs pytest
 
 pytest: .venv/test
 	$(TESTS)
