@@ -13,7 +13,7 @@ demo: .venv/base
 
 # The notebooks of the docs use one core at a time: the tests fill the others.
 test: .venv/dev
-	$(MAKE) --jobs 4 --output-sync=line lint types docs pytest
+	$(MAKE) --jobs 4 lint types docs pytest
 
 pytest: .venv/test
 	$(TESTS)
