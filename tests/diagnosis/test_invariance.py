@@ -95,6 +95,7 @@ def test_how_long_a_second_is(plain: Diagnosis) -> None:
     assert_alike(found, plain, {"viscous": c}, 1.5)
 
 
+@pytest.mark.slow
 def test_the_torque_of_a_joint_that_does_not_count(plain: Diagnosis) -> None:
     found = told(torchrbd.diagnose(URDF.encode(), recorded(), joints=["joint1", JOINT]))
     expected = {place: value for place, value in told(plain).items() if "joint3" not in place[1]}

@@ -111,6 +111,7 @@ def test_each_recording_may_have_its_robot(recordings: list[Recording], tmp_path
         assert same(one.result(), torchrbd.identify(robot, recording, **OPTIONS))
 
 
+@pytest.mark.slow
 def test_gravity_is_that_of_every_robot_given_by_its_urdf(recordings: list[Recording]) -> None:
     options = OPTIONS | {"gravity": (0.0, 9.81, 0.0)}
     (found,) = identify_many(GIVEN, recordings[0], **options)
