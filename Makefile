@@ -21,7 +21,7 @@ pytest: .venv/test
 slow: .venv/test
 	$(TESTS) -m slow
 
-# What diagnoses of some 40 fixed cases say, as before: tests/golden.
+# Diagnoses of fixed cases say what they said before: tests/golden.
 golden: .venv/test
 	$(TESTS) tests/golden -m ''
 

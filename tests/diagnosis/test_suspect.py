@@ -104,7 +104,8 @@ def test_what_held_out_recordings_contradict_is_not_named(
     diagnose, told = import_module("torchrbd.diagnosis.diagnose"), iter((worse_than == "a constant", False))
     monkeypatch.setattr(diagnose, "tells_nothing", lambda *_: next(told))
     monkeypatch.setattr(diagnose, "is_refuted", lambda *_: True)
-    spring = 3.0 * arrays["q"][:, :1] * (np.arange(3) == 0)
+    # The offset of the plain model takes a part of it.
+    spring = 4.0 * arrays["q"][:, :1] * (np.arange(3) == 0)
     recording = Recording.from_arrays("day", NAMES, arrays["t"], arrays["q"], arrays["tau"] + spring)
     diagnosis = torchrbd.diagnose(URDF, recording, effects=EFFECTS)
     assert (diagnosis.verdict, diagnosis.findings) == ("unexplained", ())
@@ -112,8 +113,7 @@ def test_what_held_out_recordings_contradict_is_not_named(
     assert one.joints == (NAMES[0],)
     if worse_than == "a constant":
         assert "Held-out data does not confirm it." in one.statement
-        # The plain model has an offset, which takes a part of the spring's torque.
-        assert one.share > 0.89
+        assert one.share > 0.9
     else:
         assert one.depends_on == (f"q_{NAMES[0]}",)
         assert one.share > 0.9

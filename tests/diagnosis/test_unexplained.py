@@ -23,7 +23,7 @@ from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import HeldOutCheck, Unexplained, Where
-from torchrbd.diagnosis.unexplained import _loud, drifts, large_errors, one_entry, unexplained
+from torchrbd.diagnosis.unexplained import _loud, drifts, large_errors, merge_errors, unexplained
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.identify import summarise
 from torchrbd.inference.ordinary import with_friction as friction_of
@@ -280,7 +280,7 @@ def test_the_error_of_a_joint_is_said_where_its_residual_is() -> None:
     tone = Unexplained((FIRST,), ("t",), Where(), 0.1, kind="tone", sizes={"low": 1.0, "high": 2.0, "frequency": 3.0})
     error = Unexplained((FIRST,), (), Where(), 1.0, kind="error", sizes={"nmse": 0.05})
     larger = Unexplained((SECOND,), (), Where(), 0.5, kind="larger error", sizes={"ratio": 2.0})
-    first, second, third = one_entry((curve, tone, error, larger))
+    first, second, third = merge_errors((curve, tone, error, larger))
     assert (second, third) == (tone, larger)
     assert first == replace(curve, sizes={"torque_rms": 3.0, "nmse": 0.05})
     assert first.statement == (
@@ -288,11 +288,11 @@ def test_the_error_of_a_joint_is_said_where_its_residual_is() -> None:
         "correlated errors."
     )
     drift = Unexplained((SECOND,), ("t",), Where(), 0.3, kind="drift", sizes={"torque_rms": 0.3})
-    (only,) = one_entry((larger, drift))
+    (only,) = merge_errors((larger, drift))
     assert only.statement == (
         f"{drift.statement} The error of {SECOND} on held-out data is 2.00 times that of the fitted data."
     )
-    assert one_entry((error, larger)) == (error, larger)
+    assert merge_errors((error, larger)) == (error, larger)
     assert "No known effect and no function" in error.statement
 
 
@@ -300,6 +300,6 @@ def test_a_joint_with_a_curve_has_one_card_and_its_error(tmp_path: Path) -> None
     result = fabricated.diagnosis((FIRST, SECOND))
     (curve,) = result.unexplained
     error = Unexplained(curve.joints, (), Where(), 1.0, kind="error", sizes={"nmse": 0.05})
-    page = render(replace(result, unexplained=one_entry((curve, error))), tmp_path)
+    page = render(replace(result, unexplained=merge_errors((curve, error))), tmp_path)
     assert page.count(f"<h3>Unexplained at {curve.joints[0]}") == 1
     assert "5 % of the torque variance" in " ".join(Text(page).words)

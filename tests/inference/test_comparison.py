@@ -48,8 +48,8 @@ def test_rows_are_the_urdf_and_those_asked_for_once(compared: EstimatorCompariso
 def assert_same(one: Fit | None, other: Fit) -> None:
     """Sums over threads may differ in their last digits."""
     assert one is not None
-    assert one.nmse == pytest.approx(other.nmse, rel=1e-9)
-    assert one.rmse == pytest.approx(other.rmse, rel=1e-9)
+    assert one.nmse == pytest.approx(other.nmse, rel=1e-10)
+    assert one.rmse == pytest.approx(other.rmse, rel=1e-10)
 
 
 def test_errors_are_those_of_the_held_out_blocks(compared: EstimatorComparison, recordings: list[Recording]) -> None:

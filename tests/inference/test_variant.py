@@ -26,9 +26,14 @@ def suspected(robot, recordings, **options) -> tuple[Suspicion, ...]:
     return suspicions(prepare(*read_arguments(robot, recordings, options, "test"), ())).found
 
 
-@pytest.mark.xfail(reason="the length behind joint7 joins them since friction has signs", strict=False)
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(0, marks=pytest.mark.xfail(reason="the length behind joint7 joins them since friction has signs")),
+        1,
+    ],
+)
 def test_two_links_of_another_variant_are_told_with_their_lengths(seed: int) -> None:
     true = noisy_robots.development_robots()[f"random{seed}"]
     recording, _ = noisy_robots.noisy_recording(true, seed)

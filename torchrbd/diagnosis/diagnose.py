@@ -24,7 +24,7 @@ from torchrbd.diagnosis.rows.weighing import weighed
 from torchrbd.diagnosis.simplifying import simplified
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect
-from torchrbd.diagnosis.unexplained import drifts, large_errors, one_entry, only_where_fitted, tones, unexplained
+from torchrbd.diagnosis.unexplained import drifts, large_errors, merge_errors, only_where_fitted, tones, unexplained
 from torchrbd.effects import Site, effect
 from torchrbd.effects.registry import PLAIN
 from torchrbd.errors import OptionError
@@ -150,8 +150,8 @@ def diagnose(
     findings = with_springs(findings, springs)
     proof = held_out_checks(identification.series, identification.cutoff_hz)
     nameless = (*unexplained(model), *drifts(identification.series, identification.robot))
-    explaining = {joint for one in (*(() if plainly else findings), *nameless) for joint in one.joints}
-    rest = one_entry((*alone, *nameless, *large_errors(identification.series, proof, explaining)))
+    explained_joints = {joint for one in (*(() if plainly else findings), *nameless) for joint in one.joints}
+    rest = merge_errors((*alone, *nameless, *large_errors(identification.series, proof, explained_joints)))
     if plainly:
         known = {joint for one in rest for joint in one.joints}
         rest = (*rest, *(one for one in only_where_fitted(full, model) if one.joints[0] not in known))

@@ -45,7 +45,7 @@ def unexplained(extended: Extended) -> tuple[Unexplained, ...]:
     return (*functions(extended), *tones(extended.found))
 
 
-def one_entry(found: Sequence[Unexplained]) -> tuple[Unexplained, ...]:
+def merge_errors(found: Sequence[Unexplained]) -> tuple[Unexplained, ...]:
     """Return the same with the held-out error of a joint in the first other entry of that joint, if there is one.
 
     Of itself the error says how large it is, and that nothing explains it.
