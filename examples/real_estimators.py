@@ -22,7 +22,7 @@ from rich.progress import track
 
 import torchrbd
 from torchrbd import EstimatorComparison
-from torchrbd.inference.results import Fit
+from torchrbd.inference.torque_error import Fit
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import results_file

@@ -6,7 +6,8 @@ import pytest
 from report.fabricated import diagnosis, with_friction
 
 from torchrbd.cli.tables import print_diagnosis
-from torchrbd.diagnosis.results import Alternative, Diagnosis, Where
+from torchrbd.diagnosis.diagnosis import Diagnosis
+from torchrbd.diagnosis.results import Alternative, Where
 
 LONG = tuple(f"l_very_long_name_of_a_joint_{i}" for i in range(1, 6))
 

@@ -14,7 +14,8 @@ from robot.random_robots import random_urdf
 from simulated import Motion, inverse_dynamics, joint_names, multisine
 
 import torchrbd
-from torchrbd.diagnosis.ranking import Ranking, ranking
+from torchrbd.diagnosis.ranked import Ranking
+from torchrbd.diagnosis.ranking import searched
 from torchrbd.errors import RecordingError
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
@@ -61,7 +62,7 @@ def prepared(urdf: str, recordings: Sequence[Recording], **options: Any) -> tupl
 
 def ranked(urdf: str, recordings: Sequence[Recording], **options: Any) -> Ranking:
     found, settings = prepared(urdf, recordings, **options)
-    return ranking(found.reading, settings, found.kept_back, lambda *_: None)
+    return searched(found.reading, settings, found.kept_back, lambda *_: None).ranking
 
 
 def test_a_diagnosis_has_a_ranking_of_what_is_not_held_out() -> None:

@@ -12,11 +12,11 @@ from likelihood.arms import recorded
 from likelihood.fits import BEGIN_S, MASS, OPTIONS, URDF, candidate, payload, with_friction
 from simulated import with_wrong_inertials
 
+from torchrbd.diagnosis import ranking
 from torchrbd.diagnosis.decisions import NO_CHANGE
 from torchrbd.diagnosis.explain import _Fits
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.hypotheses import Hypothesis
-from torchrbd.diagnosis.ranking import ranking
 from torchrbd.diagnosis.results import OWN_TIME, Finding, Where
 from torchrbd.diagnosis.search import Explanation, Term
 from torchrbd.effects import Site, Window
@@ -40,7 +40,7 @@ def searched(torque: Callable | None) -> tuple[Explanation, Callable[[Explanatio
     second = recorded(URDF, 3, with_friction(), name="second", **{**OPTIONS, "duration_s": 10.0})
     settings = Settings.from_mapping({"effects": MAY, "holdout": [second]}, "test")
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [first], settings, ())
-    ranked = ranking(prepared.reading, settings, prepared.kept_back, quiet)
+    ranked = ranking.searched(prepared.reading, settings, prepared.kept_back, quiet)
     prepared = with_machine(prepared, settings, friction_of(settings), quiet, ranked.clocks)
     return ranked.explanation, lambda found: extended(prepared, found, MAY, quiet)
 

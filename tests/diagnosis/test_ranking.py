@@ -10,7 +10,8 @@ from likelihood.arms import recorded
 from likelihood.fits import DELAY_S, OPTIONS, URDF, at_joint, fitted, with_friction
 from simulated import joint_names, with_wrong_inertials
 
-from torchrbd.diagnosis.ranking import Ranking, _of_all, rank_hypotheses
+from torchrbd.diagnosis.ranked import Ranking
+from torchrbd.diagnosis.ranking import _of_all, rank_hypotheses
 from torchrbd.effects.registry import known_effects
 from torchrbd.errors import InputError
 from torchrbd.likelihood.clocks import Clocks

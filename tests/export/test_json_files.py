@@ -11,18 +11,8 @@ from report.fabricated import ranking
 from shortened import fit_alone
 from simulated import record, with_wrong_inertials
 
-from torchrbd.diagnosis.results import (
-    Alternative,
-    Curve,
-    Diagnosis,
-    Finding,
-    Law,
-    Quantity,
-    Ratio,
-    Region,
-    Unexplained,
-    Where,
-)
+from torchrbd.diagnosis.diagnosis import Diagnosis
+from torchrbd.diagnosis.results import Alternative, Curve, Finding, Law, Quantity, Ratio, Region, Unexplained, Where
 from torchrbd.display import Remark
 from torchrbd.export import write_parameters
 from torchrbd.export.json_files import write_comparison, write_diagnosis

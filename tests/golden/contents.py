@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from torchrbd import Diagnosis, Finding
-from torchrbd.diagnosis.ranking import Ranked
+from torchrbd.diagnosis.ranked import Ranked
 from torchrbd.diagnosis.results import Quantity
 from torchrbd.inference.results import BaseParameterEstimate
 

@@ -17,9 +17,9 @@ from torchrbd.diagnosis import diagnose
 from torchrbd.errors import RobotError
 from torchrbd.inference import Fit, compare_estimators, identify
 from torchrbd.inference.data.bodies import fixed_base
+from torchrbd.inference.identification import Identification
 from torchrbd.inference.many import identify_many
 from torchrbd.inference.preparation import prepare
-from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.verdict import verdict_of
 from torchrbd.recordings import Recording

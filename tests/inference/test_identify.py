@@ -15,10 +15,10 @@ from simulated import Motion, joint_names, record, with_wrong_inertials
 
 from torchrbd.effects import effect
 from torchrbd.errors import InputError, OptionError, RecordingError
+from torchrbd.inference.identification import Identification
 from torchrbd.inference.identify import identify
 from torchrbd.inference.physical.fitting import judge, predict
 from torchrbd.inference.preparation import prepare
-from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
 from torchrbd.parameters import base_parameters, is_physical
 from torchrbd.recordings import Recording

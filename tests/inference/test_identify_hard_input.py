@@ -12,8 +12,8 @@ from shortened import slow_but
 from simulated import record
 
 from torchrbd.errors import InputError
+from torchrbd.inference.identification import Identification
 from torchrbd.inference.identify import identify
-from torchrbd.inference.results import Identification
 from torchrbd.parameters import is_physical
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel

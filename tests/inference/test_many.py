@@ -17,8 +17,8 @@ import torchrbd
 from torchrbd.effects import registry
 from torchrbd.effects.viscous_friction import ViscousFriction
 from torchrbd.errors import OptionError, RecordingError, RobotError
+from torchrbd.inference.identification import Identification
 from torchrbd.inference.many import Outcome, identify_and, identify_many
-from torchrbd.inference.results import Identification
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

@@ -15,7 +15,7 @@ from shortened import slow_but
 import torchrbd
 from torchrbd import RobotModel
 from torchrbd.errors import RecordingError
-from torchrbd.inference.results import Identification
+from torchrbd.inference.identification import Identification
 
 pytestmark = pytest.mark.usefixtures("fit_alone")
 

@@ -17,8 +17,8 @@ from simulated import Motion, inverse_dynamics, joint_names, multisine, record, 
 
 import torchrbd
 from torchrbd.errors import InputError
+from torchrbd.inference.identification import Identification
 from torchrbd.inference.preparation import prepare
-from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.smoothing.stretch import Stretch, stretches
 from torchrbd.parameters import is_physical

@@ -6,20 +6,15 @@ from typing import Any, cast
 
 import numpy as np
 
-from torchrbd.diagnosis.ranking import Ranked, Ranking
-from torchrbd.diagnosis.results import Alternative, Curve, Diagnosis, Finding, Quantity, Region, Unexplained, Where
+from torchrbd.diagnosis.diagnosis import Diagnosis
+from torchrbd.diagnosis.ranked import Ranked, Ranking
+from torchrbd.diagnosis.results import Alternative, Curve, Finding, Quantity, Region, Unexplained, Where
 from torchrbd.display import Remark
-from torchrbd.inference.results import (
-    BaseParameterEstimate,
-    Fit,
-    Identification,
-    JointNoise,
-    NoiseRegime,
-    ParameterEstimate,
-    TorqueSeries,
-)
+from torchrbd.inference.identification import Identification
+from torchrbd.inference.results import BaseParameterEstimate, JointNoise, NoiseRegime, ParameterEstimate, TorqueSeries
+from torchrbd.inference.torque_error import Fit
 from torchrbd.inference.verdict import verdict_of
-from torchrbd.likelihood.misspecification import Misfit
+from torchrbd.likelihood.misfit import Misfit
 
 HEADLINE = "The URDF lacks Coulomb friction at joint2 (in hold.csv, 4.0 to 7.0 s)."
 
@@ -135,7 +130,7 @@ def ranking(joints: tuple[str, ...], adopted: tuple[Ranked, ...] = ()) -> Rankin
     misfit = {
         joint: Misfit(2.0 + 40.0 * (joint == joints[-1]), 3, 4e-9 if joint == joints[-1] else 0.57) for joint in joints
     }
-    return Ranking(15.0, ordinary, delay, first, adopted, first, 42, misfit, cast(Any, None), cast(Any, None))
+    return Ranking(15.0, ordinary, delay, first, adopted, first, 42, misfit, cast(Any, None))
 
 
 def curve(signal: str) -> Curve:

@@ -8,9 +8,9 @@ from report.fabricated import diagnosis, ranking
 from report.rendered import Text, render, tidy
 
 from torchrbd.cli.tables import print_diagnosis
-from torchrbd.diagnosis.ranking import Ranked
-from torchrbd.diagnosis.results import Diagnosis
-from torchrbd.likelihood.misspecification import Misfit
+from torchrbd.diagnosis.diagnosis import Diagnosis
+from torchrbd.diagnosis.ranked import Ranked
+from torchrbd.likelihood.misfit import Misfit
 from torchrbd.report.considered import nats
 from torchrbd.report.text.hypotheses import misfit_sentence
 from torchrbd.report.text.names import words_of

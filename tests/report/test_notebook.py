@@ -10,7 +10,7 @@ from report.rendered import Text, tidy
 
 from torchrbd.diagnosis.results import Finding
 from torchrbd.display import Remark
-from torchrbd.inference.results import Fit
+from torchrbd.inference.torque_error import Fit
 from torchrbd.inference.verdict import verdict_of
 
 JOINTS = tuple(f"joint{i + 1}" for i in range(7))

@@ -20,12 +20,12 @@ import torchrbd
 from torchrbd.cli import main
 from torchrbd.cli.app import app
 from torchrbd.cli.tables import print_diagnosis, print_identification
+from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.results import (
     OWN_TIME,
     Alternative,
     Attack,
     Deflection,
-    Diagnosis,
     Finding,
     HeldOutCheck,
     Location,
@@ -43,7 +43,7 @@ from torchrbd.excitation.conditioning import ConditionNumbers
 from torchrbd.inference.posterior.experiments import Motion
 from torchrbd.inference.posterior.identifiability import Identifiability
 from torchrbd.inference.results import NoiseRegime
-from torchrbd.likelihood.misspecification import Misfit
+from torchrbd.likelihood.misfit import Misfit
 from torchrbd.report.text.console import (
     AS_RECORDED,
     FAVOURED,

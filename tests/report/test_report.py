@@ -10,7 +10,8 @@ from report.fabricated import HEADLINE, diagnosis, identification
 from report.rendered import Text, render
 from shortened import slow_but
 
-from torchrbd.diagnosis.results import Diagnosis, HeldOutCheck, Ratio
+from torchrbd.diagnosis.diagnosis import Diagnosis
+from torchrbd.diagnosis.results import HeldOutCheck, Ratio
 from torchrbd.display import Remark
 from torchrbd.inference.verdict import verdict_of
 from torchrbd.report.text.numbers import change, number, sentence

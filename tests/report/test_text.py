@@ -9,10 +9,10 @@ import pytest
 from report.fabricated import diagnosis
 
 from torchrbd.diagnosis.changes.results import Difference
+from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.results import (
     OWN_TIME,
     Alternative,
-    Diagnosis,
     Finding,
     NextEffect,
     Quantity,

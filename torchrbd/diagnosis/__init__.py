@@ -3,14 +3,15 @@
 from torchrbd.diagnosis.changes.compare import compare
 from torchrbd.diagnosis.changes.results import Change, Comparison, Difference
 from torchrbd.diagnosis.diagnose import diagnose
-from torchrbd.diagnosis.ranking import Ranked, Ranking, rank_hypotheses
+from torchrbd.diagnosis.diagnosis import Diagnosis
+from torchrbd.diagnosis.ranked import Ranked, Ranking
+from torchrbd.diagnosis.ranking import rank_hypotheses
 from torchrbd.diagnosis.results import (
     Alternative,
     Attack,
     Curve,
     Deflection,
     DetectionLimit,
-    Diagnosis,
     Finding,
     Location,
     Quantity,

@@ -14,11 +14,11 @@ from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.explain import LARGEST_PROBABILITY
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.posterior import LIKELY, prior_log_odds, probabilities
-from torchrbd.diagnosis.ranking import Ranked, Ranking
+from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Where
 from torchrbd.effects import effect
+from torchrbd.inference.identification import Identification
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.results import Identification
 from torchrbd.inference.series import torque_series
 from torchrbd.likelihood.clocks import of_one_machine
 

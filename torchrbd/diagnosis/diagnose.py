@@ -9,15 +9,16 @@ from torchrbd.deadline import is_over, time_limited
 from torchrbd.diagnosis.clock_offset import clock_offset
 from torchrbd.diagnosis.deflection import joint_deflections
 from torchrbd.diagnosis.detection_limits import detection_limits
+from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.explain import explain, likeliest_left, reported
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.held_out_checks import held_out_checks
 from torchrbd.diagnosis.locate import locate
 from torchrbd.diagnosis.negligible import is_negligible
 from torchrbd.diagnosis.posterior import refit_matters
-from torchrbd.diagnosis.ranking import ranking, without_terms
+from torchrbd.diagnosis.ranking import searched, without_terms
 from torchrbd.diagnosis.refuting import friction_alone, functions_alone, is_refuted, shown_of, what_counts
-from torchrbd.diagnosis.results import Diagnosis, Finding, Location, ResidualMap, Unexplained, strongest_first
+from torchrbd.diagnosis.results import Finding, Location, ResidualMap, Unexplained, strongest_first
 from torchrbd.diagnosis.rows.regression import fitted
 from torchrbd.diagnosis.rows.samples import read_samples
 from torchrbd.diagnosis.rows.weighing import weighed
@@ -118,31 +119,31 @@ def diagnose(
     suspected = suspicions(prepared)
     if suspected.settles:
         return suspect(prepared, settings, progress, suspected)
-    ranked = ranking(prepared.reading, settings, prepared.kept_back, progress)
-    found, may = ranked.explanation, [e.id for e in settings.chosen_effects()]
-    asked, prepared = prepared, with_machine(prepared, settings, with_friction(settings), progress, ranked.clocks)
+    search = searched(prepared.reading, settings, prepared.kept_back, progress)
+    found, may = search.explanation, [e.id for e in settings.chosen_effects()]
+    asked, prepared = prepared, with_machine(prepared, settings, with_friction(settings), progress, search.clocks)
     progress("fitting what was found", 0.0)
     model = simplified(extended(prepared, found, may, progress), prepared, may, progress)
     found = model.found
     worthless = tells_nothing(model.prepared, model.model)
     if worthless and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
-        return suspect(asked, settings, progress, suspected, ranked)
-    explained, alone, base = explain(model), (), ranked
+        return suspect(asked, settings, progress, suspected, search.ranking)
+    explained, alone, base = explain(model), (), search
     full, plainly = explained.model, worthless or is_refuted(explained, asked)
     if plainly and explained.apart and not worthless:
         # Bodies and friction may have absorbed the opposite of the effects that are not confirmed.
         explained = what_counts(explained)
         plainly = not explained.model.terms or is_refuted(explained, asked)
     if plainly:
-        base = without_terms(ranked, settings.chosen_effects())
+        base = without_terms(search, settings.chosen_effects())
         explained = friction_alone(asked, explained, base, settings, progress)
-        alone = (*tones(found), *(() if worthless else functions_alone(asked, ranked, settings, progress)))
+        alone = (*tones(found), *(() if worthless else functions_alone(asked, search, settings, progress)))
     there = None if plainly else shown_of(explained.model)
     findings, not_confirmed, model = explained.findings, explained.not_confirmed, explained.model
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = joint_deflections(model.prepared, model.model)
-    late = clock_offset(base, model, identification)
+    late = clock_offset(base.ranking, model, identification)
     if late is not None and is_negligible(late, model):
         not_confirmed = strongest_first((*not_confirmed, late))
     elif late is not None:
@@ -172,7 +173,7 @@ def diagnose(
         springs,
         simulations,
         proof,
-        ranking=reported(ranked, model),
+        ranking=reported(search, model),
         not_confirmed=not_confirmed,
         held_out_ratio=there if findings else None,
         refuted=plainly,

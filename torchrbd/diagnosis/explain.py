@@ -18,7 +18,8 @@ from torchrbd.diagnosis.held_out_checks import held_out_ratio
 from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, whole
 from torchrbd.diagnosis.negligible import contradicted, is_negligible, split_negligible, with_errors
 from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds, probability_of
-from torchrbd.diagnosis.ranking import Ranked, Ranking
+from torchrbd.diagnosis.ranked import Ranked, Ranking
+from torchrbd.diagnosis.ranking import Searched
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import (
     HELD_OUT,
@@ -357,11 +358,12 @@ def reciprocal(q: Quantity) -> Quantity:
     return replace(q, value=math.nan, std=math.nan, at_least=1.0 / (max(c, 0.0) + _ONE_SIDED * std))
 
 
-def reported(ranked: Ranking, extended: Extended) -> Ranking:
+def reported(searched: Searched, extended: Extended) -> Ranking:
     """Return a ranking whose adopted hypotheses have the parameters of the model that is reported."""
     final = {(c.effect.id, c.site): c for c in extended.terms}
     known = dict[tuple[object, ...], dict[str, float]]()
-    for one, term in zip(ranked.adopted, ranked.explanation.terms, strict=True):
+    ranked = searched.ranking
+    for one, term in zip(ranked.adopted, searched.explanation.terms, strict=True):
         c = term.own.candidate
         now = final.get((c.effect.id, c.site))
         if now is not None:

@@ -1,10 +1,11 @@
-"""What was considered: the physics that the likelihood asks for, before anything is named and after."""
+"""Search: the physics that the likelihood asks for, and what else was considered, before anything is named."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,11 @@ import torch
 
 from torchrbd.deadline import time_limited
 from torchrbd.diagnosis.hypotheses import Hypothesis, carried, hypothesis_of, whole
+from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.screening import is_clocks
 from torchrbd.diagnosis.search import explained
 from torchrbd.diagnosis.terms import Explanation
 from torchrbd.diagnosis.weighing import with_own_noise
-from torchrbd.display import brief, few
 from torchrbd.effects import Effect, Site, Window
 from torchrbd.effects.registry import effect
 from torchrbd.errors import RecordingError
@@ -28,7 +29,8 @@ from torchrbd.likelihood.band import band_hz
 from torchrbd.likelihood.clocks import Clocks, in_band
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import ORDINARY_EFFECTS
-from torchrbd.likelihood.misspecification import MISFIT, Misfit, TwoEstimates
+from torchrbd.likelihood.misfit import Misfit
+from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.rows import KeptBack, not_held_out
 from torchrbd.options import Names, Payload, given
@@ -41,105 +43,18 @@ _SHOWN = 30
 
 
 @dataclass(frozen=True)
-class Ranked:
-    """One hypothesis of a ranking.
+class Searched:
+    """A search, and the same as a result.
 
     Attributes:
-        effect: its id.
-        joints, links: where; both empty if it acts on the whole robot.
-        log_evidence: against leaving it out, in nats, averaged over shapes, sizes and windows of time.
-        parameters: physical ones, by name, SI units.
-        other: the joint on whose motion it depends, if that is another one.
-        window: recording, from and to [s], where it acts for a time.
-        shape: nonlinear parameters.
-    """
-
-    effect: str
-    joints: tuple[str, ...]
-    links: tuple[str, ...]
-    log_evidence: float
-    parameters: dict[str, float]
-    other: str | None = None
-    window: tuple[str, float, float] | None = None
-    shape: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def place(self) -> tuple[object, ...]:
-        """Effect and place, and when it acts."""
-        return self.effect, self.joints, self.links, self.other, self.window
-
-
-@dataclass(frozen=True)
-class Ranking:
-    """Hypotheses by their log evidence, best first.
-
-    Attributes:
-        band_hz: up to which torques were compared.
-        ordinary: baseline friction of each joint: evidence against leaving it out. Where ``misfit`` says that its law
-            is wrong, coefficients are those of plain least squares, which predict.
-        delay_s: by recording, how much later the torque is than the motion, given what was adopted, and its standard
-            deviation.
-        first: given a rigid body with baseline friction.
-        adopted: those that were taken into the model, one after the other.
-        last: given these; the adopted ones among them, each against leaving it out.
-        considered: number of effects at their places.
-        misfit: by joint, whether whitened rows and plain least squares agree on its friction (Hausman's test).
+        ranking: all that was considered.
         clocks: the model that estimates the delays.
-        explanation: what was found, with all that was considered.
+        explanation: what was found.
     """
 
-    band_hz: float
-    ordinary: tuple[Ranked, ...]
-    delay_s: dict[str, tuple[float, float]]
-    first: tuple[Ranked, ...]
-    adopted: tuple[Ranked, ...]
-    last: tuple[Ranked, ...]
-    considered: int
-    misfit: dict[str, Misfit]
-    clocks: Clocks = field(repr=False)
-    explanation: Explanation = field(repr=False)
-
-    def __repr__(self) -> str:
-        best = [
-            f"{one.effect} at {', '.join((*one.joints, *one.links)) or 'whole robot'}: {one.log_evidence:.3g}"
-            for one in self.first
-        ]
-        return brief(self, considered=self.considered, adopted=len(self.adopted), band_hz=self.band_hz, first=few(best))
-
-    def evidence_of(
-        self,
-        effect_id: str | None = None,
-        joints: Sequence[str] = (),
-        links: Sequence[str] = (),
-        shape: Mapping[str, Any] | None = None,
-        window: tuple[str, float, float] | None = None,
-        **more: Any,
-    ) -> float:
-        """Return the log evidence of one given hypothesis, averaged over its size; the noise is learnt with it.
-
-        Args:
-            effect_id: of the effect; ``effect`` does as well.
-            joints, links: where; all joints, or none, for the whole robot.
-            shape: nonlinear parameters; ``other`` in it names the joint on whose motion the effect depends.
-            window: recording, from and to [s].
-        """
-        rows, base = self.explanation.rows, self.explanation.base
-        robot = rows.columns.robot
-        known = dict(shape or {})
-        other = known.pop("other", None)
-        everywhere = len(joints) == robot.n_dof > 1
-        site = Site(
-            joint=robot.joint_names.index(joints[0]) if joints and not everywhere else None,
-            other=None if other is None else robot.joint_names.index(other),
-            body=robot.body_names.index(links[0]) if links else None,
-            window=None if window is None else Window(*window),
-        )
-        e = effect(effect_id or more["effect"])
-        if is_clocks(e, site, rows):
-            return next((h.log_evidence for h in self.first if (h.effect, h.joints) == (e.id, ())), 0.0)
-        candidate = rows.columns.candidate(e, site, known)
-        one = hypothesis_of(base, rows, candidate)
-        return -math.inf if one is None else with_own_noise(base, rows, one).log_evidence
+    ranking: Ranking
+    clocks: Clocks
+    explanation: Explanation
 
 
 @time_limited
@@ -215,11 +130,11 @@ def rank_hypotheses(
     def kept_back(name: str, t: torch.Tensor) -> torch.Tensor:
         return torch.full((len(t),), name in held)
 
-    return ranking(reading, settings, kept_back, progress)
+    return searched(reading, settings, kept_back, progress).ranking
 
 
-def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress: Progress) -> Ranking:
-    """Rank effects on recordings that have been opened.
+def searched(reading: Reading, settings: Settings, kept_back: KeptBack, progress: Progress) -> Searched:
+    """Search among effects on recordings that have been opened.
 
     Args:
         reading: how they are read; its cut-off does not matter unless the settings name one.
@@ -245,22 +160,22 @@ def ranking(reading: Reading, settings: Settings, kept_back: KeptBack, progress:
             f"{names}: below {band:.3g} Hz the torques and motions have no regression ({error}); look for constant or "
             "repeated channels, or choose another cut-off"
         ) from error
-    return _ranking(found, band, replace(clocks, fit=found.fit), effects)
+    return _searched(found, band, replace(clocks, fit=found.fit), effects)
 
 
-def without_terms(ranked: Ranking, effects: Sequence[Effect]) -> Ranking:
-    """Return a ranking as it is of a search that has found nothing: clocks are those of the base.
+def without_terms(searched: Searched, effects: Sequence[Effect]) -> Searched:
+    """Return a search as it is if it has found nothing: clocks are those of the base.
 
     Args:
-        ranked: of a search that has.
+        searched: with what was found.
         effects: what may be there.
     """
-    before = ranked.explanation
+    before = searched.explanation
     found = replace(before, fit=before.base, rows=carried(before.base), terms=(), last=before.first)
-    return _ranking(found, ranked.band_hz, replace(ranked.clocks, fit=before.base), effects)
+    return _searched(found, searched.ranking.band_hz, replace(searched.clocks, fit=before.base), effects)
 
 
-def _ranking(found: Explanation, band: float, clocks: Clocks, effects: Sequence[Effect]) -> Ranking:
+def _searched(found: Explanation, band: float, clocks: Clocks, effects: Sequence[Effect]) -> Searched:
     fit, robot = found.base, found.rows.columns.robot
     late = _of_all(clocks, effects)
 
@@ -272,18 +187,46 @@ def _ranking(found: Explanation, band: float, clocks: Clocks, effects: Sequence[
     seen = [j for j in range(robot.n_dof) if fit.machine.rows.seen[j]]
     misfit = {robot.joint_names[j]: two.test(fit.machine.ordinary(j)) for j in seen}
     own = [term.own for term in found.terms]
-    return Ranking(
+    first = shown(found.first, fit)
+    ranking = Ranking(
         band_hz=band,
         ordinary=_ordinary(fit, two, misfit),
         delay_s=clocks.delay_s,
-        clocks=clocks,
-        first=shown(found.first, fit),
+        first=first,
         adopted=tuple(_ranked(h, found.fit, robot) for h in own),
         last=shown([*own, *found.last], found.fit),
         considered=found.considered + len(late),
         misfit=misfit,
-        explanation=found,
+        asked=partial(_evidence_of, found, first),
     )
+    return Searched(ranking, clocks, found)
+
+
+def _evidence_of(
+    found: Explanation,
+    first: Sequence[Ranked],
+    effect_id: str,
+    joints: Sequence[str],
+    links: Sequence[str],
+    shape: dict[str, Any],
+    window: tuple[str, float, float] | None,
+) -> float:
+    """Return the log evidence of one given hypothesis, see ``Ranking.evidence_of``."""
+    robot = found.rows.columns.robot
+    other = shape.pop("other", None)
+    everywhere = len(joints) == robot.n_dof > 1
+    site = Site(
+        joint=robot.joint_names.index(joints[0]) if joints and not everywhere else None,
+        other=None if other is None else robot.joint_names.index(other),
+        body=robot.body_names.index(links[0]) if links else None,
+        window=None if window is None else Window(*window),
+    )
+    e = effect(effect_id)
+    if is_clocks(e, site, found.rows):
+        return next((h.log_evidence for h in first if (h.effect, h.joints) == (e.id, ())), 0.0)
+    candidate = found.rows.columns.candidate(e, site, shape)
+    one = hypothesis_of(found.base, found.rows, candidate)
+    return -math.inf if one is None else with_own_noise(found.base, found.rows, one).log_evidence
 
 
 def _of_all(clocks: Clocks, effects: Sequence[Effect]) -> list[Ranked]:

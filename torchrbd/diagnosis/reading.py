@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from torchrbd.diagnosis.ranking import Ranked, Ranking
+from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.errors import InputError
-from torchrbd.likelihood.misspecification import Misfit
+from torchrbd.likelihood.misfit import Misfit
 from torchrbd.rebuilding import Unsaved, read_json, rebuilt
 
 _FILE = "diagnosis.json"
@@ -41,17 +41,18 @@ def read_diagnosis(kind: type, folder: str | Path) -> dict[str, Any]:
 
 def _ranking(content: dict[str, Any], folder: Path) -> Ranking:
     lists = {name: tuple(_ranked(one) for one in content[name]) for name in ("ordinary", "first", "adopted", "last")}
-    # Typed as what they replace.
-    data: Any = Unsaved(
-        folder, "the data that evidence is computed from", "use torchrbd.rank_hypotheses on the recordings"
-    )
+
+    def asked(*_: object) -> float:
+        return Unsaved(
+            folder, "the data that evidence is computed from", "use torchrbd.rank_hypotheses on the recordings"
+        ).evidence
+
     return Ranking(
         band_hz=float(content["band_hz"]),
         delay_s={name: (float(one["value"]), float(one["std"])) for name, one in content["delay_s"].items()},
         considered=int(content["considered"]),
         misfit=rebuilt(dict[str, Misfit], content["misfit"]),
-        clocks=data,
-        explanation=data,
+        asked=asked,
         **lists,
     )
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from torchrbd.diagnosis.ranking import Ranking
-from torchrbd.diagnosis.results import Diagnosis
+from torchrbd.diagnosis.diagnosis import Diagnosis
+from torchrbd.diagnosis.ranked import Ranking
+from torchrbd.inference.identification import Identification
 from torchrbd.inference.identify import marked, summarise
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.suspicions import Suspicions
 from torchrbd.likelihood.reading import Progress

@@ -16,13 +16,14 @@ from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
 from torchrbd.inference.data.bodies import fixed_base
 from torchrbd.inference.estimators import estimate
+from torchrbd.inference.identification import Identification
 from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.parameter_estimates import base_estimates, inertial_estimates, values_alone
 from torchrbd.inference.physical.fitting import FittedModel, judge, term_candidates
 from torchrbd.inference.physical.terms import term_estimates
 from torchrbd.inference.posterior.posterior import Posterior
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.results import Identification, JointNoise, TorqueSeries
+from torchrbd.inference.results import JointNoise, TorqueSeries
 from torchrbd.inference.series import held_out_spans, torque_series
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.places import check_seen

@@ -16,9 +16,9 @@ from torchrbd.display import brief
 from torchrbd.effects import Effect, known_effects, register
 from torchrbd.errors import OptionError, RecordingError, UnfinishedError
 from torchrbd.inference.data.bodies import check_masses
+from torchrbd.inference.identification import Identification
 from torchrbd.inference.identify import identify, read_arguments
 from torchrbd.inference.ordinary import with_friction
-from torchrbd.inference.results import Identification
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.reading import Progress
 from torchrbd.options import Names, Payload, given

@@ -18,13 +18,13 @@ that of d itself, because the first rows of a run are not whitened but only pred
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.misfit import Misfit
 from torchrbd.likelihood.noise import Noise
 
 # The model counts as wrong below this p-value.
@@ -35,21 +35,6 @@ _LEAST_LOSS = 0.01
 _FORGOTTEN, _MOST_MEMORY = 1e-4, 4096
 # Directions of coefficients below this are dominated by rounding.
 _LEAST_DIRECTION = 1e-9
-
-
-@dataclass(frozen=True)
-class Misfit:
-    """The difference between two estimates that agree if the model is right.
-
-    Attributes:
-        statistic: d'V^+ d.
-        dof: its degrees of freedom; 0 if both estimates count as equal.
-        p_value: probability of such a difference under a right model.
-    """
-
-    statistic: float
-    dof: int
-    p_value: float
 
 
 class TwoEstimates:

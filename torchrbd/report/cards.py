@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.posterior import LIKELY
-from torchrbd.diagnosis.results import Curve, Diagnosis, Finding, Unexplained
+from torchrbd.diagnosis.results import Curve, Finding, Unexplained
 from torchrbd.effects import known_effects
 from torchrbd.effects.registry import PLAIN
 from torchrbd.report.excerpt import telling_signal

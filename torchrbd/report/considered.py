@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from torchrbd.diagnosis.ranking import Ranked, Ranking
+from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.results import Where
 from torchrbd.effects import known_effects
 from torchrbd.report.text.hypotheses import (

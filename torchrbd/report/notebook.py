@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torchrbd.diagnosis.results import Diagnosis, Finding
-from torchrbd.inference.results import Identification, ParameterEstimate
+from torchrbd.diagnosis.diagnosis import Diagnosis
+from torchrbd.diagnosis.results import Finding
+from torchrbd.inference.identification import Identification
+from torchrbd.inference.results import ParameterEstimate
 from torchrbd.report.cards import PlainRow, plain_rows, plain_titles
 from torchrbd.report.templates import environment
 from torchrbd.report.text.names import at, guessed, more_values, place, values, when

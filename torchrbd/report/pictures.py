@@ -12,7 +12,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from torchrbd.diagnosis.results import Curve, Location, ResidualMap, Where
-from torchrbd.inference.results import Identification
+from torchrbd.inference.identification import Identification
 from torchrbd.report.excerpt import SIGNALS, Excerpt, signal_words
 from torchrbd.report.figures import (
     Units,

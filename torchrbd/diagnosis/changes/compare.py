@@ -10,7 +10,7 @@ from torchrbd.diagnosis.changes.findings import changed_findings
 from torchrbd.diagnosis.changes.inertia import inertial_differences, load_like
 from torchrbd.diagnosis.changes.reading import Side, side_of
 from torchrbd.diagnosis.changes.results import CERTAIN, LEAST_CHANGED, Change, Comparison, Found, most, verdict_of
-from torchrbd.diagnosis.results import Diagnosis
+from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.display import Remark
 from torchrbd.errors import InputError
 

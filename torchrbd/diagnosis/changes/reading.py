@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from torchrbd.diagnosis.results import DetectionLimit, Diagnosis, Finding, Unexplained
+from torchrbd.diagnosis.diagnosis import Diagnosis
+from torchrbd.diagnosis.results import DetectionLimit, Finding, Unexplained
 from torchrbd.errors import InputError
 from torchrbd.rebuilding import read_json, rebuilt
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from torchrbd.diagnosis.ranking import Ranked
+from torchrbd.diagnosis.ranked import Ranked
 from torchrbd.diagnosis.results import Alternative
-from torchrbd.likelihood.misspecification import MISFIT, Misfit
+from torchrbd.likelihood.misfit import Misfit
+from torchrbd.likelihood.misspecification import MISFIT
 from torchrbd.report.text.names import at, named
 from torchrbd.report.text.numbers import joined, measure, number
 

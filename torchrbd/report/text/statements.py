@@ -5,8 +5,9 @@ from __future__ import annotations
 from functools import singledispatch
 
 from torchrbd.diagnosis.changes.results import Change, Comparison
+from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.fleet.results import FleetComparison, MemberResult
-from torchrbd.diagnosis.results import Deflection, Diagnosis, Finding, Location, Unexplained
+from torchrbd.diagnosis.results import Deflection, Finding, Location, Unexplained
 from torchrbd.display import Remark
 from torchrbd.inference.posterior.identifiability import Identifiability
 from torchrbd.inference.results import NoiseRegime

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import astuple
 
 from torchrbd.diagnosis.decisions import LIKELY
-from torchrbd.diagnosis.results import Diagnosis, Finding, Ratio, Where
+from torchrbd.diagnosis.diagnosis import Diagnosis
+from torchrbd.diagnosis.results import Finding, Ratio, Where
 from torchrbd.effects.registry import PLAIN
-from torchrbd.inference.results import Identification
+from torchrbd.inference.identification import Identification
 from torchrbd.report.text.findings import NOT_CONFIRMED
 from torchrbd.report.text.names import all_or_some, alternatives, at, named, placed, when, with_article, words_of
 from torchrbd.report.text.numbers import as_many_as_fit, joined, number, percent, ratio_with_interval, sentence
