@@ -13,7 +13,7 @@ from likelihood.fits import BEGIN_S, MASS, OPTIONS, URDF, candidate, payload, wi
 from simulated import with_wrong_inertials
 
 from torchrbd.diagnosis import ranking
-from torchrbd.diagnosis.decisions import NO_CHANGE
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import _Fits
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.hypotheses import Hypothesis
@@ -62,7 +62,7 @@ def test_load_is_shown_by_blocks_of_its_time_where_it_is_carried(loaded: bool) -
     one = fits.in_its_time(term, LOAD)
     assert one.judged_on == OWN_TIME
     assert not fits.held_out_sees(term)
-    assert (one.share > NO_CHANGE) is loaded
+    assert (one.share > DECISIONS.no_change) is loaded
     assert one.nmse_before.keys() == one.nmse_after.keys() == set(model.prepared.robot.joint_names)
     assert all(0 < x < 1.5 for each in (one.nmse_before, one.nmse_after) for x in each.values())
     if loaded:

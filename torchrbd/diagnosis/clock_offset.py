@@ -11,9 +11,9 @@ from copy import copy
 import numpy as np
 
 from torchrbd.diagnosis.calibration import calibrated
-from torchrbd.diagnosis.explain import LARGEST_PROBABILITY
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.extending import Extended
-from torchrbd.diagnosis.posterior import LIKELY, prior_log_odds, probabilities
+from torchrbd.diagnosis.posterior import prior_log_odds, probabilities
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Where
 from torchrbd.effects import effect
@@ -33,7 +33,7 @@ def clock_offset(ranked: Ranking, extended: Extended, identification: Identifica
     """
     robot, found = extended.prepared.robot, [h for h in ranked.first if _is_offset(h)]
     sure = probabilities([calibrated(h.log_evidence) + prior_log_odds(effect(h.effect), robot) for h in found])
-    if not found or sure.sum() <= LIKELY:
+    if not found or sure.sum() <= DECISIONS.likely:
         return None
     order = np.argsort(-sure, kind="stable")
     best, *others = (found[k] for k in order)
@@ -46,7 +46,7 @@ def clock_offset(ranked: Ranking, extended: Extended, identification: Identifica
         effect=best.effect,
         joints=(),
         links=(),
-        probability=min(float(sure[order[0]]), LARGEST_PROBABILITY),
+        probability=min(float(sure[order[0]]), DECISIONS.largest_probability),
         log_evidence_gain=best.log_evidence,
         parameters={name: Quantity(values[name], std, own.unit(name, prismatic=False))},
         where=Where(None),
@@ -57,7 +57,7 @@ def clock_offset(ranked: Ranking, extended: Extended, identification: Identifica
         nmse_before=before,
         nmse_after=after,
         family=own.family,
-        family_probability=min(float(sure.sum()), LARGEST_PROBABILITY),
+        family_probability=min(float(sure.sum()), DECISIONS.largest_probability),
         laws=tuple(Law(found[k].effect, float(sure[k] / sure.sum())) for k in order),
         torque_rms=carried,
     )

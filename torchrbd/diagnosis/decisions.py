@@ -1,12 +1,62 @@
-"""What counts as a difference: limits that decide what is reported and how."""
+"""Every limit that decides what a diagnosis reports, and how sure it says to be."""
 
 from __future__ import annotations
 
-NO_CHANGE = 0.02
-"""Relative change of a held-out error that cannot be distinguished from none."""
-LIKELY = 0.5
-"""Probability above which something is reported as found; below it is one of several candidates."""
-SPRING_HELPS = 0.98
-"""A spring is confirmed where it leaves less than this part of the deflection's held-out error."""
-SPRING_SURE, SHORTEST_DELAY_S, INERTIAL_LOAD = 3.0, 1e-4, 0.5
-"""Standard deviations from which a delay or lost motion is reported, the shortest delay, inertial part of a load."""
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """Limits; they stand in diagnosis.json.
+
+    Attributes:
+        likely: probability above which something is reported as found; below it is one of several candidates.
+        largest_probability: no probability is reported above it.
+        least_law: probability from which an effect counts as another explanation of a finding.
+        no_change: relative change of a held-out error that cannot be distinguished from none.
+        negligible_torque, negligible_error: a finding that carries less than this part of its joint's torque, and that
+            removes less than this part of its held-out error, is not confirmed.
+        poor_nmse: a joint with a larger held-out nmse is reported, if its errors have a memory.
+        larger_error: held-out errors so many times those on fitted data, or drift beside noise, are unexplained.
+        memory: errors that stay alike for so many times as long as white noise does have a memory.
+        identified_variance: a parameter has a detection limit if its posterior variance is below this part of its
+            prior variance.
+        other_variant: a joint origin that is farther off than so many standard deviations of its prior, and of its
+            estimate, is another variant's.
+        certain_nats: evidence from which an effect is certainly missing, whatever its name.
+        doubtful: probability below which a finding is marked as doubtful.
+        location_gain: log-likelihood, beyond the costs of freedom and search, from which a place where model and robot
+            differ is reported. On 40 simulated arms with nothing but friction, which stick, coloured noise and drift,
+            the three largest were 5.5, 4.8 and 4.0.
+        spring_gain, spring_t, spring_repeated: gain on left-out blocks of the deflection from which a spring is
+            accepted, with so many standard errors, or so much of it without the two best blocks.
+        spring_helps: a spring is confirmed where it leaves less than this part of the deflection's held-out error.
+        spring_sure: standard deviations from which a delay or lost motion between two encoders is reported.
+        shortest_delay_s: the shortest such delay [s].
+        inertial_load: inertial part of a load from which a spring's stiffness is said to depend on the rotor.
+    """
+
+    likely: float = 0.5
+    largest_probability: float = 0.999
+    least_law: float = 0.05
+    no_change: float = 0.02
+    negligible_torque: float = 0.01
+    negligible_error: float = 0.1
+    poor_nmse: float = 0.01
+    larger_error: float = 1.5
+    memory: float = 2.0
+    identified_variance: float = 0.25
+    other_variant: float = 3.0
+    certain_nats: float = 20.0
+    doubtful: float = 0.9
+    location_gain: float = 10.0
+    spring_gain: float = 12.0
+    spring_t: float = 2.5
+    spring_repeated: float = 8.0
+    spring_helps: float = 0.98
+    spring_sure: float = 3.0
+    shortest_delay_s: float = 1e-4
+    inertial_load: float = 0.5
+
+
+DECISIONS = Decisions()

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from torchrbd.diagnosis.explain import LARGEST_PROBABILITY
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.results import Deflection, Quantity
 from torchrbd.diagnosis.rows.gain import accepted, gain, odds
 from torchrbd.inference.physical.fitting import FittedModel
@@ -172,7 +172,7 @@ def _deflection(rows: _Rows, model: FittedModel, joint: int) -> Deflection:
         delay=Quantity(float(w[_SPEED]), float(std[_SPEED]), "s"),
         inertial_share=_inertial_share(rows, B, model, joint),
         rms=float(np.sqrt(np.mean(rows.centred(rows.e, ~rows.held) ** 2))),
-        probability=min(1 / (1 + odds(worth)), LARGEST_PROBABILITY) if seen else 0.0,
+        probability=min(1 / (1 + odds(worth)), DECISIONS.largest_probability) if seen else 0.0,
         log_evidence_gain=worth.total,
         nmse_before=before,
         nmse_after=_unpredicted(rows, B @ w) if seen else before,

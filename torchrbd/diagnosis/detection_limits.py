@@ -10,14 +10,13 @@ import math
 import torch
 
 from torchrbd.diagnosis.curves import driven_by
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import places
 from torchrbd.diagnosis.hypotheses import SHARED, Hypothesis, believed, whole
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import DetectionLimit
 from torchrbd.diagnosis.terms import Explanation
 
-# A parameter is identified by the data if its posterior variance is below this part of its prior variance.
-_MOST_OF_PRIOR = 0.25
 _DIGITS = 4
 
 
@@ -48,7 +47,7 @@ def _limit(found: Explanation, h: Hypothesis) -> DetectionLimit | None:
         none = float(absent[name])
         if not bool(slope.any()):
             continue
-        if not (math.isfinite(none) and 0.0 < variance < _MOST_OF_PRIOR * before):
+        if not (math.isfinite(none) and 0.0 < variance < DECISIONS.identified_variance * before):
             return None
         joints, links = places(robot, c)
         prismatic = c.site.joint is not None and bool(robot.prismatic[c.site.joint])

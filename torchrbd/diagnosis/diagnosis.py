@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from torchrbd.diagnosis.decisions import DECISIONS, Decisions
 from torchrbd.diagnosis.ranked import Ranking
 from torchrbd.diagnosis.reading import read_diagnosis
 from torchrbd.diagnosis.results import (
@@ -60,6 +61,7 @@ class Diagnosis(Displayed, Stated):
             data over that fitted. 1 if it is right, None if unknown.
         refuted: whether held-out data is predicted better without the findings.
         next_effect: what else is likelier than not, if anything.
+        decisions: the limits that decided what is reported.
     """
 
     identification: Identification
@@ -77,6 +79,7 @@ class Diagnosis(Displayed, Stated):
     held_out_ratio: Ratio | None = None
     refuted: bool = False
     next_effect: NextEffect | None = None
+    decisions: Decisions = DECISIONS
 
     @property
     def finished(self) -> bool:

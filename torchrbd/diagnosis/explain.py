@@ -10,14 +10,14 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
-from torchrbd.diagnosis.decisions import NO_CHANGE
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.estimate_evidence import estimate_evidence
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.friction import COULOMB, UNEVEN, Friction
 from torchrbd.diagnosis.held_out_checks import held_out_ratio
 from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, whole
 from torchrbd.diagnosis.negligible import contradicted, is_negligible, split_negligible, with_errors
-from torchrbd.diagnosis.posterior import LIKELY, Inclusion, inclusion, log_odds, probability_of
+from torchrbd.diagnosis.posterior import Inclusion, inclusion, log_odds, probability_of
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.ranking import Searched
 from torchrbd.diagnosis.residual import is_curve
@@ -44,9 +44,6 @@ from torchrbd.likelihood.block_statistics import Block
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.robot import RobotModel
 
-# Laws and alternatives of this probability, among the effects that explain the same, are reported.
-_LEAST_LAW = 0.05
-LARGEST_PROBABILITY = 0.999
 _FRICTION = "friction"
 # Standard deviations of intervals of 95 %, and of a bound.
 _TWO_SIDED, _ONE_SIDED = 1.96, 1.645
@@ -85,7 +82,7 @@ def explain(extended: Extended) -> Explained:
     fits, every = _Fits(extended), _terms_and_findings(extended)
     own_time = {term: fits.in_its_time(term, one) for term, one in every if not fits.held_out_sees(term)}
     # Held-out data does not show an effect that was there too briefly to be divided.
-    unseen = {term for term, one in own_time.items() if not one.judged_on or one.share < NO_CHANGE}
+    unseen = {term for term, one in own_time.items() if not one.judged_on or one.share < DECISIONS.no_change}
     kept, apart = split_negligible(
         every, fits.error_without, lambda term, one: term in unseen or is_negligible(one, extended)
     )
@@ -146,7 +143,7 @@ def _terms_and_findings(extended: Extended, *, likely: bool = True) -> list[tupl
     return [
         (term, _finding(term, evidence, sure, extended, ends_s, _alternatives(term, sure, extended)))
         for term, evidence, sure in _sure(extended)
-        if (max(sure.probability, sure.family_probability) > LIKELY) is likely
+        if (max(sure.probability, sure.family_probability) > DECISIONS.likely) is likely
     ]
 
 
@@ -236,7 +233,7 @@ def _sure(extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:
     found, terms = extended.found, extended.model.proper_terms
     for friction, candidate in zip(extended.friction, terms, strict=False):
         friction = _as_estimated(friction, candidate, extended)
-        if (p := friction.probability) > LIKELY:
+        if (p := friction.probability) > DECISIONS.likely:
             yield candidate, friction.log_evidence, Inclusion(p * friction.law, p, _laws(friction, candidate, extended))
     for term, candidate, covariance in zip(found.terms, extended.terms, extended.open, strict=True):
         if is_curve(candidate):
@@ -330,7 +327,7 @@ def _finding(
         effect=term.effect.id,
         joints=joints,
         links=links,
-        probability=min(sure.probability, LARGEST_PROBABILITY),
+        probability=min(sure.probability, DECISIONS.largest_probability),
         log_evidence_gain=evidence,
         parameters=quantities,
         where=where(term, columns, quantities, ends_s),
@@ -340,8 +337,8 @@ def _finding(
         depends_on=driven_by(term, robot),
         curve=fitted_curve(model, term),
         family=term.effect.family,
-        family_probability=min(sure.family_probability, LARGEST_PROBABILITY),
-        laws=tuple(Law(h.candidate.effect.id, p) for h, p in sure.laws if p > _LEAST_LAW),
+        family_probability=min(sure.family_probability, DECISIONS.largest_probability),
+        laws=tuple(Law(h.candidate.effect.id, p) for h, p in sure.laws if p > DECISIONS.least_law),
         torque_rms=torque_rms(term, extended),
     )
 
@@ -401,7 +398,7 @@ def _alternatives(term: Candidate, sure: Inclusion, extended: Extended) -> tuple
         alike.append((model.columns.candidate(effect("torque_offset"), term.site, {}), np.array([half]), 0.5))
     found = []
     for c, w, p in alike:
-        if p > _LEAST_LAW:
+        if p > DECISIONS.least_law:
             values = {name: float(v) for name, v in c.effect.parameters(torch.from_numpy(w), c.shape).items()}
             where = (*places(model.columns.robot, c), driven_by(c, model.columns.robot))
             found.append(Alternative(c.effect.id, *where, values, p))

@@ -19,8 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit
 
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.hypotheses import SHARED
-from torchrbd.diagnosis.posterior import LIKELY, probability_of
+from torchrbd.diagnosis.posterior import probability_of
 from torchrbd.effects import Site, effect
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood
@@ -73,7 +74,7 @@ def ordinary_friction(
         found_as, differ = {VISCOUS: 1.0} if VISCOUS in may else {}, float(UNEVEN in may and j not in shifted)
         if differ and COULOMB in may:
             differ = float(expit(_uneven(fit, j)))
-        if differ > LIKELY:
+        if differ > DECISIONS.likely:
             found_as[UNEVEN] = differ
         elif COULOMB in may:
             found_as[COULOMB] = 1.0 - differ

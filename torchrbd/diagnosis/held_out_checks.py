@@ -17,7 +17,7 @@ import torch
 from scipy.stats import bootstrap
 from torch import Tensor
 
-from torchrbd.diagnosis.decisions import NO_CHANGE
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.results import HeldOutCheck, Ratio
 from torchrbd.inference.physical.fitting import FittedModel, nmse_weights
 from torchrbd.inference.results import TorqueSeries
@@ -80,7 +80,7 @@ def held_out_ratio(
     weights, x = nmse_weights(judging, joints), model.x
     left, added = ((each @ weights).numpy() for each in judging.added(x, without))
     error = float((judging.squared_error(x) @ weights).sum())
-    if len(added) < LEAST_BLOCKS or not added.sum() > NO_CHANGE * error:
+    if len(added) < LEAST_BLOCKS or not added.sum() > DECISIONS.no_change * error:
         return None
     slope, pull = over_blocks(left, added), torch.zeros_like(x)
     for own, moments, weight in zip(judging.columns.of_joint, judging.total(), weights, strict=True):

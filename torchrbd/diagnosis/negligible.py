@@ -6,13 +6,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from torchrbd.diagnosis.decisions import NO_CHANGE
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.results import Finding
 from torchrbd.likelihood.columns import Candidate
-
-# Parts of a joint's torque, and of its held-out error, that are nobody's business.
-LEAST_TORQUE, _LEAST_SHARE = 0.01, 0.1
 
 
 def split_negligible(
@@ -42,11 +39,11 @@ def split_negligible(
             before = error_without([*gone, term])
             one = with_errors(term, one, before, after)
             kept[k], total = (term, one), math.fsum(before.values())
-            if negligible(term, one) and least >= (1.0 - NO_CHANGE) * total:
+            if negligible(term, one) and least >= (1.0 - DECISIONS.no_change) * total:
                 may_go[k] = total
         if not may_go:
             return kept, apart
-        most = min(may_go.values()) / (1.0 - NO_CHANGE)
+        most = min(may_go.values()) / (1.0 - DECISIONS.no_change)
         first = min((k for k, total in may_go.items() if total <= most), key=lambda k: kept[k][1].log_evidence_gain)
         apart.append(kept.pop(first))
         after, least = error_without([term for term, _ in apart]), min(least, may_go[first])
@@ -65,15 +62,15 @@ def is_negligible(finding: Finding, extended: Extended) -> bool:
     all its joints together are predicted worse with it. Held-out data may hold nothing of what acts for a time, or in
     some recordings; it changes nothing there then.
     """
-    if contradicted(finding) or (finding.share < NO_CHANGE and finding.where.recordings is None):
+    if contradicted(finding) or (finding.share < DECISIONS.no_change and finding.where.recordings is None):
         return True
     torque = extended.prepared.training.torque.sum(0)
     rms = dict(zip(extended.prepared.robot.joint_names, (torque[:, 2] / torque[:, 0]).sqrt().tolist(), strict=True))
     own = {joint: x for joint, x in finding.torque_rms.items() if joint in finding.joints} or finding.torque_rms
-    small = all(carried < LEAST_TORQUE * rms[joint] for joint, carried in own.items())
-    return small and finding.share < _LEAST_SHARE
+    small = all(carried < DECISIONS.negligible_torque * rms[joint] for joint, carried in own.items())
+    return small and finding.share < DECISIONS.negligible_error
 
 
 def contradicted(finding: Finding) -> bool:
     """Say whether held-out data is predicted worse with it, all joints that it acts on together."""
-    return finding.share_of_all < -NO_CHANGE
+    return finding.share_of_all < -DECISIONS.no_change

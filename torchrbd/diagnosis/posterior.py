@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import expit, softmax
 
 from torchrbd.diagnosis.calibration import calibrated
-from torchrbd.diagnosis.decisions import LIKELY
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.effects import Effect, Window
 from torchrbd.likelihood.columns import Candidate
@@ -83,7 +83,7 @@ def _places(effect: Effect, robot: RobotModel) -> int:
 def refit_matters(base: Likelihood) -> bool:
     """Say whether other inertial parameters than the URDF's are likelier than not."""
     given = base.with_(kappa=_CERTAIN, bodies=np.zeros_like(base.hyper.bodies)).renoised(dispersed=True)
-    return probability_of(base.log_evidence - given.dispersed(base.hyper.dispersion).log_evidence) > LIKELY
+    return probability_of(base.log_evidence - given.dispersed(base.hyper.dispersion).log_evidence) > DECISIONS.likely
 
 
 def inclusion(own: Hypothesis, rivals: Sequence[Hypothesis], rows: Rows) -> Inclusion:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from torchrbd.deadline import is_over
-from torchrbd.diagnosis.decisions import NO_CHANGE
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import Explained, explain
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.held_out_checks import held_out_ratio, over_blocks
@@ -50,7 +50,7 @@ def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Rati
     plain = asked.fit(asked.columns.urdf_friction)
     found, without = nmse_of_blocks(prepared.judging, model.x), nmse_of_blocks(asked.judging, plain.x)
     worse, less = over_blocks(found.numpy(), without.numpy()), there is not None and there.high < 1.0
-    return worse.value > 1.0 + NO_CHANGE and (worse.low > 1.0 or less)
+    return worse.value > 1.0 + DECISIONS.no_change and (worse.low > 1.0 or less)
 
 
 def friction_alone(

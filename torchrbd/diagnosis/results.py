@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from torchrbd.diagnosis.decisions import LIKELY, NO_CHANGE, SPRING_HELPS
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.display import Stated, brief, few
 
 HELD_OUT, OWN_TIME = "held-out data", "own window"
@@ -126,7 +126,7 @@ class Deflection(Stated):
     @property
     def held_out(self) -> bool:
         """Whether the spring lowers the error of the deflection on held-out data."""
-        return self.nmse_after < SPRING_HELPS * self.nmse_before
+        return self.nmse_after < DECISIONS.spring_helps * self.nmse_before
 
 
 @dataclass(frozen=True)
@@ -228,13 +228,14 @@ class Finding(Stated):
         """Whether held-out data shows it: a joint's NMSE falls, and ``held_out_ratio`` is significantly above zero."""
         if self.deflection is not None and not self.nmse_before:
             return self.deflection.held_out
-        seen = self.judged_on == HELD_OUT and self.share >= NO_CHANGE
+        seen = self.judged_on == HELD_OUT and self.share >= DECISIONS.no_change
         return seen and (self.held_out_ratio is None or self.held_out_ratio.low > 0.0)
 
 
 def strongest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return findings that are likelier than not, then the others; what removes most held-out error first in both."""
-    return tuple(sorted(findings, key=lambda f: (f.probability <= LIKELY, -f.error_removed, -f.log_evidence_gain)))
+    least = DECISIONS.likely
+    return tuple(sorted(findings, key=lambda f: (f.probability <= least, -f.error_removed, -f.log_evidence_gain)))
 
 
 @dataclass(frozen=True)

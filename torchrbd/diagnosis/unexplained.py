@@ -10,12 +10,11 @@ import numpy as np
 import torch
 
 from torchrbd.diagnosis.curves import fitted_curve
-from torchrbd.diagnosis.decisions import NO_CHANGE
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import torque_rms
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.held_out_checks import EXTENDED
 from torchrbd.diagnosis.hypotheses import Hypothesis
-from torchrbd.diagnosis.negligible import LEAST_TORQUE
 from torchrbd.diagnosis.residual import depends_on, is_curve
 from torchrbd.diagnosis.results import HeldOutCheck, Region, Unexplained, Where
 from torchrbd.diagnosis.terms import Explanation
@@ -30,14 +29,8 @@ from torchrbd.robot.units import torque_unit
 
 # A function acts where it is above this part of its largest departure from its middle.
 _ACTS = 0.5
-# Errors that are so many times those of the fit, or of its noise, are not explained.
-_LARGER = 1.5
-# Part of a joint's torque variance that is much.
-_MUCH = 0.01
 # Kinds of entries that are about the held-out error of a joint.
 _ERRORS = ("error", "larger error")
-# Errors that stay alike for so many times as long as white noise does are no noise.
-_LASTS = 2.0
 
 
 def unexplained(extended: Extended) -> tuple[Unexplained, ...]:
@@ -67,7 +60,7 @@ def functions(extended: Extended) -> list[Unexplained]:
     Others are in the model, and listed in the ranking.
     """
     every = [_curve(extended, term) for term in extended.terms if is_curve(term) and term.effect is not HUM]
-    return [one for one in every if one.share >= NO_CHANGE or one.where.recordings is not None]
+    return [one for one in every if one.share >= DECISIONS.no_change or one.where.recordings is not None]
 
 
 def tones(found: Explanation) -> list[Unexplained]:
@@ -90,7 +83,7 @@ def drifts(series: TorqueSeries, robot: RobotModel) -> Iterator[Unexplained]:
         w = np.linalg.lstsq(basis.T, left, rcond=None)[0]
         drift, noise = (float(np.sqrt(np.mean(x**2))) for x in (w[order > 0] @ basis[order > 0], left - w @ basis))
         torque = float(np.sqrt(np.mean(series.measured[rows, j] ** 2)))
-        if math.hypot(drift, noise) > _LARGER * noise and drift > LEAST_TORQUE * torque:
+        if math.hypot(drift, noise) > DECISIONS.larger_error * noise and drift > DECISIONS.negligible_torque * torque:
             share, sizes, unit = drift**2 / (drift**2 + noise**2), {"torque_rms": drift}, torque_unit(robot, j)
             yield Unexplained((name,), ("t",), Where(), share, kind="drift", sizes=sizes, unit=unit)
 
@@ -136,17 +129,17 @@ def large_errors(
     "Badly" is a large NMSE or, at joints where nothing is ``reported``, an error clearly above that of the fit. White
     errors are noise, of which some motions make more than others.
     """
-    lasting = {p.joint for p in held_out_checks if p.memory_s[EXTENDED] > _LASTS * p.white_s}
+    lasting = {p.joint for p in held_out_checks if p.memory_s[EXTENDED] > DECISIONS.memory * p.white_s}
     if not lasting:
         return
     seen, unseen = series.fit(EXTENDED, held_out=False).rmse, series.fit(EXTENDED)
     for name, rmse in unseen.rmse.items():
         if name not in lasting:
             continue
-        if unseen.nmse[name] > _MUCH:
+        if unseen.nmse[name] > DECISIONS.poor_nmse:
             sizes = {"nmse": unseen.nmse[name]}
             yield Unexplained((name,), (), Where(), 1.0, kind="error", sizes=sizes)
-        elif name in seen and name not in reported and rmse > _LARGER * seen[name]:
+        elif name in seen and name not in reported and rmse > DECISIONS.larger_error * seen[name]:
             share = 1.0 - (seen[name] / rmse) ** 2
             sizes = {"ratio": rmse / seen[name]}
             yield Unexplained((name,), (), Where(), share, kind="larger error", sizes=sizes)
@@ -161,7 +154,7 @@ def only_where_fitted(full: Extended, plain: Extended) -> Iterator[Unexplained]:
     """
     with_it, without = (judge(each.prepared.judging_fitted, each.model.x).rmse for each in (full, plain))
     for name, rmse in without.items():
-        if rmse > _LARGER * with_it.get(name, math.inf):
+        if rmse > DECISIONS.larger_error * with_it.get(name, math.inf):
             share = 1.0 - (with_it[name] / rmse) ** 2
             yield Unexplained((name,), (), Where(), share, kind="not confirmed")
 

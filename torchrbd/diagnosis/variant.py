@@ -6,11 +6,10 @@ import math
 
 import torch
 
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.results import Finding, Variant
 from torchrbd.effects import effect
 from torchrbd.robot import RobotModel, joint_origins
-
-_CERTAIN = 3.0
 
 
 def another_variant(finding: Finding, robot: RobotModel) -> Variant | None:
@@ -35,7 +34,7 @@ def another_variant(finding: Finding, robot: RobotModel) -> Variant | None:
     shift, std = (torch.nan_to_num(origin.new_tensor([getattr(q, k) for q in numbers])) for k in ("value", "std"))
     given, found = float(origin.norm()), float((origin + shift).norm())
     error = math.sqrt(float(((origin + shift) / max(found, 1e-300) * std).square().sum()))
-    if abs(found - given) <= _CERTAIN * max(error, *geometry.prior.std[:3]):
+    if abs(found - given) <= DECISIONS.other_variant * max(error, *geometry.prior.std[:3]):
         return None
     parent = next(joint.parent for joint in robot.description.joints if joint.name == name)
     return Variant(parent, found, given)

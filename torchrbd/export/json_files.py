@@ -115,6 +115,7 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
     held_out_checks: how the extended model predicts held-out torque, by joint: over (by model, squared error relative
         to it: value, low and high of 95 % by a bootstrap over blocks), memory_s (by model, integrated autocorrelation
         time of the errors) and white_s (that of white noise).
+    decisions: the limits that decided what is reported, by name, see ``torchrbd/diagnosis/decisions.py``.
     ranking: hypotheses by their evidence, or null if that could not be computed: band_hz, up to which torques were
         compared; considered, the number of effects at their places; delay_s, by recording, how much later the torque is
         than the motion (value, std); misfit, by joint, whether whitened rows and plain least squares agree on its
@@ -143,6 +144,7 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
             "held_out_checks": [asdict(x) for x in result.held_out_checks],
             "refuted": result.refuted,
             "next_effect": None if result.next_effect is None else asdict(result.next_effect),
+            "decisions": asdict(result.decisions),
             "ranking": None if result.ranking is None else _ranking(result.ranking),
         },
     )

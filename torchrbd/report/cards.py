@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.diagnosis import Diagnosis
-from torchrbd.diagnosis.posterior import LIKELY
 from torchrbd.diagnosis.results import Curve, Finding, Unexplained
 from torchrbd.effects import known_effects
 from torchrbd.effects.registry import PLAIN
@@ -20,8 +20,6 @@ from torchrbd.report.text.findings import CERTAINLY_MISSING, SHARED
 from torchrbd.report.text.names import alternatives, at, guessed, most_changed, when, words_of
 from torchrbd.report.text.numbers import measure, unit
 
-# Log-evidence gain of what is surely there, probability that needs a word.
-CERTAIN, DOUBTFUL = 20.0, 0.9
 # Findings of plain friction from which on they share a table; joints whose errors a card names; change worth naming.
 FOLDED, MOST_ERRORS, CHANGED = 4, 4, 0.02
 
@@ -87,8 +85,8 @@ def finding_cards(findings: Sequence[Finding], pictures: Pictures) -> list[Card]
 
 def plain_rows(findings: Sequence[Finding], joints: Sequence[str]) -> list[PlainRow]:
     """Return plain friction that is likely and confirmed on held-out data, a row per joint, if there is much of it."""
-    plain = [f for f in findings if f.effect in PLAIN and f.where.recordings is None and f.probability > LIKELY]
-    plain = [f for f in plain if f.held_out]
+    likely = [f for f in findings if f.probability > DECISIONS.likely and f.held_out]
+    plain = [f for f in likely if f.effect in PLAIN and f.where.recordings is None]
     here = [f for f in plain if len(f.joints) == 1 and f.joints[0] in joints]
     if len(here) < FOLDED:
         return []
@@ -138,10 +136,10 @@ def _finding_card(finding: Finding, pictures: Pictures) -> Card:
 
 def _doubt(finding: Finding) -> str:
     """Say why a finding is not surer; nothing where it is sure, or where it is common."""
-    if finding.probability >= DOUBTFUL:
+    if finding.probability >= DECISIONS.doubtful:
         return ""
     if finding.indistinguishable_from:
-        return f"{CERTAINLY_MISSING} {SHARED}" if finding.log_evidence_gain > CERTAIN else SHARED
+        return f"{CERTAINLY_MISSING} {SHARED}" if finding.log_evidence_gain > DECISIONS.certain_nats else SHARED
     return ""
 
 

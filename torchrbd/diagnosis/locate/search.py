@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.locate.clock import Clock
 from torchrbd.diagnosis.locate.intervals import Interval, signal_interval
 from torchrbd.diagnosis.locate.scene import Scene
@@ -19,9 +20,6 @@ from torchrbd.diagnosis.rows.regression import Extra, Fit
 from torchrbd.diagnosis.rows.white_rows import LEAST_NOISE, Colour, Rows
 from torchrbd.likelihood.gaussian import Posterior
 
-# In log-likelihood units, beyond the costs of freedom and search: on 40 simulated arms with nothing but friction, which
-# stick, coloured noise and drift, the three largest were 5.5, 4.8 and 4.0.
-LEAST_GAIN = 10.0
 # Less at first, and less than this part of the best, need not be looked at closer.
 LEAST_START, SHORT_OF_BEST, ROUNDS, SHARPENINGS = 4.0, 0.25, 1, 2
 # Rows that are needed for each coefficient of the model.
@@ -91,7 +89,7 @@ class Search:
         """Find part after part, so many at most."""
         for _ in range(most if enough(self.fit) else 0):
             found = self._best(list(self._candidates(self._clear())))
-            if found is None or found[0].gain < LEAST_GAIN:
+            if found is None or found[0].gain < DECISIONS.location_gain:
                 break
             part, after = found
             # The part has coloured the noise: choose its place again with the noise of the residual without it.

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchrbd.diagnosis.decisions import DECISIONS
+
 _BEST = 2
 # Log-likelihood units beyond which odds count as equal.
 _LONGEST = 50.0
-# What must be gained, and by how many standard errors or without the best two blocks.
-_LEAST_GAIN, _LEAST_T, _LEAST_REPEATED = 12.0, 2.5, 8.0
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,8 @@ def gain(before: np.ndarray, after: np.ndarray, counts: np.ndarray) -> Gain:
 
 def accepted(worth: Gain) -> bool:
     """Say whether a gain is enough, and no accident of a few blocks."""
-    return worth.total > _LEAST_GAIN and (worth.t > _LEAST_T or worth.repeated > _LEAST_REPEATED)
+    d = DECISIONS
+    return worth.total > d.spring_gain and (worth.t > d.spring_t or worth.repeated > d.spring_repeated)
 
 
 def odds(lead: Gain) -> float:

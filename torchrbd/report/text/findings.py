@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import astuple
 
-from torchrbd.diagnosis.decisions import INERTIAL_LOAD, NO_CHANGE, SHORTEST_DELAY_S, SPRING_SURE
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.results import HELD_OUT, Deflection, Finding, Quantity, Where
 from torchrbd.effects import known_effects
 from torchrbd.report.text.names import (
@@ -87,7 +87,7 @@ def _worth(finding: Finding) -> str:
     before, after = finding.nmse_before[joint], finding.nmse_after[joint]
     if absent:
         return f"{absent} Cross-validated in its own window, {_moved(f'the NMSE of {joint}', before, after)}"
-    if abs(before - after) <= NO_CHANGE * max(before, after):
+    if abs(before - after) <= DECISIONS.no_change * max(before, after):
         return f"{NOT_CONFIRMED}: the NMSE of {joint} is {number(after)} with it and without it."
     error = capital(_moved(f"the NMSE of {joint} on held-out data", before, after, "with it"))
     ratio = finding.held_out_ratio
@@ -136,12 +136,12 @@ def deflection_statement(found: Deflection) -> str:
             words += f" The spring lowers the NMSE of that difference on held-out data from {before} to {after}."
         elif math.isfinite(found.nmse_before):
             words += f" {NOT_CONFIRMED}: the NMSE of that difference is {before} without it and {after} with it."
-    if found.stiffness is not None and found.inertial_share > INERTIAL_LOAD:
+    if found.stiffness is not None and found.inertial_share > DECISIONS.inertial_load:
         words += (
             f" {percent(found.inertial_share)} of the load is inertia about this joint. "
             "If part of that is rotor inertia, the true stiffness is lower."
         )
-    if _sure(found.delay) and abs(found.delay.value) > SHORTEST_DELAY_S:
+    if _sure(found.delay) and abs(found.delay.value) > DECISIONS.shortest_delay_s:
         order = "after" if found.delay.value > 0 else "before"
         ms = measure(1e3 * abs(found.delay.value), 1.96e3 * found.delay.std)
         words += f" The encoder behind the gear is read {ms} ms {order} the other."
@@ -151,7 +151,7 @@ def deflection_statement(found: Deflection) -> str:
 
 
 def _sure(q: Quantity) -> bool:
-    return abs(q.value) > SPRING_SURE * q.std
+    return abs(q.value) > DECISIONS.spring_sure * q.std
 
 
 def _small(q: Quantity) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
-from torchrbd.diagnosis.decisions import LIKELY, NO_CHANGE
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.results import Alternative, Finding, NextEffect, Quantity, Where
 from torchrbd.effects import effect, known_effects
 from torchrbd.report.text.numbers import joined, measure, number, plain, with_unit
@@ -76,7 +76,7 @@ def guessed(finding: Finding) -> str:
 
     E.g. "torque ripple", "backlash at joint3 or possibly torque ripple", "possibly torque ripple".
     """
-    if finding.probability > LIKELY:
+    if finding.probability > DECISIONS.likely:
         return named(finding)
     rival = next(iter(alternatives(finding)), "")
     return f"{rival} or possibly {named(finding)}" if rival else f"possibly {named(finding)}"
@@ -186,7 +186,7 @@ def most_changed(finding: Finding) -> str | None:
     pairs = {j: (b, finding.nmse_after[j]) for j, b in finding.nmse_before.items() if j in finding.nmse_after}
     gains = {j: before - after for j, (before, after) in pairs.items() if math.isfinite(before - after)}
     own = [j for j in finding.joints if j in gains]
-    shown = [j for j in own if gains[j] > NO_CHANGE * pairs[j][0]]
-    if not shown and own and finding.share < NO_CHANGE:
+    shown = [j for j in own if gains[j] > DECISIONS.no_change * pairs[j][0]]
+    if not shown and own and finding.share < DECISIONS.no_change:
         return own[0]
     return shown[0] if shown else max(gains, key=lambda j: gains[j], default=None)

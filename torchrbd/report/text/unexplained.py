@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torchrbd.diagnosis.decisions import NO_CHANGE
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.results import Unexplained
 from torchrbd.report.text.names import signal_words
 from torchrbd.report.text.numbers import as_many_as_fit, joined, number, percent, with_unit
@@ -51,7 +51,7 @@ def _curve(one: Unexplained) -> str:
     where = joined(one.joints)
     torque = with_unit(number(one.sizes["torque_rms"]), one.unit) + " RMS" if "torque_rms" in one.sizes else ""
     size = f"A torque of {torque}" if torque else "A torque"
-    share = f" It is {percent(one.share)} of the residual on held-out data." if one.share >= NO_CHANGE else ""
+    share = f" It is {percent(one.share)} of the residual on held-out data." if one.share >= DECISIONS.no_change else ""
     words = f"{size} at {where} is unexplained{_inside(one)}.{share}"
     if one.depends_on:
         words += f" It depends on {joined(map(signal_words, one.depends_on))}"

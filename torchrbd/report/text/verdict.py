@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple
 
-from torchrbd.diagnosis.decisions import LIKELY
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.results import Finding, Ratio, Where
 from torchrbd.effects.registry import PLAIN
@@ -105,7 +105,7 @@ def _head(result: Diagnosis) -> str:
         joints = at([j for u in result.unexplained for j in u.joints], (), _judged(result))
         return f"No known effect explains the residual{joints}."
     confirmed = [f for f in result.findings if f.held_out]
-    likely = [f for f in confirmed if f.probability > LIKELY]
+    likely = [f for f in confirmed if f.probability > DECISIONS.likely]
     if likely:
         return f"The {model} {_missing(likely, _judged(result))}."
     if confirmed:
