@@ -4,7 +4,7 @@ Imports count wherever they stand: at the head of a file, inside a function or f
 """
 
 import ast
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -132,3 +132,35 @@ def test_a_file_that_imports_its_own_package_is_a_circle() -> None:
     package = {Path("robot/__init__.py"): "from torchrbd.robot.a import f", Path("robot/b.py"): "import torch"}
     assert circle({**package, Path("robot/a.py"): "from torchrbd.robot import b"}) == []
     assert circle({**package, Path("robot/a.py"): "from torchrbd.robot import b, g"})
+
+
+def compared_ids(code: str, ids: Collection[str]) -> list[str]:
+    """Return ids of effects that code compares something with, other than the form of a location."""
+    found = []
+    for node in (n for n in ast.walk(ast.parse(code)) if isinstance(n, ast.Compare)):
+        sides = [node.left, *node.comparators]
+        if any("form" in (getattr(side, "id", ""), getattr(side, "attr", "")) for side in sides):
+            continue
+        each = [
+            one for side in sides for one in (side.elts if isinstance(side, (ast.Tuple, ast.List, ast.Set)) else [side])
+        ]
+        found += [one.value for one in each if isinstance(one, ast.Constant) and one.value in ids]
+    return found
+
+
+@pytest.mark.parametrize(
+    "path",
+    [p for p in SOURCES if p.relative_to(PACKAGE).parts[0] != "effects"],
+    ids=lambda path: str(path.relative_to(PACKAGE)),
+)
+def test_effects_differ_by_their_attributes_and_not_by_their_ids(path: Path) -> None:
+    assert compared_ids(path.read_text(), torchrbd.known_effects()) == []
+
+
+@pytest.mark.parametrize(
+    "code",
+    ["e.id == 'joint_spring'", "f.effect in ('payload', 'base_tilt')", "'time_delay' != name", "x[e.id == 'payload']"],
+)
+def test_compared_ids_are_seen(code: str) -> None:
+    assert compared_ids(code, torchrbd.known_effects())
+    assert not compared_ids("part.form == 'payload'", torchrbd.known_effects())

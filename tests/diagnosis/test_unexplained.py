@@ -37,7 +37,7 @@ FIRST, SECOND = joint_names(URDF)
 SIZE, WIDTH = 2.0, 0.15
 TONE, TONE_HZ = 0.1, 2.73
 WALK, STEP = 0.3, 6.0
-MAY = ("viscous_friction", "coulomb_friction", UNEVEN, "quadratic_drag")
+MAY = ("viscous_friction", "coulomb_friction", UNEVEN.id, "quadratic_drag")
 
 
 def centre(m: Motion) -> float:
@@ -190,7 +190,7 @@ def test_a_dead_zone_has_a_name_though_it_hides_what_the_load_is(size: float) ->
     assert unexplained(model) == ()
 
 
-@pytest.mark.parametrize(("uneven", "told", "other"), [(0.022, EVEN, UNEVEN), (0.03, UNEVEN, EVEN)])
+@pytest.mark.parametrize(("uneven", "told", "other"), [(0.022, EVEN.id, UNEVEN.id), (0.03, UNEVEN.id, EVEN.id)])
 def test_coulomb_friction_whose_directions_may_differ_is_told_with_both_laws(
     uneven: float, told: str, other: str
 ) -> None:

@@ -13,7 +13,6 @@ from torch.autograd import gradcheck
 
 from torchrbd.effects import Effect, Shape, Signals, Site, Term, known_effects
 from torchrbd.effects.base import FAMILIES
-from torchrbd.effects.registry import PLAIN_OR_UNEVEN
 from torchrbd.export import load_model, save_model
 from torchrbd.model import RigidBodyDynamics
 
@@ -96,7 +95,7 @@ class TestEveryEffect:
         assert len(effect.shown_by.split()) < 25
         assert effect.family in set(FAMILIES) - {"unknown"}
         assert effect.prevalence in ("ubiquitous", "common", "rare")
-        assert effect.prevalence != "ubiquitous" or effect.id in PLAIN_OR_UNEVEN
+        assert not effect.is_ubiquitous or effect.is_baseline
         w, shape = effect.coefficients(sizes(effect))
         told = shape.keys() & effect.units.keys()
         assert len(effect.units) == len(w) + len(told)

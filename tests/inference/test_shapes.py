@@ -105,7 +105,7 @@ def dry(truth: Truth, part: float) -> list[Term]:
 def test_what_is_done_to_a_torque_is_done_to_its_friction(name: str, parameters: dict[str, float], arm: Truth) -> None:
     """The effect and the friction of every joint within 2 %."""
     friction, one = dry(arm, 0.2), known_effects()[name]
-    beside = plain_friction(4, [(t.effect.id, t.site.joint, t.coefficients) for t in friction])
+    beside = plain_friction(4, [(t.effect, t.site.joint, t.coefficients) for t in friction])
     at = replace(arm.signals, friction=beside.detach())
     site = Site() if one.whole_robot else Site(1)
     if "limit" in parameters:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -21,8 +20,7 @@ def driven_by(term: Candidate, robot: RobotModel) -> tuple[str, ...]:
     """Return the signals of another joint that a term at one joint depends on, e.g. "q_joint2"."""
     if term.site.other is None or term.effect.whole_robot:
         return ()
-    keys = dict.fromkeys(re.findall(r"\b(q|qd|qdd)_other\b", term.effect.equation) or ["q"])
-    return tuple(f"{key}_{robot.joint_names[term.site.other]}" for key in keys)
+    return (f"{term.effect.other_signal}_{robot.joint_names[term.site.other]}",)
 
 
 def fitted_curve(model: FittedModel, term: Candidate) -> Curve | None:

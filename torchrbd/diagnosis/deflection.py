@@ -38,10 +38,6 @@ from torchrbd.inference.preparation import Prepared
 from torchrbd.likelihood.gaussian import Posterior
 from torchrbd.recordings import States, tiles
 
-# What acts on the link and so loads the spring, besides the rigid body.
-LINK_SIDE = frozenset(
-    ("payload", "external_wrench", "joint_spring", "one_sided_spring", "counterbalance", "base_tilt", "geometry_error")
-)
 # Columns of a joint's rows; those of the disc and an offset for each recording follow.
 _LOAD, _LOST, _SPEED, _ACCELERATION = range(4)
 _ROUNDS, _LEAST_BLOCKS, _POINTS = 4, 4, 24
@@ -133,7 +129,7 @@ def _columns(
     robot, columns = prepared.robot, model.columns
     signals, x = columns.signals(states), torch.zeros_like(model.x)
     for term in model.proper_terms:
-        if term.effect.id in LINK_SIDE:
+        if term.effect.acts_on_link:
             x[columns.of(term)] = model.x[columns.of(term)]
     pi = model.pi + prepared.reading.payload.get(states.recording, torch.zeros_like(model.pi))
     Y = robot.regressor_batch_last(states.q, states.qd, states.qdd)[joint]
@@ -221,7 +217,7 @@ def _load_std(total: np.ndarray, YX: np.ndarray, w: np.ndarray, model: FittedMod
 
 def _inertial_share(rows: _Rows, B: np.ndarray, model: FittedModel, joint: int) -> float:
     """Return the part of the load, given other columns, that follows the acceleration; zero with a rotor inertia."""
-    if any(c.effect.id == "rotor_inertia" and c.place == joint for c in model.proper_terms):
+    if any(c.effect.of_rotor and c.place == joint for c in model.proper_terms):
         return 0.0
     A = rows.A[~rows.held]
     X = np.column_stack((A @ B[:, 1:], A[:, _ACCELERATION], A[:, _LOAD]))

@@ -13,7 +13,7 @@ from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.estimate_evidence import estimate_evidence
 from torchrbd.diagnosis.extending import Extended
-from torchrbd.diagnosis.friction import COULOMB, UNEVEN, Friction
+from torchrbd.diagnosis.friction import COULOMB, OFFSET, UNEVEN, Friction
 from torchrbd.diagnosis.held_out_checks import held_out_ratio
 from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, whole
 from torchrbd.diagnosis.negligible import contradicted, is_negligible, split_negligible, with_errors
@@ -37,7 +37,8 @@ from torchrbd.diagnosis.results import (
 from torchrbd.diagnosis.simplifying import as_estimated
 from torchrbd.diagnosis.terms import Explanation
 from torchrbd.diagnosis.variant import another_variant
-from torchrbd.effects import Site, effect
+from torchrbd.effects import Effect, Site
+from torchrbd.effects.base import UNEVENNESS
 from torchrbd.inference.physical.fitting import FittedModel, judge, nmse_weights
 from torchrbd.inference.physical.terms import estimated_parameters
 from torchrbd.likelihood.block_statistics import Block
@@ -262,13 +263,13 @@ def _laws(friction: Friction, term: Candidate, extended: Extended) -> tuple[tupl
     plus, minus = extended.found.fit.friction[term.site.joint, 1:]
     # The level is the machine's own already, see ``whole``.
     coefficients = {COULOMB: np.zeros(1), UNEVEN: np.array([0.0, 0.5 * (plus - minus)])}
-    probability = {name: friction.law if name == term.effect.id else 1.0 - friction.law for name in coefficients}
+    probability = {e: friction.law if e is term.effect else 1.0 - friction.law for e in coefficients}
 
-    def hypothesis(name: str) -> Hypothesis:
-        candidate = extended.model.columns.candidate(effect(name), term.site, {})
-        return Hypothesis(candidate, friction.log_evidence, coefficients[name], np.zeros(len(candidate.labels)), 1.0, 1)
+    def hypothesis(e: Effect) -> Hypothesis:
+        candidate = extended.model.columns.candidate(e, term.site, {})
+        return Hypothesis(candidate, friction.log_evidence, coefficients[e], np.zeros(len(candidate.labels)), 1.0, 1)
 
-    return tuple((hypothesis(name), p) for name, p in sorted(probability.items(), key=lambda pair: -pair[1]))
+    return tuple((hypothesis(e), p) for e, p in sorted(probability.items(), key=lambda pair: -pair[1]))
 
 
 def places(robot: RobotModel, term: Candidate) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -392,10 +393,10 @@ def _alternatives(term: Candidate, sure: Inclusion, extended: Extended) -> tuple
     """Return the effects that cannot be distinguished from a term, the likeliest first, with their parameters."""
     model, fit, own = extended.model, extended.found.fit, (term.effect.id, replace(term.site, window=None))
     alike = [(h.candidate, whole(h.candidate, h.coefficients, fit), p) for h, p in sure.laws if h.name != own]
-    if term.effect.id == UNEVEN:
+    if UNEVENNESS in term.labels:
         # A constant torque, but for what happens within a reversal.
         (_, half) = model.x[model.columns.of(term)].numpy()
-        alike.append((model.columns.candidate(effect("torque_offset"), term.site, {}), np.array([half]), 0.5))
+        alike.append((model.columns.candidate(OFFSET, term.site, {}), np.array([half]), 0.5))
     found = []
     for c, w, p in alike:
         if p > DECISIONS.least_law:

@@ -93,8 +93,8 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
         at, std = (t.own.candidate.effect.id, t.own.candidate.site), t.own.extra(found.fit, found.rows).std
         believed[at] = np.maximum(std, believed.get(at, 0.0))
     # The level of the drift, which these offsets are, has its size.
-    offsets = [f.candidate.site for f in friction if f.candidate.effect.id == OFFSET]
-    believed |= {(OFFSET, at): given.hyper.drift[np.array([at.joint])] for at in offsets}
+    offsets = [f.candidate.site for f in friction if f.candidate.effect is OFFSET]
+    believed |= {(OFFSET.id, at): given.hyper.drift[np.array([at.joint])] for at in offsets}
     prepared = replace(prepared, believed=believed, known_shapes=known_shapes(found.fit, found.rows, own))
     own = [columns.candidate(c.effect, c.site, c.shape) for c in own]
     early = (*(f.candidate for f in friction), *(c for c in own if not has_friction(c)))

@@ -20,17 +20,16 @@ import numpy as np
 from scipy.special import expit
 
 from torchrbd.diagnosis.decisions import DECISIONS
-from torchrbd.diagnosis.hypotheses import SHARED
 from torchrbd.diagnosis.posterior import probability_of
-from torchrbd.effects import Site, effect
+from torchrbd.effects import Effect, Site, effect
+from torchrbd.effects.base import LEVEL, SPEED
 from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.robot import RobotModel
 
-# The label of a constant torque.
-_LEVEL = "1"
-VISCOUS, COULOMB, UNEVEN = "viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction"
-OFFSET = "torque_offset"
+VISCOUS, COULOMB, UNEVEN, OFFSET = map(
+    effect, ("viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction", "torque_offset")
+)
 
 
 @dataclass(frozen=True)
@@ -67,42 +66,43 @@ def ordinary_friction(
         may: ids of effects.
         laws: what was found, as the likelihood has it.
     """
-    found, shifted = [], {c.place for c in laws if _LEVEL in c.labels}
+    found, shifted = [], {c.place for c in laws if LEVEL in c.labels}
     for j in range(columns.robot.n_dof):
         if not fit.machine.rows.seen[j]:
             continue
-        found_as, differ = {VISCOUS: 1.0} if VISCOUS in may else {}, float(UNEVEN in may and j not in shifted)
-        if differ and COULOMB in may:
+        found_as = dict[Effect, float]({VISCOUS: 1.0} if VISCOUS.id in may else {})
+        differ = float(UNEVEN.id in may and j not in shifted)
+        if differ and COULOMB.id in may:
             differ = float(expit(_uneven(fit, j)))
         if differ > DECISIONS.likely:
             found_as[UNEVEN] = differ
-        elif COULOMB in may:
+        elif COULOMB.id in may:
             found_as[COULOMB] = 1.0 - differ
-        if OFFSET in may and UNEVEN not in found_as and j not in shifted:
+        if OFFSET.id in may and UNEVEN not in found_as and j not in shifted:
             found_as[OFFSET] = 1.0
-        for name, law in found_as.items():
-            candidate = columns.candidate(effect(name), Site(j), {})
+        for e, law in found_as.items():
+            candidate = columns.candidate(e, Site(j), {})
             found.append(weighed_given(Friction(candidate, -math.inf, 0.0, law), fit, columns.robot, laws))
     return tuple(found)
 
 
 def weighed_given(one: Friction, fit: Likelihood, robot: RobotModel, laws: Sequence[Candidate]) -> Friction:
     """Return the same friction with its evidence in another likelihood and given other laws."""
-    name, joint = one.candidate.effect.id, one.candidate.joint
-    assert joint is not None
-    if name == OFFSET:
+    c = one.candidate
+    assert c.joint is not None
+    if LEVEL in c.labels:
         return one
-    evidence = _evidence(fit, robot, name, joint, laws)
+    evidence = _evidence(fit, robot, c, laws)
     return replace(one, log_evidence=evidence, probability=probability_of(evidence))
 
 
-def _evidence(fit: Likelihood, robot: RobotModel, name: str, joint: int, laws: Sequence[Candidate]) -> float:
-    own = slice(0, 1) if name == VISCOUS else slice(1, None)
+def _evidence(fit: Likelihood, robot: RobotModel, c: Candidate, laws: Sequence[Candidate]) -> float:
+    joint, (label, *_) = c.joint, c.labels
+    own = slice(0, 1) if label == SPEED else slice(1, None)
     at, size = fit.machine.ordinary(joint)[own], fit.machine.friction_size(joint, fit.hyper)[own]
-    urdf = robot.damping[joint] if name == VISCOUS else robot.friction[joint]
+    urdf = robot.damping[joint] if label == SPEED else robot.friction[joint]
     value = np.divide(float(urdf), size, out=np.zeros_like(size), where=size > 0)
     evidence = fit.gaussian.against(at, value)
-    label = SHARED[0] if name == VISCOUS else SHARED[1]
     also = [(k, c.labels.index(label)) for k, c in enumerate(laws) if c.place == joint and label in c.labels]
     if also:
         index = np.concatenate((at, [fit.further(k)[i] for k, i in also]))

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from torchrbd.effects import Site
+from torchrbd.effects.base import DIRECTION, SPEED
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
@@ -23,7 +24,7 @@ from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import coefficient_std
 
 # Columns that baseline friction has too.
-SHARED = ("qd", "sign(qd)")
+SHARED = (SPEED, DIRECTION)
 # Draws that estimate how much of a distribution physics allows, and the part of variances that is rounding.
 _DRAWS, _ROUNDING = 256, 1e-12
 # The gain [nats] that is worth another step of a shape, and how many there are towards one that agrees.
@@ -173,7 +174,7 @@ def whole(candidate: Candidate, coefficients: np.ndarray, fit: Likelihood) -> np
     if candidate.site.joint is None:
         return coefficients
     viscous, plus, minus = fit.friction[candidate.site.joint]
-    own = {"qd": viscous, "sign(qd)": 0.5 * (plus + minus)}
+    own = {SPEED: viscous, DIRECTION: 0.5 * (plus + minus)}
     return coefficients + [own[label] if label in SHARED else 0.0 for label in candidate.labels]
 
 

@@ -236,9 +236,12 @@ def _of_all(clocks: Clocks, effects: Sequence[Effect]) -> list[Ranked]:
     """
     late, std = np.array(list(clocks.delay_s.values())).T
     mean = float(np.average(late, weights=std**-2.0))
-    may = {"time_delay": {"delay": mean}} | ({"actuator_lag": {"time_constant": -mean}} if mean < 0 else {})
-    more = {"actuator_lag": clocks.lag_odds}
-    return [Ranked(e.id, (), (), clocks.against + more.get(e.id, 0.0), may[e.id]) for e in effects if e.id in may]
+    found = ((e, e.of_clock_offset(mean)) for e in effects)
+    return [
+        Ranked(e.id, (), (), clocks.against + (clocks.lag_odds if e.lags else 0.0), values)
+        for e, values in found
+        if values is not None
+    ]
 
 
 def _ranked(h: Hypothesis, fit: Likelihood, robot: RobotModel) -> Ranked:

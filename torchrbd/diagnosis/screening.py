@@ -13,12 +13,9 @@ from torchrbd.diagnosis.windows import in_recordings, in_windows, located
 from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.shapes import varied
 
-# The machine has these already, and an offset of the clocks: what moves the torques of all joints in time alike.
-ORDINARY = (*ORDINARY_EFFECTS, "coulomb_friction")
 # Points between a shape's neighbours on the grid.
 _FINE = 9
 
@@ -33,7 +30,7 @@ def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hyp
     """
     found: list[Hypothesis | None] = [*lasting(fit, rows, effects)]
     for e in effects:
-        found += [] if e.id in ORDINARY else in_windows(fit, rows, e)
+        found += [] if e.is_ubiquitous else in_windows(fit, rows, e)
         # Friction of some recordings only is not the machine's.
         found += in_recordings(fit, rows, e)
     return sorted((h for h in found if h is not None), key=lambda h: -h.log_evidence)
@@ -42,7 +39,7 @@ def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hyp
 def lasting(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
     """Return every effect at every place given a fit, if it acts all the time; see ``screened``."""
     robot, found = rows.columns.robot, list[Hypothesis | None]()
-    for e in (e for e in effects if e.id not in ORDINARY):
+    for e in (e for e in effects if not e.is_ubiquitous):
         for site in e.sites(robot):
             if _may_be(e, site, rows):
                 grid = e.shapes(rows.columns.scale(site))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from torchrbd.diagnosis.results import Curve, Deflection, Finding, Where, strongest_first
+from torchrbd.effects import effect
 
 
 def with_springs(findings: Sequence[Finding], measured: Sequence[Deflection]) -> tuple[Finding, ...]:
@@ -16,7 +17,7 @@ def with_springs(findings: Sequence[Finding], measured: Sequence[Deflection]) ->
     springs = {d.joint: d for d in measured if d.stiffness is not None}
     found = []
     for finding in findings:
-        spring = springs.pop(finding.joints[0], None) if finding.effect == "joint_elasticity" else None
+        spring = springs.pop(finding.joints[0], None) if effect(finding.effect).is_gear_spring else None
         found.append(finding if spring is None else _merged(finding, spring))
     found += [_finding(spring) for spring in springs.values()]
     return strongest_first(found)

@@ -24,8 +24,8 @@ def another_variant(finding: Finding, robot: RobotModel) -> Variant | None:
     Returns:
         None otherwise.
     """
-    geometry = effect("geometry_error")
-    if finding.effect != geometry.id:
+    geometry = effect(finding.effect)
+    if not geometry.moves_origin:
         return None
     (name,) = finding.joints
     origin = joint_origins(robot)[robot.joint_names.index(name)]

@@ -46,6 +46,7 @@ class ActuatorLag(Effect):
     has_memory = True
     sees_friction = True
     shifts_clocks = True
+    lags = True
     of_the_data = ("bandwidth",)
     prior = CoefficientPrior(
         "An actuator follows its command within hundredths of a second.", positive=(0,), std=(0.05,)
@@ -74,6 +75,10 @@ class ActuatorLag(Effect):
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return 0 <= parameters["time_constant"] <= self._LONGEST_S
+
+    def of_clock_offset(self, delay_s: float) -> dict[str, float] | None:
+        """Return the time constant of torques that are early: a command runs ahead of what it makes."""
+        return {"time_constant": -delay_s} if delay_s < 0 else None
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         return {"general": {"dyntype": "filterexact", "dynprm": (parameters["time_constant"],)}}

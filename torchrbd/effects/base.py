@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -26,6 +26,8 @@ from torchrbd.effects.sites import Site, Window
 from torchrbd.robot import RobotModel
 
 Shape = Mapping[str, float]
+SPEED, DIRECTION, UNEVENNESS, LEVEL, ACCELERATION = "qd", "sign(qd)", "|sign(qd)|", "1", "qdd"
+"""Labels of columns that several effects share."""
 Mjcf = dict[str, dict[str, float | tuple[float, ...] | str]]
 """MJCF elements and their attributes."""
 
@@ -111,6 +113,20 @@ class Effect(ABC):
         has_memory: True if the features depend on past states, and so need a sequence.
         lasts_s: typical duration of an effect that acts for a time only [s]; a shorter one is less likely.
         prior: of the coefficients.
+        plain_columns: labels of its columns, if they are all of a joint's own velocity, direction of motion or
+            acceleration, or constant.
+        baseline: per coefficient, how much it adds to the joint's viscous friction, Coulomb friction and offset, which
+            other effects see as torque that the actuator supplies; empty if nothing.
+        dry: True if a parameter of it is Coulomb friction in motion, as of other such effects in its place.
+        urdf_tag: the attribute of URDF's <dynamics> that is its coefficient.
+        acts_on_link: True if it acts behind the gear: it winds up the gear's spring.
+        of_rotor: True if it is inertia in front of the gear.
+        is_gear_spring: True if it is the spring of the gear, which an encoder behind the gear shows too.
+        moves_origin: True if its parameters x, y and z move the origin of a joint.
+        of_conditions: True if the torque depends on time or temperature as well as on the state.
+        other_signal: signal of the other joint on which it depends, if a site has one.
+        curve_times: what multiplies its curve: "direction" of motion, "speed", or "" for nothing.
+        lags: True if the torque follows its command with a lag.
         shifts_clocks: True if, at all joints at once, it equals a clock offset to first order.
         kinds: shape parameters with separate values, such as the side of a stop, and words for these values.
         several: True if a joint may have more than one of them, such as two stops.
@@ -138,8 +154,20 @@ class Effect(ABC):
     sees_friction: ClassVar[bool] = False
     has_memory: ClassVar[bool] = False
     shifts_clocks: ClassVar[bool] = False
+    lags: ClassVar[bool] = False
     lasts_s: ClassVar[float | None] = None
     prior: ClassVar[CoefficientPrior] = CoefficientPrior()
+    plain_columns: ClassVar[tuple[str, ...]] = ()
+    baseline: ClassVar[tuple[tuple[float, float, float], ...]] = ()
+    dry: ClassVar[bool] = False
+    urdf_tag: ClassVar[str] = ""
+    acts_on_link: ClassVar[bool] = False
+    of_rotor: ClassVar[bool] = False
+    is_gear_spring: ClassVar[bool] = False
+    moves_origin: ClassVar[bool] = False
+    of_conditions: ClassVar[bool] = False
+    other_signal: ClassVar[str] = "q"
+    curve_times: ClassVar[Literal["", "direction", "speed"]] = ""
     kinds: ClassVar[Mapping[str, Mapping[float, str]]] = MappingProxyType({})
     several: ClassVar[bool] = False
     follows: ClassVar[tuple[str, ...]] = ()
@@ -149,6 +177,20 @@ class Effect(ABC):
     export_note: ClassVar[str] = ""
     exported_in_part: ClassVar[bool] = False
     urdf_note: ClassVar[str] = ""
+
+    @property
+    def is_baseline(self) -> bool:
+        """Whether it is baseline friction, or an offset: the columns that every joint may have."""
+        return bool(self.plain_columns) and ACCELERATION not in self.plain_columns
+
+    @property
+    def is_ubiquitous(self) -> bool:
+        """Whether every machine has it."""
+        return self.prevalence == "ubiquitous"
+
+    def of_clock_offset(self, delay_s: float) -> dict[str, float] | None:
+        """Return the parameters that make all torques so much later than the motion [s]; None if none do."""
+        return None
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         """Return the places on a robot where the effect may act; ``windows`` are windows of time in which it may act.

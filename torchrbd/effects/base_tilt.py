@@ -36,6 +36,7 @@ class BaseTilt(ShowsBodies):
     shown_by = (
         "Slow motion with the first joint through a full turn: gravity torque changes with the first joint's angle."
     )
+    acts_on_link = True
     units: ClassVar[Mapping[str, str]] = {"tilt_x": "rad", "tilt_y": "rad"}
     comes_and_goes = True
     whole_robot = True

@@ -21,6 +21,7 @@ class CableDrag(JointEffect):
     words = "cable drag over a range of positions"
     equation = "c window(q; start, end) sign(qd)"
     shown_by = "Slow sweeps in both directions through the whole range: friction is larger between two positions."
+    curve_times = "direction"
     units: ClassVar[Mapping[str, str]] = {"start": "{q}", "end": "{q}", "resistance": "{tau}"}
     comes_and_goes = True
     dissipative = True

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.effects.base import FRICTION, CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.effects.base import DIRECTION, FRICTION, UNEVENNESS, CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.effects.mjcf import affine
 from torchrbd.effects.signals import JointScale, JointState
 
@@ -25,13 +25,18 @@ class CoulombFriction(JointEffect):
     words = "Coulomb friction"
     equation = "c sign(qd)"
     shown_by = "Slow motion with many reversals: torque jumps where the velocity changes sign."
+    plain_columns = (DIRECTION,)
+    baseline = ((0.0, 1.0, 0.0),)
+    dry = True
+    urdf_tag = "friction"
+    curve_times = "direction"
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}"}
     comes_and_goes = True
     dissipative = True
     prior = FRICTION
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
-        return {"sign(qd)": state.direction()}
+        return {DIRECTION: state.direction()}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"coulomb": coefficients[0]}
@@ -65,6 +70,10 @@ class AsymmetricCoulombFriction(JointEffect):
         "Slow motion in both directions, and rests: the friction of the two directions differs, and no "
         "torque remains at rest."
     )
+    plain_columns = (DIRECTION, UNEVENNESS)
+    baseline = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    dry = True
+    curve_times = "speed"
     units: ClassVar[Mapping[str, str]] = {"coulomb_plus": "{tau}", "coulomb_minus": "{tau}"}
     comes_and_goes = True
     dissipative = True
@@ -78,7 +87,7 @@ class AsymmetricCoulombFriction(JointEffect):
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         direction = state.direction()
-        return {"sign(qd)": direction, "|sign(qd)|": direction.abs()}
+        return {DIRECTION: direction, UNEVENNESS: direction.abs()}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         mean, half = coefficients

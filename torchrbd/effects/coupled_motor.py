@@ -45,6 +45,8 @@ class CoupledMotor(Effect):
     shown_by = (
         "Both joints move with equal and with opposite speeds: friction follows the speed of the motor, not of a joint."
     )
+    other_signal = "qd"
+    curve_times = "speed"
     units: ClassVar[Mapping[str, str]] = {
         "viscous": "{tau} s/{q}",
         "coulomb": "{tau}",

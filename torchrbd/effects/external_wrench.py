@@ -27,6 +27,7 @@ class ExternalWrench(Effect):
     words = "external force or moment"
     equation = "-J(q)' [f, n]"
     shown_by = "The same motion with and without the contact: all joints before the link change their torque together."
+    acts_on_link = True
     units: ClassVar[Mapping[str, str]] = {
         **{f"force_{axis}": "N" for axis in "xyz"},
         **{f"moment_{axis}": "N m" for axis in "xyz"},

@@ -41,6 +41,8 @@ class GeometryError(Effect):
         "Slow and fast motion through many arm poses, best with a heavy load: no masses explain gravity and "
         "inertia at once."
     )
+    acts_on_link = True
+    moves_origin = True
     units: ClassVar[Mapping[str, str]] = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
     whole_robot = True
     uses_load = True

@@ -10,7 +10,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.effects.base import Curve, Effect, Mjcf, Shape
+from torchrbd.effects.base import LEVEL, Curve, Effect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window
 from torchrbd.robot import RobotModel
@@ -34,7 +34,7 @@ class JointCoupling(Effect):
     def features(self, signals: Signals, site: Site, shape: Shape) -> dict[str, Tensor]:
         assert site.other is not None
         q = signals.q[site.other]
-        return {f"q_{signals.robot.joint_names[site.other]}": q, "1": torch.ones_like(q)}
+        return {f"q_{signals.robot.joint_names[site.other]}": q, LEVEL: torch.ones_like(q)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"stiffness": coefficients[0], "offset": coefficients[1]}

@@ -54,6 +54,7 @@ class JointElasticity(Effect):
     shown_by = (
         "Fast oscillations under large loads: the link lags or leads the motor by an angle in proportion to torque."
     )
+    is_gear_spring = True
     units: ClassVar[Mapping[str, str]] = {
         "stiffness": "{tau}/{q}",
         "bandwidth": "Hz",

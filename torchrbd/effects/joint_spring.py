@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.effects.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.effects.base import LEVEL, CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, JointState
 
 # Largest distance of a spring's rest position, in ranges that the joint has covered.
@@ -26,6 +26,7 @@ class JointSpring(JointEffect):
     shown_by = (
         "Slow sweeps through the whole range in several arm poses: torque grows with the angle, whatever gravity does."
     )
+    acts_on_link = True
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
     comes_and_goes = True
     drawn_over = "q"
@@ -33,7 +34,7 @@ class JointSpring(JointEffect):
     export_note = "the springs of a joint are added: springref is the rest position of their sum"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
-        return {"q": state.q, "1": torch.ones_like(state.q)}
+        return {"q": state.q, LEVEL: torch.ones_like(state.q)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"stiffness": coefficients[0], "rest_position": -coefficients[1] / coefficients[0]}

@@ -30,6 +30,7 @@ class LoadDependentFriction(JointEffect):
     shown_by = (
         "Slow reversals in poses with small and with large gravity torque: the jump of friction grows with the load."
     )
+    curve_times = "direction"
     units: ClassVar[Mapping[str, str]] = {"load_friction": "1"}
     dissipative = True
     uses_load = True

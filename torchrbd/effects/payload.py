@@ -36,6 +36,7 @@ class Payload(Effect):
     words = "payload"
     equation = "Y_link [m, m c, I]"
     shown_by = "The same motion with and without the load, slow and fast, in several poses of the wrist."
+    acts_on_link = True
     units: ClassVar[Mapping[str, str]] = {
         "mass": "kg",
         **dict.fromkeys("xyz", "m"),

@@ -13,30 +13,19 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
-_COULOMB_AND_MORE = ((0.0, 1.0, 0.0), (0.0, 0.0, 0.0))
-# By effect: what each of its coefficients adds to (viscous, coulomb, offset).
-PARTS: dict[str, tuple[tuple[float, float, float], ...]] = {
-    "viscous_friction": ((1.0, 0.0, 0.0),),
-    "coulomb_friction": ((0.0, 1.0, 0.0),),
-    "torque_offset": ((0.0, 0.0, 1.0),),
-    "asymmetric_coulomb_friction": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    # These contain Coulomb friction and replace it.
-    "stribeck_friction": _COULOMB_AND_MORE,
-    "time_varying_friction": _COULOMB_AND_MORE,
-    "position_dependent_friction": _COULOMB_AND_MORE,
-}
+from torchrbd.effects.base import Effect
 
 
-def plain_friction(n_dof: int, terms: Iterable[tuple[str, int | None, Tensor]]) -> Tensor:
+def plain_friction(n_dof: int, terms: Iterable[tuple[Effect, int | None, Tensor]]) -> Tensor:
     """Return the sums of viscous and Coulomb coefficients and offsets of each joint, (n_dof, 3), differentiable in w.
 
     Args:
         n_dof: number of joints.
-        terms: effect id, joint and coefficients w (K,) of each; effects that are not in ``PARTS`` are ignored.
+        terms: effect, joint and coefficients w (K,) of each; see ``Effect.baseline``.
     """
     total = torch.zeros(n_dof, 3, dtype=torch.float64)
     for effect, joint, w in terms:
-        if effect in PARTS and joint is not None:
-            parts = torch.tensor(PARTS[effect], dtype=total.dtype, device=w.device)
+        if effect.baseline and joint is not None:
+            parts = torch.tensor(effect.baseline, dtype=total.dtype, device=w.device)
             total = total.to(w.device).index_add(0, torch.tensor([joint], device=w.device), (w.to(parts) @ parts)[None])
     return total

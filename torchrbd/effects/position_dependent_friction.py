@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.effects.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.effects.base import DIRECTION, CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, JointState
 
 
@@ -27,6 +27,8 @@ class PositionDependentFriction(JointEffect):
     words = "friction that depends on position"
     equation = "(c + (c_0 - c) exp(-((q - q_0)/w)^2)) sign(qd)"
     shown_by = "Slow reversals through the whole range: friction is larger or smaller around one position."
+    baseline = ((0.0, 1.0, 0.0), (0.0, 0.0, 0.0))
+    curve_times = "direction"
     units: ClassVar[Mapping[str, str]] = {
         "centre": "{q}",
         "width": "{q}",
@@ -57,7 +59,7 @@ class PositionDependentFriction(JointEffect):
         centre, width = shape["centre"], shape["width"]
         direction = state.direction()
         bump = direction * torch.exp(-(((state.q - centre) / width) ** 2))
-        return {"sign(qd)": direction, f"sign(qd) exp(-((q{-centre:+.6g})/{width:.6g})^2)": bump}
+        return {DIRECTION: direction, f"sign(qd) exp(-((q{-centre:+.6g})/{width:.6g})^2)": bump}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         coulomb, extra = coefficients

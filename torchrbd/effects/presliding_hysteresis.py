@@ -44,6 +44,8 @@ class PreslidingHysteresis(JointEffect):
     words = "presliding friction (Dahl, LuGre)"
     equation = "c z, dz/dt = qd/d (1 - z sign(qd))"
     shown_by = "Oscillations of a few milliradians around rest: torque over position is a loop, not a jump."
+    dry = True
+    curve_times = "direction"
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "distance": "{q}"}
     has_memory = True
     prior = RESISTS

@@ -41,7 +41,6 @@ from torchrbd.errors import OptionError, closest
 
 PLAIN = ("viscous_friction", "coulomb_friction", "torque_offset")
 """Baseline friction, which is always fitted."""
-PLAIN_OR_UNEVEN = (*PLAIN, "asymmetric_coulomb_friction")
 
 _EFFECTS: dict[str, Effect] = {}
 # Functions without a physical law: models may contain them, but they are not in the list of effects.
@@ -91,6 +90,11 @@ for _effect in (
     ExternalWrench(),
 ):
     register(_effect)
+
+
+def tagged_effects() -> tuple[Effect, ...]:
+    """Return the effects that URDF's <dynamics> has attributes for, see ``Effect.urdf_tag``."""
+    return tuple(e for e in _EFFECTS.values() if e.urdf_tag)
 
 
 def known_effects() -> dict[str, Effect]:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.effects.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.effects.base import ACCELERATION, CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, JointState
 
 
@@ -22,12 +22,15 @@ class RotorInertia(JointEffect):
     shown_by = (
         "Fast oscillations of the joint in several arm poses: one part of the inertia is the same in all of them."
     )
+    plain_columns = (ACCELERATION,)
+    of_rotor = True
+    curve_times = "speed"
     units: ClassVar[Mapping[str, str]] = {"rotor_inertia": "{tau} s^2/{q}"}
     drawn_over = "qdd"
     prior = CoefficientPrior("An inertia is not negative.", positive=(0,), may_be_none=True)
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
-        return {"qdd": state.qdd}
+        return {ACCELERATION: state.qdd}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"rotor_inertia": coefficients[0]}

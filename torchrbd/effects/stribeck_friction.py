@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.effects.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.effects.base import DIRECTION, CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, JointState
 
 
@@ -30,6 +30,9 @@ class StribeckFriction(JointEffect):
     words = "Stribeck friction"
     equation = "sign(qd) (c + (s - c) exp(-(qd/v_s)^2))"
     shown_by = "Constant speeds from very slow to fast: torque falls, then rises as speed grows."
+    baseline = ((0.0, 1.0, 0.0), (0.0, 0.0, 0.0))
+    dry = True
+    curve_times = "direction"
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "static": "{tau}", "stribeck_speed": "{q}/s"}
     comes_and_goes = True
     dissipative = True
@@ -49,7 +52,7 @@ class StribeckFriction(JointEffect):
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         direction, speed = state.direction(), shape["stribeck_speed"]
         bump = direction * torch.exp(-((state.qd / speed) ** 2))
-        return {"sign(qd)": direction, f"sign(qd) exp(-(qd/{speed:.6g})^2)": bump}
+        return {DIRECTION: direction, f"sign(qd) exp(-(qd/{speed:.6g})^2)": bump}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         coulomb, extra = coefficients

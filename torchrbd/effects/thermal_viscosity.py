@@ -36,6 +36,8 @@ class ThermalViscosity(JointEffect):
     shown_by = (
         "The same fast motion from cold to warm, with recorded temperature: the slope of torque over speed falls."
     )
+    of_conditions = True
+    curve_times = "speed"
     units: ClassVar[Mapping[str, str]] = {"viscous_per_kelvin": "{tau} s/({q} K)"}
     drawn_over = "temperature"
     needs = "a channel temperature_<joint> that changes"

@@ -90,6 +90,9 @@ class TimeDelay(Effect):
         near = abs(step) <= self._SMALL_S or abs(step) / self._MOST_APART <= delay * math.copysign(1.0, step)
         return abs(delay) <= self._LARGEST_S and near
 
+    def of_clock_offset(self, delay_s: float) -> dict[str, float]:
+        return {"delay": delay_s}
+
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         delay = parameters["delay"]
         return {"actuatorfrc": {"delay": delay}} if delay > 0 else {"general": {"delay": -delay}}

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.effects.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.effects.base import DIRECTION, CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, JointState
 
 
@@ -31,6 +31,9 @@ class TimeVaryingFriction(JointEffect):
     shown_by = (
         "The same motion, repeated from a cold start for several time constants: friction changes from cycle to cycle."
     )
+    baseline = ((0.0, 1.0, 0.0), (0.0, 0.0, 0.0))
+    of_conditions = True
+    curve_times = "direction"
     units: ClassVar[Mapping[str, str]] = {
         "coulomb_end": "{tau}",
         "coulomb_start": "{tau}",
@@ -53,7 +56,7 @@ class TimeVaryingFriction(JointEffect):
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         direction, T = state.direction(), shape["time_constant"]
         decay = torch.exp(-state.times() / T).to(direction)
-        return {"sign(qd)": direction, f"sign(qd) exp(-t/{T:.6g})": direction * decay}
+        return {DIRECTION: direction, f"sign(qd) exp(-t/{T:.6g})": direction * decay}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         end, extra = coefficients

@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchrbd.effects.base import CoefficientPrior, JointEffect, Mjcf, Shape
+from torchrbd.effects.base import LEVEL, CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.effects.mjcf import affine
 from torchrbd.effects.placed import in_windows
 from torchrbd.effects.signals import JointScale, JointState
@@ -25,6 +25,8 @@ class TorqueOffset(JointEffect):
     words = "constant torque offset"
     equation = "tau_0"
     shown_by = "Slow motion in both directions, with gravity torque of both signs: a constant torque remains."
+    plain_columns = (LEVEL,)
+    baseline = ((0.0, 0.0, 1.0),)
     units: ClassVar[Mapping[str, str]] = {"offset": "{tau}"}
     comes_and_goes = True
     drawn_over = "q"
@@ -35,7 +37,7 @@ class TorqueOffset(JointEffect):
         return in_windows(super().sites(robot), windows) if windows else super().sites(robot)
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
-        return {"1": torch.ones_like(state.q)}
+        return {LEVEL: torch.ones_like(state.q)}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"offset": coefficients[0]}

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchrbd.effects.base import FRICTION, JointEffect, Mjcf, Shape
+from torchrbd.effects.base import FRICTION, SPEED, JointEffect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, JointState
 
 
@@ -20,13 +20,17 @@ class ViscousFriction(JointEffect):
     words = "viscous friction"
     equation = "d qd"
     shown_by = "Constant speeds from slow to fast, in both directions: torque grows in proportion to speed."
+    plain_columns = (SPEED,)
+    baseline = ((1.0, 0.0, 0.0),)
+    urdf_tag = "damping"
+    curve_times = "speed"
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}
     comes_and_goes = True
     dissipative = True
     prior = FRICTION
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
-        return {"qd": state.qd}
+        return {SPEED: state.qd}
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
         return {"viscous": coefficients[0]}

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from torchrbd.diagnosis import Alternative, Diagnosis, Finding
 from torchrbd.diagnosis.changes.reading import side_of
-from torchrbd.diagnosis.screening import ORDINARY
 from torchrbd.display import Remark
 from torchrbd.effects import Effect, Shape, Site, Term, effect
 from torchrbd.errors import InputError
@@ -132,7 +131,7 @@ def _rivals(robot: RobotModel, finding: Finding) -> tuple[Rival, ...]:
     found = [_rival(robot, one) for one in (own, *alike)]
     found = [one for one in found if bool(one.coefficients.isfinite().all())]
     there = max(finding.probability, finding.family_probability)
-    if there < _SURE and finding.effect not in ORDINARY and found:
+    if there < _SURE and not effect(finding.effect).is_ubiquitous and found:
         found = [replace(one, probability=there * one.probability) for one in found]
         found.append(Rival(NOTHING, None, Site(), {}, torch.zeros(0, dtype=torch.float64), 1.0 - there))
     return tuple(found)

@@ -120,7 +120,7 @@ class Separating:
 
     def _signals(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Signals:
         model = self.known.model
-        plain = ((x.effect.id, x.site.joint, x.coefficients) for x in model.terms if x.site.always)
+        plain = ((x.effect, x.site.joint, x.coefficients) for x in model.terms if x.site.always)
         friction = plain_friction(model.robot.n_dof, plain)
         q, qd, qdd = (x.T.contiguous() for x in (q, qd, qdd))
         return Signals(model.robot, q, qd, qdd, self._rest_width, model.pi, self.t, friction=friction)

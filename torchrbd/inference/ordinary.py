@@ -14,7 +14,7 @@ from dataclasses import replace
 import torch
 
 from torchrbd.effects import Effect, JointScale, effect
-from torchrbd.effects.registry import PLAIN, PLAIN_OR_UNEVEN
+from torchrbd.effects.registry import PLAIN
 from torchrbd.errors import RecordingError
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared
@@ -52,7 +52,7 @@ def with_machine(
         progress: called with the stage and the part of it that is done.
         known: clocks and likelihood in the wide band, if they have been learnt.
     """
-    frictionless = not any(e.id in PLAIN_OR_UNEVEN for e in effects)
+    frictionless = not any(e.is_baseline for e in effects)
     if prepared.states is not None or (known is None and frictionless):
         return prepared
     progress("learning clocks and friction", 0.0)
@@ -80,7 +80,7 @@ def _left(
     """Return the squared errors (n_dof,) that least squares leaves with such scales, all samples counting alike."""
     columns = prepared.columns.at_scales(scales).unweighted
     training = prepared.reading.statistics(columns, lambda *_: None).together(~prepared.held_out)
-    terms = term_candidates(columns, [e.id for e in effects if e.id in PLAIN_OR_UNEVEN])
+    terms = term_candidates(columns, [e.id for e in effects if e.is_baseline])
     fit = fit_model(training, data_prior(training, held, prepared.prior.kappa), terms)
     return training.squared_error(fit.x).sum(0)
 

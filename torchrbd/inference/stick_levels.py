@@ -40,7 +40,7 @@ def stick_levels(training: BlockStatistics, prior: Prior) -> Tensor:
     for c in columns.urdf_friction:
         j = c.joint
         seen = weight[:, j] > 0
-        if c.effect.id != "coulomb_friction" or not seen.any():
+        if c.effect.urdf_tag != "friction" or not seen.any():
             continue
         if c in terms:
             (coulomb,), ((variance,),) = fitted.coefficients(c)

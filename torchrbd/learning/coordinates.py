@@ -73,7 +73,7 @@ def physics_columns(
     parameters = dict(model.named_parameters()) if parameters is None else parameters
     pi = _pi(model, parameters)
     coefficients = [parameters[f"_terms.{k}.coefficients"] for k in range(len(model.terms))]
-    plain = [(m.effect.id, m.site.joint, w) for m, w in zip(model.terms, coefficients, strict=True) if m.site.always]
+    plain = [(m.effect, m.site.joint, w) for m, w in zip(model.terms, coefficients, strict=True) if m.site.always]
     friction, Y = plain_friction(robot.n_dof, plain), robot.regressor(q, qd, qdd)
     q, qd, qdd = (x.movedim(-1, 0) for x in torch.broadcast_tensors(q, qd, qdd))
     warm = None if temperature is None else temperature.movedim(-1, 0)

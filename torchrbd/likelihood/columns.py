@@ -15,15 +15,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchrbd.effects import Effect, JointScale, Shape, Signals, Site, Window, effect
+from torchrbd.effects import Effect, JointScale, Shape, Signals, Site, Window
 from torchrbd.effects.base import ShowsBodies
 from torchrbd.effects.plain_friction import plain_friction
+from torchrbd.effects.registry import tagged_effects
 from torchrbd.errors import InputError
 from torchrbd.likelihood.sticking import stick_weight, undetermined
 from torchrbd.recordings import States
 from torchrbd.robot import RobotModel
-
-URDF_FRICTION = {"viscous_friction": "damping", "coulomb_friction": "friction"}
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ class Columns:
         self._made_by_motion: dict[int, Tensor] = {}
         self._probe = replace(self.signals_at(*still), t=torch.arange(4, dtype=torch.float64))
         self.urdf_friction = tuple(
-            self.candidate(effect(name), Site(joint), {}) for joint in range(robot.n_dof) for name in URDF_FRICTION
+            self.candidate(e, Site(joint), {}) for joint in range(robot.n_dof) for e in tagged_effects()
         )
         self.candidates = tuple(self._grid() if candidates is None else candidates)
         self._maker: dict[tuple[int | None, str], Candidate] = {}
@@ -273,7 +272,7 @@ class Columns:
 
     def urdf_value(self, candidate: Candidate) -> float:
         """Return the value of a term in the URDF's <dynamics>, zero if URDF cannot express it."""
-        attribute = URDF_FRICTION.get(candidate.effect.id) if candidate.site.always else None
+        attribute = candidate.effect.urdf_tag if candidate.site.always else ""
         return float(getattr(self.robot, attribute)[candidate.joint]) if attribute else 0.0
 
     def friction_of(self, terms: Iterable[Candidate], x: Tensor) -> Tensor:
@@ -281,12 +280,12 @@ class Columns:
 
         Only terms that act all the time count.
         """
-        found: list[tuple[str, int | None, Tensor]] = []
+        found: list[tuple[Effect, int | None, Tensor]] = []
         counted: set[int] = set()
         for c in (*(c for c in terms if c.site.always), *self.urdf_friction):
             # A column that two terms share counts once.
             index = self.of(c)
-            found.append((c.effect.id, c.place, torch.stack([x[k] * float(k not in counted) for k in index])))
+            found.append((c.effect, c.place, torch.stack([x[k] * float(k not in counted) for k in index])))
             counted.update(index)
         return plain_friction(self.robot.n_dof, found)
 

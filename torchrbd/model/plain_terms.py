@@ -14,19 +14,20 @@ import torch
 from torch import Tensor
 
 from torchrbd.effects import Term
+from torchrbd.effects.base import DIRECTION, LEVEL, SPEED, UNEVENNESS
 
-# By effect, which of d, c, a and o its coefficients add to, in their order.
-_PARTS = {
-    "viscous_friction": (0,),
-    "coulomb_friction": (1,),
-    "asymmetric_coulomb_friction": (1, 2),
-    "torque_offset": (3,),
-}
+# Labels of the columns that d, c, a and o multiply, in their order.
+_COLUMNS = (SPEED, DIRECTION, UNEVENNESS, LEVEL)
 
 
 def is_plain(term: Term) -> bool:
     """Return whether a term is baseline friction, at all times and in all recordings."""
-    return term.effect.id in _PARTS and term.site.always
+    return term.effect.is_baseline and term.site.always
+
+
+def _parts(term: Term) -> list[int]:
+    """Return which of d, c, a and o a term's coefficients add to."""
+    return [_COLUMNS.index(label) for label in term.effect.plain_columns]
 
 
 def placing(n_dof: int, terms: Sequence[Term]) -> Tensor:
@@ -34,7 +35,7 @@ def placing(n_dof: int, terms: Sequence[Term]) -> Tensor:
     at: list[tuple[int, int]] = []
     for term in terms:
         assert term.site.joint is not None
-        at += [(part, term.site.joint) for part in _PARTS[term.effect.id]]
+        at += [(part, term.site.joint) for part in _parts(term)]
     matrix = torch.zeros(4, n_dof, len(at), dtype=torch.float64)
     for k, (part, joint) in enumerate(at):
         matrix[part, joint, k] = 1.0
@@ -56,7 +57,7 @@ def plain_torque(terms: Sequence[Term], matrix: Tensor, qd: Tensor, rest_width: 
         return torch.zeros_like(qd)
     w = torch.cat([term.coefficients for term in terms]).to(qd.dtype)
     viscous, coulomb, uneven, offset = (matrix.to(qd) @ w).unbind(0)
-    has = {part for term in terms for part in _PARTS[term.effect.id]}
+    has = {part for term in terms for part in _parts(term)}
     torque = viscous * qd
     if has & {1, 2}:
         direction = torch.tanh(qd / rest_width.to(qd.dtype))

@@ -291,7 +291,7 @@ class RigidBodyDynamics(nn.Module):
             return plain
         q, qd, qdd = (x.movedim(-1, 0) for x in (q, qd, qdd))
         warm = None if temperature is None else temperature.movedim(-1, 0)
-        constant = ((term.effect.id, term.site.joint, term.coefficients) for term in self.terms if term.site.always)
+        constant = ((term.effect, term.site.joint, term.coefficients) for term in self.terms if term.site.always)
         friction = plain_friction(self.robot.n_dof, constant)
         known = (self.rest_width, self._carried(recording), t, recording, warm, friction, turned)
         signals = Signals(self.robot, q, qd, qdd, *known)

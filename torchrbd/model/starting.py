@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import torch
 
 from torchrbd.effects import Effect, JointScale, Shape, Signals, Site, Term, effect
+from torchrbd.effects.registry import tagged_effects
 from torchrbd.effects.requested import RequestedEffect
 from torchrbd.errors import OptionError
 from torchrbd.robot import RobotModel
@@ -21,9 +22,9 @@ def described_terms(robot: RobotModel) -> list[Term]:
     """Return the terms in a robot's description: damping, dry friction, rotors and springs of its joints."""
     terms = []
     for joint in range(robot.n_dof):
-        for name, value in (("viscous_friction", robot.damping[joint]), ("coulomb_friction", robot.friction[joint])):
-            if value:
-                terms.append(Term(effect(name), Site(joint), value.reshape(1), {}))
+        for e in tagged_effects():
+            if value := getattr(robot, e.urdf_tag)[joint]:
+                terms.append(Term(e, Site(joint), value.reshape(1), {}))
     return [*terms, *known_terms(robot)]
 
 

@@ -191,6 +191,5 @@ def _sense(identifier: str, curve: Curve) -> Sense | None:
         return None
     if curve.signal.startswith("qd"):
         return None if known.uses_load else "added"
-    if "sign(qd)" in known.equation:
-        return "against the motion"
-    return None if re.search(r"\bqd", known.equation) else "added"
+    senses: dict[str, Sense | None] = {"": "added", "direction": "against the motion", "speed": None}
+    return senses[known.curve_times]

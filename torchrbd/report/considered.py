@@ -172,8 +172,8 @@ def _parameters(one: Ranked, prismatic: Mapping[str, bool]) -> list[str]:
 
 def _ordinary(found: Sequence[Ranked], robot: RobotModel) -> list[Ordinary]:
     """Return a row per joint."""
-    viscous = {one.joints: one for one in found if one.effect == "viscous_friction"}
-    coulomb = {one.joints: one for one in found if one.effect == "asymmetric_coulomb_friction"}
+    viscous = {one.joints: one for one in found if "viscous" in one.parameters}
+    coulomb = {one.joints: one for one in found if "coulomb_plus" in one.parameters}
     rows = []
     for j, joint in enumerate(robot.joint_names):
         slow, dry = viscous.get((joint,)), coulomb.get((joint,))

@@ -21,20 +21,17 @@ import torch
 from torch import Tensor
 
 from torchrbd.effects import Term
-from torchrbd.effects.coulomb_friction import AsymmetricCoulombFriction, CoulombFriction
+from torchrbd.effects.base import ACCELERATION, DIRECTION, LEVEL, SPEED, UNEVENNESS
+from torchrbd.effects.coulomb_friction import CoulombFriction
 from torchrbd.effects.presliding_hysteresis import PreslidingHysteresis
-from torchrbd.effects.registry import PLAIN_OR_UNEVEN
-from torchrbd.effects.rotor_inertia import RotorInertia
 from torchrbd.effects.smooth_torque import SmoothTorque
 from torchrbd.effects.torque_dead_zone import TorqueDeadZone
-from torchrbd.effects.torque_offset import TorqueOffset
 from torchrbd.effects.torque_saturation import TorqueSaturation
-from torchrbd.effects.viscous_friction import ViscousFriction
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.recordings import States
 
-# Of a joint's width of rest; families whose torque does not depend on accelerations; effects that depend on time.
-_SLOWEST, _OF_VELOCITY, _IN_TIME = 1e-2, ("friction", "spring"), ("time_varying_friction", "thermal_viscosity")
+# Of a joint's width of rest; families whose torque does not depend on accelerations.
+_SLOWEST, _OF_VELOCITY = 1e-2, ("friction", "spring")
 
 
 @dataclass(frozen=True)
@@ -77,25 +74,16 @@ class Plant:
         by_joint = [] if any(term.effect.sees_friction for term in instant) else [t for t in instant if _is_plain(t)]
         others = [term for term in instant if term not in by_joint]
         self.robot, self.slowest, self._pi, self._width = model.robot, _SLOWEST * width, pi, width
-        at = [(term.effect.id, term.site.joint, term.coefficients.detach()) for term in by_joint]
         self._viscous, self._offset, self._coulomb, self._uneven, self._armature = (
-            _sums(width, at, name, k)
-            for name, k in (
-                (ViscousFriction.id, 0),
-                (TorqueOffset.id, 0),
-                (CoulombFriction.id, 0),
-                (AsymmetricCoulombFriction.id, 1),
-                (RotorInertia.id, 0),
-            )
+            _sums(width, by_joint, label) for label in (SPEED, LEVEL, DIRECTION, UNEVENNESS, ACCELERATION)
         )
-        self._coulomb = self._coulomb + _sums(width, at, AsymmetricCoulombFriction.id, 0)
         whole, self._instant, self._others = (
             RigidBodyDynamics(model.robot, pi, some, width).requires_grad_(False) for some in (terms, instant, others)
         )
         self._whole, self._has_others = whole, bool(others)
         self._weighs = any(t.effect.family not in _OF_VELOCITY or t.effect.uses_load for t in others)
-        self.is_bare = all(t.effect.id == RotorInertia.id for t in by_joint) and not others
-        self.conditional = any(not t.site.always or t.effect.id in _IN_TIME for t in others)
+        self.is_bare = all(t.effect.of_rotor for t in by_joint) and not others
+        self.conditional = any(not t.site.always or t.effect.of_conditions for t in others)
 
     def mass(self, q: Tensor, at: Conditions) -> Tensor:
         """Return how torque grows with acceleration at q (W, n_dof), (W, n_dof, n_dof)."""
@@ -140,15 +128,16 @@ def _sliding(term: Term) -> Term:
 
 
 def _is_plain(term: Term) -> bool:
-    return term.site.always and term.effect.id in (*PLAIN_OR_UNEVEN, RotorInertia.id)
+    return term.site.always and bool(term.effect.plain_columns)
 
 
-def _sums(like: Tensor, terms: Iterable[tuple[str, int | None, Tensor]], effect: str, k: int) -> Tensor:
-    """Return the sums of coefficients k of an effect's terms by joint, (n_dof,)."""
+def _sums(like: Tensor, terms: Iterable[Term], label: str) -> Tensor:
+    """Return the sums of the coefficients of a column by joint, (n_dof,)."""
     total = torch.zeros_like(like)
-    for name, joint, w in terms:
-        if name == effect and joint is not None:
-            total[joint] += w[k]
+    for term in terms:
+        for own, w in zip(term.effect.plain_columns, term.coefficients.detach(), strict=True):
+            if own == label and term.site.joint is not None:
+                total[term.site.joint] += w
     return total
 
 

@@ -27,8 +27,7 @@ from torchrbd.errors import InputError
 Place = tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 
 # Friction in motion goes by other names where more of it is seen: at rest, by direction, before it slides.
-_COULOMB = "coulomb"
-_DRY = ("coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction", "presliding_hysteresis")
+_COULOMB, _PLAIN = "coulomb", "coulomb_friction"
 # Parts by which shapes may differ.
 LIKE_SHAPE = 0.25
 
@@ -51,15 +50,20 @@ def changed_findings(before: Side, after: Side) -> Iterator[Change]:
 
 def _dry(before: list[Finding], after: list[Finding]) -> Iterator[Change]:
     """Yield what became of friction in motion that is part of different effects; plain friction leaves the lists."""
-    for one in [f for f in before if f.effect in _DRY and not _timed(f)]:
-        for other in [f for f in after if f.effect in _DRY and f.joints == one.joints and not _timed(f)]:
+    for one in [f for f in before if _is_dry(f) and not _timed(f)]:
+        for other in [f for f in after if _is_dry(f) and f.joints == one.joints and not _timed(f)]:
             plain, same = _plain(one), _plain(other)
             if plain is not None and same is not None:
                 yield _of_both(plain, same, WIDER)
             # What friction in motion says, or that of two directions, is said by this.
             for found, f in ((before, one), (after, other)):
-                if f.effect in _DRY[:2] and f in found:
+                if effect(f.effect).is_baseline and f in found:
                     found.remove(f)
+
+
+def _is_dry(finding: Finding) -> bool:
+    known = known_effects().get(finding.effect)
+    return known is not None and known.dry
 
 
 def _alike(before: Side, after: Side, finding: Finding) -> bool:
@@ -180,7 +184,7 @@ def _plain(finding: Finding) -> Finding | None:
     if value is None and len(both) == 2:
         mean = 0.5 * sum(q.value for q in both)
         value = Quantity(mean, 0.5 * math.hypot(*(q.std for q in both)), both[0].unit)
-    return None if value is None else replace(finding, effect=_DRY[0], parameters={_COULOMB: value})
+    return None if value is None else replace(finding, effect=_PLAIN, parameters={_COULOMB: value})
 
 
 def _size(finding: Finding, name: str, quantity: Quantity) -> float:

@@ -20,7 +20,7 @@ def weighed(fit: Fit) -> Fit:
         levels = samples.columns.stick_levels.clone()
         for term in fit.terms:
             moves = samples.columns.scale(term.site).moves
-            if term.effect.id == "coulomb_friction" and moves and rows.counts[term.joint]:
+            if term.effect.urdf_tag == "friction" and moves and rows.counts[term.joint]:
                 (coulomb,), j = fit.coefficients(term), term.joint
                 level = abs(coulomb) / rows.noises[j].std
                 # Joints whose friction the first fit is not sure of have none.

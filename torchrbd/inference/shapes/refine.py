@@ -29,7 +29,7 @@ from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.grid import Terms, best_on_grid, columns_of, linear_fit_of
 from torchrbd.inference.shapes.reread import reread, with_input_noise
 from torchrbd.likelihood.block_statistics import assemble
-from torchrbd.likelihood.columns import URDF_FRICTION, Candidate, Through
+from torchrbd.likelihood.columns import Candidate, Through
 from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.reading import Progress
 from torchrbd.likelihood.shapes import ShapeSlope, agrees, axes, feature_slopes, slopes
@@ -119,7 +119,7 @@ class _Pass:
         if columns.friction is not None:
             friction = friction - columns.friction
         for c in columns.urdf_friction:
-            change[columns.of(c)] = friction[c.joint, list(URDF_FRICTION).index(c.effect.id)]
+            change[columns.of(c)] = friction[c.joint, c.effect.baseline[0].index(1.0)]
         changes = []
         for own, moments in zip(columns.of_joint, training.total(), strict=True):
             changes.append(change[own] @ moments[:-1, :-1] @ change[own])

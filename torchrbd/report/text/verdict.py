@@ -10,7 +10,7 @@ from dataclasses import astuple
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.results import Finding, Ratio, Where
-from torchrbd.effects.registry import PLAIN
+from torchrbd.effects.registry import PLAIN, effect
 from torchrbd.inference.identification import Identification
 from torchrbd.report.text.findings import NOT_CONFIRMED
 from torchrbd.report.text.names import all_or_some, alternatives, at, named, placed, when, with_article, words_of
@@ -36,7 +36,7 @@ MOST_WORDS, _WORDS, _WORDS_OF_FIRST = 25, 20, 10
 _WRONG = "wrong "
 _PARENTHESIS = re.compile(r" \([^)]*\)")
 # Said together where they are found at the same joints.
-_JOINED = tuple(words_of(identifier) for identifier in PLAIN if identifier.endswith("friction"))
+_JOINED = tuple(words_of(identifier) for identifier in PLAIN if effect(identifier).dissipative)
 
 
 def model_words(result: Identification | Diagnosis) -> str:
