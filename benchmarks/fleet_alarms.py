@@ -18,7 +18,7 @@ from rich.table import Table
 from scipy.stats import binomtest
 from simulated_fleet import fleet
 
-from torchrbd.diagnosis.fleet.sisters import LEVEL, deviations
+from torchrbd.fleet.sisters import LEVEL, deviations
 
 
 def alarms(n: int, scatter: float, fleets: int) -> int:

@@ -27,7 +27,7 @@ from rich.console import Console
 from simulated import Motion, joint_names, record, with_wrong_inertials
 
 from torchrbd.cli import main as torchrbd
-from torchrbd.diagnosis.fleet.compare import compare_fleet
+from torchrbd.fleet.compare import compare_fleet
 from torchrbd.inference.robots_file import read_robots
 from torchrbd.report.fleet import write_fleet_report
 

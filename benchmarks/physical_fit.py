@@ -28,12 +28,12 @@ from torchrbd.inference.estimators.estimate import estimate
 from torchrbd.inference.physical.fitting import fit_model
 from torchrbd.inference.physical.projection import project, relevance
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.regression.ard import ard
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.block_statistics import assemble
 from torchrbd.likelihood.equations import linear_fit
 from torchrbd.parameters import base_parameters, is_physical
 from torchrbd.recordings import Recording
+from torchrbd.regression.ard import ard
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 
 PRIOR_ERROR, NOISE, STILL, SECONDS = 0.15, 0.03, 1e-3, 20.0

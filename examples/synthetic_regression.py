@@ -26,7 +26,7 @@ from rich.progress import Progress
 from rich.table import Table
 from torch import Tensor
 
-from torchrbd.inference.regression import (
+from torchrbd.regression import (
     EIVARD,
     BestRegression,
     FactorRegression,

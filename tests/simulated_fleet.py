@@ -6,9 +6,9 @@ import numpy as np
 from inference.problems import urdf_of
 
 from torchrbd import RobotModel
-from torchrbd.diagnosis.changes.reading import Inertia
-from torchrbd.diagnosis.fleet.results import Member
+from torchrbd.comparison.reading import Inertia
 from torchrbd.diagnosis.results import Quantity
+from torchrbd.fleet.results import Member
 from torchrbd.parameters import base_parameters
 
 ROBOT = RobotModel.from_urdf(urdf_of(3, 3).encode())

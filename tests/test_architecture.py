@@ -14,9 +14,9 @@ import torchrbd
 
 PACKAGE = Path(__file__).parent.parent / "torchrbd"
 ROOMS = (
-    "errors", "estimators", "options", "deadline", "threads", "processes", "engines", "ranks", "outputs", "display",
-    "rebuilding", "compiling", "filters", "robot", "recordings", "parameters", "effects", "model", "likelihood",
-    "simulation", "inference", "diagnosis", "excitation", "learning", "export", "report", "cli",
+    "errors", "_runtime", "display", "estimators", "options", "robot", "recordings", "parameters", "effects", "model",
+    "regression", "likelihood", "simulation", "inference", "diagnosis", "comparison", "fleet", "excitation", "learning",
+    "export", "report", "cli",
 )  # fmt: skip
 ONLY_IN = {"yourdfpy": "robot/urdf.py", "pytorch_kinematics": "robot/chain.py"}
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from torchrbd import InputError, OptionError, deadline
-from torchrbd.engines import Engine
+from torchrbd._runtime.engines import Engine
 
 
 def square(x: int) -> int:

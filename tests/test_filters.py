@@ -8,7 +8,7 @@ import torch
 from scipy.signal import lfilter
 from torch.autograd import gradcheck
 
-from torchrbd import filters
+from torchrbd._runtime import filters
 
 
 @pytest.fixture(params=["compiled", "library"])

@@ -13,6 +13,7 @@ from inference.problems import urdf_of
 from simulated import joint_names, record
 
 import torchrbd
+from torchrbd._runtime.outputs import OutputFolder, check_file, inside, write_whole
 from torchrbd.cli import main
 from torchrbd.cli.fleet import _identify
 from torchrbd.errors import OptionError
@@ -20,7 +21,6 @@ from torchrbd.export import to_actuator_net
 from torchrbd.inference.robots_file import RobotEntry
 from torchrbd.inference.statistics.folder import write_statistics
 from torchrbd.learning.checkpoint import write_checkpoint
-from torchrbd.outputs import OutputFolder, check_file, inside, write_whole
 
 URDF = urdf_of(2, 2)
 

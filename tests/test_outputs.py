@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
+from torchrbd._runtime.outputs import OutputFolder, write_whole
 from torchrbd.cli import main
 from torchrbd.errors import OptionError
-from torchrbd.outputs import OutputFolder, write_whole
 
 NAMES = ("a.json", "b.urdf", "c.safetensors", "d.html")
 SIZE = 200_000
@@ -80,7 +80,7 @@ KILLED = """
     from itertools import count
     from pathlib import Path
     from test_outputs import fill, letters
-    from torchrbd import outputs
+    from torchrbd._runtime import outputs
 
     outputs._ROOM = 1 << 20
     folder, changes = Path(sys.argv[1]), ("open", "os.mkdir", "os.remove", "os.rename", "os.rmdir")
@@ -223,7 +223,7 @@ def test_the_lock_of_a_dead_process_is_none(tmp_path: Path) -> None:
         """
         import sys, time
         from pathlib import Path
-        from torchrbd.outputs import OutputFolder
+        from torchrbd._runtime.outputs import OutputFolder
         with OutputFolder(Path(sys.argv[1])):
             print("held", flush=True)
             time.sleep(60)

@@ -69,7 +69,13 @@ def test_the_extra_all_holds_every_extra_of_users() -> None:
 def test_every_data_file_of_the_package_is_in_the_wheel() -> None:
     """The wheel takes the folder as it is; nothing in it may be ignored by git, which hatch leaves out."""
     assert project()["tool"]["hatch"]["build"]["targets"]["wheel"] == {"packages": ["torchrbd"]}
-    for needed in ("py.typed", "filters.c", "demo/fit.parquet", "robot/compiled/kernels.c", "report/report.html.j2"):
+    for needed in (
+        "py.typed",
+        "_runtime/filters.c",
+        "demo/fit.parquet",
+        "robot/compiled/kernels.c",
+        "report/report.html.j2",
+    ):
         assert (Path(torchrbd.__file__).parent / needed).is_file()
 
 

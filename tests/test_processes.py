@@ -14,9 +14,9 @@ from threading import get_ident
 
 import pytest
 
-from torchrbd import deadline
+from torchrbd._runtime import deadline
+from torchrbd._runtime.processes import Attempt, side_by_side
 from torchrbd.errors import OptionError, UnfinishedError
-from torchrbd.processes import Attempt, side_by_side
 
 ROOT = Path(__file__).parent.parent
 SHORT_S, LONG_S = 0.01, 30.0
@@ -208,7 +208,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 from functools import partial
 from pathlib import Path
 from test_processes import together
-from torchrbd.processes import side_by_side
+from torchrbd._runtime.processes import side_by_side
 with open(sys.argv[2], "a") as file:
     file.write("script ")
 found = side_by_side(partial(together, Path(sys.argv[1])), [4.0] * {tasks}, jobs=2)

@@ -18,8 +18,8 @@ from watched import read_alone
 
 import torchrbd
 from torchrbd import InputError, RecordingError, RobotError, RobotModel
+from torchrbd._runtime.outputs import OutputFolder, write_whole
 from torchrbd.cli import main
-from torchrbd.outputs import OutputFolder, write_whole
 from torchrbd.recordings import open_recording, read_mapping
 
 PACKAGE = Path(torchrbd.__file__).parent

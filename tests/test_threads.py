@@ -11,8 +11,8 @@ from simulated import record
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import torchrbd
+from torchrbd._runtime.threads import single_threaded
 from torchrbd.recordings import Recording
-from torchrbd.threads import single_threaded
 
 pytestmark = pytest.mark.usefixtures("fit_alone")
 

@@ -19,7 +19,7 @@ from shortened import slow_but
 from simulated import Motion, joint_names, record
 
 import torchrbd
-from torchrbd import deadline
+from torchrbd._runtime import deadline
 from torchrbd.cli import main
 from torchrbd.diagnosis import search
 

@@ -13,7 +13,8 @@ from torchrbd.display import Displayed, Stated
 
 # Where the public names live; ``__init__.pyi`` says the same to type checkers, and a test compares the two.
 _NAMES = {
-    "diagnosis": ("Comparison", "Diagnosis", "Finding", "Ranking", "compare", "diagnose", "rank_hypotheses"),
+    "comparison": ("Comparison", "compare"),
+    "diagnosis": ("Diagnosis", "Finding", "Ranking", "diagnose", "rank_hypotheses"),
     "errors": ("InputError", "OptionError", "PhysicalError", "RecordingError", "RobotError", "TorchRBDError"),
     "excitation": ("Excitation", "excite"),
     "export": ("load_model", "save_model", "to_actuator_net", "to_mjcf", "to_urdf", "not_exported"),

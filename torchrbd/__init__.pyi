@@ -1,4 +1,5 @@
-from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranking, compare, diagnose, rank_hypotheses
+from torchrbd.comparison import Comparison, compare
+from torchrbd.diagnosis import Diagnosis, Finding, Ranking, diagnose, rank_hypotheses
 from torchrbd.effects import known_effects, register
 from torchrbd.errors import InputError, OptionError, PhysicalError, RecordingError, RobotError, TorchRBDError
 from torchrbd.excitation import Excitation, excite

@@ -14,7 +14,7 @@ from inference.problems import urdf_of
 from simulated import joint_names, record
 
 import torchrbd
-from torchrbd import deadline
+from torchrbd._runtime import deadline
 from torchrbd.cli import main
 from torchrbd.inference import many
 from torchrbd.report.text.numbers import number

@@ -11,7 +11,7 @@ from effects.sites import ROBOT, signals, states
 from torch import Tensor
 from torch.autograd import forward_ad, gradcheck
 
-from torchrbd.compiling import library
+from torchrbd._runtime.compiling import library
 from torchrbd.effects import Site
 from torchrbd.effects.backlash import COMPILED, Backlash, deviation
 

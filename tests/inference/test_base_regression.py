@@ -13,7 +13,7 @@ from inference.problems import urdf_of
 from simulated import joint_names
 
 from torchrbd import BaseRegression, InputError, RobotModel
-from torchrbd.inference.regression.square_root import SquareRoot
+from torchrbd.regression.square_root import SquareRoot
 
 URDF = urdf_of(2, 4)
 ROBOT = RobotModel.from_urdf(URDF.encode())

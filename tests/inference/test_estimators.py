@@ -18,12 +18,12 @@ from torchrbd.inference.estimators import estimate, estimators, linear_problem
 from torchrbd.inference.estimators.plain import regress, regress_on_noisy_inputs, robot_moments
 from torchrbd.inference.physical.fitting import judge, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
-from torchrbd.inference.regression.base import Regression
-from torchrbd.inference.regression.classical import OrdinaryLeastSquares
-from torchrbd.inference.regression.moments import Moments
 from torchrbd.inference.settings import Settings
 from torchrbd.parameters import is_physical
 from torchrbd.recordings import Recording
+from torchrbd.regression.base import Regression
+from torchrbd.regression.classical import OrdinaryLeastSquares
+from torchrbd.regression.moments import Moments
 from torchrbd.robot import RobotModel
 
 URDF = random_urdf(5, 3, kinds=("revolute",), branching=0.0, massless=0.0)

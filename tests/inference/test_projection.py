@@ -15,9 +15,9 @@ from torch import Tensor
 from torchrbd.errors import InputError
 from torchrbd.inference.physical import projection
 from torchrbd.inference.physical.projection import project, relevance
-from torchrbd.inference.regression.ard import ard
 from torchrbd.likelihood.block_statistics import assemble
 from torchrbd.parameters import from_log_cholesky, to_log_cholesky
+from torchrbd.regression.ard import ard
 from torchrbd.robot import RobotModel, pseudo_inertia
 
 

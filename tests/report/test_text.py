@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from report.fabricated import diagnosis
 
-from torchrbd.diagnosis.changes.results import Difference
+from torchrbd.comparison.results import Difference
 from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.results import (
     OWN_TIME,

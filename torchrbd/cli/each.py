@@ -11,14 +11,14 @@ from typing import Any
 
 from rich.console import Console
 
+from torchrbd._runtime.outputs import OutputFolder, inside
+from torchrbd._runtime.processes import Attempt
 from torchrbd.cli.interrupts import finishing_on_interrupt
 from torchrbd.cli.progress import progress_bar
 from torchrbd.cli.tables import print_each
 from torchrbd.errors import InputError, OptionError, UnfinishedError, reason
 from torchrbd.inference import Identification
 from torchrbd.inference.many import identify_and
-from torchrbd.outputs import OutputFolder, inside
-from torchrbd.processes import Attempt
 from torchrbd.report.files import IDENTIFIED, REPORT, write_files
 from torchrbd.report.text.console import not_begun, wrote
 

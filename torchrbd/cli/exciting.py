@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
+from torchrbd._runtime.outputs import check_file
 from torchrbd.cli.progress import progress_bar
 from torchrbd.errors import OptionError
 from torchrbd.excitation import Excitation, excite
 from torchrbd.export.motion_files import check_rate, series_of, write_motion
-from torchrbd.outputs import check_file
 from torchrbd.report.text.console import clearance_words, condition_words, ends_words, motion_words, wrote
 from torchrbd.report.text.numbers import number
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from torchrbd._runtime.outputs import check_file as check_output
+from torchrbd._runtime.outputs import write_whole
 from torchrbd.cli.tables import print_export
 from torchrbd.errors import InputError, OptionError
 from torchrbd.export import load_model, not_exported
 from torchrbd.export.check import check_file
 from torchrbd.export.simulators import written
-from torchrbd.outputs import check_file as check_output
-from torchrbd.outputs import write_whole
 
 _MODEL = "model.safetensors"
 _SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml"}

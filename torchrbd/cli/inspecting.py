@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
+from torchrbd._runtime.outputs import check_file, write_whole
 from torchrbd.errors import OptionError
-from torchrbd.outputs import check_file, write_whole
 from torchrbd.recordings import Inspection, Mapping, inspect_recording, read_mapping
 from torchrbd.recordings.mapping_text import mapping_text
 from torchrbd.report.text.console import MAPPING_HINT, wrote

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
-from torchrbd.deadline import asked, finish_soon
+from torchrbd._runtime.deadline import asked, finish_soon
 
 _WORDS = b"\ntorchrbd: finishing with what was found; press Ctrl-C again to stop at once\n"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)

@@ -10,13 +10,14 @@ from typing import Any, TypeVar
 
 from rich.console import Console
 
+from torchrbd._runtime.outputs import OutputFolder
 from torchrbd.cli.interrupts import finishing_on_interrupt
 from torchrbd.cli.progress import progress_bar
 from torchrbd.cli.tables import print_changes
-from torchrbd.diagnosis import Comparison, Diagnosis, compare
+from torchrbd.comparison import Comparison, compare
+from torchrbd.diagnosis import Diagnosis
 from torchrbd.export import write_changes
 from torchrbd.inference import EstimatorComparison, Identification
-from torchrbd.outputs import OutputFolder
 from torchrbd.report import write_changes_report
 from torchrbd.report.files import REPORT, write_files
 from torchrbd.report.text.console import wrote

@@ -10,10 +10,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from torchrbd._runtime.outputs import check_file
 from torchrbd.cli.progress import progress_bar
 from torchrbd.errors import OptionError
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.outputs import check_file
 from torchrbd.report.text.console import AS_RECORDED, simulated_words, wrote
 from torchrbd.report.text.numbers import number
 from torchrbd.simulation import SimulatedMotion, check_suffix, simulate

@@ -9,12 +9,12 @@ from typing import Any
 
 from rich.console import Console
 
+from torchrbd._runtime.outputs import OutputFolder
+from torchrbd._runtime.ranks import Ranks, ranks
 from torchrbd.cli.progress import progress_bar
 from torchrbd.errors import OptionError
 from torchrbd.inference.statistics.folder import merge_statistics, write_statistics
-from torchrbd.outputs import OutputFolder
-from torchrbd.ranks import Ranks, ranks
-from torchrbd.recordings.formats import STATISTICS
+from torchrbd.recordings.formats.opening import STATISTICS
 from torchrbd.report.text.console import wrote_statistics, wrote_sum
 
 

@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from torchrbd.diagnosis import Comparison, Diagnosis
+from torchrbd.comparison import Comparison
+from torchrbd.diagnosis import Diagnosis
 from torchrbd.diagnosis.results import Finding, Where
 from torchrbd.effects import Effect
 from torchrbd.export.check import FileCheck

@@ -1,7 +1,5 @@
 """Diagnosis: what the rigid body leaves out, where, and how sure that is."""
 
-from torchrbd.diagnosis.changes.compare import compare
-from torchrbd.diagnosis.changes.results import Change, Comparison, Difference
 from torchrbd.diagnosis.diagnose import diagnose
 from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.ranked import Ranked, Ranking
@@ -24,13 +22,10 @@ from torchrbd.diagnosis.results import (
 __all__ = [
     "Alternative",
     "Attack",
-    "Change",
-    "Comparison",
     "Curve",
     "Deflection",
     "DetectionLimit",
     "Diagnosis",
-    "Difference",
     "Finding",
     "Location",
     "Quantity",
@@ -40,7 +35,6 @@ __all__ = [
     "ResidualMap",
     "Unexplained",
     "Where",
-    "compare",
     "diagnose",
     "rank_hypotheses",
 ]

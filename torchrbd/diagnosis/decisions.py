@@ -17,7 +17,8 @@ class Decisions:
         negligible_torque, negligible_error: a finding that carries less than this part of its joint's torque, and that
             removes less than this part of its held-out error, is not confirmed.
         poor_nmse: a joint with a larger held-out nmse is reported, if its errors have a memory.
-        larger_error: held-out errors so many times those on fitted data, or drift beside noise, are unexplained.
+        larger_error: held-out errors so many times those on fitted data are unexplained, and drift and noise so many
+            times the noise.
         memory: errors that stay alike for so many times as long as white noise does have a memory.
         identified_variance: a parameter has a detection limit if its posterior variance is below this part of its
             prior variance.

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from torchrbd.deadline import is_over, time_limited
+from torchrbd._runtime.deadline import is_over, time_limited
+from torchrbd._runtime.threads import single_threaded
 from torchrbd.diagnosis.clock_offset import clock_offset
 from torchrbd.diagnosis.deflection import joint_deflections
 from torchrbd.diagnosis.detection_limits import detection_limits
@@ -39,7 +40,6 @@ from torchrbd.likelihood.reading import Progress
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import Sources
 from torchrbd.robot import RobotModel
-from torchrbd.threads import single_threaded
 
 
 @time_limited

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchrbd.deadline import time_limited
+from torchrbd._runtime.deadline import time_limited
+from torchrbd._runtime.threads import single_threaded
 from torchrbd.diagnosis.hypotheses import Hypothesis, carried, hypothesis_of, whole
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.screening import is_clocks
@@ -36,7 +37,6 @@ from torchrbd.likelihood.rows import KeptBack, not_held_out
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import Sources
 from torchrbd.robot import RobotModel
-from torchrbd.threads import single_threaded
 
 # Hypotheses that are shown.
 _SHOWN = 30

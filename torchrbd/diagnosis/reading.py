@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from torchrbd._runtime.rebuilding import Unsaved, read_json, rebuilt
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.errors import InputError
 from torchrbd.likelihood.misfit import Misfit
-from torchrbd.rebuilding import Unsaved, read_json, rebuilt
 
 _FILE = "diagnosis.json"
 # Parts under other keys than their own names.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from torchrbd.deadline import is_over
+from torchrbd._runtime.deadline import is_over
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import Explained, explain
 from torchrbd.diagnosis.extending import Extended, extended

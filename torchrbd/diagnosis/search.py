@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from torchrbd.deadline import is_over
+from torchrbd._runtime.deadline import is_over
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried, meet
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in

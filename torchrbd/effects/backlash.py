@@ -36,7 +36,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.compiling import ADDRESS, INTEGER, NUMBER, Source, is_plain, library
+from torchrbd._runtime.compiling import ADDRESS, INTEGER, NUMBER, Source, is_plain, library
 from torchrbd.effects.base import CoefficientPrior, Effect, Shape
 from torchrbd.effects.link_friction import PARTS, link_part
 from torchrbd.effects.signals import JointScale, Signals

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from torchrbd._runtime.threads import single_threaded
 from torchrbd.diagnosis import Diagnosis
 from torchrbd.display import Remark
 from torchrbd.errors import InputError, OptionError
@@ -21,7 +22,6 @@ from torchrbd.likelihood.reading import Progress
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.model.starting import described_terms
 from torchrbd.robot import RobotModel
-from torchrbd.threads import single_threaded
 
 # Samples a period at most, where what separates lies at high frequencies.
 _MOST_SAMPLES = 600

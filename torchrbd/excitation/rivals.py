@@ -11,8 +11,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchrbd.comparison.reading import side_of
 from torchrbd.diagnosis import Alternative, Diagnosis, Finding
-from torchrbd.diagnosis.changes.reading import side_of
 from torchrbd.display import Remark
 from torchrbd.effects import Effect, Shape, Site, Term, effect
 from torchrbd.errors import InputError

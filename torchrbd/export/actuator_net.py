@@ -20,8 +20,8 @@ from pathlib import Path
 import torch
 from torch import nn
 
+from torchrbd._runtime.outputs import write_whole
 from torchrbd.errors import InputError, OptionError
-from torchrbd.outputs import write_whole
 
 # Rows to try with: of several environments, so that a network that mixes rows is seen.
 _ROWS = 6

@@ -9,11 +9,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from torchrbd.diagnosis import Comparison, Diagnosis, Finding, Ranked, Ranking
-from torchrbd.diagnosis.fleet.results import FleetComparison
+from torchrbd._runtime.outputs import write_whole
+from torchrbd.comparison import Comparison
+from torchrbd.diagnosis import Diagnosis, Finding, Ranked, Ranking
+from torchrbd.fleet.results import FleetComparison
 from torchrbd.inference import EstimatorComparison, Identification
 from torchrbd.model.conditions import to_content
-from torchrbd.outputs import write_whole
 from torchrbd.robot import RobotModel
 from torchrbd.simulation import MotionError
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import yaml
 
+from torchrbd._runtime.outputs import check_file, write_whole
 from torchrbd.errors import OptionError
 from torchrbd.excitation import Excitation
 from torchrbd.excitation.limits import AXES
-from torchrbd.outputs import check_file, write_whole
 
 _FASTEST_HZ, _MOST_SAMPLES = 1e5, 1e7
 

@@ -19,8 +19,8 @@ from torch import Tensor
 
 from torchrbd.display import brief
 from torchrbd.errors import InputError
-from torchrbd.inference.regression.square_root import SquareRoot
 from torchrbd.parameters import BaseParameters, base_parameters
+from torchrbd.regression.square_root import SquareRoot
 from torchrbd.robot import RobotModel
 from torchrbd.robot.identity import kinematics_sha256
 

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from torchrbd.deadline import is_over, reached_limit_s, time_limited
+from torchrbd._runtime.deadline import is_over, reached_limit_s, time_limited
+from torchrbd._runtime.threads import single_threaded
 from torchrbd.display import Remark, brief, few
 from torchrbd.effects import Effect
 from torchrbd.errors import OptionError, TorchRBDError
@@ -24,7 +25,6 @@ from torchrbd.likelihood.reading import Progress
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import NamedSource, Sources
 from torchrbd.robot import RobotModel
-from torchrbd.threads import single_threaded
 
 
 @dataclass(frozen=True)

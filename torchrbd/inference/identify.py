@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchrbd.deadline import reached_limit_s, stopped, time_limited
+from torchrbd._runtime.deadline import reached_limit_s, stopped, time_limited
+from torchrbd._runtime.threads import single_threaded
 from torchrbd.display import Remark
 from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
@@ -40,7 +41,6 @@ from torchrbd.parameters import base_parameters
 from torchrbd.recordings import NamedSource, Sources, listed_sources
 from torchrbd.robot import RobotModel
 from torchrbd.simulation import MotionErrors, motion_errors
-from torchrbd.threads import single_threaded
 
 
 @time_limited

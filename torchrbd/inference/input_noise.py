@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.filters import convolved
+from torchrbd._runtime.filters import convolved
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.likelihood.block_statistics import BlockStatistics, assemble, filtered_rows
 from torchrbd.likelihood.columns import Columns

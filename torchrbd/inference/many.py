@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
+from torchrbd._runtime.processes import Attempt, side_by_side
 from torchrbd.display import brief
 from torchrbd.effects import Effect, known_effects, register
 from torchrbd.errors import OptionError, RecordingError, UnfinishedError
@@ -22,7 +23,6 @@ from torchrbd.inference.ordinary import with_friction
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.reading import Progress
 from torchrbd.options import Names, Payload, given
-from torchrbd.processes import Attempt, side_by_side
 from torchrbd.recordings import InMemory, NamedSource, Recording, RecordingSource, Sources, listed_sources
 from torchrbd.recordings.memory import is_data
 from torchrbd.robot import RobotModel

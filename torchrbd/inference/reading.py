@@ -7,9 +7,9 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
+from torchrbd._runtime.rebuilding import Unsaved, read_json, rebuilt
 from torchrbd.errors import InputError
 from torchrbd.model import RigidBodyDynamics
-from torchrbd.rebuilding import Unsaved, read_json, rebuilt
 
 _FILE = "parameters.json"
 # Parts under other keys than their own names.

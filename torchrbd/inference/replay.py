@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchrbd._runtime.threads import single_threaded
 from torchrbd.display import brief, few
 from torchrbd.errors import OptionError
 from torchrbd.inference.preparation import read
@@ -19,7 +20,6 @@ from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import Sources, listed_sources
-from torchrbd.threads import single_threaded
 
 _MODEL = "model"
 

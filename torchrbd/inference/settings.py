@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchrbd.deadline import seconds_of
+from torchrbd._runtime.deadline import seconds_of
 from torchrbd.effects import Effect, effect, known_effects
 from torchrbd.effects.requested import RequestedEffect
 from torchrbd.errors import OptionError, closest

@@ -12,8 +12,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
+from torchrbd._runtime.outputs import write_whole
 from torchrbd.errors import InputError
-from torchrbd.outputs import write_whole
 
 _FORMAT = "torchrbd-training-1"
 _MODEL, _BEST, _OPTIMISER = "model.", "best.", "optimiser."

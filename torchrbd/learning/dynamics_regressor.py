@@ -16,6 +16,7 @@ from sklearn.utils.validation import _check_sample_weight, check_is_fitted, vali
 from torch import Tensor
 from typing_extensions import Self
 
+from torchrbd._runtime.threads import single_threaded
 from torchrbd.effects import effect
 from torchrbd.errors import InputError
 from torchrbd.inference.identify import read_arguments
@@ -26,7 +27,6 @@ from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.scales import joint_scales
 from torchrbd.likelihood.urdf_prior import KAPPA, data_prior
 from torchrbd.robot import RobotModel
-from torchrbd.threads import single_threaded
 
 SIGNALS = ("q", "qd", "qdd")
 """Of each sample, in the order of X's columns; each of all joints."""

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
+from torchrbd._runtime.threads import single_threaded
 from torchrbd.display import brief, few
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference import Identification, Settings
@@ -24,7 +25,6 @@ from torchrbd.likelihood.reading import Reading
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import Sources, States, listed_sources
-from torchrbd.threads import single_threaded
 
 # Samples at which the physics' columns are kept: some hundred times as many torques as parameters.
 _SAMPLE = 1024

@@ -28,7 +28,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import gammaln
 
-from torchrbd.filters import unpredicted
+from torchrbd._runtime.filters import unpredicted
 
 _MOST_ORDER = 16
 # Noise below this fraction of the residual's RMS is rounding.

@@ -14,10 +14,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from torchrbd._runtime.outputs import write_whole
 from torchrbd.effects import Site, Term, Window, effect
 from torchrbd.errors import InputError, RobotError
 from torchrbd.model.conditions import Condition, Reported, from_content, to_content
-from torchrbd.outputs import write_whole
 from torchrbd.parameters import from_log_cholesky
 from torchrbd.robot import RobotModel
 

@@ -2,6 +2,7 @@
 
 from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering
+from torchrbd.recordings.formats.table import Format, Table
 from torchrbd.recordings.inspection import Inspection, inspect_recording
 from torchrbd.recordings.mapping import Mapping
 from torchrbd.recordings.mapping_file import read_mapping
@@ -16,6 +17,7 @@ __all__ = [
     "Chunk",
     "Data",
     "Filtering",
+    "Format",
     "InMemory",
     "Inspection",
     "Mapping",
@@ -25,6 +27,7 @@ __all__ = [
     "Sources",
     "States",
     "Survey",
+    "Table",
     "choose_cutoff",
     "inspect_recording",
     "listed_sources",

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from torchrbd.recordings import lerobot, ros_bags
+from torchrbd.recordings.formats import lerobot, ros_bags
 
 _PIECE = 1 << 20
 

@@ -14,7 +14,8 @@ import numpy as np
 from torchrbd.display import Remark
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.channels import Channel, channels_of
-from torchrbd.recordings.formats import Table, open_table
+from torchrbd.recordings.formats.opening import open_table
+from torchrbd.recordings.formats.table import Table
 from torchrbd.recordings.layouts import with_layout
 from torchrbd.recordings.mapping import Mapping
 from torchrbd.recordings.matching import no_torque, torqueless

@@ -11,7 +11,7 @@ import pyarrow as pa
 import torch
 
 from torchrbd.errors import RecordingError
-from torchrbd.recordings.npz import NPZ_SIGNALS, check_shapes
+from torchrbd.recordings.formats.npz import NPZ_SIGNALS, check_shapes
 
 
 class Frame(Protocol):

@@ -11,7 +11,8 @@ import numpy as np
 
 from torchrbd.display import Remark, brief, few
 from torchrbd.errors import RecordingError
-from torchrbd.recordings.formats import ArrayTable, Table, open_table
+from torchrbd.recordings.formats.opening import open_table
+from torchrbd.recordings.formats.table import ArrayTable, Table
 from torchrbd.recordings.layouts import with_layout
 from torchrbd.recordings.mapping import Mapping, Source
 from torchrbd.recordings.matching import OPTIONAL_SIGNALS, PARTIAL_SIGNALS, match

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from torchrbd._runtime.filters import convolved, thinned
 from torchrbd.errors import RecordingError
-from torchrbd.filters import convolved, thinned
 from torchrbd.recordings.blocks import Block
 from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from torchrbd.diagnosis.changes.results import Change, Comparison, Difference
-from torchrbd.outputs import write_whole
+from torchrbd._runtime.outputs import write_whole
+from torchrbd.comparison.results import Change, Comparison, Difference
 from torchrbd.report.templates import environment
 from torchrbd.report.text.comparison import certainty, signed
 from torchrbd.report.text.names import at, words_of

@@ -5,12 +5,12 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
+from torchrbd._runtime.outputs import OutputFolder, write_whole
 from torchrbd.diagnosis import Diagnosis
 from torchrbd.export import save_model, to_urdf, write_diagnosis, write_parameters
 from torchrbd.export.json_files import write_comparison
 from torchrbd.inference import EstimatorComparison, Identification
 from torchrbd.learning import BayesianDynamics
-from torchrbd.outputs import OutputFolder, write_whole
 from torchrbd.report.page import write_report
 from torchrbd.report.text.verdict import suspicion_comments
 

@@ -9,8 +9,8 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.ticker import NullFormatter
 
-from torchrbd.diagnosis.fleet.results import Deviation, FleetComparison, MemberResult
-from torchrbd.outputs import write_whole
+from torchrbd._runtime.outputs import write_whole
+from torchrbd.fleet.results import Deviation, FleetComparison, MemberResult
 from torchrbd.report.inline import SOFT, canvas, inline, page_style
 from torchrbd.report.templates import environment
 from torchrbd.report.text.fleet import parameter_name

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
+from torchrbd._runtime.outputs import write_whole
 from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.results import Finding, HeldOutCheck
 from torchrbd.inference.identification import Identification
 from torchrbd.inference.results import ParameterEstimate
-from torchrbd.outputs import write_whole
 from torchrbd.report.cards import Card, PlainRow, finding_cards, plain_rows, plain_titles, unexplained_cards
 from torchrbd.report.considered import BAR_END, Considered, considered
 from torchrbd.report.excerpt import informative_excerpt

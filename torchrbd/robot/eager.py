@@ -10,7 +10,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchrbd.compiling import is_transformed
+from torchrbd._runtime.compiling import is_transformed
 from torchrbd.robot import dynamics, slopes
 from torchrbd.robot.batching import batch_first, batch_last, tiled, tiles, zeros
 from torchrbd.robot.kinematics import Geometry

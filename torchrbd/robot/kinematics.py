@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchrbd.compiling import is_plain
+from torchrbd._runtime.compiling import is_plain
 from torchrbd.robot.tree import Tree
 
 

@@ -47,7 +47,7 @@ def fleet(
     quiet: Quiet = False,
 ) -> None:
     """Identify many robots, report who differs from its sisters, and what changed."""
+    from torchrbd._runtime.engines import Engine
     from torchrbd.cli.fleet import fleet as work
-    from torchrbd.engines import Engine
 
     work(robots, output, before, Engine(engine, jobs, scheduler, retries), quiet)

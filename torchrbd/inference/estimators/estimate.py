@@ -19,14 +19,14 @@ from torchrbd.inference.estimators.reweighted import iteratively_reweighted
 from torchrbd.inference.physical.fitting import not_negative
 from torchrbd.inference.physical.projection import project
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.regression.base import Regression
-from torchrbd.inference.regression.choice import BestRegression
-from torchrbd.inference.regression.classical import Stepwise, TotalLeastSquares, TruncatedSVD
-from torchrbd.inference.regression.cross_validated import Lasso, PartialLeastSquares, PrincipalComponents, Ridge
-from torchrbd.inference.regression.errors_in_variables import EIVARD
-from torchrbd.inference.regression.noisy_input import NoisyInputRegression
 from torchrbd.likelihood.columns import Candidate
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
+from torchrbd.regression.base import Regression
+from torchrbd.regression.choice import BestRegression
+from torchrbd.regression.classical import Stepwise, TotalLeastSquares, TruncatedSVD
+from torchrbd.regression.cross_validated import Lasso, PartialLeastSquares, PrincipalComponents, Ridge
+from torchrbd.regression.errors_in_variables import EIVARD
+from torchrbd.regression.noisy_input import NoisyInputRegression
 
 Estimator = Callable[[LinearProblem], tuple[Tensor, Remark | None]]
 """Finds x (n,), and says what a user should know of it."""

@@ -16,8 +16,8 @@ from torch import Tensor
 
 from torchrbd.display import Remark
 from torchrbd.inference.estimators.problem import LinearProblem
-from torchrbd.inference.regression.base import Regression
-from torchrbd.inference.regression.moments import Moments
+from torchrbd.regression.base import Regression
+from torchrbd.regression.moments import Moments
 
 _MOST_FOLDS = 10
 

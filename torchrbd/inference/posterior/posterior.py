@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from torchrbd._runtime.threads import single_threaded
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.posterior.predictive import PredictiveVariance, predictive_variance
 from torchrbd.inference.posterior.sampling import sample_robots
 from torchrbd.likelihood.urdf_prior import Prior
-from torchrbd.threads import single_threaded
 
 
 @dataclass(frozen=True)

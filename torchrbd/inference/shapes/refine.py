@@ -21,7 +21,7 @@ import torch
 from scipy.optimize import lsq_linear
 from torch import Tensor
 
-from torchrbd.deadline import is_over
+from torchrbd._runtime.deadline import is_over
 from torchrbd.effects import Shape
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.scatter import block_scatter

@@ -27,7 +27,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
-from torchrbd.deadline import is_over
+from torchrbd._runtime.deadline import is_over
 from torchrbd.inference.smoothing.information import Information, distance, eliminate
 from torchrbd.inference.smoothing.linearisation import residual
 from torchrbd.inference.smoothing.stretch import Stretch

@@ -11,13 +11,13 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
+from torchrbd._runtime.outputs import write_whole
+from torchrbd._runtime.rebuilding import rebuilt
 from torchrbd.effects import JointScale
 from torchrbd.errors import InputError
 from torchrbd.inference.statistics.results import Conditions, Origin, Statistics
 from torchrbd.likelihood.block_statistics import Block
-from torchrbd.outputs import write_whole
-from torchrbd.rebuilding import rebuilt
-from torchrbd.recordings.formats import STATISTICS
+from torchrbd.recordings.formats.opening import STATISTICS
 
 FORMAT = 4
 """Of the files; it counts each change of what they hold or of what their numbers mean. Those of one format add."""

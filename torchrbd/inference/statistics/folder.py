@@ -7,6 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from torchrbd._runtime.outputs import check_file
+from torchrbd._runtime.ranks import Ranks
+from torchrbd._runtime.threads import single_threaded
 from torchrbd.errors import InputError, OptionError
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.settings import Settings
@@ -16,13 +19,10 @@ from torchrbd.inference.statistics.files import read_head, write_file
 from torchrbd.inference.statistics.results import Conditions, Statistics
 from torchrbd.likelihood.reading import Progress
 from torchrbd.options import Names, Payload, given
-from torchrbd.outputs import check_file
-from torchrbd.ranks import Ranks
 from torchrbd.recordings import NamedSource
 from torchrbd.recordings.contents import digest
-from torchrbd.recordings.formats import STATISTICS
+from torchrbd.recordings.formats.opening import STATISTICS
 from torchrbd.robot import RobotModel
-from torchrbd.threads import single_threaded
 
 
 @single_threaded()

@@ -28,7 +28,7 @@ from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.urdf_prior import data_prior
 from torchrbd.recordings import Filtering, InMemory, NamedSource, RecordingSource
-from torchrbd.recordings.formats import STATISTICS
+from torchrbd.recordings.formats.opening import STATISTICS
 from torchrbd.robot import RobotModel
 
 MOMENTS = "moments"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from torchrbd.diagnosis.changes.results import Change, Comparison, Difference, Load
+from torchrbd.comparison.results import Change, Comparison, Difference, Load
 from torchrbd.diagnosis.results import Alternative, Quantity
 from torchrbd.report.text.names import named, signal_words, when
 from torchrbd.report.text.numbers import MINUS, as_many_as_fit, capital, joined, measure, number, with_unit

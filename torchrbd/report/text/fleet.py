@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from torchrbd.diagnosis.changes.results import Difference
-from torchrbd.diagnosis.fleet.results import UNFINISHED, Deviation, FleetComparison, MemberResult
-from torchrbd.diagnosis.fleet.sisters import LEAST_SISTERS
+from torchrbd.comparison.results import Difference
+from torchrbd.fleet.results import UNFINISHED, Deviation, FleetComparison, MemberResult
+from torchrbd.fleet.sisters import LEAST_SISTERS
 from torchrbd.report.text.comparison import as_if
 from torchrbd.report.text.numbers import number, with_unit
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from functools import singledispatch
 
-from torchrbd.diagnosis.changes.results import Change, Comparison
+from torchrbd.comparison.results import Change, Comparison
 from torchrbd.diagnosis.diagnosis import Diagnosis
-from torchrbd.diagnosis.fleet.results import FleetComparison, MemberResult
 from torchrbd.diagnosis.results import Deflection, Finding, Location, Unexplained
 from torchrbd.display import Remark
+from torchrbd.fleet.results import FleetComparison, MemberResult
 from torchrbd.inference.posterior.identifiability import Identifiability
 from torchrbd.inference.results import NoiseRegime
 from torchrbd.inference.suspicions.results import Remedy, Suspicion

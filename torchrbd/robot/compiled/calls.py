@@ -14,7 +14,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchrbd.compiling import ADDRESS, INTEGER, Source, library
+from torchrbd._runtime.compiling import ADDRESS, INTEGER, Source, library
 from torchrbd.robot.batching import zeros
 from torchrbd.robot.compiled.tables import Tables
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch._C._functorch import TransformType, get_interpreter_stack
 
-from torchrbd.compiling import is_transformed, is_watched, library
+from torchrbd._runtime.compiling import is_transformed, is_watched, library
 from torchrbd.robot.compiled.calls import KERNELS, physical_torque, torque_slopes
 from torchrbd.robot.compiled.functions import TransformedValue, differentiable_value
 from torchrbd.robot.compiled.kernel import INVERSE_DYNAMICS, Kernel

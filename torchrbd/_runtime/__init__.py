@@ -1,0 +1,1 @@
+"""How work is done, whatever it is: compiled code, threads and processes, files written whole, ends that come early."""

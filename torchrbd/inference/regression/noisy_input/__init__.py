@@ -1,5 +1,0 @@
-"""The paper's noisy-input regression."""
-
-from torchrbd.inference.regression.noisy_input.model import NoiseRange, NoisyInputRegression
-
-__all__ = ["NoiseRange", "NoisyInputRegression"]
