@@ -28,7 +28,6 @@ from torch import Tensor
 
 import torchrbd
 from torchrbd.effects import Effect, JointScale, Shape, Signals, Site, Window, known_effects
-from torchrbd.effects.registry import PLAIN_OR_UNEVEN
 
 ARM = Path(torchrbd.__file__).with_name("demo") / "arm.urdf"
 JOINT = 2
@@ -168,7 +167,7 @@ def example(motion: Motion, effect: Effect) -> Example:
     w, shape = _numbers(motion, effect, site)
     torque = motion.features(effect, site, shape) @ w
     # Every fit has plain friction, so that nothing of it would remain.
-    friction = effect.id not in PLAIN_OR_UNEVEN
+    friction = not effect.is_baseline
     left = motion.residual(torque[..., None], friction)
     residual = left.reshape(torque.shape) * motion.rms[:, None]
     return Example(effect, site, shape, w, torque, residual, friction)

@@ -13,7 +13,7 @@ import pytest
 import torch
 from robot.random_robots import random_urdf
 
-from torchrbd import compiling, filters
+from torchrbd._runtime import compiling, filters
 from torchrbd.effects.backlash import COMPILED
 from torchrbd.robot import RobotModel, compiled
 from torchrbd.robot.compiled import switch

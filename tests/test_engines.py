@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from torchrbd import InputError, OptionError, deadline
+from torchrbd import InputError, OptionError
+from torchrbd._runtime import deadline
 from torchrbd._runtime.engines import Engine
 
 

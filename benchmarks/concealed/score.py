@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, NamedTuple
 
-from torchrbd.effects.registry import PLAIN_OR_UNEVEN, effect
+from torchrbd.effects.registry import effect, known_effects
 
 from .matching import RIGID_BODY, Judgement, covers, judge, new_findings, relation
 from .overlap import end_errors, interval_iou, region_iou
@@ -146,7 +146,8 @@ def score_case(truth: Json, diagnosis: Json, seconds: float, oracle: Json | None
 
 
 def _is_plain(finding: Json) -> bool:
-    return finding["effect"] in PLAIN_OR_UNEVEN and finding["where"]["recordings"] is None
+    known = known_effects().get(finding["effect"])
+    return known is not None and known.is_baseline and finding["where"]["recordings"] is None
 
 
 def score_injected(

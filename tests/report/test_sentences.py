@@ -38,9 +38,13 @@ ALLOWED = {
 # Parts of messages that are put together far from where they are raised, by their beginning.
 PARTS = {
     "excitation/limits.py": ("joint '{}' has {} (",),
-    "rebuilding.py": ("{}: the files of a result do not hold {}",),
-    "recordings/csv_files.py": ("; numbers with decimal commas are",),
-    "recordings/ros_bags.py": ("; 'rosbag reindex'", "; a bag that was not closed", "; a file that was not closed"),
+    "_runtime/rebuilding.py": ("{}: the files of a result do not hold {}",),
+    "recordings/formats/csv_files.py": ("; numbers with decimal commas are",),
+    "recordings/formats/ros_bags.py": (
+        "; 'rosbag reindex'",
+        "; a bag that was not closed",
+        "; a file that was not closed",
+    ),
 }
 
 
