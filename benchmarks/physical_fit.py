@@ -24,12 +24,12 @@ from simulated import Motion, inverse_dynamics, joint_names, multisine
 from torch import Tensor
 
 from torchrbd import RobotModel
+from torchrbd.dataset.block_statistics import assemble
 from torchrbd.inference.estimators.estimate import estimate
 from torchrbd.inference.physical.fitting import fit_model
 from torchrbd.inference.physical.projection import project, relevance
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.block_statistics import assemble
 from torchrbd.likelihood.equations import linear_fit
 from torchrbd.parameters import base_parameters, is_physical
 from torchrbd.recordings import Recording

@@ -7,8 +7,8 @@ CASE is a golden case ("field 3", "null 0", "real ur10") or "raw 17", a developm
 JSON file for each case; cases that are there are not run again.
 
 An effect that is left out colours the noise that is learnt without it. The saturated model is the machine with smooth
-curves of each joint over its own q, qd, qdd and load; their amplitudes are learnt by steps of expectation-maximisation
-of the marginal likelihood. Its noise, with the scatter of blocks as dispersion, is held for all hypotheses:
+curves of each joint over its own q, qd, qdd and load; their amplitudes are learnt by MacKay's fixed point of the
+marginal likelihood. Its noise, with the scatter of blocks as dispersion, is held for all hypotheses:
 
 - "all" keeps all curves for learning, and searches without any;
 - "pruned" drops curves whose odds, with the prior of a curve, are against them, and learns again;
@@ -46,28 +46,28 @@ import torchrbd
 from benchmarks import results_file
 from benchmarks.concealed.cases import make_case
 from torchrbd._runtime.threads import single_threaded
+from torchrbd.dataset.band import band_hz
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.rows import Rows, not_held_out
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried, hypothesis_of
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.ranked import Ranked
 from torchrbd.diagnosis.residual import curves_at
-from torchrbd.diagnosis.screening import refined, screened
+from torchrbd.diagnosis.screening import lasting, refined, screened
 from torchrbd.diagnosis.sharpening import at_summit
 from torchrbd.effects import Effect
 from torchrbd.effects.registry import known_effects
 from torchrbd.effects.smooth_torque import SmoothTorque
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import read
-from torchrbd.likelihood.band import band_hz
 from torchrbd.likelihood.clocks import in_band
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.rows import Rows, not_held_out
 from torchrbd.options import given
 
 RAW_SEED = 0
-# Hypotheses whose shapes are refined at each step; terms; sweeps of swaps; learning steps of amplitudes.
-NEAR, MOST, SWEEPS, STEPS = 6, 12, 2, 20
+# Hypotheses whose shapes are refined at each step, and rivals of a term; terms; sweeps of swaps; steps of amplitudes.
+NEAR, RIVALS, MOST, SWEEPS, STEPS = 6, 3, 16, 2, 20
 # Whether curves are pruned, and stay in the model.
 KINDS = {"all": (False, False), "pruned": (True, False), "kept": (True, True)}
 
@@ -100,28 +100,46 @@ def own_curves(base: Likelihood, rows: Rows) -> list[Hypothesis]:
     return [h for h in curves_at(base, rows, range(rows.n_dof)) if is_own(h.candidate)]
 
 
+def amplified(fit: Likelihood, first: int) -> Likelihood:
+    """Return a fit whose additional columns, from the first on, have the amplitudes of greatest evidence.
+
+        a^2 <- a^2 sum z^2 / (K - sum var z)
+
+    Source: MacKay, "Bayesian Interpolation", Neural Computation 1992, eq. 4.8; where a step lowers the evidence, one of
+    expectation-maximisation is taken instead.
+    """
+    for _ in range(STEPS):
+        at = [fit.further(k) for k in range(first, len(fit.extra))]
+        mean, var = [fit.gaussian.z[k] for k in at], [fit.gaussian.covariance(k).diagonal() for k in at]
+        fixed = [np.sqrt((z @ z) / max(len(z) - v.sum(), 1e-6)) for z, v in zip(mean, var, strict=True)]
+        then = fit.rescaled({first + k: float(np.clip(r, 0.1, 10.0)) for k, r in enumerate(fixed)})
+        if then.log_evidence < fit.log_evidence:
+            then = fit.rescaled({first + k: fit.gaussian.rms(one) for k, one in enumerate(at)})
+        if then.log_evidence - fit.log_evidence < 0.1:
+            break
+        fit = then
+    return fit
+
+
 def saturated(base: Likelihood, rows: Rows, *, prune: bool) -> tuple[Likelihood, list[str]]:
     """Return the machine with curves whose amplitudes, and the noise, are learnt, and these curves."""
     curves = own_curves(base, rows)
-    extras = [h.extra(base, rows) for h in curves]
     plain = base.with_(noise=tuple(replace(n, tail=None) for n in base.hyper.noise), dispersion=np.ones(rows.n_dof))
-    fit = plain.extended(extras).renoised()
+    fit = plain.extended([h.extra(base, rows) for h in curves]).renoised()
     while True:
         for _ in range(STEPS):
             before = fit.log_evidence
-            extras = [replace(e, std=e.std * fit.gaussian.rms(fit.further(k))) for k, e in enumerate(extras)]
-            fit = plain.extended(extras).with_noise_of(fit).renoised()
+            fit = amplified(fit, 0).renoised()
             if abs(fit.log_evidence - before) < 0.1:
                 break
         odds = [log_odds(replace(h, log_evidence=fit.evidence_for(k)), rows) for k, h in enumerate(curves)]
-        kept = [k for k, x in enumerate(odds) if x > 0]
-        if not prune or len(kept) == len(curves):
+        needless = sorted((k for k, x in enumerate(odds) if x <= 0), key=lambda k: odds[k])
+        if not prune or not needless:
             break
         # The worst half of those that are not needed: the noise that is learnt without them may need the others.
-        drop = sorted((k for k in range(len(curves)) if odds[k] <= 0), key=lambda k: odds[k])
-        drop = set(drop[: max(1, len(drop) // 2)])
-        curves, extras = ([x for k, x in enumerate(each) if k not in drop] for each in (curves, extras))
-        fit = plain.extended(extras).with_noise_of(fit).renoised()
+        drop = set(needless[: max(1, len(needless) // 2)])
+        curves = [h for k, h in enumerate(curves) if k not in drop]
+        fit = fit.extended([e for k, e in enumerate(fit.extra) if k not in drop]).renoised()
     return fit.with_heavy_tails.renoised(dispersed=True), [words(h, rows) for h in curves]
 
 
@@ -152,22 +170,9 @@ class Search:
     def fit(self, chosen: Sequence[Hypothesis]) -> Likelihood:
         own = [h.extra(self.base, self.rows) for h in chosen]
         fit = self.base.extended([*own, *self.curves])
-        if chosen and self.curves:
-            fit = self.amplitudes(fit, len(own))
+        if self.curves:
+            fit = amplified(fit, len(own))
         return fit.plausible() if chosen else fit
-
-    def amplitudes(self, fit: Likelihood, first: int) -> Likelihood:
-        """Return a fit whose curves, from the first on, have the amplitudes of greatest evidence."""
-        for _ in range(STEPS):
-            before = fit.log_evidence
-            extra = [
-                e if k < first else replace(e, std=e.std * fit.gaussian.rms(fit.further(k)))
-                for k, e in enumerate(fit.extra)
-            ]
-            fit = self.base.extended(extra)
-            if abs(fit.log_evidence - before) < 0.1:
-                break
-        return fit
 
     def worth(self, fit: Likelihood, chosen: Sequence[Hypothesis], h: Hypothesis) -> Hypothesis:
         """Return a hypothesis with its evidence, the amplitudes of curves being learnt with it and without it."""
@@ -215,35 +220,51 @@ class Search:
         return chosen
 
     def run(self) -> tuple[list[Hypothesis], list[Hypothesis], list[Hypothesis]]:
-        """Return the terms, and what led first and last."""
-        chosen, first, dropped = list[Hypothesis](), None, set()
+        """Return the terms, and what led first and last: add while something is likelier than not, then swap."""
+        chosen, first, last = self.added([])
+        for _ in range(SWEEPS):
+            before = [h.candidate for h in chosen]
+            chosen = self.without_needless(self.swapped(chosen))
+            if [h.candidate for h in chosen] == before:
+                break
+            chosen, _, last = self.added(chosen)
+        return chosen, first, last
+
+    def added(self, chosen: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypothesis], list[Hypothesis]]:
+        first, dropped = None, set[str]()
         while True:
             lead = [h for h in self.leading(self.fit(chosen), chosen) if words(h, self.rows) not in dropped]
-            first = first or lead
+            first = lead if first is None else first
             if not lead or self.odds(lead[0]) <= 0 or len(chosen) == MOST:
                 return chosen, first, lead
             self.log.append(["add", words(lead[0], self.rows), round(lead[0].log_evidence, 1)])
             before = [*chosen, lead[0]]
-            chosen = self.without_needless(self.swapped(before) if len(before) > 1 else before)
+            chosen = self.without_needless(before)
             dropped |= {words(h, self.rows) for h in before if h.candidate not in {c.candidate for c in chosen}}
 
+    def rivals(self, fit: Likelihood, h: Hypothesis, rest: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return what may be in the place of a term: at its joint or on the whole robot, for its time if it has one."""
+        place, windowed = h.candidate.place, h.candidate.site.window is not None
+        if windowed:
+            every = screened(fit, self.rows, self.effects)
+        else:
+            every = [one for one in lasting(fit, self.rows, self.effects) if place in (None, one.candidate.place)]
+        names = {one.name for one in rest if one.candidate.site.window is None} | {h.name}
+        found = sorted((one for one in every if one.name not in names), key=lambda one: -self.odds(one))
+        return [self.worth(fit, rest, self.shaped(fit, one)) for one in found[:RIVALS]]
+
     def swapped(self, chosen: list[Hypothesis]) -> list[Hypothesis]:
-        for _ in range(SWEEPS):
-            changed = False
-            for k in range(len(chosen)):
-                rest = [*chosen[:k], *chosen[k + 1 :]]
-                fit = self.fit(rest)
-                own = again(fit, self.rows, chosen[k])
-                own = None if own is None else self.worth(fit, rest, self.shaped(fit, own))
-                lead = [h for h in self.leading(fit, rest, 3) if own is None or h.name != own.name][:3]
-                if lead and (own is None or self.odds(lead[0]) > self.odds(own) + 0.5):
-                    gain = lead[0].log_evidence - (0.0 if own is None else own.log_evidence)
-                    self.log.append(["swap", words(chosen[k], self.rows), words(lead[0], self.rows), round(gain, 1)])
-                    chosen, changed = [*chosen[:k], lead[0], *chosen[k + 1 :]], True
-                elif own is not None:
-                    chosen = [*chosen[:k], own, *chosen[k + 1 :]]
-            if not changed:
-                break
+        for k in range(len(chosen)):
+            rest = [*chosen[:k], *chosen[k + 1 :]]
+            fit = self.fit(rest)
+            own = again(fit, self.rows, chosen[k])
+            own = chosen[k] if own is None else self.shaped(fit, own)
+            own = self.worth(fit, rest, own)
+            best = max((own, *self.rivals(fit, chosen[k], rest)), key=self.odds)
+            if best.name != own.name:
+                gain = best.log_evidence - own.log_evidence
+                self.log.append(["swap", words(own, self.rows), words(best, self.rows), round(gain, 1)])
+            chosen = [*chosen[:k], best, *chosen[k + 1 :]]
         return chosen
 
     def shares(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[float]:

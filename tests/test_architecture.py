@@ -15,8 +15,8 @@ import torchrbd
 PACKAGE = Path(__file__).parent.parent / "torchrbd"
 ROOMS = (
     "errors", "_runtime", "display", "estimators", "options", "robot", "recordings", "parameters", "effects", "model",
-    "regression", "likelihood", "simulation", "inference", "diagnosis", "comparison", "fleet", "excitation", "learning",
-    "export", "report", "cli",
+    "regression", "dataset", "nuisance", "likelihood", "simulation", "inference", "diagnosis", "comparison", "fleet",
+    "excitation", "learning", "export", "report", "cli",
 )  # fmt: skip
 ONLY_IN = {"yourdfpy": "robot/urdf.py", "pytorch_kinematics": "robot/chain.py"}
 

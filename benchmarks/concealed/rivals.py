@@ -22,10 +22,10 @@ from sklearn.model_selection import KFold
 from sklearn.neural_network import MLPRegressor
 from sklearn.preprocessing import StandardScaler
 
+from torchrbd.dataset.block_statistics import filtered_rows
 from torchrbd.effects import known_effects
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.block_statistics import filtered_rows
 from torchrbd.robot import RobotModel
 
 from .rival_scores import range_errors

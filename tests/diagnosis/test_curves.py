@@ -9,9 +9,9 @@ import pytest
 import torch
 from effects.sites import ROBOT, SCALE, signals, site_of, states
 
+from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.effects import Site, effect, known_effects
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.report.cards import _sense
 
 

@@ -11,12 +11,12 @@ from likelihood.fits import URDF, at_joint
 from simulated import Motion, record
 
 import torchrbd
+from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis import explain as explaining
 from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.negligible import split_negligible
 from torchrbd.diagnosis.results import HELD_OUT, Finding
 from torchrbd.inference.physical.fitting import judge
-from torchrbd.likelihood.columns import Candidate
 
 pytestmark = pytest.mark.usefixtures("fit_alone")
 

@@ -73,7 +73,7 @@ def test_friction_of_which_the_urdf_has_too_much_is_sure() -> None:
 def test_evidence_is_that_of_a_model_whose_friction_is_known() -> None:
     """Leaving out the viscous column of one joint is knowing that it is zero."""
     fit = learnt()
-    k = int(fit.machine.ordinary(0)[0])
+    k = int(fit.machine.friction.at(0)[0])
     g = fit.gaussian.among(np.setdiff1d(np.arange(len(fit.gaussian.z)), [k]))
     expected = fit.gaussian.log_evidence - g.log_evidence
     assert told(fit)["viscous_friction", 0].log_evidence == pytest.approx(expected, rel=1e-6)
@@ -95,7 +95,7 @@ def test_how_sure_it_is_that_directions_differ_is_told(push: float) -> None:
 
     fit = learnt(at_joint(0, slightly))
     (law,) = (f for (name, joint), f in told(fit).items() if joint == 0 and name != "viscous_friction")
-    at, size = fit.machine.ordinary(0)[1:], fit.machine.friction_size(0, fit.hyper)[1:]
+    at, size = fit.machine.friction.at(0)[1:], fit.machine.friction.size(0, fit.hyper)[1:]
     a = size * [1.0, -1.0]
     m, v = a @ fit.gaussian.z[at], a @ fit.gaussian.covariance(at) @ a
     odds = multivariate_normal(0.0, a @ a).pdf(0.0) / multivariate_normal(m, v).pdf(0.0)

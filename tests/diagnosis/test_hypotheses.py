@@ -26,6 +26,8 @@ from likelihood.fits import (
 from scipy.special import logsumexp
 from simulated import Motion, joint_names
 
+from torchrbd.dataset.rows import Rows
+from torchrbd.dataset.shapes import axes
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, hypothesis_of
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.ranking import _ranked
@@ -39,8 +41,6 @@ from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
-from torchrbd.likelihood.rows import Rows
-from torchrbd.likelihood.shapes import axes
 from torchrbd.likelihood.sizes import coefficient_std
 
 ALL = list(known_effects().values())

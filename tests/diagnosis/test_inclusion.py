@@ -11,6 +11,7 @@ from likelihood.arms import recorded, rows_of, wrong_robot
 from likelihood.fits import OPTIONS, URDF, candidate, carried, fitted, with_friction
 from robot.random_robots import random_urdf
 
+from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.posterior import (
@@ -26,7 +27,6 @@ from torchrbd.effects import Effect, Site, Window, effect, known_effects
 from torchrbd.effects.smooth_torque import SMOOTH
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.machine import Machine
-from torchrbd.likelihood.rows import Rows
 from torchrbd.robot import RobotModel
 
 ARM = RobotModel.from_urdf(random_urdf(3, 7, kinds=("revolute",), branching=0.0, massless=0.0))

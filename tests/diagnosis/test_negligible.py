@@ -14,12 +14,12 @@ from diagnosis.test_unexplained import FIRST, MAY, SECOND, diagnosed
 from likelihood.fits import at_joint
 from report.test_text import finding
 
+from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis import explain as explaining
 from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.negligible import contradicted, is_negligible, split_negligible
 from torchrbd.diagnosis.results import Where
 from torchrbd.effects import Site
-from torchrbd.likelihood.columns import Candidate
 
 
 def of_joints(*names: str) -> Any:

@@ -14,11 +14,11 @@ from robot.random_robots import random_urdf
 from simulated import Motion, inverse_dynamics, joint_names, multisine
 
 import torchrbd
+from torchrbd.dataset.simulated import Simulated
 from torchrbd.export import write_diagnosis
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.simulated import Simulated
 from torchrbd.recordings import Recording
 from torchrbd.report.page import Page
 from torchrbd.report.text.verdict import badge

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from likelihood.fits import candidate, carried, fitted
 
+from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis import search
 from torchrbd.diagnosis.explain import likeliest_left
 from torchrbd.diagnosis.hypotheses import Hypothesis
@@ -19,7 +20,6 @@ from torchrbd.diagnosis.search import MOST_TERMS
 from torchrbd.diagnosis.terms import Explanation, Term
 from torchrbd.effects import Site, Window
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.rows import Rows
 
 SITES = {
     "A": ("joint_spring", Site(0)),

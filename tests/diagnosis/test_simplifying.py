@@ -12,6 +12,7 @@ import pytest
 import torch
 from inference.problems import urdf_of
 
+from torchrbd.dataset.columns import Candidate, Columns
 from torchrbd.diagnosis import simplifying
 from torchrbd.diagnosis.estimate_evidence import bayes_factor
 from torchrbd.diagnosis.extending import Extended
@@ -19,7 +20,6 @@ from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.simplifying import as_estimated, simplified
 from torchrbd.diagnosis.terms import Explanation, Term
 from torchrbd.effects import JointScale, Site, effect
-from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.robot import RobotModel
 
 COLUMNS = Columns(RobotModel.from_urdf(urdf_of(2, 2)), (), [JointScale(1.0, 1e-3, -1.0, 1.0)] * 2)

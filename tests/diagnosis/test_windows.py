@@ -13,6 +13,7 @@ from likelihood.fits import BEGIN_S, OPTIONS, URDF, candidate, carried, fitted, 
 from scipy.special import logsumexp
 from simulated import Motion
 
+from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.edges import Edges
 from torchrbd.diagnosis.hypotheses import average_over_shapes, hypothesis_of
 from torchrbd.diagnosis.windows import Windows, in_recordings, in_windows, located, weigh_windows
@@ -23,7 +24,6 @@ from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
-from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import coefficient_std
 
 

@@ -12,8 +12,8 @@ from unittest.mock import patch
 
 # Each is counted when it is called. A step that renames one of them renames it here.
 COUNTED = {
-    "recordings_read": "torchrbd.likelihood.reading:Reading.tiles",
-    "statistics": "torchrbd.likelihood.reading:Reading.statistics",
+    "recordings_read": "torchrbd.dataset.reading:Reading.tiles",
+    "statistics": "torchrbd.dataset.reading:Reading.statistics",
     "likelihoods": "torchrbd.likelihood.likelihood:Likelihood.__init__",
     "factorisations": "torchrbd.likelihood.root:Root.__init__",
     "solves": "torchrbd.likelihood.physical_fit:follow_path",

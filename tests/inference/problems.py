@@ -11,9 +11,9 @@ from robot.random_robots import random_urdf
 from simulated import record
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import Block, BlockStatistics, block_statistics
+from torchrbd.dataset.columns import Columns
 from torchrbd.effects import JointScale, effect
-from torchrbd.likelihood.block_statistics import Block, BlockStatistics, block_statistics
-from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.urdf_prior import Prior, urdf_prior
 from torchrbd.recordings import Filtering, Recording, States, survey, tiles
 from torchrbd.robot import RobotModel

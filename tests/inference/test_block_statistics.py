@@ -7,8 +7,8 @@ import pytest
 import torch
 from inference.problems import LABELS, columns_of, dense, recorded, statistics_of
 
-from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
-from torchrbd.likelihood.columns import Columns
+from torchrbd.dataset.block_statistics import BlockStatistics, assemble
+from torchrbd.dataset.columns import Columns
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

@@ -10,11 +10,11 @@ import torch
 from inference.problems import urdf_of
 from simulated import record
 
+from torchrbd.dataset.block_statistics import Block
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference.data.holdout import check_enough, held_out_recordings, held_out_runs
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.block_statistics import Block
 from torchrbd.recordings import Recording, survey
 from torchrbd.robot import RobotModel
 

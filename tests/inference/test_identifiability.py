@@ -12,12 +12,12 @@ from inference.problems import columns_of, prior_of, random_moments, urdf_of
 from simulated import Motion as Made
 from simulated import inverse_dynamics, joint_names, multisine
 
+from torchrbd.dataset.block_statistics import assemble
 from torchrbd.inference.physical.fitting import FittedModel, fit_model
 from torchrbd.inference.posterior.experiments import Motion, described, extent, information, states
 from torchrbd.inference.posterior.identifiability import Identifiability, _State, identifiability
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.block_statistics import assemble
 from torchrbd.likelihood.urdf_prior import divergence_hessian
 from torchrbd.parameters import base_parameters
 from torchrbd.recordings import Recording

@@ -11,7 +11,7 @@ from inference.problems import FILTERING, columns_of, dense, prior_of, random_mo
 from robot.random_robots import random_urdf
 from simulated import inverse_dynamics, multisine, record
 
-from torchrbd.likelihood.columns import Columns
+from torchrbd.dataset.columns import Columns
 from torchrbd.likelihood.equations import linear_fit, residual_variance, scaled_equations, with_noise
 from torchrbd.likelihood.urdf_prior import Prior, divergence_hessian, unphysical_bodies
 from torchrbd.parameters import is_physical

@@ -11,8 +11,8 @@ from inference.test_physical_fit import fit, least_eigenvalue, step_left
 from robot.random_robots import random_urdf
 from torch import Tensor
 
-from torchrbd.likelihood.block_statistics import Block, BlockStatistics
-from torchrbd.likelihood.columns import Columns
+from torchrbd.dataset.block_statistics import Block, BlockStatistics
+from torchrbd.dataset.columns import Columns
 from torchrbd.parameters import from_log_cholesky, is_physical, to_log_cholesky
 from torchrbd.robot import RobotModel
 

@@ -15,11 +15,11 @@ from simulated import joint_names, record
 import torchrbd
 from torchrbd import InputError, OptionError, merge_statistics, write_statistics
 from torchrbd._runtime.ranks import Ranks
+from torchrbd.dataset.block_statistics import halvings
 from torchrbd.errors import RecordingError
 from torchrbd.inference.statistics import building, folder, merging, preparing
 from torchrbd.inference.statistics.files import read_head, read_statistics, write_file
 from torchrbd.inference.statistics.results import added
-from torchrbd.likelihood.block_statistics import halvings
 
 URDF = urdf_of(2, 2)
 

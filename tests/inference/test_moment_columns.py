@@ -11,11 +11,11 @@ from simulated import joint_names, record
 
 import torchrbd
 from torchrbd import InputError, OptionError, write_statistics
+from torchrbd.dataset.columns import Columns
 from torchrbd.effects import JointScale, known_effects
 from torchrbd.inference.statistics import building
 from torchrbd.inference.statistics.files import read_statistics
 from torchrbd.inference.statistics.results import added
-from torchrbd.likelihood.columns import Columns
 
 URDF = urdf_of(2, 2)
 SHAPED = ("stribeck_friction", "one_sided_spring", "torque_ripple", "presliding_hysteresis", "time_varying_friction")

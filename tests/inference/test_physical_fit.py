@@ -11,8 +11,8 @@ from robot.random_robots import random_urdf
 from shortened import slow_but
 from torch import Tensor
 
-from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
-from torchrbd.likelihood.columns import Columns
+from torchrbd.dataset.block_statistics import BlockStatistics, assemble
+from torchrbd.dataset.columns import Columns
 from torchrbd.likelihood.equations import scaled_equations
 from torchrbd.likelihood.physical_fit import PhysicalFit, physical_fit
 from torchrbd.likelihood.urdf_prior import Prior

@@ -11,12 +11,12 @@ from inference.problems import EFFECTS, columns_of, prior_of, random_moments, ur
 from shortened import slow_but
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import BlockStatistics, assemble
+from torchrbd.dataset.columns import Columns
 from torchrbd.errors import InputError
 from torchrbd.inference.physical.fitting import FittedModel, fit_model, term_candidates
 from torchrbd.inference.posterior.predictive import predictive_variance
 from torchrbd.inference.posterior.sampling import sample_robots
-from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
-from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.parameters import base_parameters
 from torchrbd.robot import RobotModel, pseudo_inertia

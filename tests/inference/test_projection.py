@@ -12,10 +12,10 @@ from noisy_robots import FINAL, final_robots
 from parameters.bodies import by_hand
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import assemble
 from torchrbd.errors import InputError
 from torchrbd.inference.physical import projection
 from torchrbd.inference.physical.projection import project, relevance
-from torchrbd.likelihood.block_statistics import assemble
 from torchrbd.parameters import from_log_cholesky, to_log_cholesky
 from torchrbd.regression.ard import ard
 from torchrbd.robot import RobotModel, pseudo_inertia

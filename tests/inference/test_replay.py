@@ -17,13 +17,13 @@ from lxml import etree
 from simulated import Motion
 
 import torchrbd
+from torchrbd.dataset.columns import Candidate, Columns
+from torchrbd.dataset.reading import Reading
 from torchrbd.effects import Effect, Site, Window, known_effects
 from torchrbd.errors import InputError, OptionError
 from torchrbd.export.urdf import not_in_urdf
 from torchrbd.inference.physical.fitting import FittedModel, predict
 from torchrbd.inference.series import held_out_spans, torque_series
-from torchrbd.likelihood.columns import Candidate, Columns
-from torchrbd.likelihood.reading import Reading
 from torchrbd.model import OTHERS, Condition, Reported, RigidBodyDynamics
 from torchrbd.recordings import Filtering, Recording, survey
 

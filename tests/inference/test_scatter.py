@@ -10,8 +10,8 @@ import scipy.stats
 import torch
 from scipy.signal import lfilter
 
+from torchrbd.dataset.block_statistics import Block, BlockStatistics
 from torchrbd.inference.physical.scatter import Scatter, block_scatter
-from torchrbd.likelihood.block_statistics import Block, BlockStatistics
 
 Rows = list[tuple[np.ndarray, np.ndarray]]
 

@@ -11,6 +11,8 @@ import torch
 from effects.sites import ROBOT, SCALE
 from inference.truths import ALL, CUTOFF_HZ, Delay, Ripple, Truth, added_by, drawn, recovered, stribeck, told
 
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.shapes import Axis, ShapeSlope, axes, slopes, varied
 from torchrbd.effects import (
     Effect,
     Site,
@@ -26,8 +28,6 @@ from torchrbd.inference.physical.terms import term_parameters
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined, refined_from
-from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.shapes import Axis, ShapeSlope, axes, slopes, varied
 from torchrbd.recordings import Recording
 
 

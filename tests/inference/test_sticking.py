@@ -12,15 +12,15 @@ import pytest
 import torch
 from inference.problems import columns_of, dense, recorded, statistics_of, stream
 
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.scales import covered_scales
+from torchrbd.dataset.sticking import stick_weight, undetermined
 from torchrbd.effects import effect
 from torchrbd.inference.identify import identify
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.stick_levels import stick_levels
-from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.scales import covered_scales
-from torchrbd.likelihood.sticking import stick_weight, undetermined
 from torchrbd.likelihood.urdf_prior import data_prior
 from torchrbd.recordings import Filtering, Recording, survey
 from torchrbd.robot import RobotModel

@@ -21,11 +21,11 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 
 import torchrbd
 from torchrbd import DynamicsRegressor
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.given_states import given_statistics
 from torchrbd.effects import JointScale, effect
 from torchrbd.errors import InputError, OptionError
 from torchrbd.inference.physical.fitting import fit_model
-from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.given_states import given_statistics
 from torchrbd.parameters import is_physical
 from torchrbd.robot import RobotModel
 

@@ -10,13 +10,13 @@ import torch
 from robot.random_robots import random_urdf
 from simulated import Motion, inverse_dynamics, joint_names, multisine, with_wrong_inertials
 
+from torchrbd.dataset.band import band_hz
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.reading import Reading
+from torchrbd.dataset.rows import KeptBack, Rows, read_rows
+from torchrbd.dataset.scales import covered_scales
 from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.band import band_hz
-from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.reading import Reading
-from torchrbd.likelihood.rows import KeptBack, Rows, read_rows
-from torchrbd.likelihood.scales import covered_scales
 from torchrbd.recordings import Filtering, Recording
 from torchrbd.robot import RobotModel
 

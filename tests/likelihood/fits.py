@@ -9,14 +9,14 @@ import pinocchio as pin
 from likelihood.arms import Torque, arm_urdf, friction, recorded, rows_of, wrong_robot
 from simulated import Motion, inverse_dynamics
 
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.rows import Rows
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.noise import Student, Tail
-from torchrbd.likelihood.rows import Rows
 
 URDF = arm_urdf(0, 2)
 VISCOUS, COULOMB, WIDTH, DELAY_S = (0.4, 0.2), (1.0, 0.3), 0.05, 0.004

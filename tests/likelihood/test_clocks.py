@@ -9,8 +9,8 @@ from likelihood.arms import reading_of, recorded, wrong_robot
 from likelihood.fits import OPTIONS, URDF, with_friction
 
 import torchrbd
+from torchrbd.dataset.reading import Reading
 from torchrbd.likelihood.clocks import Clocks, in_time, of_one_machine
-from torchrbd.likelihood.reading import Reading
 
 
 def test_a_held_out_recording_has_the_mean_of_the_others() -> None:

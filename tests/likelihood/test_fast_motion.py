@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from torchrbd.dataset.band import band_hz
 from torchrbd.diagnosis.hypotheses import carried, hypothesis_of
 from torchrbd.effects import Site, effect
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import read
-from torchrbd.likelihood.band import band_hz
 from torchrbd.likelihood.clocks import in_band
 from torchrbd.likelihood.likelihood import Likelihood
 

@@ -58,10 +58,10 @@ def sticking() -> Likelihood:
 
 def test_friction_of_a_joint_that_sticks_passes_in_a_straight_line(sticking: Likelihood) -> None:
     machine = sticking.machine
-    rests = machine._resting[0].max(0) > 0.5
+    rests = machine.rests.rests.of[0].max(0) > 0.5
     assert np.std(sticking.residual(0)[rests]) < 0.3 * COULOMB[0]
-    assert sticking.gaussian.against(machine.sticks(0)) > 5
-    assert sticking.gaussian.against(machine.sticks(1)) < 3
+    assert sticking.gaussian.against(machine.sticking.at(0)) > 5
+    assert sticking.gaussian.against(machine.sticking.at(1)) < 3
     np.testing.assert_allclose(sticking.friction[0, 1:], COULOMB[0], rtol=0.1)
 
 
@@ -77,10 +77,10 @@ def test_joint_that_sticks_is_not_late(sticking: Likelihood) -> None:
 
 def test_long_rest_holds_in_more_ways_than_a_short_one(sticking: Likelihood) -> None:
     machine = sticking.machine
-    lengths = (machine._resting[0] > 0).sum(1)
-    ways = np.array([(machine._holding[0][:, rest > 0] != 0).any(1).sum() for rest in machine._resting[0]])
+    lengths = (machine.rests.rests.of[0] > 0).sum(1)
+    ways = np.array([(machine.rests.ways[0][:, rest > 0] != 0).any(1).sum() for rest in machine.rests.rests.of[0]])
     assert ways[lengths.argmax()] > ways[lengths.argmin()] >= 1
-    sizes = np.abs(machine._holding[0]).max(1)
+    sizes = np.abs(machine.rests.ways[0]).max(1)
     assert (np.diff(sizes) < 0.2).all()
     assert sizes[0] == pytest.approx(1.0, abs=0.2)
 
@@ -94,9 +94,9 @@ def test_law_that_takes_a_part_of_friction_leaves_what_rests_may_hold_as_large()
     law = Extra(0, np.sign(qd) * np.abs(qd) ** 0.3, np.ones(1))
     beside = fit.extended((law,)).renoised().relinearised()
     assert beside.friction[0, 1] < 0.95 * fit.friction[0, 1]
-    assert len(machine.resting(0)) > 5
+    assert len(machine.rests.at(0)) > 5
     holding = [
-        one.columns(0)[np.isin(one.own(0), machine.resting(0))] for one in (beside, fit.renoised().relinearised())
+        one.columns(0)[np.isin(one.own(0), machine.rests.at(0))] for one in (beside, fit.renoised().relinearised())
     ]
     np.testing.assert_allclose(*holding, rtol=1e-6)
 

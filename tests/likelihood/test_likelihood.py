@@ -24,8 +24,8 @@ from likelihood.fits import (
     with_friction,
 )
 
+from torchrbd.dataset.columns import Columns
 from torchrbd.effects import Site
-from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.learning import learn
@@ -47,8 +47,8 @@ def friction_std(fit: Likelihood) -> np.ndarray:
     """Return posterior standard deviations of viscous and both Coulomb coefficients, (n, 3)."""
     machine, found = fit.machine, []
     for j in range(2):
-        prior = machine.friction_std(j, machine.friction_columns(j, float(fit.hyper.rest_width[j])))
-        found.append(np.sqrt(fit.gaussian.covariance(machine.ordinary(j)).diagonal()) * prior)
+        prior = machine.friction.std(j, machine.friction.features(j, float(fit.hyper.rest_width[j])))
+        found.append(np.sqrt(fit.gaussian.covariance(machine.friction.at(j)).diagonal()) * prior)
     return np.array(found)
 
 
@@ -60,7 +60,7 @@ def test_friction_lies_within_its_intervals(fit: Likelihood) -> None:
 
 
 def test_delay_lies_within_its_interval(fit: Likelihood) -> None:
-    std = fit.machine.timing_std * np.sqrt(fit.gaussian.covariance(fit.machine.timing).diagonal())
+    std = fit.machine.clocks.std * np.sqrt(fit.gaussian.covariance(fit.machine.clocks.index).diagonal())
     assert abs(fit.delay_s[0] - DELAY_S) < 3.5 * std[0]
     assert std[0] < 0.06 * DELAY_S
 
@@ -78,7 +78,7 @@ def test_noise_is_that_of_the_torque(fit: Likelihood) -> None:
 def test_residual_is_what_the_coefficients_leave(fit: Likelihood) -> None:
     machine, z = fit.machine, fit.gaussian.z
     for j in range(2):
-        A, own = machine.design(j, fit.hyper, fit._slopes)
+        A, own = machine.design(j, fit.hyper, fit._along)
         z_own = z[own] * machine.sizes(j, own, fit.hyper)
         np.testing.assert_allclose(fit.residual(j), machine.target[j] - z_own @ A, atol=1e-9)
         white = fit.hyper.noise[j].white(fit.residual(j))
@@ -119,7 +119,7 @@ def test_rows_that_least_squares_sees_are_those_of_a_noise_without_memory(fit: L
     """They are remembered for noises of other sizes, not for another spread."""
     louder = fit.renoised()
     for one in (fit, louder, fit.with_(noise=tuple(replace(n, spread=2.0 * n.spread) for n in fit.hyper.noise))):
-        again = Likelihood(one.machine, one.least_squares.hyper, one.extra, fit.machine.slopes(fit.hyper))
+        again = Likelihood(one.machine, one.least_squares.hyper, one.extra, fit.machine.along(fit.hyper))
         for found, wanted in zip(one.least_squares.gaussian.blocks, again.gaussian.blocks, strict=True):
             np.testing.assert_allclose(found.y, wanted.y, rtol=1e-10)
             np.testing.assert_allclose(found.gram, wanted.gram, rtol=1e-9, atol=1e-9 * np.abs(wanted.gram).max())
@@ -206,10 +206,12 @@ def test_rows_that_are_kept_are_those_of_a_model_made_anew(fit: Likelihood) -> N
         base.extended([other]).extended([own]),
         base.with_(drift=drift, noise=noise),
         base.with_(rest_width=fit.hyper.rest_width * [1.0, 1.5]),
+        base.extended([own, other]).rescaled({0: 3.0, 1: 0.2}),
+        base.extended([own, other]).rescaled({1: 0.2}).renoised([0]).rescaled({0: 2.0}),
         base.renoised([1], dispersed=True),
     )
     for one in changed:
-        anew = Likelihood(one.machine, one.hyper, one.extra, one._slopes)
+        anew = Likelihood(one.machine, one.hyper, one.extra, one._along)
         assert one.log_evidence == pytest.approx(anew.log_evidence, rel=1e-10)
         np.testing.assert_allclose(one.gaussian.z, anew.gaussian.z, rtol=1e-6, atol=1e-9)
     assert changed[-1].hyper.noise[0].sigma == base.hyper.noise[0].sigma
@@ -253,7 +255,7 @@ def test_other_sizes_are_those_of_a_model_made_anew(fit: Likelihood) -> None:
         fit.with_(kappa=7.0, drift=0.1 * fit.hyper.drift).dispersed(3.0 * fit.hyper.dispersion),
         fit.least_squares.with_(kappa=7.0, drift=0.1 * fit.hyper.drift),
     ):
-        fresh = Likelihood(other.machine, other.hyper, slopes=other._slopes)
+        fresh = Likelihood(other.machine, other.hyper, along=other._along)
         assert other.log_evidence == pytest.approx(fresh.log_evidence, rel=1e-12)
         np.testing.assert_allclose(other.gaussian.z, fresh.gaussian.z, rtol=1e-6, atol=1e-9)
         for j in range(2):
@@ -269,8 +271,8 @@ def test_machine_of_trusted_bodies_has_friction_alone() -> None:
     A, own = machine.design(0, fitted(delay_s=DELAY_S).hyper, None)
     assert len(A) == len(own)
     assert own.min() == 0
-    rests = sum(len(machine.resting(j)) for j in range(2))
-    assert machine.n == 2 * (10 + 2 + len(machine.drifting(0)) + 2) + 2 + rests
+    rests = sum(len(machine.rests.at(j)) for j in range(2))
+    assert machine.n == 2 * (10 + 2 + len(machine.drift.at(0)) + 2) + 2 + rests
     assert isinstance(rows.columns, Columns)
 
 
@@ -286,7 +288,7 @@ def test_friction_that_is_not_there_does_not_push() -> None:
     """A joint without friction has coefficients around zero whose truncated posterior is not negative."""
     robot = wrong_robot(URDF, 1)
     fit = learn(Machine(rows_of(robot, [recorded(URDF, 2, **{**OPTIONS, "noise": 0.2})])))
-    found = fit.machine.friction(fit.gaussian.z, fit.hyper)
+    found = fit.machine.friction.of(fit.gaussian.z, fit.hyper)
     assert (found > 0).all()
     assert (found < 4 * friction_std(fit)).all()
     assert (fit.hyper.resists[0] >= 0).all()

@@ -10,7 +10,8 @@ from likelihood.fits import DELAY_S, OPTIONS, URDF, carried, fitted, with_fricti
 from scipy.stats import norm
 
 from torchrbd.likelihood.learning import learn
-from torchrbd.likelihood.machine import STICKS, Machine
+from torchrbd.likelihood.machine import Machine
+from torchrbd.nuisance.directions import STICKS
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
@@ -29,8 +30,8 @@ def test_encoder_noise_is_multiplied_by_the_mass_matrix(machine: Machine, share:
     for j in range(2):
         noisy = ((M[:, j] * rows.encoder_std) ** 2).sum(1)
         expected = np.sqrt(1.0 - share + share * noisy / noisy.mean())
-        np.testing.assert_allclose(machine.spread(j, share), expected, rtol=1e-9)
-        assert np.mean(machine.spread(j, share) ** 2) == pytest.approx(1.0)
+        np.testing.assert_allclose(machine.noise.spread(j, share), expected, rtol=1e-9)
+        assert np.mean(machine.noise.spread(j, share) ** 2) == pytest.approx(1.0)
 
 
 def direction_std(qd: torch.Tensor, speed_std: float) -> torch.Tensor:
@@ -42,15 +43,15 @@ def direction_std(qd: torch.Tensor, speed_std: float) -> torch.Tensor:
 def test_rows_are_noisier_where_the_velocity_does_not_tell_the_direction(machine: Machine) -> None:
     rows = machine.rows
     slow = int(np.argmin(np.abs(rows.qd[0])))
-    fast = np.abs(rows.qd[0]) > 0.5 * machine.speed_rms[0]
+    fast = np.abs(rows.qd[0]) > 0.5 * np.sqrt(np.mean(rows.qd[0] ** 2))
     for stick in STICKS:
         wrong = rows.evaluated(lambda s, k=stick: direction_std(s.qd[0], k * rows.speed_std[0]))
-        spread = machine.spread(0, 0.0, 20.0, stick)
+        spread = machine.noise.spread(0, 0.0, 20.0, stick)
         np.testing.assert_allclose(spread, np.sqrt(1.0 + (20.0 * wrong) ** 2), rtol=1e-9)
-        assert (machine.spread(0, 0.0, 0.0, stick) == 1.0).all()
+        assert (machine.noise.spread(0, 0.0, 0.0, stick) == 1.0).all()
         assert spread[slow] >= np.median(spread[fast])
         np.testing.assert_allclose(spread[fast], 1.0, atol=0.01)
-    assert machine.spread(0, 0.0, 20.0, 10.0).mean() > machine.spread(0, 0.0, 20.0, 1.0).mean()
+    assert machine.noise.spread(0, 0.0, 20.0, 10.0).mean() > machine.noise.spread(0, 0.0, 20.0, 1.0).mean()
 
 
 def test_drift_is_a_random_walk_that_every_recording_has_alone() -> None:
@@ -59,7 +60,7 @@ def test_drift_is_a_random_walk_that_every_recording_has_alone() -> None:
     hyper = fitted(delay_s=DELAY_S).hyper
     A, own = machine.design(1, hyper, None)
     A *= machine.sizes(1, own, hyper)[:, None]
-    drift = A[np.isin(own, machine.drifting(1))] / hyper.drift[1]
+    drift = A[np.isin(own, machine.drift.at(1))] / hyper.drift[1]
     here = np.array([d[rows.recording == 0].any() for d in drift])
     assert (here ^ np.array([d[rows.recording == 1].any() for d in drift])).all()
     for inside, number in ((here, 0), (~here, 1)):
@@ -84,14 +85,15 @@ def test_torque_is_told_to_be_rounded() -> None:
 def test_rounding_is_a_sawtooth_of_the_torque() -> None:
     """The first harmonic of round(x) - x is -(D / pi) sin(2 pi x / D): its coefficient is -1, that of the cosine 0."""
     fit = learn(Machine(rows_of(ROBOT, [quantised(0.25)])))
-    slopes = fit.machine.slopes(fit.hyper)[-2:]
+    rounding = fit.machine.along(fit.hyper)["rounding"]
     rows, step = carried(fit), float(fit.machine.rows.torque_step[1])
     sine = rows.evaluated(lambda s: (step / np.pi) * torch.sin(2 * np.pi * s.supplied[1] / step))
     # Its load is that of a fit just before.
-    np.testing.assert_allclose(slopes[0, 1], sine, atol=1e-2 * step)
-    assert not slopes[:, 0].any()
-    A, own = fit.machine.design(1, fit.hyper, slopes=fit._slopes)
-    at = [k for k, row in zip(own, A, strict=True) for s in fit._slopes[-2:, 1] if np.array_equal(row, s)]
+    np.testing.assert_allclose(rounding[0, 1], sine, atol=1e-2 * step)
+    assert not rounding[:, 0].any()
+    A, own = fit.machine.design(1, fit.hyper, along=fit._along)
+    assert fit._along is not None
+    at = [k for k, row in zip(own, A, strict=True) for s in fit._along["rounding"][:, 1] if np.array_equal(row, s)]
     assert fit.gaussian.z[at[0]] == pytest.approx(-1.0, abs=0.15)
     assert abs(fit.gaussian.z[at[1]]) < 0.15
     assert fit.gaussian.against(at) > 30

@@ -15,6 +15,7 @@ from scipy.stats import chi2, kstest
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates, remembered
 from torchrbd.likelihood.noise import Noise
+from torchrbd.nuisance.component import Along
 
 # So coloured that least squares loses something in every direction.
 PREDICTOR, SIGMA, DRAWS = np.array([1.5, -0.7]), 0.01, 300
@@ -30,12 +31,12 @@ def right() -> Likelihood:
     )
     plain = {"bodies": np.zeros_like(fit.hyper.bodies), "resists": np.zeros_like(fit.hyper.resists)}
     hyper = fit.hyper.with_(noise=noise, dispersion=np.ones(2), **plain)
-    return Likelihood(fit.machine, hyper, slopes=fit.machine.slopes(hyper))
+    return Likelihood(fit.machine, hyper, along=fit.machine.along(hyper))
 
 
 @lru_cache(maxsize=1)
-def slopes_of() -> np.ndarray:
-    return right().machine.slopes(right().hyper)
+def along_of() -> Along:
+    return right().machine.along(right().hyper)
 
 
 def drawn(fit: Likelihood, rng: np.random.Generator, bend: float = 0.0) -> Likelihood:
@@ -48,13 +49,13 @@ def drawn(fit: Likelihood, rng: np.random.Generator, bend: float = 0.0) -> Likel
     target[0] += bend * fit.machine.torque_rms[0] * qd * np.abs(qd) / np.mean(qd**4) ** 0.5
     machine = copy(fit.machine)
     machine.target = target
-    return Likelihood(machine, fit.hyper, slopes=slopes_of())
+    return Likelihood(machine, fit.hyper, along=along_of())
 
 
 def test_p_values_are_uniform_where_the_model_is_right() -> None:
     fit, rng = right(), np.random.default_rng(0)
     tests = [TwoEstimates(drawn(fit, rng)) for _ in range(DRAWS)]
-    for index in (fit.machine.ordinary(0), fit.machine.ordinary(1), np.arange(20), fit.machine.timing):
+    for index in (fit.machine.friction.at(0), fit.machine.friction.at(1), np.arange(20), fit.machine.clocks.index):
         found = [two.test(index) for two in tests]
         assert {one.dof for one in found} == {found[0].dof}
         assert found[0].dof > 0
@@ -67,7 +68,7 @@ def test_least_squares_is_plain_whatever_the_noise() -> None:
     rare = np.where(np.random.default_rng(7).random(len(fit.machine.rows.t)) < 0.5, 1e-3, 1.0)
     heavy = fit.with_(noise=tuple(replace(n, tail=tail_of(rare)) for n in fit.hyper.noise))
     plain, other = TwoEstimates(fit), TwoEstimates(heavy)
-    at = fit.machine.ordinary(0)
+    at = fit.machine.friction.at(0)
     std = np.sqrt(plain.estimate(at)[1].diagonal())
     assert (np.abs(other.ordinary - plain.ordinary)[at] < 0.1 * std).all()
     assert (np.abs(other.efficient - plain.efficient)[at] > 0.1 * std).any()
@@ -76,7 +77,7 @@ def test_least_squares_is_plain_whatever_the_noise() -> None:
 def test_the_efficient_estimate_is_the_posterior_mean_and_both_agree_on_average() -> None:
     fit, rng = right(), np.random.default_rng(1)
     draws = [drawn(fit, rng) for _ in range(DRAWS)]
-    tests, at = [TwoEstimates(one) for one in draws], fit.machine.ordinary(0)
+    tests, at = [TwoEstimates(one) for one in draws], fit.machine.friction.at(0)
     for one, two in zip(draws[:3], tests[:3], strict=True):
         np.testing.assert_allclose(two.efficient, one.gaussian.z, atol=1e-6)
     apart = np.array([(two.ordinary - two.efficient)[at] for two in tests])
@@ -86,8 +87,8 @@ def test_the_efficient_estimate_is_the_posterior_mean_and_both_agree_on_average(
 def test_a_curve_over_velocity_that_is_left_out_is_seen_most_at_its_joint() -> None:
     fit, rng = right(), np.random.default_rng(2)
     tests = [TwoEstimates(drawn(fit, rng, bend=0.3)) for _ in range(20)]
-    found = np.array([[two.test(fit.machine.ordinary(j)).statistic for j in range(2)] for two in tests])
-    assert all(two.test(fit.machine.ordinary(0)).p_value < MISFIT for two in tests)
+    found = np.array([[two.test(fit.machine.friction.at(j)).statistic for j in range(2)] for two in tests])
+    assert all(two.test(fit.machine.friction.at(0)).p_value < MISFIT for two in tests)
     # What it bends in the bodies, which both joints carry, is seen at the other one too.
     assert (found[:, 0] > found[:, 1]).all()
 
@@ -95,20 +96,20 @@ def test_a_curve_over_velocity_that_is_left_out_is_seen_most_at_its_joint() -> N
 def test_learnt_noise_is_not_taken_for_a_wrong_law() -> None:
     for seed in (2, 3, 4):
         two = TwoEstimates(fit := fitted(seed=seed))
-        assert min(two.test(fit.machine.ordinary(j)).p_value for j in range(2)) > MISFIT
+        assert min(two.test(fit.machine.friction.at(j)).p_value for j in range(2)) > MISFIT
 
 
 @pytest.mark.parametrize("exponent", [0.5, 2.0, 3.0])
 def test_a_law_that_is_wrong_is_seen_in_noise_that_is_learnt(exponent: float) -> None:
     law = at_joint(0, lambda m: np.sign(m.qd[:, 0]) * np.abs(m.qd[:, 0]) ** exponent)
     two = TwoEstimates(fit := fitted(law))
-    assert two.test(fit.machine.ordinary(0)).p_value < MISFIT
+    assert two.test(fit.machine.friction.at(0)).p_value < MISFIT
 
 
 def test_where_the_two_disagree_the_truth_may_be_either() -> None:
     fit, rng = right(), np.random.default_rng(5)
     bent, well = TwoEstimates(other_law := drawn(fit, rng, bend=0.3)), TwoEstimates(one := drawn(fit, rng))
-    at, other = fit.machine.ordinary(0), fit.machine.timing
+    at, other = fit.machine.friction.at(0), fit.machine.clocks.index
     (mean, C), apart = bent.estimate(at), (bent.ordinary - bent.efficient)[at]
     np.testing.assert_allclose(mean, bent.efficient[at] + 0.5 * apart)
     assert (C.diagonal() >= 0.25 * apart**2).all()
@@ -140,8 +141,8 @@ def test_memory_is_that_of_the_noise() -> None:
 def test_white_noise_leaves_nothing_to_compare() -> None:
     fit = right()
     noise = tuple(replace(n, predictor=np.zeros(0)) for n in fit.hyper.noise)
-    one = drawn(Likelihood(fit.machine, fit.hyper.with_(noise=noise), slopes=slopes_of()), np.random.default_rng(4))
-    found = TwoEstimates(one).test(fit.machine.ordinary(0))
+    one = drawn(Likelihood(fit.machine, fit.hyper.with_(noise=noise), along=along_of()), np.random.default_rng(4))
+    found = TwoEstimates(one).test(fit.machine.friction.at(0))
     assert found.p_value == pytest.approx(chi2.sf(found.statistic, found.dof) if found.dof else 1.0)
     assert found.p_value > MISFIT
 

@@ -6,7 +6,8 @@ from scipy.signal import lfilter
 from scipy.stats import multivariate_t, norm
 from scipy.stats import t as student_t
 
-from torchrbd.likelihood.noise import Noise, drift_basis, learnt, order_cost, predicted, predictors, tailed
+from torchrbd.likelihood.noise import Noise, learnt, order_cost, predicted, predictors, tailed
+from torchrbd.nuisance.drift import drift_basis
 
 COEFFICIENTS = np.array([1.2, -0.5])
 

@@ -10,11 +10,11 @@ import torch
 from likelihood.arms import arm_urdf, friction, none_kept_back, reading_of, recorded, rows_of
 from simulated import joint_names
 
+from torchrbd.dataset import rows as rows_module
+from torchrbd.dataset.remembered import Remembered
+from torchrbd.dataset.rows import Rows, read_rows
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect
-from torchrbd.likelihood import rows as rows_module
-from torchrbd.likelihood.remembered import Remembered
-from torchrbd.likelihood.rows import Rows, read_rows
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 

@@ -5,9 +5,9 @@ import pytest
 import torch
 from likelihood.arms import arm_urdf
 
+from torchrbd.dataset.columns import Candidate
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.sizes import TORQUE_SCALES, UNIT_SCALES, coefficient_std, inertial_scale
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 from torchrbd.robot import RobotModel, from_pseudo_inertia, pseudo_inertia

@@ -16,7 +16,7 @@ from robot.random_robots import random_urdf
 from simulated import joint_names, record, with_wrong_inertials
 
 import torchrbd
-from torchrbd.likelihood.block_statistics import Block
+from torchrbd.dataset.block_statistics import Block
 from torchrbd.simulation import MotionError, Spread
 from torchrbd.simulation.windows import driving, starts
 

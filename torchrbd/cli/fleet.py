@@ -16,6 +16,7 @@ from torchrbd._runtime.engines import Engine
 from torchrbd._runtime.outputs import OutputFolder, inside, write_whole
 from torchrbd.cli.interrupts import finishing_on_interrupt
 from torchrbd.cli.progress import progress_bar
+from torchrbd.dataset.reading import Progress
 from torchrbd.errors import InputError, OptionError, UnfinishedError, reason
 from torchrbd.export.json_files import write_fleet
 from torchrbd.fleet.compare import compare_fleet
@@ -23,7 +24,6 @@ from torchrbd.fleet.results import UNFINISHED, FleetComparison
 from torchrbd.inference import identify
 from torchrbd.inference.many import WithEffects, counted
 from torchrbd.inference.robots_file import RobotEntry, read_robots
-from torchrbd.likelihood.reading import Progress
 from torchrbd.recordings.contents import digest
 from torchrbd.report.files import IDENTIFIED, write_identified
 from torchrbd.report.fleet import write_fleet_report

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis.results import Curve
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.robot import RobotModel
 
 # Between two points that are kept of a curve: along it, in parts of its width and height.

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from torchrbd._runtime.deadline import is_over, time_limited
 from torchrbd._runtime.threads import single_threaded
+from torchrbd.dataset.reading import Progress
 from torchrbd.diagnosis.clock_offset import clock_offset
 from torchrbd.diagnosis.deflection import joint_deflections
 from torchrbd.diagnosis.detection_limits import detection_limits
@@ -36,7 +37,6 @@ from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.suspicions import suspicions
 from torchrbd.inference.verdict import tells_nothing
-from torchrbd.likelihood.reading import Progress
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import Sources
 from torchrbd.robot import RobotModel

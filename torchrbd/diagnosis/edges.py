@@ -18,8 +18,8 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import convolution_matrix
 
+from torchrbd.dataset.rows import Rows
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.rows import Rows
 
 # Least number of rows between two edges; less than this of a step is rounding.
 _APART, _ROUNDING = 3, 1e-9

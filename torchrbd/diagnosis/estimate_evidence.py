@@ -21,9 +21,9 @@ from collections.abc import Collection
 import numpy as np
 import torch
 
+from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis.hypotheses import SHARED
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.likelihood.columns import Candidate
 
 # Directions of a correlation matrix below this are rounding.
 _LEAST_DIRECTION = 1e-9

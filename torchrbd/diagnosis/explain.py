@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from torchrbd.dataset.block_statistics import Block
+from torchrbd.dataset.columns import Candidate, Columns
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.estimate_evidence import estimate_evidence
@@ -41,8 +43,6 @@ from torchrbd.effects import Effect, Site
 from torchrbd.effects.base import UNEVENNESS
 from torchrbd.inference.physical.fitting import FittedModel, judge, nmse_weights
 from torchrbd.inference.physical.terms import estimated_parameters
-from torchrbd.likelihood.block_statistics import Block
-from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.robot import RobotModel
 
 _FRICTION = "friction"

@@ -17,6 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.reading import Progress
 from torchrbd.diagnosis.friction import OFFSET, Friction, ordinary_friction, weighed_given
 from torchrbd.diagnosis.residual import has_friction
 from torchrbd.diagnosis.sharpening import known_shapes
@@ -26,10 +28,8 @@ from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.refine import fit_with_shapes, refined_from
 from torchrbd.inference.shapes.reread import reread, with_input_noise
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.equations import scaled_equations
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.reading import Progress
 
 
 @dataclass(frozen=True)

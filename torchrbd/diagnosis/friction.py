@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit
 
+from torchrbd.dataset.columns import Candidate, Columns
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.posterior import probability_of
 from torchrbd.effects import Effect, Site, effect
 from torchrbd.effects.base import LEVEL, SPEED
-from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.robot import RobotModel
 
@@ -99,7 +99,7 @@ def weighed_given(one: Friction, fit: Likelihood, robot: RobotModel, laws: Seque
 def _evidence(fit: Likelihood, robot: RobotModel, c: Candidate, laws: Sequence[Candidate]) -> float:
     joint, (label, *_) = c.joint, c.labels
     own = slice(0, 1) if label == SPEED else slice(1, None)
-    at, size = fit.machine.ordinary(joint)[own], fit.machine.friction_size(joint, fit.hyper)[own]
+    at, size = fit.machine.friction.at(joint)[own], fit.machine.friction.size(joint, fit.hyper)[own]
     urdf = robot.damping[joint] if label == SPEED else robot.friction[joint]
     value = np.divide(float(urdf), size, out=np.zeros_like(size), where=size > 0)
     evidence = fit.gaussian.against(at, value)
@@ -113,7 +113,7 @@ def _evidence(fit: Likelihood, robot: RobotModel, c: Candidate, laws: Sequence[C
 
 def _uneven(fit: Likelihood, joint: int) -> float:
     """Return the log evidence against Coulomb friction that is the same in both directions."""
-    at, size = fit.machine.ordinary(joint)[1:], fit.machine.friction_size(joint, fit.hyper)[1:]
+    at, size = fit.machine.friction.at(joint)[1:], fit.machine.friction.size(joint, fit.hyper)[1:]
     a = size * [1.0, -1.0] / max(float(np.linalg.norm(size)), 1e-300)
     m, v = float(a @ fit.gaussian.z[at]), float(a @ fit.gaussian.covariance(at) @ a)
     return 0.5 * (np.log(v) + m**2 / v) if v > 0 else 0.0

@@ -17,11 +17,11 @@ import torch
 from scipy.stats import bootstrap
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import BlockStatistics
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.results import HeldOutCheck, Ratio
 from torchrbd.inference.physical.fitting import FittedModel, nmse_weights
 from torchrbd.inference.results import TorqueSeries
-from torchrbd.likelihood.block_statistics import BlockStatistics
 
 EXTENDED = "extended"
 BLOCK_S, LEAST_BLOCKS, _RESAMPLES, _LONGEST_S = 1.0, 4, 2000, 2.0

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.rows import Rows
 from torchrbd.effects import Site
 from torchrbd.effects.base import DIRECTION, SPEED
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.rows import Rows
 from torchrbd.likelihood.sizes import coefficient_std
 
 # Columns that baseline friction has too.

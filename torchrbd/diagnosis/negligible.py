@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.extending import Extended
 from torchrbd.diagnosis.results import Finding
-from torchrbd.likelihood.columns import Candidate
 
 
 def split_negligible(

@@ -17,13 +17,13 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import expit, softmax
 
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.effects import Effect, Window
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.rows import Rows
 from torchrbd.robot import RobotModel
 
 # At such a precision of the prior, inertial parameters are the URDF's.

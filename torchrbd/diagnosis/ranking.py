@@ -14,6 +14,9 @@ import torch
 
 from torchrbd._runtime.deadline import time_limited
 from torchrbd._runtime.threads import single_threaded
+from torchrbd.dataset.band import band_hz
+from torchrbd.dataset.reading import Progress, Reading
+from torchrbd.dataset.rows import KeptBack, not_held_out
 from torchrbd.diagnosis.hypotheses import Hypothesis, carried, hypothesis_of, whole
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.screening import is_clocks
@@ -26,14 +29,11 @@ from torchrbd.errors import RecordingError
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.band import band_hz
 from torchrbd.likelihood.clocks import Clocks, in_band
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.machine import ORDINARY_EFFECTS
 from torchrbd.likelihood.misfit import Misfit
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
-from torchrbd.likelihood.reading import Progress, Reading
-from torchrbd.likelihood.rows import KeptBack, not_held_out
+from torchrbd.nuisance.joint_friction import EFFECTS as EFFECTS_OF_FRICTION
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import Sources
 from torchrbd.robot import RobotModel
@@ -185,7 +185,7 @@ def _searched(found: Explanation, band: float, clocks: Clocks, effects: Sequence
 
     two = TwoEstimates(fit)
     seen = [j for j in range(robot.n_dof) if fit.machine.rows.seen[j]]
-    misfit = {robot.joint_names[j]: two.test(fit.machine.ordinary(j)) for j in seen}
+    misfit = {robot.joint_names[j]: two.test(fit.machine.friction.at(j)) for j in seen}
     own = [term.own for term in found.terms]
     first = shown(found.first, fit)
     ranking = Ranking(
@@ -268,15 +268,15 @@ def _ranked(h: Hypothesis, fit: Likelihood, robot: RobotModel) -> Ranked:
 def _ordinary(fit: Likelihood, two: TwoEstimates, misfit: Mapping[str, Misfit]) -> tuple[Ranked, ...]:
     """Return the friction that every joint has, and the evidence against leaving it out."""
     robot, found = fit.machine.rows.columns.robot, []
-    predicting = np.maximum(fit.machine.friction(two.ordinary, fit.hyper), 0.0)
+    predicting = np.maximum(fit.machine.friction.of(two.ordinary, fit.hyper), 0.0)
     for j, name in enumerate(robot.joint_names):
         if not fit.machine.rows.seen[j]:
             continue
-        at = fit.machine.ordinary(j)
+        at = fit.machine.friction.at(j)
         viscous, plus, minus = map(float, (predicting if misfit[name].p_value < MISFIT else fit.friction)[j])
         for identifier, index, values in (
-            (ORDINARY_EFFECTS[0], at[:1], {"viscous": viscous}),
-            (ORDINARY_EFFECTS[1], at[1:], {"coulomb_plus": plus, "coulomb_minus": minus}),
+            (EFFECTS_OF_FRICTION[0], at[:1], {"viscous": viscous}),
+            (EFFECTS_OF_FRICTION[1], at[1:], {"coulomb_plus": plus, "coulomb_minus": minus}),
         ):
             width = {"width": float(fit.hyper.rest_width[j])} if len(index) > 1 else {}
             evidence = fit.gaussian.against(index)

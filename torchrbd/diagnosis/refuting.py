@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from torchrbd._runtime.deadline import is_over
+from torchrbd.dataset.reading import Progress
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import Explained, explain
 from torchrbd.diagnosis.extending import Extended, extended
@@ -17,7 +18,6 @@ from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.physical.fitting import FittedModel, nmse_of_blocks
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.reading import Progress
 
 
 def is_refuted(first: Explained, asked: Prepared) -> bool:

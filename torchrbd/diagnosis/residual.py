@@ -15,12 +15,12 @@ from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, minimize_scalar
 from scipy.signal import detrend, periodogram
 
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.hypotheses import Hypothesis, average_over_shapes
 from torchrbd.effects import Site, Window
 from torchrbd.effects.smooth_torque import HUM, SMOOTH, SmoothTorque
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.rows import Rows
 
 # Beyond these quantiles of a signal there are too few rows to estimate a function.
 _ENDS = (0.01, 0.99)

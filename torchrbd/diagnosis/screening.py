@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.rows import Rows
+from torchrbd.dataset.shapes import varied
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, agree_shape, average_over_shapes, hypothesis_of, mean_of
 from torchrbd.diagnosis.windows import in_recordings, in_windows, located
 from torchrbd.effects import Effect, Site
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.rows import Rows
-from torchrbd.likelihood.shapes import varied
 
 # Points between a shape's neighbours on the grid.
 _FINE = 9

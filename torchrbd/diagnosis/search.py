@@ -15,6 +15,9 @@ import numpy as np
 import torch
 
 from torchrbd._runtime.deadline import is_over
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.rows import Rows
+from torchrbd.dataset.shapes import agrees, in_one_cell, varied
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried, meet
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.residual import curves, curves_at, is_curve, stands_in
@@ -25,10 +28,7 @@ from torchrbd.diagnosis.weighing import learnt_with, quick_evidence, with_own_no
 from torchrbd.effects import Effect, Site
 from torchrbd.effects.base import ShowsBodies
 from torchrbd.effects.smooth_torque import HUM
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.rows import Rows
-from torchrbd.likelihood.shapes import agrees, in_one_cell, varied
 
 # Hypotheses whose shapes are refined and whose noise is learnt anew, at each step.
 _LEADING = 5

@@ -16,16 +16,16 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.rows import Rows
+from torchrbd.dataset.shapes import Axis, ShapeSlope, slopes, varied
 from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, again, agree_shape, believed, hypothesis_of
 from torchrbd.diagnosis.screening import refined
 from torchrbd.diagnosis.weighing import sized
 from torchrbd.effects import Site
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.rows import Rows
-from torchrbd.likelihood.shapes import Axis, ShapeSlope, slopes, varied
 
 # Steps, and halvings of one that leads downhill.
 _STEPS, _HALVINGS = 6, 3

@@ -15,13 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.reading import Progress
 from torchrbd.diagnosis.estimate_evidence import estimate_evidence
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.hypotheses import Hypothesis, believed
 from torchrbd.diagnosis.terms import Term
 from torchrbd.inference.preparation import Prepared
-from torchrbd.likelihood.columns import Candidate
-from torchrbd.likelihood.reading import Progress
 
 
 def simplified(model: Extended, prepared: Prepared, may: Sequence[str], progress: Progress) -> Extended:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from torchrbd.dataset.reading import Progress
 from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.ranked import Ranking
 from torchrbd.inference.identification import Identification
@@ -9,7 +10,6 @@ from torchrbd.inference.identify import marked, summarise
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.suspicions import Suspicions
-from torchrbd.likelihood.reading import Progress
 
 
 def suspect(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.rows import Rows
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis.curves import fitted_curve
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import torque_rms
@@ -21,9 +22,7 @@ from torchrbd.diagnosis.terms import Explanation
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.results import TorqueSeries
-from torchrbd.likelihood.columns import Candidate
-from torchrbd.likelihood.machine import DRIFT_HZ, MOST_DRIFT
-from torchrbd.likelihood.noise import drift_basis
+from torchrbd.nuisance.drift import DRIFT_HZ, MOST_DRIFT, drift_basis
 from torchrbd.robot import RobotModel
 from torchrbd.robot.units import torque_unit
 

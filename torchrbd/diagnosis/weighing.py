@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, support
 from torchrbd.likelihood.gaussian import truncated
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.rows import Rows
 
 
 def with_own_noise(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:

@@ -15,13 +15,13 @@ from itertools import pairwise, product
 
 import numpy as np
 
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.edges import Edges
 from torchrbd.diagnosis.hypotheses import Hypothesis, believed, hypothesis_of, mean_of
 from torchrbd.effects import Effect, Window
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.rows import Rows
 
 # Edges of the windows of time in which something may act, spread over a recording.
 _MOST_EDGES = 33

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from torchrbd._runtime.threads import single_threaded
+from torchrbd.dataset.reading import Progress
 from torchrbd.diagnosis import Diagnosis
 from torchrbd.display import Remark
 from torchrbd.errors import InputError, OptionError
@@ -18,7 +19,6 @@ from torchrbd.excitation.optimising import FINE_SAMPLES, SAMPLES, Problem, optim
 from torchrbd.excitation.results import Excitation, Separation, clearance, joint_uses
 from torchrbd.excitation.rivals import Known, known_from
 from torchrbd.excitation.separating import Separating
-from torchrbd.likelihood.reading import Progress
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.model.starting import described_terms
 from torchrbd.robot import RobotModel

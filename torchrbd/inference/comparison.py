@@ -9,6 +9,7 @@ from pathlib import Path
 
 from torchrbd._runtime.deadline import is_over, reached_limit_s, time_limited
 from torchrbd._runtime.threads import single_threaded
+from torchrbd.dataset.reading import Progress
 from torchrbd.display import Remark, brief, few
 from torchrbd.effects import Effect
 from torchrbd.errors import OptionError, TorchRBDError
@@ -21,7 +22,6 @@ from torchrbd.inference.results import NoiseRegime
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.torque_error import Fit
 from torchrbd.inference.verdict import encoder_doubts, regime_of
-from torchrbd.likelihood.reading import Progress
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import NamedSource, Sources
 from torchrbd.robot import RobotModel

@@ -12,6 +12,8 @@ import torch
 
 from torchrbd._runtime.deadline import reached_limit_s, stopped, time_limited
 from torchrbd._runtime.threads import single_threaded
+from torchrbd.dataset.reading import Progress
+from torchrbd.dataset.simulated import motion_doubts
 from torchrbd.display import Remark
 from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
@@ -33,8 +35,6 @@ from torchrbd.inference.statistics.preparing import MOMENTS, of_moments, prepare
 from torchrbd.inference.suspicions import NO_SUSPICIONS, Suspicions, suspicions, with_late_torque
 from torchrbd.inference.torque_error import Fit
 from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, tells_nothing, verdict_of
-from torchrbd.likelihood.reading import Progress
-from torchrbd.likelihood.simulated import motion_doubts
 from torchrbd.model import Reported, RigidBodyDynamics, described_terms
 from torchrbd.options import Names, Payload, given
 from torchrbd.parameters import base_parameters

@@ -18,10 +18,10 @@ import torch
 from torch import Tensor
 
 from torchrbd._runtime.filters import convolved
+from torchrbd.dataset.block_statistics import BlockStatistics, assemble, filtered_rows
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.reading import Reading
 from torchrbd.inference.physical.fitting import FittedModel
-from torchrbd.likelihood.block_statistics import BlockStatistics, assemble, filtered_rows
-from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.reading import Reading
 from torchrbd.recordings import Filtering, States, Survey
 
 _MOST_TILES = 4

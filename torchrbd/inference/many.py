@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 from torchrbd._runtime.processes import Attempt, side_by_side
+from torchrbd.dataset.reading import Progress
 from torchrbd.display import brief
 from torchrbd.effects import Effect, known_effects, register
 from torchrbd.errors import OptionError, RecordingError, UnfinishedError
@@ -21,7 +22,6 @@ from torchrbd.inference.identification import Identification
 from torchrbd.inference.identify import identify, read_arguments
 from torchrbd.inference.ordinary import with_friction
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.reading import Progress
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import InMemory, NamedSource, Recording, RecordingSource, Sources, listed_sources
 from torchrbd.recordings.memory import is_data

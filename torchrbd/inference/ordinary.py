@@ -13,17 +13,17 @@ from dataclasses import replace
 
 import torch
 
+from torchrbd.dataset.band import band_hz
+from torchrbd.dataset.reading import Progress
+from torchrbd.dataset.rows import not_held_out
 from torchrbd.effects import Effect, JointScale, effect
 from torchrbd.effects.registry import PLAIN
 from torchrbd.errors import RecordingError
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.band import band_hz
 from torchrbd.likelihood.clocks import Clocks, in_band, of_one_machine
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
-from torchrbd.likelihood.reading import Progress
-from torchrbd.likelihood.rows import not_held_out
 from torchrbd.likelihood.urdf_prior import data_prior
 from torchrbd.model import OTHERS
 
@@ -110,6 +110,6 @@ def _estimate_at_speed(
         return {}, scales
     two, machine = TwoEstimates(clocks.fit), clocks.fit.machine
     for j, width in enumerate(clocks.fit.hyper.rest_width.tolist()):
-        if machine.rows.seen[j] and two.test([machine.bend(j)]).p_value > MISFIT:
+        if machine.rows.seen[j] and two.test([machine.transition.width(j)]).p_value > MISFIT:
             scales[j] = replace(scales[j], rest_width=max(width, scales[j].rest_width))
     return clocks.delay_s, scales

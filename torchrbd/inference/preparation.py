@@ -16,6 +16,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import BlockStatistics, nearest_block
+from torchrbd.dataset.columns import Candidate, Columns
+from torchrbd.dataset.reading import Progress, Reading
+from torchrbd.dataset.scales import covered_scales, with_loads
+from torchrbd.dataset.simulated import Simulated, check_motion, cut, read_simulated, simulation_notes
 from torchrbd.display import Remark
 from torchrbd.effects import Effect, Site
 from torchrbd.effects.requested import requested_sites
@@ -31,11 +36,6 @@ from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.smoothing import smooth, smoothable
 from torchrbd.inference.stick_levels import stick_levels
-from torchrbd.likelihood.block_statistics import BlockStatistics, nearest_block
-from torchrbd.likelihood.columns import Candidate, Columns
-from torchrbd.likelihood.reading import Progress, Reading
-from torchrbd.likelihood.scales import covered_scales, with_loads
-from torchrbd.likelihood.simulated import Simulated, check_motion, cut, read_simulated, simulation_notes
 from torchrbd.likelihood.urdf_prior import Prior, data_prior
 from torchrbd.recordings import Filtering, InMemory, Recording, RecordingSource, States, Survey, choose_cutoff, survey
 from torchrbd.robot import RobotModel

@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 from torchrbd._runtime.threads import single_threaded
+from torchrbd.dataset.reading import Progress, Reading
 from torchrbd.display import brief, few
 from torchrbd.errors import OptionError
 from torchrbd.inference.preparation import read
 from torchrbd.inference.results import TorqueSeries
 from torchrbd.inference.series import torque_series
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import Sources, listed_sources

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.reading import Progress, Reading
 from torchrbd.inference.results import TorqueSeries
-from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.recordings import States
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import BlockStatistics
 from torchrbd.inference.physical.fitting import fit_model
-from torchrbd.likelihood.block_statistics import BlockStatistics
 from torchrbd.likelihood.urdf_prior import Prior
 
 # Friction that a first fit is not sure of is none.

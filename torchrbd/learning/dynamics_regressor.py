@@ -17,15 +17,15 @@ from torch import Tensor
 from typing_extensions import Self
 
 from torchrbd._runtime.threads import single_threaded
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.given_states import given_statistics
+from torchrbd.dataset.scales import joint_scales
 from torchrbd.effects import effect
 from torchrbd.errors import InputError
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
-from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.given_states import given_statistics
-from torchrbd.likelihood.machine import ORDINARY_EFFECTS
-from torchrbd.likelihood.scales import joint_scales
 from torchrbd.likelihood.urdf_prior import KAPPA, data_prior
+from torchrbd.nuisance.joint_friction import EFFECTS as EFFECTS_OF_FRICTION
 from torchrbd.robot import RobotModel
 
 SIGNALS = ("q", "qd", "qdd")
@@ -106,10 +106,10 @@ class DynamicsRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         used, tau = _varying(robot, tau), tau - robot.known_torque(states[0].T, states[2].T).T
         low, high = states[0].amin(1), states[0].amax(1)
         scales = joint_scales(states[1].abs().amax(1), torch.zeros(robot.n_dof), low, high)
-        columns = Columns(robot, [effect(name) for name in ORDINARY_EFFECTS] if self.friction else [], scales)
+        columns = Columns(robot, [effect(name) for name in EFFECTS_OF_FRICTION] if self.friction else [], scales)
         statistics = given_statistics(columns, states, tau, weight * used.unsqueeze(1))
         prior = data_prior(statistics, settings.held_bodies(robot), settings.kappa)
-        found = fit_model(statistics, prior, term_candidates(columns, ORDINARY_EFFECTS))
+        found = fit_model(statistics, prior, term_candidates(columns, EFFECTS_OF_FRICTION))
         if not found.converged:
             far = "the fit stopped early: the torques are far from those of any rigid body; check units and signs"
             warnings.warn(far, ConvergenceWarning, stacklevel=3)

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from torchrbd._runtime.threads import single_threaded
+from torchrbd.dataset.reading import Reading
 from torchrbd.display import brief, few
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference import Identification, Settings
@@ -21,7 +22,6 @@ from torchrbd.inference.preparation import read
 from torchrbd.learning.coordinates import physics_columns
 from torchrbd.learning.physics_metric import PhysicsMetric
 from torchrbd.learning.splits import FRACTIONS, SPLITS, Split, check_fractions, split_rows
-from torchrbd.likelihood.reading import Reading
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import Sources, States, listed_sources

@@ -20,18 +20,19 @@ from functools import cached_property
 import numpy as np
 from torch import Tensor
 
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.reading import Progress, Reading
+from torchrbd.dataset.rows import KeptBack, not_held_out, read_rows
+from torchrbd.dataset.scales import covered_scales
 from torchrbd.effects import Signals
 from torchrbd.effects.band_limits import below
 from torchrbd.effects.time_delay import delayed
-from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.machine import OFFSET_HZ, Machine
+from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.misspecification import TwoEstimates
-from torchrbd.likelihood.reading import Progress, Reading
-from torchrbd.likelihood.rows import KeptBack, not_held_out, read_rows
-from torchrbd.likelihood.scales import covered_scales
+from torchrbd.nuisance.clock_offset import OFFSET_HZ
 from torchrbd.recordings import Filtering
 
 # Largest offset [samples] that counts as synchronous; largest number of readings to get there.
@@ -57,8 +58,8 @@ class Clocks:
     @cached_property
     def delay_s(self) -> dict[str, tuple[float, float]]:
         """By recording, the delay of the torque relative to the motion, and its standard deviation [s]."""
-        machine, size = self.fit.machine, self.fit.machine.timing_std
-        estimates = [self._estimates.estimate([k]) for k in machine.timing]
+        machine, size = self.fit.machine, self.fit.machine.clocks.std
+        estimates = [self._estimates.estimate([k]) for k in machine.clocks.index]
         return {
             name: (self.shift_s[name] - size * float(z[0]), size * float(np.sqrt(C[0, 0])))
             for name, (z, C) in zip(machine.rows.seen_recordings, estimates, strict=True)
@@ -69,7 +70,7 @@ class Clocks:
         """Log evidence against synchronous clocks."""
         machine = self.fit.machine
         moved = np.array([self.shift_s[name] for name in machine.rows.seen_recordings])
-        return self._estimates.against(machine.timing, moved / machine.timing_std)
+        return self._estimates.against(machine.clocks.index, moved / machine.clocks.std)
 
     @cached_property
     def _estimates(self) -> TwoEstimates:

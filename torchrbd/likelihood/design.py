@@ -95,10 +95,10 @@ class Design:
 
     @staticmethod
     def of(bare: Bare, extras: Extras, joint: int) -> Design:
-        """Return the columns of a machine at a joint, and the additional ones there."""
-        parts = [e.at(joint) * e.std[:, None] for _, e in extras]
+        """Return the columns of a machine at a joint, and the additional ones there, without their sizes."""
+        parts = [e.columns(joint)[0] for _, e in extras]
         further = np.concatenate((np.zeros((0, len(bare.target))), *parts))
-        own = np.concatenate([*(first + np.arange(len(e.std)) for first, e in extras), bare.own])
+        own = np.concatenate([*(first + e.at(joint) for first, e in extras), bare.own])
         return Design(bare, extras, further, own, np.ones(len(own)))
 
     def has(self, extras: Extras) -> bool:

@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
-from torchrbd.likelihood.columns import Columns
+from torchrbd.dataset.block_statistics import BlockStatistics, assemble
+from torchrbd.dataset.columns import Columns
 from torchrbd.likelihood.gaussian import Posterior
 from torchrbd.likelihood.urdf_prior import Prior
 

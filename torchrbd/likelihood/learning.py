@@ -36,7 +36,7 @@ def learn(machine: Machine) -> Likelihood:
         hold=_FIRST_HOLD * rms,
         noise=tuple(Noise(i, np.zeros(0), _FIRST_NOISE * r, one) for i, r in zip(machine.index, rms, strict=True)),
         dispersion=np.ones(rows.n_dof),
-        bodies=np.zeros(len(machine.inertial)),
+        bodies=np.zeros(len(machine.bodies.index)),
         resists=np.zeros((3, rows.n_dof, 3)),
         pi=rows.columns.robot.pi,
         friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
@@ -55,5 +55,5 @@ def learn(machine: Machine) -> Likelihood:
 
 
 def _around(machine: Machine, hyper: Hyper) -> Likelihood:
-    """Return the likelihood with load and slopes from the fit, and rows weighted anew."""
-    return Likelihood(machine, hyper, slopes=machine.slopes(hyper)).reweighed()
+    """Return the likelihood with load from the fit, and rows weighted anew."""
+    return Likelihood(machine, hyper, along=machine.along(hyper)).reweighed()

@@ -15,10 +15,12 @@ from torchrbd.likelihood.design import Bare, Design
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import Gaussian, nonnegative
 from torchrbd.likelihood.hyper import Hyper
-from torchrbd.likelihood.machine import STICKS, Machine
+from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.noise import Noise, learnt, tailed
 from torchrbd.likelihood.physical import expanded, most_probable
 from torchrbd.likelihood.widths import likeliest_width
+from torchrbd.nuisance.component import Along
+from torchrbd.nuisance.directions import STICKS
 
 KAPPAS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 _LEAST_SIZE, _LEAST_NOISE = 1e-4, 1e-6
@@ -37,7 +39,7 @@ class Likelihood:
         machine: rigid body and baseline terms.
         hyper: what is learnt.
         extra: additional columns.
-        slopes: see ``Machine.slopes``.
+        along: see ``Machine.along``.
         designs: per joint, the columns of a model with the same machine columns, to reuse.
         blocks: per joint, the whitened rows of these columns, if that model has the same noise.
 
@@ -51,30 +53,35 @@ class Likelihood:
         machine: Machine,
         hyper: Hyper,
         extra: Sequence[Extra] = (),
-        slopes: np.ndarray | None = None,
+        along: Along | None = None,
         designs: Sequence[Design | None] | None = None,
         blocks: Sequence[Block | None] | None = None,
     ) -> None:
-        self.machine, self.hyper, self.extra, self._slopes = machine, hyper, tuple(extra), slopes
+        self.machine, self.hyper, self.extra, self._along = machine, hyper, tuple(extra), along
         n, none = machine.n, [None] * machine.rows.n_dof
-        self._first = n + np.cumsum([0, *(len(e.std) for e in self.extra)])
+        self._first = n + np.cumsum([0, *(e.n for e in self.extra)])
         self._designs = [self._design(j, one) for j, one in enumerate(designs or none)]
         self.index = machine.index
         whitened = [self._block(j, *one) for j, one in enumerate(zip(designs or none, blocks or none, strict=True))]
         root = np.sqrt(hyper.kappa)
         sites = np.zeros((3, int(self._first[-1])))
-        sites[:, machine.resisting] = hyper.resists.reshape(3, -1)
+        sites[:, machine.friction.index] = hyper.resists.reshape(3, -1)
         self._bodies = expanded(root * hyper.bodies, hyper.kappa)
         self.gaussian = Gaussian(whitened, sites.shape[1], self._bodies, sites, machine.local)
         self._refits, self._residuals = dict[tuple[int, ...], Likelihood](), dict[int, np.ndarray]()
 
     def _design(self, joint: int, known: Design | None) -> Design:
-        extras = [(int(k), e) for k, e in zip(self._first, self.extra, strict=False) if e.at(joint) is not None]
+        extras = [(int(k), e) for k, e in zip(self._first, self.extra, strict=False) if joint in e.joints]
         if known is not None and known.has(extras):
             return known
-        target, parts = self.machine.target[joint], (joint, self.hyper, self._slopes)
+        target, parts = self.machine.target[joint], (joint, self.hyper, self._along)
         one = Design.of(known.bare if known else Bare.of(*self.machine.design(*parts), target), extras, joint)
-        return one.sized(self.machine.sizes(joint, one.own, self.hyper))
+        return one.sized(self._sizes(joint, one, self.hyper))
+
+    def _sizes(self, joint: int, design: Design, hyper: Hyper) -> np.ndarray:
+        """Return the factors of a joint's columns that give prior coordinates: additional ones first."""
+        further = [e.sizes(joint, e.at(joint)) for _, e in design.extras]
+        return np.concatenate((*further, self.machine.sizes(joint, design.bare.own, hyper)))
 
     def _block(self, joint: int, known: Design | None, block: Block | None) -> Block:
         one = self._designs[joint]
@@ -91,17 +98,17 @@ class Likelihood:
     @property
     def pi(self) -> torch.Tensor:
         """Inertial parameters (n_params,), posterior mean."""
-        return self.machine.pi(self.gaussian.z, self.hyper.kappa)
+        return self.machine.bodies.pi(self.gaussian.z, self.hyper.kappa)
 
     @cached_property
     def friction(self) -> np.ndarray:
         """Viscous and both Coulomb coefficients of each joint, (n, 3)."""
-        return self.machine.friction(self.gaussian.z, self.hyper)
+        return self.machine.friction.of(self.gaussian.z, self.hyper)
 
     @property
     def delay_s(self) -> np.ndarray:
         """Delay of each recording's torque relative to its motion [s]."""
-        return -self.machine.timing_std * self.gaussian.z[self.machine.timing]
+        return -self.machine.clocks.std * self.gaussian.z[self.machine.clocks.index]
 
     def further(self, k: int) -> np.ndarray:
         """Return the indices of the k-th additional columns' coefficients, (K,)."""
@@ -179,14 +186,14 @@ class Likelihood:
             dispersion[joints] = np.maximum([self.dispersion(j) for j in joints], 1.0)
         for j in joints:
             noise[j] = self._noise(j, dispersion[j], self.hyper.noise[j].spread)
-            drift[j] = self._expected(drift[j], self.machine.wandering(j), j)
+            drift[j] = self._expected(drift[j], self.machine.drift.wandering(j), j)
         return self.with_(noise=tuple(noise), drift=drift, dispersion=dispersion)._reheld(joints).levelled(joints)
 
     def _reheld(self, joints: Sequence[int]) -> Likelihood:
         """Return the same model with the friction at rest set to its expected size at some joints."""
         hold = self.hyper.held.copy()
         for j in joints:
-            hold[j] = self._expected(hold[j], self.machine.holding(j), j)
+            hold[j] = self._expected(hold[j], self.machine.rests.holding(j), j)
         return self.with_(hold=hold)
 
     def _expected(self, size: float, coefficients: np.ndarray, joint: int) -> float:
@@ -243,7 +250,7 @@ class Likelihood:
         each = zip(self.gaussian.blocks, noise, self.hyper.noise, strict=True)
         blocks = [b.louder(new.sigma / old.sigma) if new.tail is old.tail else None for b, new, old in each]
         hyper = self.hyper.with_(noise=tuple(noise), dispersion=dispersion)
-        return Likelihood(self.machine, hyper, self.extra, self._slopes, self._designs, blocks)
+        return Likelihood(self.machine, hyper, self.extra, self._along, self._designs, blocks)
 
     def rewidened(self, joints: Sequence[int] | None = None) -> Likelihood:
         """Return the same model with the most probable widths of friction's sign change.
@@ -260,7 +267,7 @@ class Likelihood:
             noise[j] = replace(noise[j], spread=one, tail=None)
         plain = self.with_(noise=tuple(noise))
         for j in joints:
-            if self.machine.moving[j]:
+            if self.machine.directions.moving[j]:
                 coulomb = float(self.hyper.friction[j, 1])
                 widths[j] = likeliest_width(self.machine, plain.gaussian, noise[j], coulomb, j)
         return self.with_(rest_width=widths)
@@ -279,7 +286,7 @@ class Likelihood:
     def _independent(self) -> Likelihood:
         noise = tuple(replace(n, predictor=np.zeros(0), sigma=n.std) for n in self.hyper.noise)
         blocks = [one.independent(n) for one, n in zip(self._designs, noise, strict=True)]
-        return Likelihood(self.machine, self.hyper.with_(noise=noise), self.extra, self._slopes, self._designs, blocks)
+        return Likelihood(self.machine, self.hyper.with_(noise=noise), self.extra, self._along, self._designs, blocks)
 
     def _noise(self, joint: int, dispersion: float, spread: np.ndarray) -> Noise:
         """Return the noise of a joint's residual, given the relative noise ``spread`` (M,) of its rows."""
@@ -302,9 +309,9 @@ class Likelihood:
             d = float(self.hyper.dispersion[j])
             held = float(self.hyper.held[j]) / (noise[j].std / np.sqrt(d))
             ways = [(x * held, stick) for x in _DOUBTS for stick in STICKS]
-            found = [(way, self._noise(j, d, self.machine.spread(j, share[j], *way))) for way in ways]
+            found = [(way, self._noise(j, d, self.machine.noise.spread(j, share[j], *way))) for way in ways]
             way, _ = min(found, key=lambda one: one[1].surprise)
-            parts = [(part, self._noise(j, d, self.machine.spread(j, part, *way))) for part in _SHARES]
+            parts = [(part, self._noise(j, d, self.machine.noise.spread(j, part, *way))) for part in _SHARES]
             share[j], noise[j] = min(parts, key=lambda one: one[1].surprise)
         return self.with_(encoder_share=share, noise=tuple(noise))
 
@@ -321,7 +328,7 @@ class Likelihood:
 
     def _resisting(self) -> Likelihood:
         """Return the same model with the prior of baseline friction truncated where it would be negative."""
-        at = self.machine.resisting
+        at = self.machine.friction.index
         free = self.with_(resists=np.zeros_like(self.hyper.resists)).gaussian
         sites = nonnegative(free.z[at], free.covariance(at))
         return self.with_(resists=np.reshape(sites, self.hyper.resists.shape))
@@ -331,9 +338,9 @@ class Likelihood:
         return self._physical()._resisting()
 
     def relinearised(self) -> Likelihood:
-        """Return the same model with physical bodies, and with load and slopes from its fit."""
+        """Return the same model with physical bodies, and with load from its fit."""
         hyper = self.around_its_fit()
-        return Likelihood(self.machine, hyper, self.extra, self.machine.slopes(hyper))
+        return Likelihood(self.machine, hyper, self.extra, self.machine.along(hyper))
 
     def around_its_fit(self, *, alone: bool = False) -> Hyper:
         """Return the hyperparameters with physical bodies and the load of the fit.
@@ -363,7 +370,7 @@ class Likelihood:
 
     @cached_property
     def refit(self) -> Likelihood:
-        """The same model with noise, widths, bodies and slopes learnt again, given its columns."""
+        """The same model with noise, widths and bodies learnt again, given its columns."""
         return self.renoised().rewidened().relinearised().renoised(dispersed=True)
 
     def refit_with(self, widths: np.ndarray) -> Likelihood:
@@ -371,22 +378,38 @@ class Likelihood:
         return self.renoised().with_(rest_width=widths).plausible().renoised(dispersed=True)
 
     def refit_at(self, joints: Sequence[int]) -> Likelihood:
-        """Return the same model with noise, bodies and some joints' widths learnt again; slopes change little."""
+        """Return the same model with noise, bodies and some joints' widths learnt again; the load changes little."""
         key = tuple(joints)
         if key not in self._refits:
             self._refits[key] = self.renoised().rewidened(key).plausible().renoised(dispersed=True)
         return self._refits[key]
 
+    def rescaled(self, ratios: Mapping[int, float]) -> Likelihood:
+        """Return the same model with other prior sizes of additional columns, times ``ratios`` by their number.
+
+        Whitened rows and their products are the same but for factors.
+        """
+        by = np.ones(len(self.gaussian.z))
+        for k, ratio in ratios.items():
+            by[self.further(k)] = ratio
+        extra = tuple(replace(e, std=e.std * ratios.get(k, 1.0)) for k, e in enumerate(self.extra))
+        new = dict(zip(self._first.tolist(), extra, strict=False))
+        designs = [
+            replace(d, extras=[(at, new[at]) for at, _ in d.extras]).sized(d.size * by[d.own]) for d in self._designs
+        ]
+        blocks = [b.sized(by[b.own]) for b in self.gaussian.blocks]
+        return Likelihood(self.machine, self.hyper, extra, self._along, designs, blocks)
+
     def extended(self, extra: Sequence[Extra]) -> Likelihood:
         """Return the same model with other additional columns."""
-        return Likelihood(self.machine, self.hyper, extra, self._slopes, self._designs, self.gaussian.blocks)
+        return Likelihood(self.machine, self.hyper, extra, self._along, self._designs, self.gaussian.blocks)
 
     def with_noise_of(self, other: Likelihood) -> Likelihood:
         """Return the same model with the noise of another one, whose rows are reused if the machine's columns agree."""
         noise = other.hyper.noise
         each = zip(self._designs, other._designs, other.gaussian.blocks, noise, strict=True)
         blocks = [one.white(n, b.bare if one.bare is its.bare else None) for one, its, b, n in each]
-        return Likelihood(self.machine, self.hyper.with_(noise=noise), self.extra, self._slopes, self._designs, blocks)
+        return Likelihood(self.machine, self.hyper.with_(noise=noise), self.extra, self._along, self._designs, blocks)
 
     def with_(self, **changes: object) -> Likelihood:
         """Return the same model with some hyperparameters changed, see ``Hyper``."""
@@ -400,8 +423,8 @@ class Likelihood:
         blocks = [one if kept else None for one, kept in zip(self.gaussian.blocks, same & alike, strict=True)]
         if changes.keys() & _OF_SIZES:
             for j, (design, block) in enumerate(zip(designs, blocks, strict=True)):
-                size = None if design is None else self.machine.sizes(j, design.own, hyper)
+                size = None if design is None else self._sizes(j, design, hyper)
                 designs[j] = None if design is None or size is None else design.sized(size)
                 if design is not None and block is not None and size is not None:
-                    blocks[j] = block.sized(size / design.size)
-        return Likelihood(self.machine, hyper, self.extra, self._slopes, designs, blocks)
+                    blocks[j] = block.sized(np.divide(size, design.size, out=np.ones_like(size), where=design.size > 0))
+        return Likelihood(self.machine, hyper, self.extra, self._along, designs, blocks)

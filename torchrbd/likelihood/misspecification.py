@@ -50,7 +50,7 @@ class TwoEstimates:
     """
 
     def __init__(self, fit: Likelihood) -> None:
-        g, rows, at = fit.gaussian, fit.machine.rows, fit.machine.resisting
+        g, rows, at = fit.gaussian, fit.machine.rows, fit.machine.friction.index
         sites = np.zeros((2, len(g.z)))
         sites[:, at] = fit.hyper.resists[:2].reshape(2, -1)
         H, h = g.H - np.diag(sites[0]), g.h - sites[1]

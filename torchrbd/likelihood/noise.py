@@ -299,25 +299,3 @@ def predictors(e: np.ndarray, run: np.ndarray, most: int) -> Iterator[tuple[np.n
         forward = np.concatenate((forward[:p], f - k * b))
         backward = np.concatenate((backward[:p], b - k * f))
         yield a, forward
-
-
-def drift_basis(t: np.ndarray, recording: np.ndarray, slowest_hz: float, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lowest frequencies of each recording, from its level on, as a basis for drift.
-
-    Args:
-        t: (M,) seconds.
-        recording: (M,) number.
-        slowest_hz: the highest frequency that counts as drift [Hz].
-        most: largest number of functions per recording.
-
-    Returns:
-        cosines (D, M), zero outside of their recording, and their orders (D,), 0 for the level.
-    """
-    functions, orders = [], []
-    for k in np.unique(recording):
-        inside = recording == k
-        begin, length = t[inside].min(), max(float(np.ptp(t[inside])), 1e-9)
-        for order in range(min(most, max(1, int(2 * length * slowest_hz))) + 1):
-            functions.append(np.where(inside, np.cos(math.pi * order * (t - begin) / length), 0.0))
-            orders.append(order)
-    return np.array(functions), np.array(orders)

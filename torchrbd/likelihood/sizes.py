@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from torchrbd.likelihood.columns import Candidate
+from torchrbd.dataset.columns import Candidate
 from torchrbd.likelihood.urdf_prior import in_proportion, orthonormal_steps
 from torchrbd.parameters import PARAMETERS_PER_BODY, nearest_physical, thickened
 from torchrbd.robot import RobotModel, pseudo_inertia

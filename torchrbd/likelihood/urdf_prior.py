@@ -18,9 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.likelihood.block_statistics import BlockStatistics
-from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.resting import without_columns_at_rest
+from torchrbd.dataset.block_statistics import BlockStatistics
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.resting import without_columns_at_rest
 from torchrbd.parameters import BASIS, ORTHONORMAL, PARAMETERS_PER_BODY, is_extended, nearest_physical
 from torchrbd.robot import from_pseudo_inertia, pseudo_inertia
 

@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import Block
+from torchrbd.dataset.reading import Progress, Reading
 from torchrbd.display import Remark
 from torchrbd.errors import InputError, PhysicalError
-from torchrbd.likelihood.block_statistics import Block
-from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.robot import RobotModel
 from torchrbd.simulation.plant import Plant

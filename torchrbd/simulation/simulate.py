@@ -13,9 +13,9 @@ from pyarrow import csv, parquet
 from scipy.interpolate import make_interp_spline
 
 from torchrbd._runtime.outputs import write_whole
+from torchrbd.dataset.reading import Progress
 from torchrbd.display import Remark, brief, few
 from torchrbd.errors import OptionError, RecordingError
-from torchrbd.likelihood.reading import Progress
 from torchrbd.model import Condition, RigidBodyDynamics
 from torchrbd.recordings import (
     Data,

@@ -15,7 +15,7 @@ import torch
 from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 from torch import Tensor
 
-from torchrbd.likelihood.block_statistics import Block
+from torchrbd.dataset.block_statistics import Block
 from torchrbd.recordings import States
 from torchrbd.simulation.plant import Plant
 from torchrbd.simulation.rollout import Drive

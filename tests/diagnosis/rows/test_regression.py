@@ -10,13 +10,13 @@ import torch
 from robot.random_robots import random_urdf
 from simulated import record
 
+from torchrbd.dataset.block_statistics import filtered_rows
 from torchrbd.diagnosis.rows.gain import gain
 from torchrbd.diagnosis.rows.regression import Fit, fitted
 from torchrbd.diagnosis.rows.samples import Samples, read_samples
 from torchrbd.effects import Site, effect
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.block_statistics import filtered_rows
 from torchrbd.robot import RobotModel
 
 FRICTION = ("viscous_friction", "coulomb_friction")

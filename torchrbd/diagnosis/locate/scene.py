@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 import torch
 
+from torchrbd.dataset.rows import Tile
 from torchrbd.diagnosis.rows.regression import Fit
 from torchrbd.diagnosis.rows.samples import Samples
-from torchrbd.likelihood.rows import Tile
 from torchrbd.robot import RobotModel
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis.rows.samples import Samples
 from torchrbd.diagnosis.rows.white_rows import LEAST_NOISE, ORDER, Colour, Place, Rows, joint_noise, predictor
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.gaussian import Posterior
 from torchrbd.likelihood.urdf_prior import Prior
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchrbd.dataset.columns import Candidate, Columns
+from torchrbd.dataset.rows import Tile
+from torchrbd.dataset.spreading import Density
 from torchrbd.inference.preparation import Prepared
-from torchrbd.likelihood.columns import Candidate, Columns
-from torchrbd.likelihood.rows import Tile
-from torchrbd.likelihood.spreading import Density
 
 _DENSITY = Density(most_states=100_000, least_rate_hz=100.0, rate_cycles=12.0)
 

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
+from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis.rows.samples import Samples
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.noise import Noise
 from torchrbd.likelihood.urdf_prior import TERM_WIDTH, Prior, in_proportion
 

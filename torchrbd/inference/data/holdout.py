@@ -9,10 +9,10 @@ from itertools import count
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import Block
+from torchrbd.dataset.reading import Reading
 from torchrbd.errors import RecordingError
 from torchrbd.inference.settings import Settings
-from torchrbd.likelihood.block_statistics import Block
-from torchrbd.likelihood.reading import Reading
 from torchrbd.recordings import Recording
 
 _LEAST_BLOCKS = 6

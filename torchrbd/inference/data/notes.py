@@ -8,10 +8,10 @@ from itertools import compress
 import numpy as np
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import BlockStatistics
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.resting import at_rest
 from torchrbd.display import Remark
-from torchrbd.likelihood.block_statistics import BlockStatistics
-from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.resting import at_rest
 from torchrbd.likelihood.urdf_prior import Prior, unphysical_bodies
 from torchrbd.recordings import Filtering, Survey, skipped_segments
 from torchrbd.robot import STANDARD_GRAVITY, RobotModel

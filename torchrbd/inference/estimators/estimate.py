@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.columns import Candidate
 from torchrbd.display import Remark
 from torchrbd.errors import OptionError
 from torchrbd.estimators import check_estimators
@@ -19,7 +20,6 @@ from torchrbd.inference.estimators.reweighted import iteratively_reweighted
 from torchrbd.inference.physical.fitting import not_negative
 from torchrbd.inference.physical.projection import project
 from torchrbd.inference.preparation import Prepared
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 from torchrbd.regression.base import Regression
 from torchrbd.regression.choice import BestRegression

@@ -7,10 +7,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import filtered_rows
 from torchrbd.display import Remark
 from torchrbd.errors import OptionError
 from torchrbd.inference.estimators.problem import LinearProblem
-from torchrbd.likelihood.block_statistics import filtered_rows
 
 # Of the largest singular value: what is below it is rounding.
 _SINGULAR = 1e-13

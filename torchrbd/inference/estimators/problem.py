@@ -19,13 +19,13 @@ import scipy.linalg
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import BlockStatistics, assemble
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.resting import without_columns_at_rest
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.grid import columns_of
-from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.equations import first_noise_variance, with_noise
 from torchrbd.likelihood.gaussian import Posterior
-from torchrbd.likelihood.resting import without_columns_at_rest
 from torchrbd.recordings import States
 
 # Of a column's square. Right angles written as 1.5708 make columns that depend on each other up to 4e-6 differ.

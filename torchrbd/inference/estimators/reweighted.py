@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import assemble, filtered_rows
 from torchrbd.display import Remark
 from torchrbd.inference.estimators.problem import LinearProblem
-from torchrbd.likelihood.block_statistics import assemble, filtered_rows
 from torchrbd.likelihood.equations import bounded
 
 _HUBER, _NORMAL_MAD = 1.345, 0.6745

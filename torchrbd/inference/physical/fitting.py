@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import BlockStatistics
+from torchrbd.dataset.columns import Candidate, Columns
+from torchrbd.dataset.resting import without_columns_at_rest
+from torchrbd.dataset.shapes import ShapeSlope
 from torchrbd.effects import Site, Term
 from torchrbd.inference.physical.scatter import Scatter
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.torque_error import Fit
-from torchrbd.likelihood.block_statistics import BlockStatistics
-from torchrbd.likelihood.columns import Candidate, Columns
 from torchrbd.likelihood.equations import Equations, first_noise_variance, scaled_equations, with_noise
 from torchrbd.likelihood.gaussian import nonnegative
 from torchrbd.likelihood.physical_fit import PhysicalFit, fit_with_signs
-from torchrbd.likelihood.resting import without_columns_at_rest
-from torchrbd.likelihood.shapes import ShapeSlope
 from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.model import RigidBodyDynamics, known_terms
 from torchrbd.recordings import States

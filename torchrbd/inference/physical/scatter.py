@@ -28,7 +28,7 @@ import torch
 from scipy.stats import norm, t
 from torch import Tensor
 
-from torchrbd.likelihood.block_statistics import BlockStatistics, assemble
+from torchrbd.dataset.block_statistics import BlockStatistics, assemble
 
 _INTERVAL = 0.975
 _ASSUMED_BLOCKS = 2.0

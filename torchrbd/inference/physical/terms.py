@@ -7,10 +7,10 @@ import math
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.shapes import Axis, ShapeSlope, axes
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.results import ParameterEstimate
-from torchrbd.likelihood.columns import Candidate
-from torchrbd.likelihood.shapes import Axis, ShapeSlope, axes
 
 # Part of the coefficients that is rounding.
 _ROUNDING = 1e-14

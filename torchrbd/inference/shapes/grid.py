@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.columns import Candidate
 from torchrbd.effects import Site
 from torchrbd.inference.preparation import Prepared
-from torchrbd.likelihood.columns import Candidate
 from torchrbd.likelihood.equations import linear_fit, scaled_equations
 
 _MOST_SWEEPS = 5

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from torchrbd.dataset.columns import Columns
 from torchrbd.effects.requested import RequestedEffect
 from torchrbd.errors import OptionError
-from torchrbd.likelihood.columns import Columns
 
 
 def check_seen(wanted: Sequence[RequestedEffect], columns: Columns) -> None:

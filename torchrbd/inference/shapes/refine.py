@@ -22,17 +22,17 @@ from scipy.optimize import lsq_linear
 from torch import Tensor
 
 from torchrbd._runtime.deadline import is_over
+from torchrbd.dataset.block_statistics import assemble
+from torchrbd.dataset.columns import Candidate, Through
+from torchrbd.dataset.reading import Progress
+from torchrbd.dataset.shapes import ShapeSlope, agrees, axes, feature_slopes, slopes
 from torchrbd.effects import Shape
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.scatter import block_scatter
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.grid import Terms, best_on_grid, columns_of, linear_fit_of
 from torchrbd.inference.shapes.reread import reread, with_input_noise
-from torchrbd.likelihood.block_statistics import assemble
-from torchrbd.likelihood.columns import Candidate, Through
 from torchrbd.likelihood.equations import Equations
-from torchrbd.likelihood.reading import Progress
-from torchrbd.likelihood.shapes import ShapeSlope, agrees, axes, feature_slopes, slopes
 
 _MOST_PASSES = 12
 # A shape has settled if its step is below this part of its standard deviation or of the distance of grid points.

@@ -8,14 +8,14 @@ from dataclasses import replace
 import torch
 from torch import nn
 
+from torchrbd.dataset.columns import Candidate, Columns
+from torchrbd.dataset.reading import Progress
+from torchrbd.dataset.shapes import ShapeSlope, axes
 from torchrbd.inference.input_noise import input_noise
 from torchrbd.inference.physical.fitting import fit_model
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.smoothing.smooth import Trajectory
 from torchrbd.inference.smoothing.smoother import StateSmoother
-from torchrbd.likelihood.columns import Candidate, Columns
-from torchrbd.likelihood.reading import Progress
-from torchrbd.likelihood.shapes import ShapeSlope, axes
 from torchrbd.likelihood.urdf_prior import data_prior
 
 

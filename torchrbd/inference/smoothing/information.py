@@ -16,11 +16,11 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.columns import Columns
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.smoothing.block_tridiagonal import BlockCholesky, fold, fold_rows
 from torchrbd.inference.smoothing.linearisation import Linearisation, linearise
 from torchrbd.inference.smoothing.stretch import Stretch
-from torchrbd.likelihood.columns import Columns
 
 
 @dataclass(frozen=True)

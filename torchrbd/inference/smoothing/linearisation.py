@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import filtered_rows
+from torchrbd.dataset.columns import Columns
 from torchrbd.inference.physical.fitting import predict
 from torchrbd.inference.smoothing.spline import Grid
 from torchrbd.inference.smoothing.stretch import Stretch
-from torchrbd.likelihood.block_statistics import filtered_rows
-from torchrbd.likelihood.columns import Columns
 from torchrbd.recordings import States
 
 

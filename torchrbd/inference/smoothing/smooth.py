@@ -9,14 +9,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.reading import Reading
+from torchrbd.dataset.scales import joint_scales
 from torchrbd.inference.input_noise import InputNoise
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.physical.uncertain_states import UncertainStates
 from torchrbd.inference.smoothing.smoother import StateSmoother
 from torchrbd.inference.smoothing.stretch import SAMPLES_PER_KNOT, Stretch, knots_per_output, stretches
-from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.reading import Reading
-from torchrbd.likelihood.scales import joint_scales
 from torchrbd.likelihood.urdf_prior import Prior
 from torchrbd.recordings import Filtering, States, Survey
 

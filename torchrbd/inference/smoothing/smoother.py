@@ -28,10 +28,10 @@ import torch
 from torch import Tensor, nn
 
 from torchrbd._runtime.deadline import is_over
+from torchrbd.dataset.columns import Columns
 from torchrbd.inference.smoothing.information import Information, distance, eliminate
 from torchrbd.inference.smoothing.linearisation import residual
 from torchrbd.inference.smoothing.stretch import Stretch
-from torchrbd.likelihood.columns import Columns
 from torchrbd.likelihood.equations import Equations
 from torchrbd.likelihood.physical_fit import PhysicalFit, physical_fit
 from torchrbd.likelihood.urdf_prior import Prior

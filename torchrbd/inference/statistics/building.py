@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.reading import Progress, Reading
+from torchrbd.dataset.scales import covered_scales
 from torchrbd.effects import Effect, JointScale
 from torchrbd.errors import OptionError
 from torchrbd.inference.ordinary import with_friction
 from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.statistics.results import Conditions, Origin, Statistics, known
-from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.reading import Progress, Reading
-from torchrbd.likelihood.scales import covered_scales
 from torchrbd.recordings import NamedSource, read_mapping
 from torchrbd.recordings.contents import digest
 from torchrbd.robot import RobotModel

@@ -13,10 +13,10 @@ from safetensors.torch import save
 
 from torchrbd._runtime.outputs import write_whole
 from torchrbd._runtime.rebuilding import rebuilt
+from torchrbd.dataset.block_statistics import Block
 from torchrbd.effects import JointScale
 from torchrbd.errors import InputError
 from torchrbd.inference.statistics.results import Conditions, Origin, Statistics
-from torchrbd.likelihood.block_statistics import Block
 from torchrbd.recordings.formats.opening import STATISTICS
 
 FORMAT = 4

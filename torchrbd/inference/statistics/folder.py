@@ -10,6 +10,7 @@ from pathlib import Path
 from torchrbd._runtime.outputs import check_file
 from torchrbd._runtime.ranks import Ranks
 from torchrbd._runtime.threads import single_threaded
+from torchrbd.dataset.reading import Progress
 from torchrbd.errors import InputError, OptionError
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.settings import Settings
@@ -17,7 +18,6 @@ from torchrbd.inference.statistics import merging
 from torchrbd.inference.statistics.building import conditions, payload_words, statistics_of
 from torchrbd.inference.statistics.files import read_head, write_file
 from torchrbd.inference.statistics.results import Conditions, Statistics
-from torchrbd.likelihood.reading import Progress
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import NamedSource
 from torchrbd.recordings.contents import digest

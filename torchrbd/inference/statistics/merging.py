@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import torch
 
+from torchrbd.dataset.block_statistics import halved, halvings
+from torchrbd.dataset.reading import Progress
 from torchrbd.inference.statistics.files import read_statistics
 from torchrbd.inference.statistics.results import MOST_BLOCKS, Statistics, added
-from torchrbd.likelihood.block_statistics import halved, halvings
-from torchrbd.likelihood.reading import Progress
 
 
 def merged(

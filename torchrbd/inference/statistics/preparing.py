@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.reading import Progress, Reading
 from torchrbd.effects import effect
 from torchrbd.errors import OptionError, RecordingError
 from torchrbd.inference.data.bodies import check_masses
@@ -24,8 +26,6 @@ from torchrbd.inference.statistics.building import conditions, moment_effects, o
 from torchrbd.inference.statistics.files import read_head
 from torchrbd.inference.statistics.merging import merged
 from torchrbd.inference.statistics.results import MOST_BLOCKS, Conditions, Statistics, added
-from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.reading import Progress, Reading
 from torchrbd.likelihood.urdf_prior import data_prior
 from torchrbd.recordings import Filtering, InMemory, NamedSource, RecordingSource
 from torchrbd.recordings.formats.opening import STATISTICS

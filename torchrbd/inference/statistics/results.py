@@ -11,11 +11,11 @@ from itertools import zip_longest
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.block_statistics import Block, BlockStatistics, halved
+from torchrbd.dataset.columns import Columns
 from torchrbd.display import Remark
 from torchrbd.effects import JointScale
 from torchrbd.errors import InputError
-from torchrbd.likelihood.block_statistics import Block, BlockStatistics, halved
-from torchrbd.likelihood.columns import Columns
 
 MOST_BLOCKS = 256
 """That a fit looks at, or one a recording."""

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.reading import Reading
 from torchrbd.effects import JointScale
-from torchrbd.likelihood.reading import Reading
 from torchrbd.recordings import Filtering, Survey
 
 # Speed that counts as rest: in standard deviations of the velocity's noise, as a fraction of the largest speed, and at

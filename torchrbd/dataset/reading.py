@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from torchrbd.likelihood.block_statistics import BlockStatistics, block_statistics
-from torchrbd.likelihood.columns import Columns
-from torchrbd.likelihood.simulated import Simulated
+from torchrbd.dataset.block_statistics import BlockStatistics, block_statistics
+from torchrbd.dataset.columns import Columns
+from torchrbd.dataset.simulated import Simulated
 from torchrbd.model import OTHERS, Condition
 from torchrbd.recordings import TILE_ROWS, Filtering, Recording, States, Survey, tiles
 from torchrbd.robot import RobotModel

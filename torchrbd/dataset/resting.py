@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.likelihood.block_statistics import BlockStatistics
+from torchrbd.dataset.block_statistics import BlockStatistics
 
 
 def at_rest(statistics: BlockStatistics) -> Tensor:

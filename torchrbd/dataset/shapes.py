@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.columns import Candidate, Columns
 from torchrbd.effects import Shape, Signals
-from torchrbd.likelihood.columns import Candidate, Columns
 
 # Step of the central difference, as a fraction of the distance between grid points.
 _STEP = 0.01

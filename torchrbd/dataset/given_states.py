@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchrbd.likelihood.block_statistics import Block, BlockStatistics
-from torchrbd.likelihood.columns import Columns
+from torchrbd.dataset.block_statistics import Block, BlockStatistics
+from torchrbd.dataset.columns import Columns
 
 # Enough to measure the scatter of neighbouring samples.
 _MOST_BLOCKS = 64

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from torchrbd.likelihood.reading import Reading
+from torchrbd.dataset.reading import Reading
 from torchrbd.recordings import TILE_ROWS, Filtering, States, Survey
 
 # Samples per tile if all are kept, and largest count of numbers in its regressor.

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrbd.likelihood.columns import Columns
+from torchrbd.dataset.columns import Columns
 from torchrbd.recordings import States
 
 # Number of blocks per recording for which memory is first allocated.

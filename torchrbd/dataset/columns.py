@@ -15,12 +15,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.sticking import stick_weight, undetermined
 from torchrbd.effects import Effect, JointScale, Shape, Signals, Site, Window
 from torchrbd.effects.base import ShowsBodies
 from torchrbd.effects.plain_friction import plain_friction
 from torchrbd.effects.registry import tagged_effects
 from torchrbd.errors import InputError
-from torchrbd.likelihood.sticking import stick_weight, undetermined
 from torchrbd.recordings import States
 from torchrbd.robot import RobotModel
 

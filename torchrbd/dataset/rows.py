@@ -14,13 +14,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.dataset.columns import Candidate, Columns
+from torchrbd.dataset.reading import Reading
+from torchrbd.dataset.remembered import Remembered
+from torchrbd.dataset.spreading import Density
 from torchrbd.effects import Signals
 from torchrbd.effects.base import ShowsBodies
 from torchrbd.errors import RecordingError
-from torchrbd.likelihood.columns import Candidate, Columns
-from torchrbd.likelihood.reading import Reading
-from torchrbd.likelihood.remembered import Remembered
-from torchrbd.likelihood.spreading import Density
 from torchrbd.recordings import States, Survey
 
 _DENSITY = Density(most_states=100_000, least_rate_hz=100.0, rate_cycles=16.0)
