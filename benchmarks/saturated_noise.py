@@ -26,7 +26,7 @@ import inspect
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -40,7 +40,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from golden.cases import CASES, Asked
+from golden.cases import CASES, TIERS, Asked
 
 import torchrbd
 from benchmarks import results_file
@@ -55,7 +55,7 @@ from torchrbd.diagnosis.ranked import Ranked
 from torchrbd.diagnosis.residual import curves_at
 from torchrbd.diagnosis.screening import lasting, refined, screened
 from torchrbd.diagnosis.sharpening import at_summit
-from torchrbd.effects import Effect
+from torchrbd.effects import Effect, Site
 from torchrbd.effects.registry import known_effects
 from torchrbd.effects.smooth_torque import SmoothTorque
 from torchrbd.inference.identify import read_arguments
@@ -75,7 +75,7 @@ KINDS = {"all": (False, False), "pruned": (True, False), "kept": (True, True)}
 def asked(name: str, into: Path) -> tuple[Asked, list[dict[str, Any]]]:
     """Return what a case is and which effects it conceals."""
     tier, _, index = name.partition(" ")
-    if tier == "real" or (name not in CASES and tier != "raw"):
+    if tier not in (*TIERS, "raw"):
         return CASES[name].make(into), []
     case = make_case("development", tier, int(index), RAW_SEED)
     effects = [{k: e[k] for k in ("effect", "joints", "links")} for e in case.truth["effects"]]
@@ -184,13 +184,34 @@ class Search:
     def odds(self, h: Hypothesis) -> float:
         return log_odds(h, self.rows)
 
-    def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis], near: int = NEAR) -> list[Hypothesis]:
-        """Return what is likeliest given a fit, with refined shapes, then all others."""
+    def leading(self, fit: Likelihood, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return what is likeliest given a fit, with refined shapes, then all others.
+
+        Curves explain much of what a law does. So laws are compared without curves, too, to see which are to be tried.
+        """
         names = {h.name for h in chosen if h.candidate.site.window is None}
-        every = (h for h in screened(fit, self.rows, self.effects) if h.name not in names)
-        found = sorted(every, key=lambda h: -self.odds(h))
-        best = [self.worth(fit, chosen, self.shaped(fit, h)) for h in found[:near]]
-        return sorted(best, key=lambda h: -self.odds(h)) + found[near:]
+        return self.tried(fit, chosen, NEAR, lambda one: screened(one, self.rows, self.effects), names)
+
+    def tried(
+        self,
+        fit: Likelihood,
+        chosen: Sequence[Hypothesis],
+        near: int,
+        every: Callable[[Likelihood], list[Hypothesis]],
+        names: Collection[tuple[str, Site]],
+    ) -> list[Hypothesis]:
+        found = self.ordered(h for h in every(fit) if h.name not in names)
+        best = {(h.name, h.candidate.site.window): self.shaped(fit, h) for h in found[:near]}
+        if self.curves:
+            plain = self.base.extended(fit.extra[: len(chosen)])
+            for h in self.ordered(h for h in every(plain) if h.name not in names)[:near]:
+                one = again(fit, self.rows, self.shaped(plain, h))
+                if one is not None:
+                    best.setdefault((one.name, one.candidate.site.window), one)
+        return self.ordered(self.worth(fit, chosen, h) for h in best.values()) + found[near:]
+
+    def ordered(self, found: Iterable[Hypothesis]) -> list[Hypothesis]:
+        return sorted(found, key=lambda h: -self.odds(h))
 
     def shaped(self, fit: Likelihood, h: Hypothesis) -> Hypothesis:
         one = refined(fit, self.rows, h)
@@ -245,13 +266,14 @@ class Search:
     def rivals(self, fit: Likelihood, h: Hypothesis, rest: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return what may be in the place of a term: at its joint or on the whole robot, for its time if it has one."""
         place, windowed = h.candidate.place, h.candidate.site.window is not None
-        if windowed:
-            every = screened(fit, self.rows, self.effects)
-        else:
-            every = [one for one in lasting(fit, self.rows, self.effects) if place in (None, one.candidate.place)]
+
+        def every(one: Likelihood) -> list[Hypothesis]:
+            if windowed:
+                return screened(one, self.rows, self.effects)
+            return [x for x in lasting(one, self.rows, self.effects) if place in (None, x.candidate.place)]
+
         names = {one.name for one in rest if one.candidate.site.window is None} | {h.name}
-        found = sorted((one for one in every if one.name not in names), key=lambda one: -self.odds(one))
-        return [self.worth(fit, rest, self.shaped(fit, one)) for one in found[:RIVALS]]
+        return self.tried(fit, rest, RIVALS, every, names)[: 2 * RIVALS]
 
     def swapped(self, chosen: list[Hypothesis]) -> list[Hypothesis]:
         for k in range(len(chosen)):

@@ -15,7 +15,7 @@ from simulated import Motion, inverse_dynamics, joint_names, multisine
 
 import torchrbd
 from torchrbd.diagnosis.ranked import Ranking
-from torchrbd.diagnosis.ranking import searched
+from torchrbd.diagnosis.ranking import run_search
 from torchrbd.errors import RecordingError
 from torchrbd.inference.preparation import Prepared, prepare
 from torchrbd.inference.settings import Settings
@@ -62,7 +62,7 @@ def prepared(urdf: str, recordings: Sequence[Recording], **options: Any) -> tupl
 
 def ranked(urdf: str, recordings: Sequence[Recording], **options: Any) -> Ranking:
     found, settings = prepared(urdf, recordings, **options)
-    return searched(found.reading, settings, found.kept_back, lambda *_: None).ranking
+    return run_search(found.reading, settings, found.kept_back, lambda *_: None).ranking
 
 
 def test_a_diagnosis_has_a_ranking_of_what_is_not_held_out() -> None:

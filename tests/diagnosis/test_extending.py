@@ -16,7 +16,7 @@ from simulated import Motion, with_wrong_inertials
 
 from torchrbd.diagnosis.explain import _Fits, _once
 from torchrbd.diagnosis.extending import Extended, extended
-from torchrbd.diagnosis.ranking import searched
+from torchrbd.diagnosis.ranking import run_search
 from torchrbd.diagnosis.residual import curves, has_friction, is_curve, stands_in
 from torchrbd.diagnosis.search import Term
 from torchrbd.effects import Site, effect
@@ -50,7 +50,7 @@ def with_curves(
     recording = recorded(URDF, 2, with_friction(at_joint(0, torque)), **{**OPTIONS, "duration_s": 30.0})
     settings = Settings.from_mapping({"effects": may, **options}, "test")
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [recording], settings, ())
-    ranked = searched(prepared.reading, settings, prepared.kept_back, lambda *_: None)
+    ranked = run_search(prepared.reading, settings, prepared.kept_back, lambda *_: None)
     prepared = with_machine(prepared, settings, friction_of(settings), lambda *_: None, ranked.clocks)
     found = ranked.explanation
     own = {h.candidate.effect.id: h for h in curves(found.fit, found.rows) if h.candidate.site == Site(0)}
@@ -113,7 +113,7 @@ def test_a_model_without_a_law_is_the_fit_without_it_and_its_slopes() -> None:
     recording = recorded(URDF, 2, with_friction(resisting), **{**OPTIONS, "duration_s": 30.0})
     settings = Settings.from_mapping({"effects": (*MAY, "power_law_friction")}, "test")
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [recording], settings, ())
-    ranked = searched(prepared.reading, settings, prepared.kept_back, lambda *_: None)
+    ranked = run_search(prepared.reading, settings, prepared.kept_back, lambda *_: None)
     prepared = with_machine(prepared, settings, friction_of(settings), lambda *_: None, ranked.clocks)
     model = extended(prepared, ranked.explanation, MAY, lambda *_: None)
     (law,) = model.terms
@@ -133,7 +133,7 @@ def test_friction_that_a_law_stands_in_for_is_sure_without_it() -> None:
     recording = recorded(URDF, 2, with_friction(), **{**OPTIONS, "duration_s": 30.0})
     settings = Settings.from_mapping({"effects": (*MAY, "power_law_friction")}, "test")
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [recording], settings, ())
-    ranked = searched(prepared.reading, settings, prepared.kept_back, lambda *_: None)
+    ranked = run_search(prepared.reading, settings, prepared.kept_back, lambda *_: None)
     prepared = with_machine(prepared, settings, friction_of(settings), lambda *_: None, ranked.clocks)
     plain = ranked.explanation
     assert plain.terms == ()

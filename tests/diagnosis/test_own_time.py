@@ -40,7 +40,7 @@ def searched(torque: Callable | None) -> tuple[Explanation, Callable[[Explanatio
     second = recorded(URDF, 3, with_friction(), name="second", **{**OPTIONS, "duration_s": 10.0})
     settings = Settings.from_mapping({"effects": MAY, "holdout": [second]}, "test")
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [first], settings, ())
-    ranked = ranking.searched(prepared.reading, settings, prepared.kept_back, quiet)
+    ranked = ranking.run_search(prepared.reading, settings, prepared.kept_back, quiet)
     prepared = with_machine(prepared, settings, friction_of(settings), quiet, ranked.clocks)
     return ranked.explanation, lambda found: extended(prepared, found, MAY, quiet)
 

@@ -20,7 +20,7 @@ from torchrbd.diagnosis.explain import explain
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.friction import COULOMB as EVEN
 from torchrbd.diagnosis.friction import UNEVEN
-from torchrbd.diagnosis.ranking import searched
+from torchrbd.diagnosis.ranking import run_search
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import HeldOutCheck, Unexplained, Where
 from torchrbd.diagnosis.unexplained import _loud, drifts, large_errors, merge_errors, unexplained
@@ -60,7 +60,7 @@ def diagnosed(torque: Callable | None, seconds: Sequence[float] = (30.0,), may: 
     ]
     settings = Settings.from_mapping({"effects": may}, "test")
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), recordings, settings, ())
-    ranked = searched(prepared.reading, settings, prepared.kept_back, quiet)
+    ranked = run_search(prepared.reading, settings, prepared.kept_back, quiet)
     prepared = with_machine(prepared, settings, friction_of(settings), quiet, ranked.clocks)
     return extended(prepared, ranked.explanation, may, quiet)
 

@@ -18,7 +18,7 @@ from torchrbd.diagnosis.held_out_checks import held_out_checks
 from torchrbd.diagnosis.locate import locate
 from torchrbd.diagnosis.negligible import is_negligible
 from torchrbd.diagnosis.posterior import refit_matters
-from torchrbd.diagnosis.ranking import searched, without_terms
+from torchrbd.diagnosis.ranking import run_search, without_terms
 from torchrbd.diagnosis.refuting import friction_alone, functions_alone, is_refuted, shown_of, what_counts
 from torchrbd.diagnosis.results import Finding, Location, ResidualMap, Unexplained, strongest_first
 from torchrbd.diagnosis.rows.regression import fitted
@@ -119,7 +119,7 @@ def diagnose(
     suspected = suspicions(prepared)
     if suspected.settles:
         return suspect(prepared, settings, progress, suspected)
-    search = searched(prepared.reading, settings, prepared.kept_back, progress)
+    search = run_search(prepared.reading, settings, prepared.kept_back, progress)
     found, may = search.explanation, [e.id for e in settings.chosen_effects()]
     asked, prepared = prepared, with_machine(prepared, settings, with_friction(settings), progress, search.clocks)
     progress("fitting what was found", 0.0)

@@ -21,7 +21,7 @@ from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, whole
 from torchrbd.diagnosis.negligible import contradicted, is_negligible, split_negligible, with_errors
 from torchrbd.diagnosis.posterior import Inclusion, inclusion, log_odds, probability_of
 from torchrbd.diagnosis.ranked import Ranked, Ranking
-from torchrbd.diagnosis.ranking import Searched
+from torchrbd.diagnosis.ranking import SearchResult
 from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import (
     HELD_OUT,
@@ -356,12 +356,12 @@ def reciprocal(q: Quantity) -> Quantity:
     return replace(q, value=math.nan, std=math.nan, at_least=1.0 / (max(c, 0.0) + _ONE_SIDED * std))
 
 
-def reported(searched: Searched, extended: Extended) -> Ranking:
+def reported(search: SearchResult, extended: Extended) -> Ranking:
     """Return a ranking whose adopted hypotheses have the parameters of the model that is reported."""
     final = {(c.effect.id, c.site): c for c in extended.terms}
     known = dict[tuple[object, ...], dict[str, float]]()
-    ranked = searched.ranking
-    for one, term in zip(ranked.adopted, searched.explanation.terms, strict=True):
+    ranked = search.ranking
+    for one, term in zip(ranked.adopted, search.explanation.terms, strict=True):
         c = term.own.candidate
         now = final.get((c.effect.id, c.site))
         if now is not None:

@@ -54,7 +54,7 @@ class Ranking:
         last: given these; the adopted ones among them, each against leaving it out.
         considered: number of effects at their places.
         misfit: by joint, whether whitened rows and plain least squares agree on its friction (Hausman's test).
-        asked: what answers ``evidence_of``.
+        evidence_source: what answers ``evidence_of``.
     """
 
     band_hz: float
@@ -65,7 +65,7 @@ class Ranking:
     last: tuple[Ranked, ...]
     considered: int
     misfit: dict[str, Misfit]
-    asked: Callable[..., float] = field(repr=False, compare=False)
+    evidence_source: Callable[..., float] = field(repr=False, compare=False)
 
     def __repr__(self) -> str:
         best = [
@@ -91,4 +91,4 @@ class Ranking:
             shape: nonlinear parameters; ``other`` in it names the joint on whose motion the effect depends.
             window: recording, from and to [s].
         """
-        return self.asked(effect_id or more["effect"], joints, links, dict(shape or {}), window)
+        return self.evidence_source(effect_id or more["effect"], joints, links, dict(shape or {}), window)

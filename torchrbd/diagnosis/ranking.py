@@ -43,7 +43,7 @@ _SHOWN = 30
 
 
 @dataclass(frozen=True)
-class Searched:
+class SearchResult:
     """A search, and the same as a result.
 
     Attributes:
@@ -130,10 +130,10 @@ def rank_hypotheses(
     def kept_back(name: str, t: torch.Tensor) -> torch.Tensor:
         return torch.full((len(t),), name in held)
 
-    return searched(reading, settings, kept_back, progress).ranking
+    return run_search(reading, settings, kept_back, progress).ranking
 
 
-def searched(reading: Reading, settings: Settings, kept_back: KeptBack, progress: Progress) -> Searched:
+def run_search(reading: Reading, settings: Settings, kept_back: KeptBack, progress: Progress) -> SearchResult:
     """Search among effects on recordings that have been opened.
 
     Args:
@@ -160,22 +160,22 @@ def searched(reading: Reading, settings: Settings, kept_back: KeptBack, progress
             f"{names}: below {band:.3g} Hz the torques and motions have no regression ({error}); look for constant or "
             "repeated channels, or choose another cut-off"
         ) from error
-    return _searched(found, band, replace(clocks, fit=found.fit), effects)
+    return _result(found, band, replace(clocks, fit=found.fit), effects)
 
 
-def without_terms(searched: Searched, effects: Sequence[Effect]) -> Searched:
+def without_terms(search: SearchResult, effects: Sequence[Effect]) -> SearchResult:
     """Return a search as it is if it has found nothing: clocks are those of the base.
 
     Args:
-        searched: with what was found.
+        search: with what was found.
         effects: what may be there.
     """
-    before = searched.explanation
+    before = search.explanation
     found = replace(before, fit=before.base, rows=carried(before.base), terms=(), last=before.first)
-    return _searched(found, searched.ranking.band_hz, replace(searched.clocks, fit=before.base), effects)
+    return _result(found, search.ranking.band_hz, replace(search.clocks, fit=before.base), effects)
 
 
-def _searched(found: Explanation, band: float, clocks: Clocks, effects: Sequence[Effect]) -> Searched:
+def _result(found: Explanation, band: float, clocks: Clocks, effects: Sequence[Effect]) -> SearchResult:
     fit, robot = found.base, found.rows.columns.robot
     late = _of_all(clocks, effects)
 
@@ -197,9 +197,9 @@ def _searched(found: Explanation, band: float, clocks: Clocks, effects: Sequence
         last=shown([*own, *found.last], found.fit),
         considered=found.considered + len(late),
         misfit=misfit,
-        asked=partial(_evidence_of, found, first),
+        evidence_source=partial(_evidence_of, found, first),
     )
-    return Searched(ranking, clocks, found)
+    return SearchResult(ranking, clocks, found)
 
 
 def _evidence_of(

@@ -42,7 +42,7 @@ def read_diagnosis(kind: type, folder: str | Path) -> dict[str, Any]:
 def _ranking(content: dict[str, Any], folder: Path) -> Ranking:
     lists = {name: tuple(_ranked(one) for one in content[name]) for name in ("ordinary", "first", "adopted", "last")}
 
-    def asked(*_: object) -> float:
+    def no_evidence(*_: object) -> float:
         return Unsaved(
             folder, "the data that evidence is computed from", "use torchrbd.rank_hypotheses on the recordings"
         ).evidence
@@ -52,7 +52,7 @@ def _ranking(content: dict[str, Any], folder: Path) -> Ranking:
         delay_s={name: (float(one["value"]), float(one["std"])) for name, one in content["delay_s"].items()},
         considered=int(content["considered"]),
         misfit=rebuilt(dict[str, Misfit], content["misfit"]),
-        asked=asked,
+        evidence_source=no_evidence,
         **lists,
     )
 

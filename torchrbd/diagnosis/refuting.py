@@ -10,7 +10,7 @@ from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import Explained, explain
 from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.held_out_checks import held_out_ratio, over_blocks
-from torchrbd.diagnosis.ranking import Searched
+from torchrbd.diagnosis.ranking import SearchResult
 from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, strongest_first
 from torchrbd.diagnosis.search import explained
 from torchrbd.diagnosis.unexplained import functions
@@ -54,19 +54,19 @@ def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Rati
 
 
 def friction_alone(
-    prepared: Prepared, first: Explained, searched: Searched, settings: Settings, progress: Progress
+    prepared: Prepared, first: Explained, search: SearchResult, settings: Settings, progress: Progress
 ) -> Explained:
     """Return the findings of a search that has found nothing; what it had found becomes "not confirmed".
 
     Args:
         prepared: the data, as they were read.
         first: what held-out data refutes.
-        searched: without its terms, see ``without_terms``.
+        search: without its terms, see ``without_terms``.
         settings: the user's choices.
         progress: called with the stage and the part of it that is done.
     """
-    alike = with_machine(prepared, settings, with_friction(settings), progress, searched.clocks)
-    return _instead(first, extended(alike, searched.explanation, [e.id for e in settings.chosen_effects()], progress))
+    alike = with_machine(prepared, settings, with_friction(settings), progress, search.clocks)
+    return _instead(first, extended(alike, search.explanation, [e.id for e in settings.chosen_effects()], progress))
 
 
 def what_counts(first: Explained) -> Explained:
@@ -75,23 +75,23 @@ def what_counts(first: Explained) -> Explained:
 
 
 def functions_alone(
-    prepared: Prepared, searched: Searched, settings: Settings, progress: Progress
+    prepared: Prepared, search: SearchResult, settings: Settings, progress: Progress
 ) -> tuple[Unexplained, ...]:
     """Return smooth functions in the place of laws that held-out data refutes, unless it refutes the functions too.
 
     Args:
         prepared: the data.
-        searched: what was considered.
+        search: what was considered.
         settings: the user's choices.
         progress: called with the stage and the part of it that is done.
     """
     if is_over():
         return ()
     progress("trying functions without laws", 0.0)
-    found = explained(searched.explanation.base, (), lambda _: None)
+    found = explained(search.explanation.base, (), lambda _: None)
     if not found.terms:
         return ()
-    alike = with_machine(prepared, settings, with_friction(settings), progress, replace(searched.clocks, fit=found.fit))
+    alike = with_machine(prepared, settings, with_friction(settings), progress, replace(search.clocks, fit=found.fit))
     model = extended(alike, found, [e.id for e in settings.chosen_effects()], progress)
     if refuted(model.prepared, model.model, prepared, shown_of(model)):
         return ()
