@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -288,3 +289,10 @@ def test_negative_friction_is_not_plausible(effect: Effect) -> None:
     for name in given:
         if effect.unit(name, prismatic=False).startswith("N m"):
             assert not effect.plausible({**given, name: -0.1}, SCALE), name
+
+
+@pytest.mark.parametrize("effect", known_effects().values(), ids=lambda e: e.id)
+def test_own_signals_are_those_of_the_equation(effect: Effect) -> None:
+    """An equation says them too; those of a link are of no one joint."""
+    said = dict.fromkeys(re.findall(r"\bq(?:dd?)?\b", effect.equation))
+    assert effect.own_signals == (() if effect.id == "external_wrench" else tuple(said))

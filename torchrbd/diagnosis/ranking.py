@@ -33,7 +33,7 @@ from torchrbd.likelihood.clocks import Clocks, in_band
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.misfit import Misfit
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
-from torchrbd.nuisance.joint_friction import EFFECTS as EFFECTS_OF_FRICTION
+from torchrbd.nuisance.joint_friction import FRICTION_EFFECTS
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import Sources
 from torchrbd.robot import RobotModel
@@ -275,8 +275,8 @@ def _ordinary(fit: Likelihood, two: TwoEstimates, misfit: Mapping[str, Misfit]) 
         at = fit.machine.friction.at(j)
         viscous, plus, minus = map(float, (predicting if misfit[name].p_value < MISFIT else fit.friction)[j])
         for identifier, index, values in (
-            (EFFECTS_OF_FRICTION[0], at[:1], {"viscous": viscous}),
-            (EFFECTS_OF_FRICTION[1], at[1:], {"coulomb_plus": plus, "coulomb_minus": minus}),
+            (FRICTION_EFFECTS[0], at[:1], {"viscous": viscous}),
+            (FRICTION_EFFECTS[1], at[1:], {"coulomb_plus": plus, "coulomb_minus": minus}),
         ):
             width = {"width": float(fit.hyper.rest_width[j])} if len(index) > 1 else {}
             evidence = fit.gaussian.against(index)

@@ -125,7 +125,9 @@ class Effect(ABC):
         moves_origin: True if its parameters x, y and z move the origin of a joint.
         of_conditions: True if the torque depends on time or temperature as well as on the state.
         other_signal: signal of the other joint on which it depends, if a site has one.
-        curve_times: what multiplies its curve: "direction" of motion, "speed", or "" for nothing.
+        own_signals: signals of its joint that its equation has, of "q", "qd" and "qdd".
+        curve_times: what multiplies its curve, if that is not over a velocity or acceleration: "direction" of motion,
+            "speed", or "" for nothing.
         lags: True if the torque follows its command with a lag.
         shifts_clocks: True if, at all joints at once, it equals a clock offset to first order.
         kinds: shape parameters with separate values, such as the side of a stop, and words for these values.
@@ -167,6 +169,7 @@ class Effect(ABC):
     moves_origin: ClassVar[bool] = False
     of_conditions: ClassVar[bool] = False
     other_signal: ClassVar[str] = "q"
+    own_signals: ClassVar[tuple[str, ...]] = ()
     curve_times: ClassVar[Literal["", "direction", "speed"]] = ""
     kinds: ClassVar[Mapping[str, Mapping[float, str]]] = MappingProxyType({})
     several: ClassVar[bool] = False

@@ -22,6 +22,7 @@ class CableDrag(JointEffect):
     equation = "c window(q; start, end) sign(qd)"
     shown_by = "Slow sweeps in both directions through the whole range: friction is larger between two positions."
     curve_times = "direction"
+    own_signals = ("q", "qd")
     units: ClassVar[Mapping[str, str]] = {"start": "{q}", "end": "{q}", "resistance": "{tau}"}
     comes_and_goes = True
     dissipative = True

@@ -29,7 +29,7 @@ class CoulombFriction(JointEffect):
     baseline = ((0.0, 1.0, 0.0),)
     dry = True
     urdf_tag = "friction"
-    curve_times = "direction"
+    own_signals = ("qd",)
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}"}
     comes_and_goes = True
     dissipative = True
@@ -73,7 +73,7 @@ class AsymmetricCoulombFriction(JointEffect):
     plain_columns = (DIRECTION, UNEVENNESS)
     baseline = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     dry = True
-    curve_times = "speed"
+    own_signals = ("qd",)
     units: ClassVar[Mapping[str, str]] = {"coulomb_plus": "{tau}", "coulomb_minus": "{tau}"}
     comes_and_goes = True
     dissipative = True

@@ -40,6 +40,7 @@ class Counterbalance(JointEffect):
     equation = "(k a b + (F_0 - k L_0) a / l) sin(theta), theta = q - q_0, l = sqrt(1 + r^2 - 2 r cos(theta))"
     shown_by = "Slow sweeps through as much of a turn as the joint allows: torque is a distorted sine of the angle."
     acts_on_link = True
+    own_signals = ("q",)
     units: ClassVar[Mapping[str, str]] = {
         "spring_torque": "{tau}",
         "force_torque": "{tau}",

@@ -46,7 +46,7 @@ class CoupledMotor(Effect):
         "Both joints move with equal and with opposite speeds: friction follows the speed of the motor, not of a joint."
     )
     other_signal = "qd"
-    curve_times = "speed"
+    own_signals = ("qd",)
     units: ClassVar[Mapping[str, str]] = {
         "viscous": "{tau} s/{q}",
         "coulomb": "{tau}",

@@ -32,6 +32,7 @@ class EncoderOffset(Effect):
     words = "encoder offset"
     equation = "tau(q - o) - tau(q)"
     shown_by = "Slow motion through many arm poses: gravity torque is that of an angle that is shifted."
+    own_signals = ("q",)
     units: ClassVar[Mapping[str, str]] = {"offset": "{q}"}
     comes_and_goes = True
     whole_robot = True

@@ -55,6 +55,7 @@ class JointElasticity(Effect):
         "Fast oscillations under large loads: the link lags or leads the motor by an angle in proportion to torque."
     )
     is_gear_spring = True
+    own_signals = ("q",)
     units: ClassVar[Mapping[str, str]] = {
         "stiffness": "{tau}/{q}",
         "bandwidth": "Hz",

@@ -27,6 +27,7 @@ class JointSpring(JointEffect):
         "Slow sweeps through the whole range in several arm poses: torque grows with the angle, whatever gravity does."
     )
     acts_on_link = True
+    own_signals = ("q",)
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
     comes_and_goes = True
     drawn_over = "q"

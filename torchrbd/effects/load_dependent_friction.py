@@ -31,6 +31,7 @@ class LoadDependentFriction(JointEffect):
         "Slow reversals in poses with small and with large gravity torque: the jump of friction grows with the load."
     )
     curve_times = "direction"
+    own_signals = ("qd",)
     units: ClassVar[Mapping[str, str]] = {"load_friction": "1"}
     dissipative = True
     uses_load = True

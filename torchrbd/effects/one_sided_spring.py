@@ -25,6 +25,7 @@ class OneSidedSpring(JointEffect):
     equation = "side k max(0, side (q - q_0)), side = +-1"
     shown_by = "Slow sweeps to both ends of the range: torque rises beyond one position, on one side only."
     acts_on_link = True
+    own_signals = ("q",)
     units: ClassVar[Mapping[str, str]] = {"contact_position": "{q}", "side": "1", "stiffness": "{tau}/{q}"}
     comes_and_goes = True
     drawn_over = "q"

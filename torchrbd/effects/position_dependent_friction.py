@@ -29,6 +29,7 @@ class PositionDependentFriction(JointEffect):
     shown_by = "Slow reversals through the whole range: friction is larger or smaller around one position."
     baseline = ((0.0, 1.0, 0.0), (0.0, 0.0, 0.0))
     curve_times = "direction"
+    own_signals = ("q", "qd")
     units: ClassVar[Mapping[str, str]] = {
         "centre": "{q}",
         "width": "{q}",

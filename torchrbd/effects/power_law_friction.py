@@ -29,7 +29,7 @@ class PowerLawFriction(JointEffect):
     words = "power-law friction"
     equation = "k |qd|^a sign(qd)"
     shown_by = "Constant speeds in equal ratios, from very slow to fast: torque is a straight line on logarithmic axes."
-    curve_times = "direction"
+    own_signals = ("qd",)
     units: ClassVar[Mapping[str, str]] = {"friction": "{tau} (s/{q})^a", "exponent": "1"}
     dissipative = True
     prior = RESISTS

@@ -46,6 +46,7 @@ class PreslidingHysteresis(JointEffect):
     shown_by = "Oscillations of a few milliradians around rest: torque over position is a loop, not a jump."
     dry = True
     curve_times = "direction"
+    own_signals = ("qd",)
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "distance": "{q}"}
     has_memory = True
     prior = RESISTS

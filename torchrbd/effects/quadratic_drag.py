@@ -22,7 +22,7 @@ class QuadraticDrag(JointEffect):
     words = "quadratic drag"
     equation = "k qd |qd|"
     shown_by = "Constant speeds up to the largest: torque grows with the square of speed."
-    curve_times = "speed"
+    own_signals = ("qd",)
     units: ClassVar[Mapping[str, str]] = {"drag": "{tau} s^2/{q}^2"}
     dissipative = True
     prior = RESISTS

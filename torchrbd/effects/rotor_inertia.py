@@ -24,7 +24,7 @@ class RotorInertia(JointEffect):
     )
     plain_columns = (ACCELERATION,)
     of_rotor = True
-    curve_times = "speed"
+    own_signals = ("qdd",)
     units: ClassVar[Mapping[str, str]] = {"rotor_inertia": "{tau} s^2/{q}"}
     drawn_over = "qdd"
     prior = CoefficientPrior("An inertia is not negative.", positive=(0,), may_be_none=True)

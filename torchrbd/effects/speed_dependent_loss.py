@@ -27,7 +27,7 @@ class SpeedDependentLoss(JointEffect):
     shown_by = (
         "Constant speeds in poses with small and with large load: the slope of torque over speed grows with the load."
     )
-    curve_times = "speed"
+    own_signals = ("qd",)
     units: ClassVar[Mapping[str, str]] = {"loss": "s/{q}"}
     dissipative = True
     uses_load = True

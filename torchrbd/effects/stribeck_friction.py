@@ -32,7 +32,7 @@ class StribeckFriction(JointEffect):
     shown_by = "Constant speeds from very slow to fast: torque falls, then rises as speed grows."
     baseline = ((0.0, 1.0, 0.0), (0.0, 0.0, 0.0))
     dry = True
-    curve_times = "direction"
+    own_signals = ("qd",)
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "static": "{tau}", "stribeck_speed": "{q}/s"}
     comes_and_goes = True
     dissipative = True

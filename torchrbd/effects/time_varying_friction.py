@@ -34,6 +34,7 @@ class TimeVaryingFriction(JointEffect):
     baseline = ((0.0, 1.0, 0.0), (0.0, 0.0, 0.0))
     of_conditions = True
     curve_times = "direction"
+    own_signals = ("qd",)
     units: ClassVar[Mapping[str, str]] = {
         "coulomb_end": "{tau}",
         "coulomb_start": "{tau}",

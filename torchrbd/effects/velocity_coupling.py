@@ -28,7 +28,6 @@ class VelocityCoupling(Effect):
     equation = "d qd_other"
     shown_by = "The other joint moves at several constant speeds: this torque follows the other velocity."
     other_signal = "qd"
-    curve_times = "speed"
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}
     export_note = "a fixed tendon over both joints with these coefficients; it acts on both, and adds abs(d) at each"
 

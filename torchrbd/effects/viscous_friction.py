@@ -23,7 +23,7 @@ class ViscousFriction(JointEffect):
     plain_columns = (SPEED,)
     baseline = ((1.0, 0.0, 0.0),)
     urdf_tag = "damping"
-    curve_times = "speed"
+    own_signals = ("qd",)
     units: ClassVar[Mapping[str, str]] = {"viscous": "{tau} s/{q}"}
     comes_and_goes = True
     dissipative = True

@@ -25,7 +25,7 @@ from torchrbd.errors import InputError
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.likelihood.urdf_prior import KAPPA, data_prior
-from torchrbd.nuisance.joint_friction import EFFECTS as EFFECTS_OF_FRICTION
+from torchrbd.nuisance.joint_friction import FRICTION_EFFECTS
 from torchrbd.robot import RobotModel
 
 SIGNALS = ("q", "qd", "qdd")
@@ -106,10 +106,10 @@ class DynamicsRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         used, tau = _varying(robot, tau), tau - robot.known_torque(states[0].T, states[2].T).T
         low, high = states[0].amin(1), states[0].amax(1)
         scales = joint_scales(states[1].abs().amax(1), torch.zeros(robot.n_dof), low, high)
-        columns = Columns(robot, [effect(name) for name in EFFECTS_OF_FRICTION] if self.friction else [], scales)
+        columns = Columns(robot, [effect(name) for name in FRICTION_EFFECTS] if self.friction else [], scales)
         statistics = given_statistics(columns, states, tau, weight * used.unsqueeze(1))
         prior = data_prior(statistics, settings.held_bodies(robot), settings.kappa)
-        found = fit_model(statistics, prior, term_candidates(columns, EFFECTS_OF_FRICTION))
+        found = fit_model(statistics, prior, term_candidates(columns, FRICTION_EFFECTS))
         if not found.converged:
             far = "the fit stopped early: the torques are far from those of any rigid body; check units and signs"
             warnings.warn(far, ConvergenceWarning, stacklevel=3)

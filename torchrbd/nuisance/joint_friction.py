@@ -8,7 +8,7 @@ from torchrbd.dataset.rows import Rows
 from torchrbd.nuisance.component import Along, Learnt, OfEachJoint
 from torchrbd.nuisance.directions import Directions
 
-EFFECTS = ("viscous_friction", "asymmetric_coulomb_friction")
+FRICTION_EFFECTS = ("viscous_friction", "asymmetric_coulomb_friction")
 """The effects that these coefficients are."""
 _COEFFICIENTS = 3
 

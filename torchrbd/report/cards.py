@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -124,7 +123,7 @@ def _finding_card(finding: Finding, pictures: Pictures) -> Card:
     known = known_effects().get(finding.effect)
     equation = known.equation if known else ""
     title = guessed(finding) + (at(finding.joints, finding.links) or " (whole robot)")
-    own = [f"{key}_{j}" for key in re.findall(r"\bq(?:dd?)?\b", equation) for j in finding.joints]
+    own = [f"{key}_{j}" for key in (known.own_signals if known else ()) for j in finding.joints]
     regions = [r.signal for r in finding.where.region or ()]
     joint = most_changed(finding) or next((j for j in finding.joints), None)
     shown = _pictures(

@@ -28,7 +28,7 @@ from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.suspicions.explained import NOTHING, Explained, Shape
 from torchrbd.inference.suspicions.writing import Writing
 from torchrbd.likelihood.urdf_prior import Prior, data_prior
-from torchrbd.nuisance.joint_friction import EFFECTS as EFFECTS_OF_FRICTION
+from torchrbd.nuisance.joint_friction import FRICTION_EFFECTS
 from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.recordings import States
 from torchrbd.robot import RobotModel, pseudo_inertia
@@ -63,7 +63,7 @@ class Samples:
         reading = prepared.reading
         self.robot, self.kappa = reading.robot, prepared.prior.kappa
         self._trusted = {name for b, name in enumerate(self.robot.body_names) if b not in prepared.prior.bodies}
-        effects = [effect(name) for name in (*EFFECTS_OF_FRICTION, SPRINGS, ROTORS)]
+        effects = [effect(name) for name in (*FRICTION_EFFECTS, SPRINGS, ROTORS)]
         self._columns = Columns(self.robot, effects, covered_scales(reading.surveys, reading.filtering))
         ordinary = {label for c in self._terms() for label in c.labels}
         self._plain = [torch.tensor([label in ordinary for label in own]) for own in self._columns.labels]
@@ -185,7 +185,7 @@ class Samples:
         return model, writing.torque(self.tau) - self._torque(writing, model.x, slice(None), robot)
 
     def _terms(self, further_effects: Sequence[str] = ()) -> tuple[Candidate, ...]:
-        return term_candidates(self._columns, (*EFFECTS_OF_FRICTION, *further_effects))
+        return term_candidates(self._columns, (*FRICTION_EFFECTS, *further_effects))
 
     def _torque(self, writing: Writing, x: Tensor, part: Tensor | slice, robot: RobotModel | None = None) -> Tensor:
         rows = zip(self.rows(writing, robot), self._columns.of_joint, strict=True)
