@@ -54,8 +54,11 @@ def test_emps(folder: Path) -> None:
     assert mass == pytest.approx(95.0, rel=0.02)
     laws = {f.effect: f for f in found.findings}
     friction = {**laws["viscous_friction"].parameters, **laws["asymmetric_coulomb_friction"].parameters}
-    for name, published in (("viscous", 203.0), ("coulomb_plus", 17.0), ("coulomb_minus", 24.0)):
-        assert friction[name].value == pytest.approx(published, rel=0.1)
+    assert friction["viscous"].value == pytest.approx(203.0, rel=0.1)
+    # A part of Coulomb friction builds up over a distance, which those who published it did not look at.
+    presliding = laws["presliding_hysteresis"].parameters["coulomb"].value
+    for name, published in (("coulomb_plus", 17.0), ("coulomb_minus", 24.0)):
+        assert friction[name].value + presliding == pytest.approx(published, rel=0.1)
     assert min(laws[name].probability for name in ("viscous_friction", "asymmetric_coulomb_friction")) > 0.95
     assert not {"actuator_lag", "time_delay"} & set(laws)
 

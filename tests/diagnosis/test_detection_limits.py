@@ -12,7 +12,7 @@ from simulated import joint_names
 from torchrbd.diagnosis.detection_limits import detection_limits
 from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of
 from torchrbd.diagnosis.results import DetectionLimit
-from torchrbd.diagnosis.search import Explanation, explained
+from torchrbd.diagnosis.search import Explanation, search_effects
 from torchrbd.effects import Site, effect
 
 EFFECTS = (
@@ -36,7 +36,7 @@ def by_place(found: Explanation) -> Found:
 @pytest.fixture(scope="module")
 def explanation() -> Explanation:
     """Return what is found where a rotor is missing at the second joint."""
-    return explained(fitted(ROTOR), [effect(name) for name in EFFECTS], lambda _: None)
+    return search_effects(fitted(ROTOR), [effect(name) for name in EFFECTS], lambda _: None)
 
 
 @pytest.fixture(scope="module")

@@ -90,7 +90,7 @@ def test_a_likelihood_without_solution_is_told(monkeypatch: pytest.MonkeyPatch) 
     def fails(*_: Any) -> None:
         raise np.linalg.LinAlgError("Matrix is not positive definite")
 
-    monkeypatch.setattr(import_module("torchrbd.diagnosis.ranking"), "explained", fails)
+    monkeypatch.setattr(import_module("torchrbd.diagnosis.ranking"), "search_effects", fails)
     with pytest.raises(RecordingError, match=r"have no regression .Matrix is not positive definite.; look for"):
         torchrbd.diagnose(ARM.encode(), recorded(ARM, 1))
 

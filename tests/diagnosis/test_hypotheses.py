@@ -28,13 +28,11 @@ from simulated import Motion, joint_names
 
 from torchrbd.dataset.rows import Rows
 from torchrbd.dataset.shapes import axes
+from torchrbd.diagnosis.discrepancy import learn_discrepancy
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, hypothesis_of
-from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.ranking import _ranked
 from torchrbd.diagnosis.screening import refined, screened
-from torchrbd.diagnosis.search import _alike, _Search
-from torchrbd.diagnosis.sharpening import sharpened
-from torchrbd.diagnosis.weighing import with_own_noise
+from torchrbd.diagnosis.search import Search
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect, known_effects
 from torchrbd.likelihood.gaussian import added
@@ -82,11 +80,20 @@ def leading(torque) -> tuple[Likelihood, Rows, list[Hypothesis]]:
     return fit, rows, screened(fit, rows, ALL)
 
 
+def searched(torque) -> tuple[Search, list[Hypothesis]]:
+    """Return a search and what it ranks, each at its best shape, given the curves that the data need."""
+    fit = fitted(torque)
+    search = Search(carried(fit), ALL, learn_discrepancy(fit, carried(fit)))
+    return search, search.rank([])
+
+
 def test_nothing_has_evidence_where_nothing_is() -> None:
-    fit, rows, found = leading(None)
+    search, judged = searched(None)
+    assert all(h.log_evidence < 8.0 for h in judged)
+    assert all(search.odds(h) < 0.0 for h in judged)
+    _, _, found = leading(None)
     assert len(found) > 40
     assert all(h.log_evidence < 8.0 for h in found)
-    assert all(with_own_noise(fit, rows, sharpened(fit, rows, h)).log_evidence < 8.0 for h in found[:5])
     assert [h.log_evidence for h in found] == sorted((h.log_evidence for h in found), reverse=True)
     names = {h.name for h in found}
     assert not any(known_effects()[name].is_ubiquitous for name, _ in names)
@@ -101,25 +108,14 @@ def test_nothing_has_evidence_where_nothing_is() -> None:
 
 
 def test_bursts_and_spikes_are_no_effect_and_hide_none() -> None:
-    fit, rows, found = leading(bursts)
-    assert all(noise.tail is not None for noise in fit.hyper.noise)
-    best = [with_own_noise(fit, rows, sharpened(fit, rows, refined(fit, rows, h))) for h in found[:5]]
-    assert all(h.log_evidence < 8.0 for h in best)
-    fit, rows, found = leading(spoilt_rotor)
+    search, found = searched(bursts)
+    assert all(noise.tail is not None for noise in search.discrepancy.fit.hyper.noise)
+    assert all(h.log_evidence < 8.0 for h in found)
+    assert all(search.odds(h) < 0.0 for h in found)
+    _, found = searched(spoilt_rotor)
     assert found[0].name == ("rotor_inertia", Site(1))
-    assert with_own_noise(fit, rows, found[0]).log_evidence > 80.0
-
-
-def test_hypotheses_are_sought_beside_normal_noise_too_and_each_is_told_once() -> None:
-    fit = fitted(bursts)
-    plain = fit.with_normal_noise
-    assert all(noise.tail is None for noise in plain.hyper.noise)
-    assert plain.log_evidence < fit.log_evidence - 100.0
-    assert fitted(None).with_normal_noise is fitted(None)
-    rows = carried(fit)
-    found = _Search(rows, ALL, lambda _: None).leading(fit)
-    assert len({_alike(h) for h in found}) == len(found) > 40
-    assert all(log_odds(h, rows) < 0.0 for h in found)
+    # More than that of a curve over the acceleration.
+    assert found[0].log_evidence > 25.0
 
 
 def test_what_shifts_the_only_joint_is_the_clock() -> None:
@@ -131,29 +127,15 @@ def test_what_shifts_the_only_joint_is_the_clock() -> None:
     assert not names & SHIFTS
 
 
-def test_a_noise_that_suits_both_models_is_evidence_for_neither() -> None:
-    """A base that has settled with a worse noise has the larger model's as well."""
-    fit = fitted()
-    rows, worse = carried(fit), fit.extended(fit.extra)
-    h = screened(fit, rows, ALL)[0]
-    louder = fit.refit.with_(noise=tuple(replace(n, sigma=1.3 * n.sigma) for n in fit.refit.hyper.noise))
-    worse.__dict__["refit"] = louder
-    assert fit.refit.log_evidence - louder.log_evidence > 20.0
-    expected = with_own_noise(fit, rows, h).log_evidence
-    assert with_own_noise(worse, rows, h).log_evidence == pytest.approx(expected, abs=1.0)
-
-
 @pytest.mark.parametrize(
     ("name", "joint", "torque"),
     [("rotor_inertia", 1, ROTOR), ("stribeck_friction", 0, STRIBECK), ("torque_ripple", 1, RIPPLE)],
 )
 def test_injected_effect_is_first_with_large_evidence(name: str, joint: int, torque) -> None:
-    fit, rows, found = leading(torque)
-    best = [with_own_noise(fit, rows, sharpened(fit, rows, h)) for h in found[:3]]
-    best.sort(key=lambda h: -h.log_evidence)
+    _, best = searched(torque)
     assert best[0].name == (name, Site(joint))
     # With other bodies, half a rotor that both of two joints turn does nearly what a rotor does.
-    others = (h for h in best[1:] if h.candidate.effect.id != "coupled_motor")
+    others = (h for h in best[1:3] if h.candidate.effect.id != "coupled_motor")
     assert best[0].log_evidence > max(30.0, *(h.log_evidence + 20 for h in others))
     c = best[0]
     match name:
@@ -170,7 +152,9 @@ def test_injected_effect_is_first_with_large_evidence(name: str, joint: int, tor
 def test_load_that_is_taken_up_is_found_with_its_time() -> None:
     fit, rows, found = leading(payload)
     assert found[0].name == ("payload", Site(body=1))
-    best = with_own_noise(fit, rows, refined(fit, rows, found[0]))
+    _, judged = searched(payload)
+    best = judged[0]
+    assert best.name == found[0].name
     assert best.log_evidence > 30
     window = best.candidate.site.window
     assert window is not None
@@ -255,15 +239,17 @@ def test_what_averaging_has_cost_stays_paid_beside_another_fit(torque) -> None:
     assert left.paid == best.paid
 
 
-def test_what_averaging_has_cost_stays_paid_where_shape_and_noise_are_learnt_anew() -> None:
+def test_what_averaging_has_cost_stays_paid_where_the_shape_is_found_anew() -> None:
     fit, rows, found = leading(RIPPLE)
-    sharp = sharpened(fit, rows, found[0])
-    one = again(fit, rows, sharp)
+    search = Search(rows, ALL, learn_discrepancy(fit, rows))
+    best = search.best_shape(fit, found[0])
+    one = again(fit, rows, best)
     assert one is not None
-    assert one.log_evidence == pytest.approx(sharp.log_evidence, abs=1e-6)
+    assert one.log_evidence == pytest.approx(best.log_evidence, abs=1e-6)
     # Nine values of the one shape lie in a cell.
-    assert -np.log(9 * sharp.tried) - 1e-9 <= sharp.paid < 0.0
-    assert with_own_noise(fit, rows, sharp).paid == sharp.paid
+    assert -np.log(9 * best.tried) - 1e-9 <= best.paid < 0.0
+    (judged,) = search.evidence([], best)
+    assert judged.paid == best.paid
 
 
 def test_what_has_no_torque_beside_another_fit_is_no_hypothesis_there() -> None:
@@ -323,6 +309,6 @@ def test_offset_of_a_torque_is_no_drift() -> None:
     found = [h for h in screened(fit, rows, ALL) if h.candidate.site.always]
     (offset,) = (h for h in found if h.name == ("torque_offset", Site(1)))
     assert offset.log_evidence > 50.0
-    best = with_own_noise(fit, rows, offset)
+    (best,) = Search(rows, ALL, learn_discrepancy(fit, rows)).evidence([], offset)
     assert best.coefficients[0] == pytest.approx(1.5, abs=4.0 * best.std[0])
     assert fit.hyper.drift[1] < 10.0 * plain.hyper.drift[1]

@@ -11,9 +11,10 @@ import pytest
 from likelihood.fits import at_joint, carried, fitted
 
 from torchrbd.diagnosis import search
+from torchrbd.diagnosis.discrepancy import learn_discrepancy
 from torchrbd.diagnosis.posterior import log_odds
-from torchrbd.diagnosis.residual import is_curve, stands_in
-from torchrbd.diagnosis.search import _Search, explained
+from torchrbd.diagnosis.residual import is_curve
+from torchrbd.diagnosis.search import Search, search_effects
 from torchrbd.diagnosis.terms import Explanation
 from torchrbd.effects import Site, effect
 
@@ -37,7 +38,7 @@ PULL = at_joint(0, lambda m: PULL_SIZE * ((m.t >= PULLS_S[0]) & (m.t < PULLS_S[1
 
 def searched(torque: Any, names: Sequence[str] = EFFECTS) -> tuple[Explanation, list[float]]:
     told: list[float] = []
-    return explained(fitted(torque), [effect(name) for name in names], told.append), told
+    return search_effects(fitted(torque), [effect(name) for name in names], told.append), told
 
 
 @pytest.mark.parametrize(
@@ -97,19 +98,6 @@ def test_torque_without_a_law_is_a_curve_where_it_acts() -> None:
     assert max(h.log_evidence for h in curves) > 30
 
 
-def test_of_curves_that_could_pass_for_friction_a_joint_has_one() -> None:
-    """Two of them may be large and their sum small."""
-    fit = fitted(BUMP)
-    search = _Search(carried(fit), [], lambda _: None)
-    every = search.offered(fit, [])
-    kinds = {h.candidate.effect.id for h in every if stands_in(h.candidate) and h.candidate.joint == 0}
-    assert len(kinds) == 4
-    one = next(h for h in every if stands_in(h.candidate) and h.candidate.joint == 0)
-    left = search.offered(fit, [one])
-    assert not [h for h in left if stands_in(h.candidate) and h.candidate.joint == 0]
-    assert len(left) == len(every) - len(kinds)
-
-
 def test_torque_without_a_law_is_not_given_one_that_is_somewhat_like_it() -> None:
     found, _ = searched(BUMP, ["torque_ripple", "joint_spring", "quadratic_drag"])
     assert {t.own.name for t in found.terms} == {("smooth_torque_over_q", Site(0))}
@@ -151,8 +139,8 @@ def test_laws_come_before_curves_that_are_no_likelier() -> None:
 def test_what_a_model_has_is_not_added_to_it_again() -> None:
     """However small it is believed to be: a second one of the same time would stand for a larger first one."""
     fit = fitted(PULL)
-    at = _Search(carried(fit), [effect("torque_offset")], lambda _: None)
-    first = next(h for h in at.leading(fit) if h.candidate.site.window is not None)
+    rows = carried(fit)
+    search = Search(rows, [effect("torque_offset")], learn_discrepancy(fit, rows))
+    first = next(h for h in search.rank([]) if h.candidate.site.window is not None)
     small = replace(first, scale=1e-3 * first.scale)
-    beside = fit.extended((small.extra(fit, at.rows),))
-    assert first.candidate not in [h.candidate for h in at.leading(beside, [small])]
+    assert first.candidate not in [h.candidate for h in search.rank([small])]

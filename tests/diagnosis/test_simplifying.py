@@ -65,7 +65,7 @@ class Fit(SimpleNamespace):
 
 def model(terms: Sequence[Term], *springs: tuple[float, float]) -> Extended:
     candidates, fit = tuple(t.own.candidate for t in terms), Fit(extra=[f"old {t.own.name[0]}" for t in terms])
-    found = Explanation(cast(Any, None), cast(Any, fit), ROWS, tuple(terms), [], [], 0)
+    found = Explanation(cast(Any, None), cast(Any, fit), ROWS, tuple(terms), [], [], 0, cast(Any, None))
     made = cast(Any, Model(springs=springs))
     return Extended(cast(Any, None), found, made, made, (), candidates, (NARROW,) * len(terms))
 

@@ -121,13 +121,6 @@ def agrees(term: Candidate, weights: Tensor) -> bool:
     return change <= _AGREED_PART * max((abs(asked[name]) for name in follows), default=0.0)
 
 
-def in_one_cell(columns: Columns, one: Candidate, other: Candidate) -> bool:
-    """Return whether two candidates of an effect at a site are of one kind, with adjacent shapes on its grid."""
-    kinds = all(one.shape[name] == other.shape[name] for name in one.effect.kinds)
-    reach = {name: axis.limits(one.shape[name]) for name, axis in varied(columns, one).items()}
-    return kinds and all(low <= other.shape[name] <= high for name, (low, high) in reach.items())
-
-
 def _thinned(values: Sequence[float], most: int) -> tuple[float, ...]:
     """Return at most ``most`` of ascending values, including the ends."""
     n = min(most, len(values))

@@ -34,9 +34,10 @@ def _limit(found: Explanation, h: Hypothesis) -> DetectionLimit | None:
     """Return the first parameter that moves with the coefficients; its std by the delta method."""
     c, robot = h.candidate, found.rows.columns.robot
     prior = torch.from_numpy(believed(found.fit, found.rows, c)[0])
-    w, std = torch.from_numpy(whole(c, h.coefficients, found.fit)).requires_grad_(True), torch.from_numpy(h.std)
+    own = found.fit.friction
+    w, std = torch.from_numpy(whole(c, h.coefficients, own)).requires_grad_(True), torch.from_numpy(h.std)
     fresh = torch.tensor([c.site.joint is None or label not in SHARED for label in c.labels])
-    absent = c.effect.parameters(torch.from_numpy(whole(c, 0.0 * h.coefficients, found.fit)), c.shape)
+    absent = c.effect.parameters(torch.from_numpy(whole(c, 0.0 * h.coefficients, own)), c.shape)
     for name, value in c.effect.parameters(w, c.shape).items():
         if not value.requires_grad:
             continue

@@ -392,7 +392,7 @@ def _std_left_open(term: Candidate, extended: Extended) -> dict[str, float]:
 def _alternatives(term: Candidate, sure: Inclusion, extended: Extended) -> tuple[Alternative, ...]:
     """Return the effects that cannot be distinguished from a term, the likeliest first, with their parameters."""
     model, fit, own = extended.model, extended.found.fit, (term.effect.id, replace(term.site, window=None))
-    alike = [(h.candidate, whole(h.candidate, h.coefficients, fit), p) for h, p in sure.laws if h.name != own]
+    alike = [(h.candidate, whole(h.candidate, h.coefficients, fit.friction), p) for h, p in sure.laws if h.name != own]
     if UNEVENNESS in term.labels:
         # A constant torque, but for what happens within a reversal.
         (_, half) = model.x[model.columns.of(term)].numpy()

@@ -92,7 +92,7 @@ def agree_shape(fit: Likelihood, rows: Rows, one: Hypothesis, *, plausible: bool
         c = one.candidate
         shape = c.effect.agreeing(torch.from_numpy(one.coefficients), c.shape)
         then = hypothesis_of(fit, rows, rows.columns.candidate(c.effect, c.site, shape))
-        must = plausible and not _allowed(one, fit, rows, one.coefficients[None])
+        must = plausible and not _allowed(one, fit.friction, rows, one.coefficients[None])
         if then is None or (then.log_evidence < one.log_evidence + LEAST_GAIN and not must):
             break
         one = then
@@ -135,7 +135,9 @@ def again(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis | None:
     return None if one is None else replace(one, log_evidence=one.log_evidence + h.paid, tried=h.tried, paid=h.paid)
 
 
-def support(h: Hypothesis, fit: Likelihood, rows: Rows, mean: np.ndarray, covariance: np.ndarray) -> float:
+def support(
+    h: Hypothesis, fit: Likelihood, rows: Rows, mean: np.ndarray, covariance: np.ndarray, friction: np.ndarray
+) -> float:
     """Return the evidence for physical bounds: log of the share of the posterior within them, over that of the prior.
 
     The prior of an effect's coefficients is Gaussian, truncated to parameters that are plausible; signs that
@@ -146,22 +148,24 @@ def support(h: Hypothesis, fit: Likelihood, rows: Rows, mean: np.ndarray, covari
         fit: the evidence is conditional on it.
         rows: its rows.
         mean, covariance: (K,) and (K, K), posterior of its coefficients.
+        friction: (n, 3), what the machine's own friction is then.
     """
     rng, std = np.random.default_rng(0), believed(fit, rows, h.candidate)[0] * h.scale
     root = np.linalg.cholesky(covariance + _ROUNDING * np.diag(covariance.diagonal() + 1e-300))
     unit = rng.standard_normal((_DRAWS, len(mean)))
-    after, before = _allowed(h, fit, rows, mean + unit @ root.T), _allowed(h, fit, rows, unit * std)
+    after = _allowed(h, friction, rows, mean + unit @ root.T)
+    before = _allowed(h, friction, rows, unit * std)
     return math.log(after / before) if after > 0 < before else -math.inf if before else 0.0
 
 
-def _allowed(h: Hypothesis, fit: Likelihood, rows: Rows, draws: np.ndarray) -> float:
+def _allowed(h: Hypothesis, friction: np.ndarray, rows: Rows, draws: np.ndarray) -> float:
     """Return the share of draws (D, K), of those whose signs are right, that physics allows."""
     c, positive = h.candidate, list(h.candidate.effect.prior.positive)
     draws = draws[(draws[:, positive] >= 0).all(1)]
     if not len(draws):
         return 1.0
     scale = rows.columns.scale(c.site)
-    own = whole(c, draws, fit)
+    own = whole(c, draws, friction)
     parameters = c.effect.parameters(torch.from_numpy(own.T), c.shape)
     values = {name: np.broadcast_to(v.detach().numpy(), len(draws)) for name, v in parameters.items()}
     return float(
@@ -169,11 +173,11 @@ def _allowed(h: Hypothesis, fit: Likelihood, rows: Rows, draws: np.ndarray) -> f
     )
 
 
-def whole(candidate: Candidate, coefficients: np.ndarray, fit: Likelihood) -> np.ndarray:
-    """Return coefficients (..., K) with what the machine's own friction has of the same columns."""
+def whole(candidate: Candidate, coefficients: np.ndarray, friction: np.ndarray) -> np.ndarray:
+    """Return coefficients (..., K) with what the machine's own friction (n, 3) has of the same columns."""
     if candidate.site.joint is None:
         return coefficients
-    viscous, plus, minus = fit.friction[candidate.site.joint]
+    viscous, plus, minus = friction[candidate.site.joint]
     own = {SPEED: viscous, DIRECTION: 0.5 * (plus + minus)}
     return coefficients + [own[label] if label in SHARED else 0.0 for label in candidate.labels]
 

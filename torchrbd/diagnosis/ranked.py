@@ -83,7 +83,7 @@ class Ranking:
         window: tuple[str, float, float] | None = None,
         **more: Any,
     ) -> float:
-        """Return the log evidence of one given hypothesis, averaged over its size; the noise is learnt with it.
+        """Return the log evidence of one given hypothesis, given the curves that the data need.
 
         Args:
             effect_id: of the effect; ``effect`` does as well.

@@ -18,11 +18,11 @@ from torchrbd.dataset.band import band_hz
 from torchrbd.dataset.reading import Progress, Reading
 from torchrbd.dataset.rows import KeptBack, not_held_out
 from torchrbd.diagnosis.hypotheses import Hypothesis, carried, hypothesis_of, whole
+from torchrbd.diagnosis.models import Models
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.screening import is_clocks
-from torchrbd.diagnosis.search import explained
+from torchrbd.diagnosis.search import search_effects
 from torchrbd.diagnosis.terms import Explanation
-from torchrbd.diagnosis.weighing import with_own_noise
 from torchrbd.effects import Effect, Site, Window
 from torchrbd.effects.registry import effect
 from torchrbd.errors import RecordingError
@@ -153,7 +153,7 @@ def run_search(reading: Reading, settings: Settings, kept_back: KeptBack, progre
         clocks = in_band(reading, band, kept_back, frozenset(settings.held_bodies(robot)), progress)
         fit = clocks.fit
         progress("ranking", 0.0)
-        found = explained(fit, effects, report)
+        found = search_effects(fit, effects, report)
     except np.linalg.LinAlgError as error:
         names = ", ".join(r.name for r in reading.recordings)
         raise RecordingError(
@@ -197,13 +197,14 @@ def _result(found: Explanation, band: float, clocks: Clocks, effects: Sequence[E
         last=shown([*own, *found.last], found.fit),
         considered=found.considered + len(late),
         misfit=misfit,
-        evidence_source=partial(_evidence_of, found, first),
+        evidence_source=partial(_evidence_of, found, effects, first),
     )
     return SearchResult(ranking, clocks, found)
 
 
 def _evidence_of(
     found: Explanation,
+    effects: Sequence[Effect],
     first: Sequence[Ranked],
     effect_id: str,
     joints: Sequence[str],
@@ -226,7 +227,10 @@ def _evidence_of(
         return next((h.log_evidence for h in first if (h.effect, h.joints) == (e.id, ())), 0.0)
     candidate = found.rows.columns.candidate(e, site, shape)
     one = hypothesis_of(found.base, found.rows, candidate)
-    return -math.inf if one is None else with_own_noise(found.base, found.rows, one).log_evidence
+    if one is None:
+        return -math.inf
+    (one,) = Models(found.rows, effects, found.discrepancy).evidence([], one)
+    return one.log_evidence
 
 
 def _of_all(clocks: Clocks, effects: Sequence[Effect]) -> list[Ranked]:
@@ -246,7 +250,7 @@ def _of_all(clocks: Clocks, effects: Sequence[Effect]) -> list[Ranked]:
 
 def _ranked(h: Hypothesis, fit: Likelihood, robot: RobotModel) -> Ranked:
     c, site = h.candidate, h.candidate.site
-    w = torch.from_numpy(whole(c, h.coefficients, fit))
+    w = torch.from_numpy(whole(c, h.coefficients, fit.friction))
     window = None
     if site.window is not None:
         rows = fit.machine.rows

@@ -12,7 +12,7 @@ from torchrbd.diagnosis.extending import Extended, extended
 from torchrbd.diagnosis.held_out_checks import held_out_ratio, over_blocks
 from torchrbd.diagnosis.ranking import SearchResult
 from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, strongest_first
-from torchrbd.diagnosis.search import explained
+from torchrbd.diagnosis.search import search_effects
 from torchrbd.diagnosis.unexplained import functions
 from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.physical.fitting import FittedModel, nmse_of_blocks
@@ -88,7 +88,8 @@ def functions_alone(
     if is_over():
         return ()
     progress("trying functions without laws", 0.0)
-    found = explained(search.explanation.base, (), lambda _: None)
+    before = search.explanation
+    found = search_effects(before.base, (), lambda _: None, before.discrepancy)
     if not found.terms:
         return ()
     alike = with_machine(prepared, settings, with_friction(settings), progress, replace(search.clocks, fit=found.fit))

@@ -30,7 +30,7 @@ _SLOWEST_HZ, _AROUND_HZ = 1.0, 1.5
 
 def curves(fit: Likelihood, rows: Rows) -> list[Hypothesis]:
     """Return functions of each signal, and a tone, at every joint that has a torque, given a fit."""
-    return [*curves_at(fit, rows, range(rows.n_dof)), *(h for h in _tones(fit, rows) if h is not None)]
+    return [*curves_at(fit, rows, range(rows.n_dof)), *tones(fit, rows)]
 
 
 def curves_at(fit: Likelihood, rows: Rows, joints: Collection[int]) -> list[Hypothesis]:
@@ -39,8 +39,8 @@ def curves_at(fit: Likelihood, rows: Rows, joints: Collection[int]) -> list[Hypo
     return [h for h in found if h is not None]
 
 
-def _tones(fit: Likelihood, rows: Rows) -> Iterator[Hypothesis | None]:
-    """Yield the tone that stands out most, of all joints and recordings, in its recording and in all of them.
+def tones(fit: Likelihood, rows: Rows) -> list[Hypothesis]:
+    """Return the tone that stands out most, of all joints and recordings, in its recording and in all of them.
 
     Noise is learnt of all: one tone in each is a colour of it as long as another is left.
     """
@@ -57,13 +57,13 @@ def _tones(fit: Likelihood, rows: Rows) -> Iterator[Hypothesis | None]:
                 tried = math.log(max(int((f > _SLOWEST_HZ).sum()), 1))
                 found.append((float(ratio.max()), j, name, float(f[ratio.argmax()]), float(f[1]), tried))
     if not found:
-        return
+        return []
     _, j, name, near, reach, tried = max(found)
     inside = rows.recording == rows.recordings.index(name)
     shape = {"frequency": _peak(fit.residual(j)[inside], rows.t[inside], near, reach)}
-    for recordings in dict.fromkeys(((name,), tuple(rows.seen_recordings))):
-        h = average_over_shapes(fit, rows, [rows.columns.candidate(HUM, Site(j, recordings=recordings), shape)])
-        yield None if h is None else replace(h, log_evidence=h.log_evidence - tried, paid=h.paid - tried)
+    places = (Site(j, recordings=recordings) for recordings in dict.fromkeys(((name,), tuple(rows.seen_recordings))))
+    each = (average_over_shapes(fit, rows, [rows.columns.candidate(HUM, site, shape)]) for site in places)
+    return [replace(h, log_evidence=h.log_evidence - tried, paid=h.paid - tried) for h in each if h is not None]
 
 
 def _peak(x: np.ndarray, t: np.ndarray, near: float, reach: float) -> float:

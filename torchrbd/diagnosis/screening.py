@@ -11,7 +11,7 @@ import numpy as np
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.dataset.shapes import varied
-from torchrbd.diagnosis.hypotheses import Hypothesis, again, agree_shape, average_over_shapes, hypothesis_of, mean_of
+from torchrbd.diagnosis.hypotheses import Hypothesis, agree_shape, average_over_shapes, hypothesis_of, mean_of
 from torchrbd.diagnosis.windows import in_recordings, in_windows, located
 from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.likelihood import Likelihood
@@ -36,12 +36,12 @@ def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hyp
     return sorted((h for h in found if h is not None), key=lambda h: -h.log_evidence)
 
 
-def lasting(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
-    """Return every effect at every place given a fit, if it acts all the time; see ``screened``."""
+def lasting(fit: Likelihood, rows: Rows, effects: Sequence[Effect], place: int | None = None) -> list[Hypothesis]:
+    """Return every effect that acts all the time, at every place or at one joint only, given a fit."""
     robot, found = rows.columns.robot, list[Hypothesis | None]()
     for e in (e for e in effects if not e.is_ubiquitous):
         for site in e.sites(robot):
-            if _may_be(e, site, rows):
+            if _may_be(e, site, rows) and place in (None, None if e.whole_robot else site.joint):
                 grid = e.shapes(rows.columns.scale(site))
                 found.append(average_over_shapes(fit, rows, [rows.columns.candidate(e, site, shape) for shape in grid]))
     return [h for h in found if h is not None]
@@ -69,19 +69,6 @@ def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
         at = max(found, key=lambda one: one.log_evidence)
     mean = float(np.logaddexp(rest, cell - math.log(h.tried)))
     return replace(at, log_evidence=mean, tried=h.tried, paid=mean - at.log_evidence)
-
-
-def restarted(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis | None:
-    """Return a hypothesis at the shape, on its grid or near it, that is best with white noise; None without any.
-
-    What is not explained has coloured the noise, which hides the shape that explains it.
-    """
-    c, plain = h.candidate, fit.least_squares
-    if c.site.window is not None or not varied(rows.columns, c):
-        return None
-    grid = [rows.columns.candidate(c.effect, c.site, shape) for shape in c.effect.shapes(rows.columns.scale(c.site))]
-    best = average_over_shapes(plain, rows, grid)
-    return None if best is None else again(fit, rows, replace(refined(plain, rows, best), paid=h.paid))
 
 
 def _or_agreeing(fit: Likelihood, rows: Rows, one: Hypothesis) -> Hypothesis:

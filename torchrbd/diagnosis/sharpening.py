@@ -1,7 +1,4 @@
-"""Shapes of the leading hypotheses, given the noise, bodies and friction that are learnt with them.
-
-Noise, bodies and friction of a fit without an effect absorb it, most of all at wrong shapes: given them, the evidence
-is flat in the shape. Given those that are learnt with the effect it is not, and Gauss-Newton steps lead to the maximum,
+"""Shapes of the greatest evidence: Gauss-Newton steps from a shape to the maximum,
 
     tau(theta + d) = sum_k w_k phi_k(theta) + d sum_k w_k dphi_k / dtheta
 
@@ -19,9 +16,7 @@ import torch
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.dataset.shapes import Axis, ShapeSlope, slopes, varied
-from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, again, agree_shape, believed, hypothesis_of
-from torchrbd.diagnosis.screening import refined
-from torchrbd.diagnosis.weighing import sized
+from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, agree_shape, believed, hypothesis_of
 from torchrbd.effects import Site
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
@@ -32,18 +27,6 @@ _STEPS, _HALVINGS = 6, 3
 # What is fast is modelled worse: about as many times what rows say as shapes of a development set err by (seed 9203, a
 # play and a crank with another summit left out: Student's tails allow for such).
 _WORSE = 2.0
-
-
-def sharpened(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
-    """Return a hypothesis given a fit, at the best shape given what is learnt with it; steps in time stay."""
-    free = varied(rows.columns, h.candidate) or h.candidate.effect.follows
-    if not free or h.candidate.site.window is not None:
-        return h
-    at = h.extra(fit, rows).joints
-    own = sized(fit, rows, h, lambda model: model.renoised(at).rewidened(at).plausible()).extended.extended(fit.extra)
-    best = at_summit(own, rows, refined(own, rows, h))
-    then = again(fit, rows, replace(best, paid=h.paid))
-    return h if then is None else then
 
 
 def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:

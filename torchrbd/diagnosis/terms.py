@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from torchrbd.dataset.rows import Rows
+from torchrbd.diagnosis.discrepancy import Discrepancy
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.likelihood.likelihood import Likelihood
@@ -33,6 +34,7 @@ class Explanation:
         terms: those of the model.
         first, last: all other hypotheses given the base, and given the model, likeliest first.
         considered: number of hypotheses.
+        discrepancy: curves and noise that hypotheses were compared with.
     """
 
     base: Likelihood
@@ -42,3 +44,4 @@ class Explanation:
     first: list[Hypothesis]
     last: list[Hypothesis]
     considered: int
+    discrepancy: Discrepancy

@@ -17,11 +17,6 @@ class Window:
     start_s: float = -math.inf
     end_s: float = math.inf
 
-    @property
-    def one_ended(self) -> bool:
-        """Whether exactly one end of the window is an end of the recording."""
-        return math.isinf(self.start_s) != math.isinf(self.end_s)
-
 
 @dataclass(frozen=True)
 class Site:

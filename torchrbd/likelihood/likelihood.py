@@ -68,7 +68,7 @@ class Likelihood:
         sites[:, machine.friction.index] = hyper.resists.reshape(3, -1)
         self._bodies = expanded(root * hyper.bodies, hyper.kappa)
         self.gaussian = Gaussian(whitened, sites.shape[1], self._bodies, sites, machine.local)
-        self._refits, self._residuals = dict[tuple[int, ...], Likelihood](), dict[int, np.ndarray]()
+        self._residuals = dict[int, np.ndarray]()
 
     def _design(self, joint: int, known: Design | None) -> Design:
         extras = [(int(k), e) for k, e in zip(self._first, self.extra, strict=False) if joint in e.joints]
@@ -252,16 +252,13 @@ class Likelihood:
         hyper = self.hyper.with_(noise=tuple(noise), dispersion=dispersion)
         return Likelihood(self.machine, hyper, self.extra, self._along, self._designs, blocks)
 
-    def rewidened(self, joints: Sequence[int] | None = None) -> Likelihood:
+    def rewidened(self) -> Likelihood:
         """Return the same model with the most probable widths of friction's sign change.
 
         All rows have equal weight here: the rows that show the widths, at reversals, would otherwise have less weight
         the worse they are explained.
-
-        Args:
-            joints: where; everywhere if not given.
         """
-        joints, widths = self._seen(joints), np.array(self.hyper.rest_width)
+        joints, widths = self._seen(None), np.array(self.hyper.rest_width)
         one, noise = np.ones(len(self.machine.rows.t)), list(self.hyper.noise)
         for j in joints:
             noise[j] = replace(noise[j], spread=one, tail=None)
@@ -356,33 +353,10 @@ class Likelihood:
         viscous, plus, minus = torch.from_numpy(fit.friction).unbind(1)
         return hyper.with_(friction=torch.stack((viscous, 0.5 * (plus + minus), 0.5 * (plus - minus)), 1))
 
-    @property
-    def with_normal_noise(self) -> Likelihood:
-        """The same model without heavy tails of its noise: steps in time look like heavy tails."""
-        if all(n.tail is None for n in self.hyper.noise):
-            return self
-        return self.with_(noise=tuple(replace(n, tail=None) for n in self.hyper.noise)).levelled()
-
-    @cached_property
-    def with_new_noise(self) -> Likelihood:
-        """The same model with its noise learnt again."""
-        return self.renoised(dispersed=True)
-
     @cached_property
     def refit(self) -> Likelihood:
         """The same model with noise, widths and bodies learnt again, given its columns."""
         return self.renoised().rewidened().relinearised().renoised(dispersed=True)
-
-    def refit_with(self, widths: np.ndarray) -> Likelihood:
-        """Return the same model with noise and bodies learnt again, given widths (n,) [rad/s] or [m/s]."""
-        return self.renoised().with_(rest_width=widths).plausible().renoised(dispersed=True)
-
-    def refit_at(self, joints: Sequence[int]) -> Likelihood:
-        """Return the same model with noise, bodies and some joints' widths learnt again; the load changes little."""
-        key = tuple(joints)
-        if key not in self._refits:
-            self._refits[key] = self.renoised().rewidened(key).plausible().renoised(dispersed=True)
-        return self._refits[key]
 
     def rescaled(self, ratios: Mapping[int, float]) -> Likelihood:
         """Return the same model with other prior sizes of additional columns, times ``ratios`` by their number.
@@ -400,16 +374,13 @@ class Likelihood:
         blocks = [b.sized(by[b.own]) for b in self.gaussian.blocks]
         return Likelihood(self.machine, self.hyper, extra, self._along, designs, blocks)
 
+    def of_machine(self, machine: Machine) -> Likelihood:
+        """Return the same model of another machine with the same components."""
+        return Likelihood(machine, self.hyper, self.extra, self._along)
+
     def extended(self, extra: Sequence[Extra]) -> Likelihood:
         """Return the same model with other additional columns."""
         return Likelihood(self.machine, self.hyper, extra, self._along, self._designs, self.gaussian.blocks)
-
-    def with_noise_of(self, other: Likelihood) -> Likelihood:
-        """Return the same model with the noise of another one, whose rows are reused if the machine's columns agree."""
-        noise = other.hyper.noise
-        each = zip(self._designs, other._designs, other.gaussian.blocks, noise, strict=True)
-        blocks = [one.white(n, b.bare if one.bare is its.bare else None) for one, its, b, n in each]
-        return Likelihood(self.machine, self.hyper.with_(noise=noise), self.extra, self._along, self._designs, blocks)
 
     def with_(self, **changes: object) -> Likelihood:
         """Return the same model with some hyperparameters changed, see ``Hyper``."""

@@ -59,12 +59,6 @@ class Fit:
         """Inertial parameters (n_params,)."""
         return torch.from_numpy(self.rows.pi(self.x[: self.rows.X.shape[1]]))
 
-    def by_block(self, e: np.ndarray) -> np.ndarray:
-        """Return the sums of squares of whitened e (N,) by block and joint, in squares of torques, (B, n)."""
-        n, B = len(self.rows.parts), int(self.rows.block.max()) + 1
-        sums = np.bincount(self.rows.block * n + self.rows.joint, e**2, B * n).reshape(B, n)
-        return sums * self.rows.noise[1] ** 2
-
     def renoised(self) -> Fit:
         """Return the same fit whitened by what it leaves."""
         return Fit(Rows(self.rows.samples, self.rows.prior, self.noise()), self.terms, self.extra)

@@ -1,0 +1,141 @@
+"""The discrepancy: torque that the model lacks, whatever it is, as smooth curves; and the noise that these leave.
+
+    tau_j = machine + laws + sum_k a_k f_k(x_k) + noise,   x_k one of the joint's own q, qd, qdd, load, and time
+
+An effect that is left out colours the noise that is learnt without it, and this noise then hides it. So the noise is
+learnt once, with curves of unknown amplitude a in the model, and held for all hypotheses. Curves that the data do not
+need, or that the noise explains as well if it is learnt without them, are dropped: what they took would be missing in
+the noise. The others stay in the model: a law has to explain more than they do, and where it does they go.
+
+Source: Kennedy and O'Hagan, "Bayesian calibration of computer models", J. R. Stat. Soc. B 2001, sec. 4.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import null_space
+
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.rows import Rows
+from torchrbd.diagnosis.calibration import calibrated
+from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.residual import curves_at, tones
+from torchrbd.effects.smooth_torque import HUM, SmoothTorque
+from torchrbd.likelihood.additions import Additions
+from torchrbd.likelihood.extra import Extra
+from torchrbd.likelihood.likelihood import Likelihood
+
+# Steps of amplitudes and noise, and how many while curves are dropped; gain [nats] that is worth another one.
+_STEPS, _FEW, _SETTLED = 20, 2, 0.1
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """Curves and what is learnt with them.
+
+    Attributes:
+        fit: the machine with noise and dispersion that are learnt with the curves, without these.
+        curves: those that the data need.
+        extra: their columns.
+    """
+
+    fit: Likelihood
+    curves: tuple[Hypothesis, ...]
+    extra: tuple[Extra, ...]
+
+
+def learn_discrepancy(base: Likelihood, rows: Rows) -> Discrepancy:
+    """Learn amplitudes of curves, and noise.
+
+    Args:
+        base: the machine.
+        rows: its rows, whose signals carry its load and friction.
+    """
+    own = [h for h in curves_at(base, rows, range(rows.n_dof)) if is_over_own_signal(h.candidate)]
+    curves = [*own, *tones(base, rows)]
+    # Before the data, one of all curves is expected.
+    before = calibrated(-math.log(max(len(curves), 1)))
+    plain = base.with_(noise=tuple(replace(n, tail=None) for n in base.hyper.noise), dispersion=np.ones(rows.n_dof))
+    fit, steps = plain.extended([h.extra(base, rows) for h in curves]).renoised(), _FEW
+    while True:
+        fit = _learn_both(fit, steps)
+        last = _with_tails(fit)
+        worth = [last.evidence_for(k) + h.paid + before for k, h in enumerate(curves)]
+        if min(worth, default=1.0) > 0.0 and steps == _STEPS:
+            worth = _more_than_noise(fit, last, curves, before)
+            if min(worth, default=1.0) > 0.0:
+                break
+        # The worst half: the noise that is learnt without them may need the others.
+        drop = sorted((k for k, one in enumerate(worth) if one <= 0.0), key=worth.__getitem__)
+        drop = drop[: (len(drop) + 1) // 2]
+        curves = [h for k, h in enumerate(curves) if k not in drop]
+        fit, steps = _without(fit, drop), _FEW if drop else _STEPS
+    held = base.with_(noise=last.hyper.noise, dispersion=last.hyper.dispersion)
+    return Discrepancy(held, tuple(curves), last.extra)
+
+
+def bent(curve: Hypothesis) -> np.ndarray:
+    """Return directions (K - 1, K) of a curve's coefficients without that in which it is a straight line."""
+    line = np.linspace(-1.0, 1.0, len(curve.coefficients))
+    return null_space(line[None]).T
+
+
+def _more_than_noise(fit: Likelihood, last: Likelihood, curves: Sequence[Hypothesis], before: float) -> list[float]:
+    """Return the log odds of each curve against noise that is learnt without it; curves over time are noise.
+
+    Args:
+        fit, last: the model with normal noise, and with its tails.
+        curves: its curves.
+        before: log odds of each before the data.
+    """
+    worth = []
+    for k, h in enumerate(curves):
+        if is_of_time(h.candidate):
+            worth.append(math.inf)
+            continue
+        other = _with_tails(_learn_both(_without(fit, [k]), _FEW)).dispersed(last.hyper.dispersion)
+        worth.append(last.log_evidence - other.log_evidence + h.paid + before)
+    return worth
+
+
+def _without(fit: Likelihood, drop: Collection[int]) -> Likelihood:
+    """Return a fit without some of its additional columns, its noise learnt again."""
+    return fit.extended([e for k, e in enumerate(fit.extra) if k not in drop]).renoised()
+
+
+def _with_tails(fit: Likelihood) -> Likelihood:
+    return fit.with_heavy_tails.renoised(dispersed=True)
+
+
+def is_over_own_signal(candidate: Candidate) -> bool:
+    """Say whether a curve is one over a joint's own state, or over time."""
+    effect = candidate.effect
+    own = isinstance(effect, SmoothTorque) and effect is not HUM and not effect.times_own
+    return own and candidate.site.other is None
+
+
+def is_of_time(candidate: Candidate) -> bool:
+    """Say whether a term is a curve over time; a tone is none."""
+    effect = candidate.effect
+    return isinstance(effect, SmoothTorque) and effect is not HUM and effect.signal == "t"
+
+
+def _learn_both(fit: Likelihood, steps: int) -> Likelihood:
+    """Return a fit whose amplitudes and noise are learnt, one after the other."""
+    for _ in range(steps):
+        before, fit = fit.log_evidence, _likeliest(fit).renoised()
+        if abs(fit.log_evidence - before) < _SETTLED:
+            break
+    return fit
+
+
+def _likeliest(fit: Likelihood) -> Likelihood:
+    """Return a fit whose additional columns have the amplitudes of greatest evidence."""
+    before, curves = Additions(fit, fit.extra), range(len(fit.extra))
+    after = before.likeliest(curves)
+    sizes = ((k, after.std[before.at(k)].max() / before.std[before.at(k)].max()) for k in curves)
+    return fit.rescaled({k: float(ratio) for k, ratio in sizes})

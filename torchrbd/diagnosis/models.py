@@ -1,0 +1,197 @@
+"""What a hypothesis is worth in a model: its log evidence, given the other terms, the curves and the noise.
+
+A model is the machine, hypotheses, and the curves of the discrepancy that these leave needed. Noise is held. Curves
+have the amplitudes of greatest evidence, so nothing is integrated over the rows again: see ``additions``.
+
+    score = log p(tau | model) + sum over its curves of their prior log odds
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.rows import Rows
+from torchrbd.diagnosis.discrepancy import Discrepancy, bent, is_of_time
+from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, support
+from torchrbd.diagnosis.posterior import log_odds
+from torchrbd.effects import Effect
+from torchrbd.effects.base import ShowsBodies
+from torchrbd.effects.smooth_torque import SmoothTorque
+from torchrbd.likelihood.additions import Additions
+from torchrbd.likelihood.extra import Extra
+from torchrbd.likelihood.gaussian import truncated
+from torchrbd.likelihood.likelihood import Likelihood
+
+# Models that are kept.
+_KNOWN = 4
+
+
+class Models:
+    """The models of a search, lists of hypotheses, and what each hypothesis is worth in one.
+
+    Args:
+        rows: that features are built from.
+        effects: what may be there.
+        discrepancy: curves and noise.
+    """
+
+    def __init__(self, rows: Rows, effects: Sequence[Effect], discrepancy: Discrepancy) -> None:
+        self.rows, self.effects, self.discrepancy = rows, effects, discrepancy
+        # Curves that hypotheses may make needless, and their log odds as terms. Those over time are noise and stay.
+        lasting_curves = ((k, h) for k, h in enumerate(discrepancy.curves) if not is_of_time(h.candidate))
+        self._rare = {k: log_odds(replace(h, log_evidence=h.paid), rows) for k, h in lasting_curves}
+        self._basis = [self._directions(h) for h in discrepancy.curves]
+        pairs = zip(self._basis, discrepancy.extra, strict=True)
+        self._curves = [e if len(b) == e.n else Extra(e.place, b @ e.features, e.std[1:]) for b, e in pairs]
+        self._known = dict[tuple[tuple[Candidate, float], ...], tuple[Likelihood, Additions]]()
+
+    def _directions(self, curve: Hypothesis) -> np.ndarray:
+        """Return the directions (n, K) of a curve's coefficients.
+
+        Every rotor has inertia: a curve over the acceleration is what this does not explain, if it may be there.
+        """
+        effect, whole = curve.candidate.effect, np.eye(len(curve.coefficients))
+        linear = isinstance(effect, SmoothTorque) and effect.signal == "qdd" and any(e.of_rotor for e in self.effects)
+        return bent(curve) if linear else whole
+
+    def odds(self, h: Hypothesis) -> float:
+        """Return the log odds of a hypothesis."""
+        return log_odds(h, self.rows)
+
+    def ordered(self, found: Iterable[Hypothesis]) -> list[Hypothesis]:
+        """Return hypotheses, the likeliest first."""
+        return sorted(found, key=lambda h: -self.odds(h))
+
+    def fit(self, chosen: Sequence[Hypothesis]) -> Likelihood:
+        """Return the model with hypotheses, then the curves, whose amplitudes are learnt with them."""
+        return self._model(chosen)[0]
+
+    def _model(self, chosen: Sequence[Hypothesis]) -> tuple[Likelihood, Additions]:
+        """Return the model, and the same as components that are added to its machine, all curves among them."""
+        key = tuple((h.candidate, h.scale) for h in chosen)
+        if key not in self._known:
+            base, curves = self.discrepancy.fit, self._curves
+            extras = [h.extra(base, self.rows) for h in chosen]
+            small, n = self._with_needed_curves(Additions(base, [*extras, *curves]), len(chosen)), len(chosen)
+            kept = [replace(e, std=small.std[small.at(n + k)]) for k, e in enumerate(curves) if small.has(n + k)]
+            fit = show_bodies(base.extended([*extras, *kept]).plausible(), self.rows, chosen)
+            self._known[key] = fit, self._with_needed_curves(Additions(fit, [*extras, *curves]), n)
+            for old in list(self._known)[:-_KNOWN]:
+                del self._known[old]
+        return self._known[key]
+
+    def _with_needed_curves(self, model: Additions, first: int) -> Additions:
+        """Return a model whose curves have their likeliest amplitudes, without those that are less likely than not.
+
+        Args:
+            model: with the curves.
+            first: number of the first curve.
+        """
+        kept = [k for k in self._rare if model.has(first + k)]
+        time = [first + k for k in range(len(self._curves)) if k not in self._rare]
+        while True:
+            model = model.likeliest([*time, *(first + k for k in kept)])
+            odds = {k: model.evidence_for(first + k) + self._rare[k] for k in kept}
+            least = min(kept, key=odds.__getitem__, default=None)
+            if least is None or odds[least] > 0.0:
+                return model
+            model = model.without(first + least)
+            kept.remove(least)
+
+    def _score(self, model: Additions, first: int) -> float:
+        """Return the log evidence of a model, signs of friction included, plus the prior log odds of its curves."""
+        rare = sum(rare for k, rare in self._rare.items() if model.has(first + k))
+        return model.log_evidence + model.resistance + rare
+
+    def total(self, chosen: Sequence[Hypothesis]) -> float:
+        """Return the log evidence of a model, with what its curves cost."""
+        fit, model = self._model(chosen)
+        return fit.log_evidence + self._score(model, len(chosen)) - model.log_evidence - model.resistance
+
+    def evidence(self, chosen: Sequence[Hypothesis], *offered: Hypothesis) -> list[Hypothesis]:
+        """Return hypotheses, each given a model, with coefficients and evidence.
+
+        Signs and physical bounds count, and free choices. Curves have other amplitudes with each hypothesis. One that
+        makes a curve needless gets what that costs, by its prior odds.
+        """
+        fit, without = self._model(chosen)
+        first, new, score = len(chosen), len(without), self._score(without, len(chosen))
+        found = list[Hypothesis]()
+        for h in offered:
+            size, scales = believed(fit, self.rows, h.candidate)
+            with_it = self._with_needed_curves(without.with_([h.extra(fit, self.rows)]), first)
+            scale = max(scales, key=lambda one: with_it.sized({new: one * size}).log_evidence)
+            if scale != h.scale:
+                h = replace(h, scale=scale)
+                with_it = self._with_needed_curves(with_it.sized({new: scale * size}), first)
+            found.append(self._judged(h, fit, with_it, new, self._score(with_it, first) - score))
+        return found
+
+    def conditional(self, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return the terms of a model, each with its evidence given all others."""
+        fit, every = self._model(chosen)
+        first, found = len(chosen), list[Hypothesis]()
+        sizes = {first + k: e.std for k, e in enumerate(self._curves)}
+        for k, h in enumerate(chosen):
+            # Curves that it makes needless come back.
+            without = self._with_needed_curves(every.sized(sizes).without(k), first)
+            gain = self._score(every, first) - self._score(without, first)
+            found.append(self._judged(h, fit, every, k, gain))
+        return found
+
+    def _judged(self, h: Hypothesis, fit: Likelihood, model: Additions, k: int, gain: float) -> Hypothesis:
+        """Return a hypothesis as the k-th component of a model, which gains so much by it at the size that it has."""
+        mean, covariance = model.coefficients(k), model.covariance(k)
+        std = np.sqrt(covariance.diagonal())
+        signs = truncated(mean, std, h.candidate.effect.prior.positive)
+        bounds = signs + support(h, fit, self.rows, mean, covariance, model.friction)
+        size, scales = believed(fit, self.rows, h.candidate)
+        each = np.array([model.sized({k: scale * size}).log_evidence for scale in scales])
+        gain += mean_of(each) - model.log_evidence
+        return replace(h, log_evidence=float(gain + bounds + h.paid), coefficients=mean, std=std)
+
+    def with_and_without_curves(self, chosen: Sequence[Hypothesis]) -> list[Likelihood]:
+        """Return a model, and the same without curves if it has any."""
+        fit = self.fit(chosen)
+        return [fit] if len(fit.extra) == len(chosen) else [fit, fit.extended(fit.extra[: len(chosen)])]
+
+    def own_curves(self, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return the discrepancy's curves that a model needs besides its terms.
+
+        Curves over time are noise: they predict no other time. What drifts is reported from the residual.
+        """
+        model, n = self._model(chosen)[1], len(chosen)
+        return [self._as_learnt(k, model, n + k) for k in self._rare if model.has(n + k)]
+
+    def _as_learnt(self, curve: int, model: Additions, k: int) -> Hypothesis:
+        """Return a curve with amplitude, coefficients and evidence of the k-th component of a model."""
+        h, basis = self.discrepancy.curves[curve], self._basis[curve]
+        before = h.extra(self.discrepancy.fit, self.rows).std.max() / h.scale
+        return replace(
+            h,
+            log_evidence=model.evidence_for(k),
+            coefficients=basis.T @ model.coefficients(k),
+            std=np.sqrt(np.einsum("ik,ij,jk->k", basis, model.covariance(k), basis)),
+            scale=float(model.std[model.at(k)].max() / before),
+        )
+
+    def judge(self, chosen: Sequence[Hypothesis], offered: Iterable[Hypothesis]) -> list[Hypothesis]:
+        """Return hypotheses with their evidence given a model, the likeliest first."""
+        return self.ordered(self.evidence(chosen, *{h.candidate: h for h in offered}.values()))
+
+
+def show_bodies(fit: Likelihood, rows: Rows, chosen: Sequence[Hypothesis]) -> Likelihood:
+    """Return a model whose bodies act through those of its terms that show them, too."""
+    pi = rows.columns.pi
+    for k, h in enumerate(chosen):
+        effect = h.candidate.effect
+        if pi is None or not (isinstance(effect, ShowsBodies) and h.candidate.site.always):
+            continue
+        C = rows.through_bodies(effect, fit.coefficients(k))
+        machine = fit.machine.felt_through(C, pi.numpy())
+        fit = fit.of_machine(machine).plausible()
+    return fit

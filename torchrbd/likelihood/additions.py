@@ -1,0 +1,216 @@
+"""Additional columns given a machine: what they are worth is linear algebra of a few hundred numbers, not of rows.
+
+    S = C'C - V'V,   V = F^-1 X'C,   r = C'(y - X z^)
+    log B = 1/2 r'D A^-1 D r - 1/2 log det A,   A = 1 + D S D
+
+X and C are whitened columns of the machine and of the components that are added; F is the root of the machine's
+precision, z^ its coefficients, D the prior's standard deviations. See ``gaussian``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import get_lapack_funcs
+
+from torchrbd.likelihood.extra import Extra
+from torchrbd.likelihood.gaussian import truncated
+from torchrbd.likelihood.likelihood import Likelihood
+
+# Steps of amplitudes; gain [nats] that is worth another one; factors of one step; least degrees of freedom.
+_STEPS, _LEAST_GAIN, _LEAST, _MOST, _FREEDOM = 20, 0.1, 0.1, 10.0, 1e-6
+
+_potrf, _potri, _potrs = get_lapack_funcs(("potrf", "potri", "potrs"), dtype=np.float64)
+
+
+class White(NamedTuple):
+    """Whitened columns (K, m) at a joint, and the numbers (K,) of their coefficients."""
+
+    joint: int
+    at: np.ndarray
+    columns: np.ndarray
+
+
+class Additions:
+    """Components given a machine, whose friction may have any sign: ``resistance`` is what signs are worth.
+
+    Args:
+        fit: the machine, with its noise.
+        extra: what is added to it.
+
+    Attributes:
+        std: (K,) prior standard deviations of all coefficients.
+    """
+
+    def __init__(self, fit: Likelihood, extra: Sequence[Extra] = ()) -> None:
+        free = np.zeros_like(fit.hyper.resists)
+        self._machine, self.std, self._first = fit.extended(()).with_(resists=free), np.zeros(0), [0]
+        self._S, self._r, self._white = np.zeros((0, 0)), np.zeros(0), tuple[White, ...]()
+        self._V = self._taken = np.zeros((len(self._machine.gaussian.z), 0))
+        self._friction_variance = self._machine.gaussian.covariance(fit.machine.friction.index).diagonal()
+        self._append(extra)
+
+    def __len__(self) -> int:
+        return len(self._first) - 1
+
+    def with_(self, extra: Sequence[Extra]) -> Additions:
+        """Return these components and others."""
+        other = self._copy(self.std)
+        other._append(extra)
+        return other
+
+    def without(self, k: int) -> Additions:
+        """Return all components but the k-th: its prior is that it is zero."""
+        std = self.std.copy()
+        std[self.at(k)] = 0.0
+        return self._copy(std)
+
+    def has(self, k: int) -> bool:
+        """Say whether the k-th component is in the model: ``without`` leaves it out."""
+        return bool(self.std[self.at(k)].any())
+
+    def at(self, k: int) -> np.ndarray:
+        """Return the numbers of the k-th component's coefficients."""
+        return np.arange(self._first[k], self._first[k + 1])
+
+    def _copy(self, std: np.ndarray) -> Additions:
+        other = copy(self)
+        for name in ("_active", "_root", "_inverse", "z", "log_evidence"):
+            other.__dict__.pop(name, None)
+        other.std = std
+        return other
+
+    def _append(self, extra: Sequence[Extra]) -> None:
+        gaussian, known = self._machine.gaussian, len(self.std)
+        first = known + np.cumsum([0, *(e.n for e in extra)])
+        new = [white for k, e in zip(first.tolist(), extra, strict=False) for white in self._whitened(k, e)]
+        K = int(first[-1])
+        cross, own, r = np.zeros((len(gaussian.z), K - known)), np.zeros((K, K - known)), np.zeros(K - known)
+        for joint, at, C in new:
+            cross[np.ix_(gaussian.blocks[joint].own, at - known)] += gaussian.blocks[joint].times(C.T)
+            r[at - known] += C @ gaussian.left[joint]
+            for there, D in ((one.at, one.columns) for one in (*self._white, *new) if one.joint == joint):
+                own[np.ix_(there, at - known)] += D @ C.T
+        V = np.concatenate((self._V, gaussian.half(cross)), axis=1)
+        own -= V.T @ V[:, known:]
+        self._S = np.block([[self._S, own[:known]], [own[:known].T, own[known:]]])
+        self._r, self.std = np.concatenate((self._r, r)), np.concatenate((self.std, *(e.std for e in extra)))
+        self._V, self._taken = V, np.concatenate((self._taken, gaussian.solve(cross)), axis=1)
+        self._first, self._white = [*self._first, *first[1:].tolist()], (*self._white, *new)
+
+    def _whitened(self, first: int, extra: Extra) -> list[White]:
+        """Return a component's columns at all joints that have rows; its coefficients count from the first."""
+        found = [(j, *extra.columns(j)) for j in extra.joints if len(self._machine.index[j])]
+        noise = self._machine.hyper.noise
+        return [White(j, first + at, noise[j].white(columns)) for j, columns, at in found]
+
+    @cached_property
+    def _active(self) -> np.ndarray:
+        """Numbers of the coefficients that are in the model."""
+        return np.flatnonzero(self.std)
+
+    @cached_property
+    def _root(self) -> np.ndarray:
+        """Cholesky's lower factor of A for the coefficients in the model."""
+        at, std = self._active, self.std[self._active]
+        L, failed = _potrf(np.eye(len(at)) + std[:, None] * self._S[np.ix_(at, at)] * std, lower=1, clean=1)
+        if failed:
+            raise np.linalg.LinAlgError("additional components have no positive definite precision")
+        return L
+
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        """A^-1 (K, K), of a coefficient that is not in the model its prior."""
+        found = np.eye(len(self.std))
+        if len(self._active):
+            half, _ = _potri(self._root, lower=1)
+            found[np.ix_(self._active, self._active)] = np.tril(half) + np.tril(half, -1).T
+        return found
+
+    @cached_property
+    def z(self) -> np.ndarray:
+        """Coefficients (K,) in units of their prior standard deviations, posterior mean."""
+        found = np.zeros(len(self.std))
+        if len(self._active):
+            found[self._active], _ = _potrs(self._root, (self.std * self._r)[self._active], lower=1)
+        return found
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Log evidence [nats] of the components, against none."""
+        return 0.5 * float(self.z @ (self.std * self._r)) - float(np.log(self._root.diagonal()).sum())
+
+    def coefficients(self, k: int) -> np.ndarray:
+        """Return the coefficients (K,) of the k-th component in their own units."""
+        return self.z[self.at(k)] * self.std[self.at(k)]
+
+    def covariance(self, k: int) -> np.ndarray:
+        """Return their posterior covariance (K, K)."""
+        at = self.at(k)
+        return self._inverse[np.ix_(at, at)] * np.outer(self.std[at], self.std[at])
+
+    def evidence_for(self, k: int) -> float:
+        """Return the log evidence for the k-th component given the others: the Savage-Dickey density ratio."""
+        at = self.at(k)
+        after, z = self._inverse[np.ix_(at, at)], self.z[at]
+        return 0.5 * float(np.linalg.slogdet(after)[1] + z @ np.linalg.solve(after, z))
+
+    @property
+    def friction(self) -> np.ndarray:
+        """Viscous and both Coulomb coefficients of the machine's joints given the components, (n, 3)."""
+        z = self._machine.gaussian.z - self._taken @ (self.z * self.std)
+        return self._machine.machine.friction.of(z, self._machine.hyper)
+
+    @property
+    def resistance(self) -> float:
+        """Log evidence [nats] that friction resists: of the signs of the machine's own coefficients, one by one."""
+        at = self._machine.machine.friction.index
+        taken = self._taken[at] * self.std
+        variance = self._friction_variance + ((taken @ self._inverse) * taken).sum(1)
+        mean = self._machine.gaussian.z[at] - taken @ self.z
+        return float(truncated(mean, np.sqrt(np.maximum(variance, 0.0)), range(len(at))))
+
+    def sized(self, sizes: Mapping[int, np.ndarray]) -> Additions:
+        """Return the same components; some have other prior standard deviations (K,), by their number."""
+        std = self.std.copy()
+        for k, size in sizes.items():
+            std[self.at(k)] = size
+        return self._copy(std)
+
+    def rescaled(self, ratios: Mapping[int, float]) -> Additions:
+        """Return the same components with other prior sizes, times ``ratios`` by their number."""
+        std = self.std.copy()
+        for k, ratio in ratios.items():
+            std[self.at(k)] *= ratio
+        return self._copy(std)
+
+    def likeliest(self, components: Sequence[int]) -> Additions:
+        """Return the same model; some components have the amplitudes of greatest evidence.
+
+            a^2 <- a^2 sum z^2 / (K - sum var z)
+
+        Where a step lowers the evidence, one of expectation-maximisation is taken instead.
+
+        Source: MacKay, "Bayesian Interpolation", Neural Computation 1992, eq. 4.8.
+        """
+        now = self
+        for _ in range(_STEPS if components else 0):
+            variance = now._inverse.diagonal()
+            each = [(now.z[at], variance[at]) for at in map(now.at, components)]
+            fixed = [(z @ z) / max(len(z) - var.sum(), _FREEDOM) for z, var in each]
+            then = now._by(components, fixed)
+            if then.log_evidence < now.log_evidence:
+                then = now._by(components, [(z @ z + var.sum()) / len(z) for z, var in each])
+            if then.log_evidence < now.log_evidence + _LEAST_GAIN:
+                break
+            now = then
+        return now
+
+    def _by(self, components: Sequence[int], squares: Sequence[float]) -> Additions:
+        """Return the same components, the prior variances of some times ``squares``, within the limits of one step."""
+        ratios = np.clip(np.sqrt(squares), _LEAST, _MOST).tolist()
+        return self.rescaled(dict(zip(components, ratios, strict=True)))
