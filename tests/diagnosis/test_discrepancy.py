@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from likelihood.fits import Motion, at_joint, carried, fitted
 
-from torchrbd.diagnosis.discrepancy import Discrepancy, bent, is_of_time, learn_discrepancy
+from torchrbd.diagnosis.discrepancy import Discrepancy, learn_discrepancy
+from torchrbd.diagnosis.residual import curvature_directions, is_of_time
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.likelihood.likelihood import Likelihood
 
@@ -58,13 +59,13 @@ def test_a_tone_is_none_of_the_colours_of_the_noise() -> None:
     assert not is_of_time(tones[0].candidate)
 
 
-def test_a_bent_curve_holds_no_straight_line() -> None:
-    """What is linear in the signal has no share of it; line and bent curve together are the whole curve."""
+def test_curvature_holds_no_straight_line() -> None:
+    """What is linear in the signal has no share of it; line and curvature together are the whole curve."""
     fit = fitted(BUMP)
     found, rows = learnt(fit), carried(fit)
     (curve,) = (h for h in found.curves if h.candidate.effect.id == "smooth_torque_over_q")
     line = np.linspace(-1.0, 1.0, len(curve.coefficients))
-    basis = np.concatenate((bent(curve), line[None] / np.linalg.norm(line)))
+    basis = np.concatenate((curvature_directions(curve), line[None] / np.linalg.norm(line)))
     np.testing.assert_allclose(basis @ basis.T, np.eye(len(line)), atol=1e-12)
     q = rows.q[0]
     inside = (q > np.quantile(q, 0.02)) & (q < np.quantile(q, 0.98))

@@ -17,14 +17,12 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import null_space
 
-from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.hypotheses import Hypothesis
-from torchrbd.diagnosis.residual import curves_at, tones
-from torchrbd.effects.smooth_torque import HUM, SmoothTorque
+from torchrbd.diagnosis.posterior import needless
+from torchrbd.diagnosis.residual import curves_at, is_of_time, is_over_own_signal, tones
 from torchrbd.likelihood.additions import Additions
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.likelihood import Likelihood
@@ -62,26 +60,18 @@ def learn_discrepancy(base: Likelihood, rows: Rows) -> Discrepancy:
     plain = base.with_(noise=tuple(replace(n, tail=None) for n in base.hyper.noise), dispersion=np.ones(rows.n_dof))
     fit, steps = plain.extended([h.extra(base, rows) for h in curves]).renoised(), _FEW
     while True:
-        fit = _learn_both(fit, steps)
+        fit = _learn_amplitudes_and_noise(fit, steps)
         last = _with_tails(fit)
         worth = [last.evidence_for(k) + h.paid + before for k, h in enumerate(curves)]
         if min(worth, default=1.0) > 0.0 and steps == _STEPS:
             worth = _more_than_noise(fit, last, curves, before)
             if min(worth, default=1.0) > 0.0:
                 break
-        # The worst half: the noise that is learnt without them may need the others.
-        drop = sorted((k for k, one in enumerate(worth) if one <= 0.0), key=worth.__getitem__)
-        drop = drop[: (len(drop) + 1) // 2]
+        drop = needless(worth)
         curves = [h for k, h in enumerate(curves) if k not in drop]
         fit, steps = _without(fit, drop), _FEW if drop else _STEPS
     held = base.with_(noise=last.hyper.noise, dispersion=last.hyper.dispersion)
     return Discrepancy(held, tuple(curves), last.extra)
-
-
-def bent(curve: Hypothesis) -> np.ndarray:
-    """Return directions (K - 1, K) of a curve's coefficients without that in which it is a straight line."""
-    line = np.linspace(-1.0, 1.0, len(curve.coefficients))
-    return null_space(line[None]).T
 
 
 def _more_than_noise(fit: Likelihood, last: Likelihood, curves: Sequence[Hypothesis], before: float) -> list[float]:
@@ -97,7 +87,7 @@ def _more_than_noise(fit: Likelihood, last: Likelihood, curves: Sequence[Hypothe
         if is_of_time(h.candidate):
             worth.append(math.inf)
             continue
-        other = _with_tails(_learn_both(_without(fit, [k]), _FEW)).dispersed(last.hyper.dispersion)
+        other = _with_tails(_learn_amplitudes_and_noise(_without(fit, [k]), _FEW)).dispersed(last.hyper.dispersion)
         worth.append(last.log_evidence - other.log_evidence + h.paid + before)
     return worth
 
@@ -111,20 +101,7 @@ def _with_tails(fit: Likelihood) -> Likelihood:
     return fit.with_heavy_tails.renoised(dispersed=True)
 
 
-def is_over_own_signal(candidate: Candidate) -> bool:
-    """Say whether a curve is one over a joint's own state, or over time."""
-    effect = candidate.effect
-    own = isinstance(effect, SmoothTorque) and effect is not HUM and not effect.times_own
-    return own and candidate.site.other is None
-
-
-def is_of_time(candidate: Candidate) -> bool:
-    """Say whether a term is a curve over time; a tone is none."""
-    effect = candidate.effect
-    return isinstance(effect, SmoothTorque) and effect is not HUM and effect.signal == "t"
-
-
-def _learn_both(fit: Likelihood, steps: int) -> Likelihood:
+def _learn_amplitudes_and_noise(fit: Likelihood, steps: int) -> Likelihood:
     """Return a fit whose amplitudes and noise are learnt, one after the other."""
     for _ in range(steps):
         before, fit = fit.log_evidence, _likeliest(fit).renoised()

@@ -15,9 +15,10 @@ import numpy as np
 
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
-from torchrbd.diagnosis.discrepancy import Discrepancy, bent, is_of_time
+from torchrbd.diagnosis.discrepancy import Discrepancy
 from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, support
 from torchrbd.diagnosis.posterior import log_odds
+from torchrbd.diagnosis.residual import curvature_directions, is_of_time
 from torchrbd.effects import Effect
 from torchrbd.effects.base import ShowsBodies
 from torchrbd.effects.smooth_torque import SmoothTorque
@@ -56,7 +57,7 @@ class Models:
         """
         effect, whole = curve.candidate.effect, np.eye(len(curve.coefficients))
         linear = isinstance(effect, SmoothTorque) and effect.signal == "qdd" and any(e.of_rotor for e in self.effects)
-        return bent(curve) if linear else whole
+        return curvature_directions(curve) if linear else whole
 
     def odds(self, h: Hypothesis) -> float:
         """Return the log odds of a hypothesis."""
@@ -76,15 +77,15 @@ class Models:
         if key not in self._known:
             base, curves = self.discrepancy.fit, self._curves
             extras = [h.extra(base, self.rows) for h in chosen]
-            small, n = self._with_needed_curves(Additions(base, [*extras, *curves]), len(chosen)), len(chosen)
+            small, n = self._prune_curves(Additions(base, [*extras, *curves]), len(chosen)), len(chosen)
             kept = [replace(e, std=small.std[small.at(n + k)]) for k, e in enumerate(curves) if small.has(n + k)]
             fit = show_bodies(base.extended([*extras, *kept]).plausible(), self.rows, chosen)
-            self._known[key] = fit, self._with_needed_curves(Additions(fit, [*extras, *curves]), n)
+            self._known[key] = fit, self._prune_curves(Additions(fit, [*extras, *curves]), n)
             for old in list(self._known)[:-_KNOWN]:
                 del self._known[old]
         return self._known[key]
 
-    def _with_needed_curves(self, model: Additions, first: int) -> Additions:
+    def _prune_curves(self, model: Additions, first: int) -> Additions:
         """Return a model whose curves have their likeliest amplitudes, without those that are less likely than not.
 
         Args:
@@ -102,15 +103,18 @@ class Models:
             model = model.without(first + least)
             kept.remove(least)
 
+    def _prior(self, model: Additions, first: int) -> float:
+        """Return the prior log odds of the curves of a model."""
+        return sum(rare for k, rare in self._rare.items() if model.has(first + k))
+
     def _score(self, model: Additions, first: int) -> float:
         """Return the log evidence of a model, signs of friction included, plus the prior log odds of its curves."""
-        rare = sum(rare for k, rare in self._rare.items() if model.has(first + k))
-        return model.log_evidence + model.resistance + rare
+        return model.log_evidence + model.resistance + self._prior(model, first)
 
     def total(self, chosen: Sequence[Hypothesis]) -> float:
-        """Return the log evidence of a model, with what its curves cost."""
+        """Return the log evidence of a model's fit plus the prior log odds of its curves."""
         fit, model = self._model(chosen)
-        return fit.log_evidence + self._score(model, len(chosen)) - model.log_evidence - model.resistance
+        return fit.log_evidence + self._prior(model, len(chosen))
 
     def evidence(self, chosen: Sequence[Hypothesis], *offered: Hypothesis) -> list[Hypothesis]:
         """Return hypotheses, each given a model, with coefficients and evidence.
@@ -123,12 +127,12 @@ class Models:
         found = list[Hypothesis]()
         for h in offered:
             size, scales = believed(fit, self.rows, h.candidate)
-            with_it = self._with_needed_curves(without.with_([h.extra(fit, self.rows)]), first)
+            with_it = self._prune_curves(without.with_([h.extra(fit, self.rows)]), first)
             scale = max(scales, key=lambda one: with_it.sized({new: one * size}).log_evidence)
             if scale != h.scale:
                 h = replace(h, scale=scale)
-                with_it = self._with_needed_curves(with_it.sized({new: scale * size}), first)
-            found.append(self._judged(h, fit, with_it, new, self._score(with_it, first) - score))
+                with_it = self._prune_curves(with_it.sized({new: scale * size}), first)
+            found.append(self._assess(h, fit, with_it, new, self._score(with_it, first) - score))
         return found
 
     def conditional(self, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -138,12 +142,12 @@ class Models:
         sizes = {first + k: e.std for k, e in enumerate(self._curves)}
         for k, h in enumerate(chosen):
             # Curves that it makes needless come back.
-            without = self._with_needed_curves(every.sized(sizes).without(k), first)
+            without = self._prune_curves(every.sized(sizes).without(k), first)
             gain = self._score(every, first) - self._score(without, first)
-            found.append(self._judged(h, fit, every, k, gain))
+            found.append(self._assess(h, fit, every, k, gain))
         return found
 
-    def _judged(self, h: Hypothesis, fit: Likelihood, model: Additions, k: int, gain: float) -> Hypothesis:
+    def _assess(self, h: Hypothesis, fit: Likelihood, model: Additions, k: int, gain: float) -> Hypothesis:
         """Return a hypothesis as the k-th component of a model, which gains so much by it at the size that it has."""
         mean, covariance = model.coefficients(k), model.covariance(k)
         std = np.sqrt(covariance.diagonal())
@@ -165,9 +169,9 @@ class Models:
         Curves over time are noise: they predict no other time. What drifts is reported from the residual.
         """
         model, n = self._model(chosen)[1], len(chosen)
-        return [self._as_learnt(k, model, n + k) for k in self._rare if model.has(n + k)]
+        return [self._estimate(k, model, n + k) for k in self._rare if model.has(n + k)]
 
-    def _as_learnt(self, curve: int, model: Additions, k: int) -> Hypothesis:
+    def _estimate(self, curve: int, model: Additions, k: int) -> Hypothesis:
         """Return a curve with amplitude, coefficients and evidence of the k-th component of a model."""
         h, basis = self.discrepancy.curves[curve], self._basis[curve]
         before = h.extra(self.discrepancy.fit, self.rows).std.max() / h.scale

@@ -103,6 +103,15 @@ def probabilities(log_odds: Sequence[float]) -> np.ndarray:
     return softmax([0.0, *log_odds])[1:]
 
 
+def needless(log_odds: Sequence[float]) -> list[int]:
+    """Return the numbers of the worse half of all terms that are less likely than not, the least likely first.
+
+    The others may be needed where these are gone.
+    """
+    worse = sorted((k for k, one in enumerate(log_odds) if one <= 0.0), key=log_odds.__getitem__)
+    return worse[: (len(worse) + 1) // 2]
+
+
 def _of_family(h: Hypothesis, own: Hypothesis) -> bool:
     same_place = h.candidate.site.joint == own.candidate.site.joint
     return h.candidate.effect.family == own.candidate.effect.family and same_place

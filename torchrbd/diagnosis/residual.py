@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import null_space
 from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, minimize_scalar
 from scipy.signal import detrend, periodogram
@@ -82,6 +83,25 @@ def _peak(x: np.ndarray, t: np.ndarray, near: float, reach: float) -> float:
 def is_curve(candidate: Candidate) -> bool:
     """Say whether a term is a function without a law."""
     return isinstance(candidate.effect, SmoothTorque)
+
+
+def is_over_own_signal(candidate: Candidate) -> bool:
+    """Say whether a curve is one over a joint's own state, or over time."""
+    effect = candidate.effect
+    own = isinstance(effect, SmoothTorque) and effect is not HUM and not effect.times_own
+    return own and candidate.site.other is None
+
+
+def is_of_time(candidate: Candidate) -> bool:
+    """Say whether a term is a curve over time; a tone is none."""
+    effect = candidate.effect
+    return isinstance(effect, SmoothTorque) and effect is not HUM and effect.signal == "t"
+
+
+def curvature_directions(curve: Hypothesis) -> np.ndarray:
+    """Return directions (K - 1, K) of a curve's coefficients, all but that in which it is a straight line."""
+    line = np.linspace(-1.0, 1.0, len(curve.coefficients))
+    return null_space(line[None]).T
 
 
 def stands_in(candidate: Candidate) -> bool:

@@ -3,7 +3,7 @@
 The likeliest hypothesis is added while it is likelier than not, given how rare it is and how many places it has. Then
 each is compared with its rivals, given all others: it is swapped if a rival is likelier, and dropped if none is needed.
 Noise is held, see ``discrepancy``: nothing but coefficients, and amplitudes of curves, is learnt with a hypothesis.
-What no law explains is left to curves; those over other joints' states or time, and tones, are tried last.
+What no law explains is left to curves; those over other joints' states, and further tones, are tried last.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ import numpy as np
 from torchrbd._runtime.deadline import is_over
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
-from torchrbd.diagnosis.discrepancy import Discrepancy, is_over_own_signal, learn_discrepancy
+from torchrbd.diagnosis.discrepancy import Discrepancy, learn_discrepancy
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried, hypothesis_of, meet
 from torchrbd.diagnosis.models import Models, show_bodies
-from torchrbd.diagnosis.residual import curves, is_curve
+from torchrbd.diagnosis.posterior import needless
+from torchrbd.diagnosis.residual import curves, is_curve, is_over_own_signal
 from torchrbd.diagnosis.screening import lasting, refined, screened
 from torchrbd.diagnosis.sharpening import at_summit
 from torchrbd.diagnosis.terms import Explanation, Term
@@ -257,13 +258,10 @@ class Search(Models):
             own = [term.own for term in terms]
             fit = show_bodies(base.extended([h.extra(base, self.rows) for h in own]).refit, self.rows, own)
             worth = [replace(h, log_evidence=fit.evidence_for(k) + h.paid) for k, h in enumerate(own)]
-            odds = [self.odds(h) for h in worth]
-            drop = sorted((k for k, one in enumerate(odds) if one <= 0.0), key=odds.__getitem__)
+            drop = needless([self.odds(h) for h in worth])
             if not drop:
                 return fit, tuple(terms)
-            # The worst half: others may be needed without these.
-            gone = drop[: (len(drop) + 1) // 2]
-            terms = [term for k, term in enumerate(terms) if k not in gone]
+            terms = [term for k, term in enumerate(terms) if k not in drop]
         return base, ()
 
 
