@@ -1,7 +1,7 @@
 """What log evidence is worth: one monotone function of it, fitted on development arms.
 
 A Gaussian likelihood with learnt noise is nearly right. On recordings that lack nothing the greatest log evidence plus
-log prior odds of any hypothesis exceeds x in a part e^-x of them (200 simulations,
+log prior odds of any hypothesis exceeds x in a part e^-x of them (100 simulations,
 ``benchmarks/results/null_evidence.json``): log odds are what exceeds the x that one in a hundred has.
 """
 
