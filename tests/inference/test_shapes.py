@@ -27,7 +27,7 @@ from torchrbd.inference.physical.fitting import term_candidates
 from torchrbd.inference.physical.terms import term_parameters
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
-from torchrbd.inference.shapes.refine import fit_with_shapes, refined, refined_from
+from torchrbd.inference.shapes.refine import fit_with_shapes, refined
 from torchrbd.recordings import Recording
 
 
@@ -120,22 +120,6 @@ def test_what_is_done_to_a_torque_is_done_to_its_friction(name: str, parameters:
         # Nothing is fast, so that any bandwidth will do.
         expected = {k: v for k, v in t.parameters_by_name().items() if k != "bandwidth"}
         assert {k: values[k][0] for k in expected} == pytest.approx(expected, rel=0.02), t
-
-
-def test_a_shape_is_drawn_to_what_is_known_of_it_by_what_each_is_sure_of(arm: Truth) -> None:
-    """Between a prior and what the data say, by their precisions."""
-    term = stribeck(3.0, 4.0, 0.35)
-    noise = 0.1 * arm.rigid.std(0) * np.random.default_rng(3).standard_normal(arm.rigid.shape)
-    settings = Settings(effects=(told(term, arm.robot),), cutoff_hz=CUTOFF_HZ, joints=(arm.robot.joint_names[1],))
-    prepared = prepare(arm.given, [arm.recording(added_by(term, arm) + noise)], settings, settings.chosen_effects())
-    prepared, (alone,) = refined(prepared, term_candidates(prepared.columns, ["stribeck_friction"]), lambda *_: None)
-    _, std = term_parameters(fit_with_shapes(prepared, [alone]), alone)["stribeck_speed"]
-    speed, found = alone.shape["stribeck_speed"], []
-    for sure in (1e-3, 1.0, 1e3):
-        known = {(alone.effect.id, alone.site): {"stribeck_speed": (speed + 0.5 * std, sure * std)}}
-        _, (one,) = refined_from(replace(prepared, known_shapes=known), [alone], lambda *_: None)
-        found.append((one.shape["stribeck_speed"] - speed) / (0.5 * std))
-    assert found == pytest.approx([1.0, 0.5, 0.0], abs=0.2)
 
 
 def test_shape_and_its_std_are_those_of_nonlinear_least_squares(arm: Truth) -> None:

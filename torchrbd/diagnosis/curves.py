@@ -14,6 +14,8 @@ from torchrbd.robot import RobotModel
 
 # Between two points that are kept of a curve: along it, in parts of its width and height.
 _STEP = 0.008
+# A function acts where it is above this part of its largest departure from its middle.
+_ACTS = 0.5
 
 
 def driven_by(term: Candidate, robot: RobotModel) -> tuple[str, ...]:
@@ -57,3 +59,15 @@ def _evenly(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     length = np.cumsum(length)
     along = np.arange(0.0, length[-1], _STEP)
     return np.unique(np.append(np.searchsorted(length, along), len(x) - 1))
+
+
+def loudest_part(curve: Curve) -> tuple[float, float]:
+    """Return the interval around the largest departure from the median in which a curve stays above half of that."""
+    at, torque = np.array(curve.at), np.array(curve.torque)
+    size = np.abs(torque - np.median(torque))
+    low = high = int(size.argmax())
+    while low > 0 and size[low - 1] > _ACTS * size.max():
+        low -= 1
+    while high < len(size) - 1 and size[high + 1] > _ACTS * size.max():
+        high += 1
+    return float(at[low]), float(at[high])

@@ -26,11 +26,6 @@ class Decisions:
             estimate, is another variant's.
         certain_nats: evidence from which an effect is certainly missing, whatever its name.
         doubtful: probability below which a finding is marked as doubtful.
-        location_gain: log-likelihood, beyond the costs of freedom and search, from which a place where model and robot
-            differ is reported. On 40 simulated arms with nothing but friction, which stick, coloured noise and drift,
-            the three largest were 5.5, 4.8 and 4.0.
-        spring_gain, spring_t, spring_repeated: gain on left-out blocks of the deflection from which a spring is
-            accepted, with so many standard errors, or so much of it without the two best blocks.
         spring_helps: a spring is confirmed where it leaves less than this part of the deflection's held-out error.
         spring_sure: standard deviations from which a delay or lost motion between two encoders is reported.
         shortest_delay_s: the shortest such delay [s].
@@ -50,10 +45,6 @@ class Decisions:
     other_variant: float = 3.0
     certain_nats: float = 20.0
     doubtful: float = 0.9
-    location_gain: float = 10.0
-    spring_gain: float = 12.0
-    spring_t: float = 2.5
-    spring_repeated: float = 8.0
     spring_helps: float = 0.98
     spring_sure: float = 3.0
     shortest_delay_s: float = 1e-4

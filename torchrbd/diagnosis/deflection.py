@@ -11,8 +11,10 @@ The motor's position q and the link's q_link, each as its encoder reads it, diff
 - o: the zero of an encoder, one for each recording.
 
 Viscous friction makes the torque follow qd, so that without T a delay would look like a soft gear. All terms but the
-spring are always fitted. The spring counts if it predicts left-out blocks better, by as much as an effect in the torque
-must.
+spring are always fitted. The spring is a hypothesis, as any effect in the torque is: log evidence, in coloured noise
+that is learnt with it, and prior odds decide. Before the data, c = 1/k is no larger than makes the whole deflection:
+
+    c >= 0,   c ~ N(0, rms(e)^2 / rms(tau_load)^2)
 
 tau_load is what acts on the link in the extended model: rigid body, loads, forces, springs. All friction that was found
 is taken to act at the motor; the part that acts at the link goes into h and T. The measured torque is not used, as it
@@ -29,13 +31,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.special import expit
 
+from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.decisions import DECISIONS
+from torchrbd.diagnosis.posterior import prior_log_odds
 from torchrbd.diagnosis.results import Deflection, Quantity
-from torchrbd.diagnosis.rows.gain import accepted, gain, odds
+from torchrbd.effects.registry import known_effects
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
-from torchrbd.likelihood.gaussian import Posterior
+from torchrbd.likelihood.gaussian import Posterior, added
+from torchrbd.likelihood.noise import learnt, predicted
 from torchrbd.recordings import States, tiles
 
 # Columns of a joint's rows; those of the disc and an offset for each recording follow.
@@ -53,8 +59,8 @@ class _Rows:
         e: (M,) deflection.
         recording, block: (M,) numbers.
         held: (M,) bool, held out.
+        run: (M,) number of its uninterrupted run.
         AY: (C, n_params) products of columns and regressor over what is not held out.
-        counts: independent samples among those.
     """
 
     A: np.ndarray
@@ -62,8 +68,8 @@ class _Rows:
     recording: np.ndarray
     block: np.ndarray
     held: np.ndarray
+    run: np.ndarray
     AY: np.ndarray
-    counts: float
 
     def basis(self, delay: float) -> np.ndarray:
         """Return what the fitted columns are made of, (C, K): the load first, the delay third."""
@@ -103,8 +109,8 @@ def _rows(prepared: Prepared, model: FittedModel, joint: int) -> _Rows | None:
     reading = prepared.reading
     surveyed = list(zip(reading.recordings, reading.surveys, strict=True))
     usable = [(r, s) for r, s in surveyed if s.link_differs[joint] and s.link_follows[joint]]
-    parts: list[tuple[np.ndarray, ...]] = []
-    AY, counts = np.zeros(()), 0.0
+    parts, block_rows = list[tuple[np.ndarray, ...]](), 1.0
+    AY = np.zeros(())
     for k, (recording, survey) in enumerate(usable):
         # Not the smoothed states: both positions shall have passed the same filter.
         for states in tiles(recording, survey, reading.filtering):
@@ -112,14 +118,17 @@ def _rows(prepared: Prepared, model: FittedModel, joint: int) -> _Rows | None:
             A = np.column_stack((columns, np.tile(np.arange(len(usable)) == k, (len(e), 1))))
             held = prepared.kept_back(states.recording, states.t_out).numpy()
             AY = AY + A[~held].T @ Y[~held]
-            counts += float((~held).sum()) * states.dt_out * reading.filtering.effective_rate
-            place = np.floor(states.t_out.numpy() / reading.block_s)
-            parts.append((A, e, np.full(len(e), k), place, held))
+            parts.append((A, e, np.full(len(e), k), states.t_out.numpy() / states.dt_out, held))
+            block_rows = reading.block_s / states.dt_out
     if not parts:
         return None
-    A, e, recording, place, held = (np.concatenate(x) for x in zip(*parts, strict=True))
-    block = np.unique(np.column_stack((recording, place)), axis=0, return_inverse=True)[1].ravel()
-    return _Rows(A, e, recording, block, held, AY, counts)
+    A, e, recording, number, held = (np.concatenate(x) for x in zip(*parts, strict=True))
+    place = np.column_stack((recording, np.floor(number / block_rows)))
+    block = np.unique(place, axis=0, return_inverse=True)[1].ravel()
+    # A run ends where a recording ends or rows are missing, and where rows begin to be held out.
+    begins = (np.abs(np.diff(number, prepend=-np.inf) - 1.0) > 0.5) | (np.diff(recording, prepend=-1) != 0)
+    begins |= np.diff(held, prepend=held[0])
+    return _Rows(A, e, recording, block, held, np.cumsum(begins), AY)
 
 
 def _columns(
@@ -150,10 +159,12 @@ def _deflection(rows: _Rows, model: FittedModel, joint: int) -> Deflection:
     parts = rows.moments(B)
     stiff = parts[:, 1:, 1:]
     w, left_out = _solved(parts.sum(0)), _left_out(parts)
-    worth = gain(_errors(stiff, _left_out(stiff)), _errors(parts, left_out), np.array([rows.counts]))
+    evidence = _log_evidence(rows, B, w)
+    (spring,) = (e for e in known_effects().values() if e.is_gear_spring)
+    probability = float(expit(calibrated(evidence) + prior_log_odds(spring, model.columns.robot)))
     std = ((len(parts) - 1) * ((left_out - left_out.mean(0)) ** 2).mean(0)) ** 0.5
     std[_LOAD] = np.hypot(std[_LOAD], _load_std(parts.sum(0), rows.AY.T @ B, w, model))
-    seen = accepted(worth) and w[_LOAD] > 0
+    seen = probability > DECISIONS.likely
     before = _unpredicted(rows, B[:, 1:] @ _solved(stiff.sum(0)))
     prismatic = bool(model.columns.robot.prismatic[joint])
     length, stiffness = ("m", "N/m") if prismatic else ("rad", "N m/rad")
@@ -168,14 +179,33 @@ def _deflection(rows: _Rows, model: FittedModel, joint: int) -> Deflection:
         delay=Quantity(float(w[_SPEED]), float(std[_SPEED]), "s"),
         inertial_share=_inertial_share(rows, B, model, joint),
         rms=float(np.sqrt(np.mean(rows.centred(rows.e, ~rows.held) ** 2))),
-        probability=min(1 / (1 + odds(worth)), DECISIONS.largest_probability) if seen else 0.0,
-        log_evidence_gain=worth.total,
+        probability=min(probability, DECISIONS.largest_probability) if seen else 0.0,
+        log_evidence_gain=evidence,
         nmse_before=before,
         nmse_after=_unpredicted(rows, B @ w) if seen else before,
         load=tuple(float(load[i].mean()) for i in order),
         deflection=tuple(float(yields[i].mean()) for i in order),
         deflection_std=tuple(float(yields[i].std()) for i in order),
     )
+
+
+def _log_evidence(rows: _Rows, B: np.ndarray, w: np.ndarray) -> float:
+    """Return the log evidence for the spring, whose coefficient is the first of w (K,), given the other columns A B.
+
+    Where blocks of time scatter by more than white rows, rows count less by that.
+    """
+    kept = ~rows.held
+    X, e, run = rows.A[kept] @ B, rows.e[kept], rows.run[kept]
+    index, one = predicted(run, np.ones(len(run), dtype=bool)), np.ones(len(run))
+    noise = learnt(e - X @ w, index, one, run, len(w), 1.0)
+    load, *others = noise.white(X.T)
+    Q, _ = np.linalg.qr(np.array(others).T)
+    u, y, left = (x - Q @ (Q.T @ x) for x in (load, noise.white(e), noise.white(e - X @ w)))
+    scores = np.bincount(rows.block[kept][index], u * left)
+    dispersion = max(float(scores @ scores) / max(float(u @ u), 1e-300), 1.0)
+    std = np.array([np.std(rows.centred(rows.e, kept)) / max(float(np.std(X[:, _LOAD])), 1e-300)])
+    S, r = u @ u / dispersion, u @ y / dispersion
+    return float(added(np.array([[S]]), np.array([r]), std, positive=(0,)).log_evidence)
 
 
 def _left_out(parts: np.ndarray) -> np.ndarray:

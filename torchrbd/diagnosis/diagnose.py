@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from torchrbd._runtime.deadline import is_over, time_limited
+from torchrbd._runtime.deadline import time_limited
 from torchrbd._runtime.threads import single_threaded
 from torchrbd.dataset.reading import Progress
 from torchrbd.diagnosis.clock_offset import clock_offset
@@ -13,28 +13,23 @@ from torchrbd.diagnosis.deflection import joint_deflections
 from torchrbd.diagnosis.detection_limits import detection_limits
 from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.explain import explain, likeliest_left, reported
-from torchrbd.diagnosis.extending import Extended, extended
+from torchrbd.diagnosis.extending import extended
 from torchrbd.diagnosis.held_out_checks import held_out_checks
-from torchrbd.diagnosis.locate import locate
+from torchrbd.diagnosis.localisation import locate
 from torchrbd.diagnosis.negligible import is_negligible
 from torchrbd.diagnosis.posterior import refit_matters
 from torchrbd.diagnosis.ranking import run_search, without_terms
 from torchrbd.diagnosis.refuting import friction_alone, functions_alone, is_refuted, shown_of, what_counts
-from torchrbd.diagnosis.results import Finding, Location, ResidualMap, Unexplained, strongest_first
-from torchrbd.diagnosis.rows.regression import fitted
-from torchrbd.diagnosis.rows.samples import read_samples
-from torchrbd.diagnosis.rows.weighing import weighed
+from torchrbd.diagnosis.results import Finding, Unexplained, strongest_first
 from torchrbd.diagnosis.simplifying import simplified
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect
 from torchrbd.diagnosis.unexplained import drifts, large_errors, merge_errors, only_where_fitted, tones, unexplained
-from torchrbd.effects import Site, effect
-from torchrbd.effects.registry import PLAIN
 from torchrbd.errors import OptionError
 from torchrbd.estimators import OF_RECORDINGS
 from torchrbd.inference.identify import marked, read_arguments, summarise
 from torchrbd.inference.ordinary import with_friction, with_machine
-from torchrbd.inference.preparation import Prepared, prepare
+from torchrbd.inference.preparation import prepare
 from torchrbd.inference.suspicions import suspicions
 from torchrbd.inference.verdict import tells_nothing
 from torchrbd.options import Names, Payload, given
@@ -157,7 +152,7 @@ def diagnose(
         known = {joint for one in rest for joint in one.joints}
         rest = (*rest, *(one for one in only_where_fitted(full, model) if one.joints[0] not in known))
     progress("locating residuals", 0.0)
-    locations, maps = ((), ()) if is_over() else _located(prepared, model)
+    locations, maps = locate(base.explanation, lambda part: progress("locating residuals", part))
     identification = marked(identification)
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))
     simulations = tuple(one.name for one in prepared.reading.simulated)
@@ -179,17 +174,6 @@ def diagnose(
         refuted=plainly,
         next_effect=likeliest_left(found),
     )
-
-
-def _located(prepared: Prepared, model: Extended) -> tuple[tuple[Location, ...], tuple[ResidualMap, ...]]:
-    """Return where the rigid body with baseline friction, and the extended model, differ from the robot."""
-    samples = read_samples(prepared, prepared.fit().pi)
-    seen = [j for j in range(prepared.robot.n_dof) if samples.seen[j]]
-    plain = tuple(samples.columns.candidate(effect(name), Site(j), {}) for j in seen for name in PLAIN)
-    before = weighed(fitted(samples, prepared.prior, plain))
-    first = locate(before)
-    after = locate(fitted(samples, prepared.prior, (*plain, *model.terms), before.rows.noise), "extended")
-    return (*first[0], *after[0]), (*first[1], *after[1])
 
 
 def _verdict(findings: Sequence[Finding], rest: Sequence[Unexplained], *, refit_matters: bool) -> str:

@@ -101,7 +101,7 @@ class Deflection(Stated):
         inertial_share: part of the load that follows the joint's own acceleration and that nothing else absorbs, if the
             model has no rotor inertia there. What of it belongs to the rotor winds no spring.
         rms: of the deflection, less its mean in each recording.
-        probability, log_evidence_gain: of the spring, from left-out blocks of the deflection.
+        probability, log_evidence_gain: of the spring, from the deflection.
         nmse_before, nmse_after: NMSE of the deflection on held-out data without the spring and with it; NaN if nothing
             is held out.
         load, deflection, deflection_std: means over parts of the range of the load [N m, N], and of the deflection
@@ -302,13 +302,11 @@ class Location(Stated):
         links: the link on which a payload or force explains it best; else none.
         where: recordings, times and region; None where it is not confined.
         depends_on: signals that it follows, e.g. "q_joint2"; "t" if only the time matters.
-        form: what acts there: "level" (a torque), "friction" (a torque against the motion), "load" (a torque like that
-            of a load), "payload" or "force".
-        course: "abrupt" (begins or ends at once), "slow" (comes and goes gradually), "bursts", or "" if time does not
-            matter.
-        gain: log-likelihood that it gains, beyond the costs of its freedom and of the search.
-        torque_rms: per joint, RMS over all samples of the part of its torque that the model cannot absorb, [N m] or
-            [N].
+        form: what acts there: "level" (a torque), "friction" (a torque against the motion), "delay" (the joint's own
+            torque, later), "payload" or "force".
+        course: "abrupt" (for a time), "slow" (changes gradually), or "" if time does not matter.
+        gain: log evidence, given the other locations.
+        torque_rms: per joint, RMS of its torque over all samples [N m or N].
         share: per joint, its part of the residual's power.
         curve: how it depends on the first signal, if it does.
         attack: force and point of attack, if it is on a link.

@@ -15,7 +15,7 @@ import torch
 
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
-from torchrbd.dataset.shapes import Axis, ShapeSlope, slopes, varied
+from torchrbd.dataset.shapes import ShapeSlope, slopes, varied
 from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, agree_shape, believed, hypothesis_of
 from torchrbd.effects import Site
 from torchrbd.likelihood.extra import Extra
@@ -48,21 +48,18 @@ def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     return h if best is None else replace(best, scale=h.scale, tried=h.tried, paid=h.paid)
 
 
-def known_shapes(
-    fit: Likelihood, rows: Rows, terms: Sequence[Candidate]
-) -> dict[tuple[str, Site], dict[str, tuple[float, float]]]:
-    """Return by effect and site a fit's estimate of its terms' shapes given all else, mean and standard deviation."""
-    at, extras = list[tuple[ShapeSlope, Axis]](), list[Extra]()
+def shape_stds(fit: Likelihood, rows: Rows, terms: Sequence[Candidate]) -> dict[tuple[str, Site], dict[str, float]]:
+    """Return by effect and site the standard deviations of a fit's shapes given all else."""
+    at, extras = list[ShapeSlope](), list[Extra]()
     for k, c in enumerate(terms):
         free = varied(rows.columns, c)
         for slope in slopes(rows.columns, c, torch.from_numpy(fit.coefficients(k))):
-            at.append((slope, free[slope.parameter]))
+            at.append(slope)
             extras.append(Extra(c.place, _features(rows, slope), np.array([free[slope.parameter].std])))
-    extended, found = fit.extended((*fit.extra, *extras)), dict[tuple[str, Site], dict[str, tuple[float, float]]]()
-    for k, (slope, axis) in enumerate(at, len(fit.extra)):
-        value, std = slope.shape[slope.parameter], float(extended.coefficients_covariance(k)[0, 0]) ** 0.5
-        mean = float(np.clip(value + extended.coefficients(k)[0], *axis.limits(value)))
-        found.setdefault((slope.effect.id, slope.site), {})[slope.parameter] = mean, _WORSE * std
+    extended, found = fit.extended((*fit.extra, *extras)), dict[tuple[str, Site], dict[str, float]]()
+    for k, slope in enumerate(at, len(fit.extra)):
+        std = float(extended.coefficients_covariance(k)[0, 0]) ** 0.5
+        found.setdefault((slope.effect.id, slope.site), {})[slope.parameter] = _WORSE * std
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from torchrbd.dataset.columns import Candidate
-from torchrbd.diagnosis.curves import fitted_curve
+from torchrbd.diagnosis.curves import fitted_curve, loudest_part
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import torque_rms
 from torchrbd.diagnosis.extending import Extended
@@ -26,8 +26,6 @@ from torchrbd.nuisance.drift import DRIFT_HZ, MOST_DRIFT, drift_basis
 from torchrbd.robot import RobotModel
 from torchrbd.robot.units import torque_unit
 
-# A function acts where it is above this part of its largest departure from its middle.
-_ACTS = 0.5
 # Kinds of entries that are about the held-out error of a joint.
 _ERRORS = ("error", "larger error")
 
@@ -115,7 +113,7 @@ def _curve(extended: Extended, term: Candidate) -> Unexplained:
     carried = torque_rms(term, extended).get(name, 0.0)
     recording = None if term.site.window is None else term.site.window.recording
     if curve is not None and signals[0] != "t":
-        region = Region(signals[0], *_loud(np.array(curve.at), np.array(curve.torque)))
+        region = Region(signals[0], *loudest_part(curve))
     where = Where(None if recording is None else (recording,), None, None if region is None else (region,))
     return Unexplained((name,), signals, where, share, curve, sizes={"torque_rms": carried}, unit=unit)
 
@@ -156,14 +154,3 @@ def only_where_fitted(full: Extended, plain: Extended) -> Iterator[Unexplained]:
         if rmse > DECISIONS.larger_error * with_it.get(name, math.inf):
             share = 1.0 - (with_it[name] / rmse) ** 2
             yield Unexplained((name,), (), Where(), share, kind="not confirmed")
-
-
-def _loud(at: np.ndarray, torque: np.ndarray) -> tuple[float, float]:
-    """Return the interval around the largest departure from the median in which it stays above half of that."""
-    size = np.abs(torque - np.median(torque))
-    low = high = int(size.argmax())
-    while low > 0 and size[low - 1] > _ACTS * size.max():
-        low -= 1
-    while high < len(size) - 1 and size[high + 1] > _ACTS * size.max():
-        high += 1
-    return float(at[low]), float(at[high])

@@ -99,7 +99,7 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
     curve: signal ("q_joint2", "t", ...), at, torque and std, lists of one length in the order of drawing.
     locations: where models and robot differ, named or not: list of model ("rigid_body": re-fitted, with friction and an
         offset at every joint; or "extended"), joints, links, where (as in findings), depends_on, form ("level",
-        "friction", "load", "payload", "force"), course ("abrupt", "slow", ""), gain (log-likelihood), torque_rms and
+        "friction", "delay", "payload", "force"), course ("abrupt", "slow", ""), gain (log evidence), torque_rms and
         share by joint, curve or null, attack (force [N] in the base's axes, point [m] in the link's frame, a standard
         deviation for each) or null, statement.
     residual_maps: RMS of a model's residual over the noise, by bins: list of model, signal ("t", "q", "qd"),

@@ -60,7 +60,7 @@ class Prepared:
         facts: what the user should know of the input.
         believed: by effect and site, standard deviations (K,) of its coefficients, where the prior knows more than that
             their torque is no larger than the joint's.
-        known_shapes: by effect and site, prior of its shapes from another fit, mean and standard deviation.
+        known_shapes: by effect and site, standard deviations of its shapes by another fit.
         late: by recording, how much later its torque is than its motion, and the standard deviation [s], where that is
             identified: it is read so much earlier. Under "" that of other recordings. None if it was not estimated.
     """
@@ -77,7 +77,7 @@ class Prepared:
     states: UncertainStates | None
     facts: tuple[Remark, ...]
     believed: Mapping[tuple[str, Site], Sequence[float]] = field(default_factory=dict)
-    known_shapes: Mapping[tuple[str, Site], Mapping[str, tuple[float, float]]] = field(default_factory=dict)
+    known_shapes: Mapping[tuple[str, Site], Mapping[str, float]] = field(default_factory=dict)
     late: Mapping[str, tuple[float, float]] | None = None
 
     @property

@@ -3,7 +3,7 @@
 From the best point of the grid on, every pass linearises the terms in their shapes (``likelihood/shapes.py``) and takes
 the Gauss-Newton steps of all shapes at once, none further than to the next value on the grid. A term that fits its
 joint worse than before goes half the way back. Load and friction are those of the last fit. A shape's prior is
-its grid around its present value, or a prior from another fit (``Prepared.known_shapes``).
+its grid around its present value.
 
 Source: Golub, Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
 separate", SIAM J. Numerical Analysis 1973, for the profile (variable projection) problem; solved here in the full
@@ -12,7 +12,6 @@ space, whose Gauss-Newton step is the same to first order.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -41,8 +40,6 @@ _SETTLED_STD, _SETTLED_GRID = 0.05, 5e-4
 _WORSE = 0.1
 # Change of load and friction between passes, as part of the torque.
 _SETTLED_LOAD = 1e-4
-# Degrees of freedom of what is known of a shape: where the data contradict it, it counts less.
-_FREEDOM = 4.0
 
 
 Carried = tuple[Tensor, Tensor, Through]
@@ -214,29 +211,16 @@ def _read(prepared: Prepared, terms: Sequence[Candidate], carried: Carried, prog
     count = prepared.training.torque[..., 0].sum(0)
     loss = torch.where(count > 0, 0.5 * count * noise.log(), 0.0)
     slope = torch.zeros(columns.n, len(around), dtype=torch.float64)
-    centre, width = np.array([_known(prepared, terms[k], name) for k, name in around]).reshape(-1, 2).T
+    width = np.array([axes(columns, terms[k])[name].std for k, name in around])
     for i, (k, name) in enumerate(around):
         index = [columns.of(s)[0] for s in by_term[k][name]]
         slope[index, i] = width[i] * x[columns.of(terms[k])]
     H, h = assemble(columns, prepared.training.total(), 1.0 / noise)
     into = torch.cat((prepared.prior.scale[:, columns_of(prepared, terms)], slope), 1)
-    mean = prepared.prior.mean + slope @ torch.from_numpy(centre)
-    found = Equations(into.T @ H @ into, into.T @ (h - H @ mean)).posterior()
+    found = Equations(into.T @ H @ into, into.T @ (h - H @ prepared.prior.mean)).posterior()
     at = np.arange(into.shape[1] - len(around), into.shape[1])
     covariance = found.covariance(at) * np.outer(width, width)
-    return _Pass(prepared, terms, x, loss, around, (centre + found.z[at]) * width, covariance)
-
-
-def _known(prepared: Prepared, term: Candidate, name: str) -> tuple[float, float]:
-    """Return how far from here a shape is believed to be, in standard deviations, and this standard deviation."""
-    known = prepared.known_shapes.get((term.effect.id, term.site), {}).get(name)
-    if known is None:
-        return 0.0, axes(prepared.columns, term)[name].std
-    value, std = known
-    # Student's t around it: of the normal distribution that has its slope here, mean and standard deviation.
-    away = (value - term.shape[name]) / std
-    loose = math.sqrt((_FREEDOM + away**2) / (_FREEDOM + 1.0))
-    return away / loose, loose * std
+    return _Pass(prepared, terms, x, loss, around, found.z[at] * width, covariance)
 
 
 def _between(a: Shape, b: Shape) -> Shape:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -22,8 +23,8 @@ from torchrbd.likelihood.urdf_prior import data_prior
 def reread(prepared: Prepared, columns: Columns, progress: Progress) -> Prepared:
     """Return the same data with other columns; what it says of uncertain states is left as it was.
 
-    Slopes have a prior as wide as their grid, centred where they stand; terms that share no column have what is
-    ``believed`` of them.
+    Slopes have a prior as wide as their grid, or as another fit's uncertainty, centred where they stand; terms that
+    share no column have what is ``believed`` of them.
     """
     prior = prepared.prior
     held = [name for b, name in enumerate(prepared.robot.body_names) if b not in prior.bodies]
@@ -32,7 +33,8 @@ def reread(prepared: Prepared, columns: Columns, progress: Progress) -> Prepared
     for c in columns.candidates:
         if isinstance(c, ShapeSlope):
             (k,) = columns.of(c)
-            prior.scale[k, k] = min(float(prior.scale[k, k]), axes(columns, c)[c.parameter].std)
+            known = prepared.known_shapes.get((c.effect.id, c.site), {}).get(c.parameter, math.inf)
+            prior.scale[k, k] = min(float(prior.scale[k, k]), axes(columns, c)[c.parameter].std, known)
             continue
         others = {k for other in columns.candidates if other is not c for k in columns.of(other)}
         for k, std in zip(columns.of(c), prepared.believed.get((c.effect.id, c.site), ()), strict=False):

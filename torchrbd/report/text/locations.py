@@ -9,7 +9,7 @@ from torchrbd.report.text.numbers import as_many_as_fit, joined, number, with_un
 _WHAT = {
     "level": "a torque",
     "friction": "friction",
-    "load": "a torque like that of a load",
+    "delay": "delayed torque",
     "payload": "a load",
     "force": "a force",
 }

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+import torch
 from robot.random_robots import random_urdf
 from scipy.signal import lfilter
 from simulated import inverse_dynamics, joint_names, multisine, with_wrong_inertials
 from vision_head.motion import Motion
 
-from torchrbd.diagnosis.rows.regression import Fit, fitted
-from torchrbd.diagnosis.rows.samples import read_samples
-from torchrbd.diagnosis.rows.weighing import weighed
-from torchrbd.effects import Site, effect
-from torchrbd.inference.preparation import prepare
+from torchrbd.dataset.band import band_hz
+from torchrbd.diagnosis.search import search_effects
+from torchrbd.diagnosis.terms import Explanation
+from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings
+from torchrbd.likelihood.clocks import in_band
 from torchrbd.recordings import Recording
 from torchrbd.robot import RobotModel
 
@@ -47,12 +47,6 @@ class Case:
     holdout: Recording
     truth: Truth | None
 
-    def holdout_file(self, folder: Path) -> Path:
-        """Write the recording to hold out, and return where."""
-        chunk = next(iter(self.holdout.chunks(10**6)))
-        np.savez(folder / "other.npz", t=chunk.t, q=chunk.q, tau=chunk.tau, joints=np.array(self.holdout.joints))
-        return folder / "other.npz"
-
 
 Concealed = Callable[[np.random.Generator, str, Motion], tuple[np.ndarray, Truth]]
 
@@ -61,16 +55,16 @@ def arm(seed: int) -> str:
     return random_urdf(seed, 5 + seed % 3, kinds=("revolute",), branching=0.0, massless=0.0)
 
 
-def background(one: Case, *recordings: Recording, **options: object) -> Fit:
-    """Fit rigid body, friction and an offset at every joint to recordings of a case, its own one by default."""
-    names = ("viscous_friction", "coulomb_friction", "torque_offset")
-    settings = Settings.from_mapping(options, "test")
+def background(one: Case, *recordings: Recording) -> Explanation:
+    """Return rigid body and baseline friction on recordings of a case, its own one by default, and no effects."""
     robot = RobotModel.from_urdf(one.cad)
-    prepared = prepare(robot, recordings or [one.recording], settings, [effect(name) for name in names])
-    samples = read_samples(prepared, prepared.fit().pi)
-    joints = range(robot.n_dof)
-    terms = [samples.columns.candidate(effect(name), Site(j), {}) for name in names for j in joints]
-    return weighed(fitted(samples, prepared.prior, terms))
+    reading, _ = read(robot, recordings or [one.recording], Settings.from_mapping({}, "test"))
+
+    def kept_back(_: str, t: torch.Tensor) -> torch.Tensor:
+        return torch.zeros(len(t), dtype=torch.bool)
+
+    clocks = in_band(reading, band_hz(reading.surveys), kept_back, frozenset())
+    return search_effects(clocks.fit, (), lambda _: None)
 
 
 def case(seed: int, concealed: Concealed | None = None, size: float = 0.08, *, duration_s: float = DURATION_S) -> Case:

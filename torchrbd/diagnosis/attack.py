@@ -1,11 +1,12 @@
 """Where on a link a force attacks, and how large it is.
 
 A force f at the point c of a link takes the torque -J' f, which is linear in f and in c f': twelve coefficients
-w = -(f, c_i f_k), of which only six are free. With G and u the normal equations of the twelve,
+w = -(f, c_i f_k), of which only six are free. With G and u the precision and score of the twelve,
 
     f, c = argmin 1/2 w' G w - u' w
 
-The curvature there gives the standard deviations of force and point.
+The curvature there gives the standard deviations of force and point. A load at rest is the same with its mass in place
+of f: the coefficients are mass and first moments.
 """
 
 from __future__ import annotations
@@ -13,35 +14,39 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
+from torchrbd.dataset.columns import Candidate
+from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.results import Attack
-from torchrbd.diagnosis.rows.regression import Fit
+from torchrbd.likelihood.likelihood import Likelihood
 
 # Prior widths: a point lies within so many metres of the link's frame, forces below so many newtons.
 _REACH, _FORCE = 1.0, 1e4
+# Mass and first moments of a body; directions of the equations below this part of the largest are rounding.
+_FIRST_MOMENTS, _RANK, _SOLVED = 4, 1e-9, 1e-6
 
 
-def attack(fit: Fit, columns: dict[int, np.ndarray], form: str, gravity: np.ndarray) -> Attack:
+def attack(fit: Likelihood, rows: Rows, candidate: Candidate, *, payload: bool) -> Attack:
     """Return force and point of attack.
 
     Args:
-        fit: without the part.
-        columns: its columns by joint, (4, M) of a payload (mass, first moments) or (12, M) of a force.
-        form: "payload" or "force".
-        gravity: (3,) [m/s^2].
+        fit: without what acts on the link.
+        rows: of the fit.
+        candidate: what acts there: a payload, or a force at a point.
+        payload: which of both.
     """
-    G, _, u = fit.equations(columns)
+    gravity, sizes = rows.columns.robot.gravity.numpy(), 1 if payload else 3
+    features = rows.features(candidate)[: _FIRST_MOMENTS if payload else None]
+    G, u = fit.precision_and_score(None, features)
     values, vectors = np.linalg.eigh(G)
-    kept = values > 1e-9 * values[-1]
+    kept = values > _RANK * values[-1]
     R = np.sqrt(values[kept])[:, None] * vectors[:, kept].T
     target = (vectors[:, kept].T @ u) / np.sqrt(values[kept])
-    payload = form == "payload"
-    sizes = 1 if payload else 3
 
     def misfit(x: np.ndarray) -> np.ndarray:
         w = np.concatenate((x[:sizes], np.outer(x[sizes:], x[:sizes]).ravel()))
         return np.concatenate((R @ w - target, x[:sizes] / _FORCE, x[sizes:] / _REACH))
 
-    linear = np.linalg.lstsq(R, target, rcond=1e-6)[0]
+    linear = np.linalg.lstsq(R, target, rcond=_SOLVED)[0]
     first = linear[:sizes]
     point = linear[sizes:].reshape(3, sizes) @ first / max(float(first @ first), 1e-12)
     found = least_squares(misfit, np.concatenate((first, np.clip(point, -_REACH, _REACH))), x_scale="jac")
