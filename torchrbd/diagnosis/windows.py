@@ -26,7 +26,7 @@ from torchrbd.likelihood.likelihood import Likelihood
 # Edges of the windows of time in which something may act, spread over a recording.
 _MOST_EDGES = 33
 # Moments at which something may begin or end for good, and those at which the innovations jump that are looked at.
-_MOST_TIMES, _JUMPS = 300, 16
+_MOST_TIMES, _JUMPS = 100, 16
 # Every how many rows a moment is tried as an edge.
 _ROW_STEP = 2
 # What is there for more than this part of a recording is there always.
