@@ -302,7 +302,7 @@ def test_a_model_is_freed_as_soon_as_nothing_needs_it() -> None:
     gc.disable()
     try:
         fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [recording])))
-        assert fit.refit.least_squares.with_heavy_tails.friction.shape == (2, 3)
+        assert fit.refit.least_squares.with_heavy_tails().friction.shape == (2, 3)
         watched = weakref.ref(fit), weakref.ref(fit.machine), weakref.ref(fit.refit)
         del fit
         assert [one() for one in watched] == [None, None, None]

@@ -69,13 +69,15 @@ def learn_discrepancy(base: Likelihood, rows: Rows) -> Discrepancy:
                 break
         drop = needless(worth)
         curves = [h for k, h in enumerate(curves) if k not in drop]
-        fit, steps = _without(fit, drop), _FEW if drop else _STEPS
+        fit, steps = _without(fit, drop).renoised(), _FEW if drop else _STEPS
     held = base.with_(noise=last.hyper.noise, dispersion=last.hyper.dispersion)
     return Discrepancy(held, tuple(curves), last.extra)
 
 
 def _more_than_noise(fit: Likelihood, last: Likelihood, curves: Sequence[Hypothesis], before: float) -> list[float]:
-    """Return the log odds of each curve against noise that is learnt without it; curves over time are noise.
+    """Return the log odds of each curve against noise of its joint that is learnt without it.
+
+    Curves over time are noise.
 
     Args:
         fit, last: the model with normal noise, and with its tails.
@@ -87,24 +89,35 @@ def _more_than_noise(fit: Likelihood, last: Likelihood, curves: Sequence[Hypothe
         if is_of_time(h.candidate):
             worth.append(math.inf)
             continue
-        other = _with_tails(_learn_amplitudes_and_noise(_without(fit, [k]), _FEW)).dispersed(last.hyper.dispersion)
+        joint = h.candidate.joint
+        own = _learn_amplitudes_and_noise(_with_noise_of(fit, joint, _without(last, [k])), _FEW, joint)
+        other = _with_tails(own, joint).dispersed(last.hyper.dispersion)
         worth.append(last.log_evidence - other.log_evidence + h.paid + before)
     return worth
 
 
+def _with_noise_of(other: Likelihood, joint: int, fit: Likelihood) -> Likelihood:
+    """Return a fit with the noise that another one has at a joint."""
+    noise, dispersion = list(fit.hyper.noise), fit.hyper.dispersion.copy()
+    noise[joint], dispersion[joint] = other.hyper.noise[joint], other.hyper.dispersion[joint]
+    return fit.with_(noise=tuple(noise), dispersion=dispersion)
+
+
 def _without(fit: Likelihood, drop: Collection[int]) -> Likelihood:
-    """Return a fit without some of its additional columns, its noise learnt again."""
-    return fit.extended([e for k, e in enumerate(fit.extra) if k not in drop]).renoised()
+    """Return a fit without some of its additional columns."""
+    return fit.extended([e for k, e in enumerate(fit.extra) if k not in drop])
 
 
-def _with_tails(fit: Likelihood) -> Likelihood:
-    return fit.with_heavy_tails.renoised(dispersed=True)
+def _with_tails(fit: Likelihood, joint: int | None = None) -> Likelihood:
+    """Return a fit with heavy tails where they are likelier, at one joint or all."""
+    joints = None if joint is None else [joint]
+    return fit.with_heavy_tails(joints).renoised(joints, dispersed=True)
 
 
-def _learn_amplitudes_and_noise(fit: Likelihood, steps: int) -> Likelihood:
-    """Return a fit whose amplitudes and noise are learnt, one after the other."""
+def _learn_amplitudes_and_noise(fit: Likelihood, steps: int, joint: int | None = None) -> Likelihood:
+    """Return a fit whose amplitudes and noise, at one joint or all, are learnt one after the other."""
     for _ in range(steps):
-        before, fit = fit.log_evidence, _likeliest(fit).renoised()
+        before, fit = fit.log_evidence, _likeliest(fit).renoised(None if joint is None else [joint])
         if abs(fit.log_evidence - before) < _SETTLED:
             break
     return fit

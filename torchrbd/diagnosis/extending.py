@@ -118,7 +118,7 @@ def _friction_given(found: Explanation) -> tuple[Likelihood, list[Candidate]]:
     own = [t.own.candidate for t in found.terms]
     early = [e for e, c in zip(found.fit.extra, own, strict=True) if not has_friction(c)]
     fit = found.fit if len(early) == len(own) else found.fit.extended(early).refit
-    return fit.with_heavy_tails, [c for c in own if not has_friction(c)]
+    return fit.with_heavy_tails(), [c for c in own if not has_friction(c)]
 
 
 def with_late(prepared: Prepared, first: FittedModel, late: Sequence[Candidate]) -> FittedModel:

@@ -85,15 +85,17 @@ class Models:
                 del self._known[old]
         return self._known[key]
 
-    def _prune_curves(self, model: Additions, first: int) -> Additions:
+    def _prune_curves(self, model: Additions, first: int, place: int | None = None) -> Additions:
         """Return a model whose curves have their likeliest amplitudes, without those that are less likely than not.
 
         Args:
             model: with the curves.
             first: number of the first curve.
+            place: the joint whose curves may change. Default: all.
         """
-        kept = [k for k in self._rare if model.has(first + k)]
-        time = [first + k for k in range(len(self._curves)) if k not in self._rare]
+        here = [k for k, e in enumerate(self._curves) if place in (None, e.place)]
+        kept = [k for k in here if k in self._rare and model.has(first + k)]
+        time = [first + k for k in here if k not in self._rare]
         while True:
             model = model.likeliest([*time, *(first + k for k in kept)])
             odds = {k: model.evidence_for(first + k) + self._rare[k] for k in kept}
@@ -119,19 +121,20 @@ class Models:
     def evidence(self, chosen: Sequence[Hypothesis], *offered: Hypothesis) -> list[Hypothesis]:
         """Return hypotheses, each given a model, with coefficients and evidence.
 
-        Signs and physical bounds count, and free choices. Curves have other amplitudes with each hypothesis. One that
-        makes a curve needless gets what that costs, by its prior odds.
+        Signs, physical bounds and free choices count. Curves of its joint have other amplitudes with each hypothesis.
+        One that makes a curve needless gets what that costs, by its prior odds.
         """
         fit, without = self._model(chosen)
         first, new, score = len(chosen), len(without), self._score(without, len(chosen))
         found = list[Hypothesis]()
         for h in offered:
             size, scales = believed(fit, self.rows, h.candidate)
-            with_it = self._prune_curves(without.with_([h.extra(fit, self.rows)]), first)
+            place = h.candidate.place
+            with_it = self._prune_curves(without.with_([h.extra(fit, self.rows)]), first, place)
             scale = max(scales, key=lambda one: with_it.sized({new: one * size}).log_evidence)
             if scale != h.scale:
                 h = replace(h, scale=scale)
-                with_it = self._prune_curves(with_it.sized({new: scale * size}), first)
+                with_it = self._prune_curves(with_it.sized({new: scale * size}), first, place)
             found.append(self._assess(h, fit, with_it, new, self._score(with_it, first) - score))
         return found
 
@@ -139,10 +142,11 @@ class Models:
         """Return the terms of a model, each with its evidence given all others."""
         fit, every = self._model(chosen)
         first, found = len(chosen), list[Hypothesis]()
-        sizes = {first + k: e.std for k, e in enumerate(self._curves)}
         for k, h in enumerate(chosen):
-            # Curves that it makes needless come back.
-            without = self._prune_curves(every.sized(sizes).without(k), first)
+            # Curves of its joint that it makes needless come back.
+            place = h.candidate.place
+            sizes = {first + i: e.std for i, e in enumerate(self._curves) if place in (None, e.place)}
+            without = self._prune_curves(every.sized(sizes).without(k), first, place)
             gain = self._score(every, first) - self._score(without, first)
             found.append(self._assess(h, fit, every, k, gain))
         return found

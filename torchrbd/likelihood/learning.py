@@ -49,7 +49,7 @@ def learn(machine: Machine) -> Likelihood:
     for _ in range(_ROUNDS):
         hyper = _around(machine, hyper).with_(white=False).renoised().around_its_fit(alone=True)
     last = _around(machine, hyper).rewidened()
-    hyper = last.with_heavy_tails.recalibrated().around_its_fit(alone=True)
+    hyper = last.with_heavy_tails().recalibrated().around_its_fit(alone=True)
     del last
     return _around(machine, hyper).renoised(dispersed=True)
 

@@ -212,11 +212,10 @@ class Likelihood:
         """
         return self._levelled({j: self.hyper.noise[j].tail is None for j in self._seen(joints)})
 
-    @property
-    def with_heavy_tails(self) -> Likelihood:
-        """The same model with heavy tails at the joints where the evidence is greater with them."""
+    def with_heavy_tails(self, joints: Sequence[int] | None = None) -> Likelihood:
+        """Return the same model with heavy tails at the joints, of some or all, where these raise the evidence."""
         fit = self
-        for j in self._seen(None):
+        for j in self._seen(joints):
             heavy = fit._levelled({j: False})
             if heavy.hyper.noise[j].tail is not fit.hyper.noise[j].tail:
                 rivals = fit._levelled({j: True}), heavy.levelled([j])
