@@ -5,8 +5,8 @@ w = -(f, c_i f_k), of which only six are free. With G and u the precision and sc
 
     f, c = argmin 1/2 w' G w - u' w
 
-The curvature there gives the standard deviations of force and point. A load at rest is the same with its mass in place
-of f: the coefficients are mass and first moments.
+The curvature there gives the standard deviations of force and point. A payload is the same with its mass in place of f:
+the coefficients are mass and first moments. Its moments of inertia are left out, so that the point is a first guess.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.results import Attack
 from torchrbd.likelihood.likelihood import Likelihood
 
-# Prior widths: a point lies within so many metres of the link's frame, forces below so many newtons.
+# Prior widths: a point lies within so many metres of the link's frame, forces below so many newtons, masses kilograms.
 _REACH, _FORCE = 1.0, 1e4
-# Mass and first moments of a body; directions of the equations below this part of the largest are rounding.
-_FIRST_MOMENTS, _RANK, _SOLVED = 4, 1e-9, 1e-6
+# The first columns of a payload are of its mass and first moments; directions of the equations below this part of the
+# largest are rounding.
+_MASS_AND_MOMENTS, _RANK, _SOLVED = 4, 1e-9, 1e-6
 
 
 def attack(fit: Likelihood, rows: Rows, candidate: Candidate, *, payload: bool) -> Attack:
@@ -35,7 +36,7 @@ def attack(fit: Likelihood, rows: Rows, candidate: Candidate, *, payload: bool) 
         payload: which of both.
     """
     gravity, sizes = rows.columns.robot.gravity.numpy(), 1 if payload else 3
-    features = rows.features(candidate)[: _FIRST_MOMENTS if payload else None]
+    features = rows.features(candidate)[: _MASS_AND_MOMENTS if payload else None]
     G, u = fit.precision_and_score(None, features)
     values, vectors = np.linalg.eigh(G)
     kept = values > _RANK * values[-1]

@@ -14,7 +14,7 @@ Viscous friction makes the torque follow qd, so that without T a delay would loo
 spring are always fitted. The spring is a hypothesis, as any effect in the torque is: log evidence, in coloured noise
 that is learnt with it, and prior odds decide. Before the data, c = 1/k is no larger than makes the whole deflection:
 
-    c >= 0,   c ~ N(0, rms(e)^2 / rms(tau_load)^2)
+    c >= 0,   c ~ N(0, std(e)^2 / std(tau_load)^2)
 
 tau_load is what acts on the link in the extended model: rigid body, loads, forces, springs. All friction that was found
 is taken to act at the motor; the part that acts at the link goes into h and T. The measured torque is not used, as it
@@ -179,7 +179,7 @@ def _deflection(rows: _Rows, model: FittedModel, joint: int) -> Deflection:
         delay=Quantity(float(w[_SPEED]), float(std[_SPEED]), "s"),
         inertial_share=_inertial_share(rows, B, model, joint),
         rms=float(np.sqrt(np.mean(rows.centred(rows.e, ~rows.held) ** 2))),
-        probability=min(probability, DECISIONS.largest_probability) if seen else 0.0,
+        probability=min(probability, DECISIONS.largest_probability),
         log_evidence_gain=evidence,
         nmse_before=before,
         nmse_after=_unpredicted(rows, B @ w) if seen else before,
@@ -199,7 +199,8 @@ def _log_evidence(rows: _Rows, B: np.ndarray, w: np.ndarray) -> float:
     index, one = predicted(run, np.ones(len(run), dtype=bool)), np.ones(len(run))
     noise = learnt(e - X @ w, index, one, run, len(w), 1.0)
     load, *others = noise.white(X.T)
-    Q, _ = np.linalg.qr(np.array(others).T)
+    # The zero of a recording that is held out is not among the rows.
+    Q, _ = np.linalg.qr(np.array([x for x in others if x.any()]).T)
     u, y, left = (x - Q @ (Q.T @ x) for x in (load, noise.white(e), noise.white(e - X @ w)))
     scores = np.bincount(rows.block[kept][index], u * left)
     dispersion = max(float(scores @ scores) / max(float(u @ u), 1e-300), 1.0)

@@ -135,6 +135,7 @@ def diagnose(
         alone = (*tones(found), *(() if worthless else functions_alone(asked, search, settings, progress)))
     there = None if plainly else shown_of(explained.model)
     findings, not_confirmed, model = explained.findings, explained.not_confirmed, explained.model
+    found = model.found
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = joint_deflections(model.prepared, model.model)
@@ -152,7 +153,7 @@ def diagnose(
         known = {joint for one in rest for joint in one.joints}
         rest = (*rest, *(one for one in only_where_fitted(full, model) if one.joints[0] not in known))
     progress("locating residuals", 0.0)
-    locations, maps = locate(base.explanation, lambda part: progress("locating residuals", part))
+    locations, maps = locate(found, lambda part: progress("locating residuals", part))
     identification = marked(identification)
     verdict = _verdict(findings, rest, refit_matters=refit_matters(found.base))
     simulations = tuple(one.name for one in prepared.reading.simulated)

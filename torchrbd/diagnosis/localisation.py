@@ -1,7 +1,8 @@
 """Where a model and the robot differ, before anything is named.
 
 Hypotheses without a law are searched for in the noise of the discrepancy, as effects are: a torque, or friction, at a
-joint for a time; a delay; a mass, or a force, on a link for a time; and smooth curves over the state.
+joint for a time; friction that settles; a delay; a mass, or a force, on a link for a time; and smooth curves over the
+state.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from torchrbd.diagnosis.attack import attack
 from torchrbd.diagnosis.curves import loudest_part
 from torchrbd.diagnosis.hypotheses import Hypothesis, carried
 from torchrbd.diagnosis.residual import depends_on, is_curve
-from torchrbd.diagnosis.results import Curve, Location, Region, ResidualMap, Where
-from torchrbd.diagnosis.search import Search
+from torchrbd.diagnosis.results import Attack, Curve, Location, Region, ResidualMap, Where
+from torchrbd.diagnosis.search import Search, without
 from torchrbd.diagnosis.terms import Explanation
 from torchrbd.effects import Effect, effect
 from torchrbd.effects.nameless import FORCE_AT_POINT, FRICTION_FOR_A_TIME
@@ -58,34 +59,36 @@ def locate(
     chosen, _ = search.improve([], search.rank([]))
     chosen = search.with_other_curves(chosen)
     fit, every = search.fit(chosen), [*search.conditional(chosen), *search.own_curves(chosen)]
-    first = []
-    for k, h in enumerate(every):
-        others = fit if k >= len(chosen) else search.fit([*chosen[:k], *chosen[k + 1 :]])
-        first.append(_location("rigid_body", h, fit, others, search.rows))
-    rest = (t.own for t in found.terms if is_curve(t.own.candidate) and depends_on_state(t.own))
-    after = [_location("extended", h, found.fit, found.fit, found.rows) for h in rest]
+    attacks = {
+        h.candidate: attack(search.fit(without(chosen, k)), search.rows, h.candidate, payload=_form(h) == "payload")
+        for k, h in enumerate(chosen)
+        if h.candidate.site.body is not None
+    }
+    first = [_location("rigid_body", h, fit, search.rows, attacks.get(h.candidate)) for h in every]
+    rest = (t.own for t in found.terms if is_curve(t.own.candidate) and not _is_of_time(t.own))
+    after = [_location("extended", h, found.fit, found.rows) for h in rest]
     noise = [float(np.std(fit.residual(j)[m])) if m.any() else math.nan for j, m in enumerate(found.rows.measured)]
     maps = (*residual_maps("rigid_body", found.base, noise), *residual_maps("extended", found.fit, noise))
     ordered = (sorted(each, key=lambda one: -one.gain) for each in (first, after))
     return tuple(one for each in ordered for one in each), maps
 
 
-def depends_on_state(h: Hypothesis) -> bool:
-    """Say whether a curve is one over a signal of the motion, not over time."""
-    return isinstance(h.candidate.effect, SmoothTorque) and h.candidate.effect.signal != "t"
+def _is_of_time(h: Hypothesis) -> bool:
+    """Say whether a curve is one over time, or a tone: the report has its own entries for these."""
+    return isinstance(h.candidate.effect, SmoothTorque) and h.candidate.effect.signal == "t"
 
 
-def _location(model: str, h: Hypothesis, fit: Likelihood, others: Likelihood, rows: Rows) -> Location:
+def _location(model: str, h: Hypothesis, fit: Likelihood, rows: Rows, point: Attack | None = None) -> Location:
     """Describe a hypothesis.
 
     Args:
         model: whose residual it explains.
         h: the hypothesis.
         fit: the model with it.
-        others: the model without it.
         rows: those of the hypothesis.
+        point: of attack.
     """
-    robot, site, form = rows.columns.robot, h.candidate.site, _form(h)
+    robot, site = rows.columns.robot, h.candidate.site
     torque, names = _torque(h, rows), robot.joint_names
     left = np.stack([fit.residual(j) for j in range(rows.n_dof)])
     count = np.maximum(rows.measured.sum(1), 1)
@@ -101,13 +104,13 @@ def _location(model: str, h: Hypothesis, fit: Likelihood, others: Likelihood, ro
         links=() if site.body is None else (robot.body_names[site.body],),
         where=_where(h, rows, curve),
         depends_on=_depends_on(h, names),
-        form=form,
+        form=_form(h),
         course="abrupt" if site.window is not None else "slow" if h.candidate.effect.of_conditions else "",
         gain=h.log_evidence,
         torque_rms={names[j]: float(own[j]) for j in felt},
         share={names[j]: _share(float(before[j]), float(after[j])) for j in felt},
         curve=curve,
-        attack=None if site.body is None else attack(others, rows, h.candidate, payload=form == "payload"),
+        attack=point,
         unit=torque_unit(robot, felt[0]),
     )
 

@@ -8,7 +8,7 @@ What no law explains is left to curves; those over other joints' states, and fur
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -158,8 +158,7 @@ class Search(Models):
         """Return a model with what is likelier than not, and what was not added; found again after each step."""
         dropped = set[Candidate]()
         while len(chosen) < MOST_TERMS and not is_over():
-            found = [h for h in found if h.candidate not in dropped]
-            leaders = self._leaders(found)[: MOST_TERMS - len(chosen)]
+            leaders = self._leaders(h for h in found if h.candidate not in dropped)[: MOST_TERMS - len(chosen)]
             if not leaders:
                 break
             before = [*chosen, *leaders]
@@ -169,7 +168,7 @@ class Search(Models):
             found = self.rank(chosen)
         return chosen, found
 
-    def _leaders(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    def _leaders(self, found: Iterable[Hypothesis]) -> list[Hypothesis]:
         """Return the likeliest hypothesis, and those of other joints: each likelier than not, none meets another."""
         leaders = list[Hypothesis]()
         for h in found:
@@ -186,7 +185,7 @@ class Search(Models):
             k = int(np.argmin(odds))
             if odds[k] > 0.0:
                 break
-            chosen = _others(chosen, k)
+            chosen = without(chosen, k)
         return chosen
 
     def _swap(self, chosen: list[Hypothesis]) -> list[Hypothesis]:
@@ -194,7 +193,7 @@ class Search(Models):
         for k, h in enumerate(chosen):
             if is_over():
                 break
-            rest = _others(chosen, k)
+            rest = without(chosen, k)
             best = max((self.reshape(rest, h), *self.rivals(rest, h)), key=self.odds)
             chosen = [*chosen[:k], best, *chosen[k + 1 :]]
             self._advance()
@@ -220,7 +219,7 @@ class Search(Models):
         onwards = chosen
         for k, h in enumerate(chosen):
             if h.candidate.effect.uses_load:
-                onwards = [*onwards[:k], other.reshape(_others(onwards, k), h), *onwards[k + 1 :]]
+                onwards = [*onwards[:k], other.reshape(without(onwards, k), h), *onwards[k + 1 :]]
         return (other, onwards) if other.total(onwards) > self.total(chosen) + _SAME else None
 
     def terms(self, chosen: list[Hypothesis]) -> tuple[Term, ...]:
@@ -230,7 +229,7 @@ class Search(Models):
             if is_curve(h.candidate):
                 others.append(Term(h, ()))
             else:
-                laws.append(Term(h, tuple([] if is_over() else self.rivals(_others(chosen, k), h))))
+                laws.append(Term(h, tuple([] if is_over() else self.rivals(without(chosen, k), h))))
         return (*laws, *(Term(h, ()) for h in self.own_curves(chosen)), *others)
 
     def with_other_curves(self, chosen: list[Hypothesis]) -> list[Hypothesis]:
@@ -270,5 +269,6 @@ def _kind(h: Hypothesis) -> tuple[object, ...]:
     return h.name, h.candidate.site.window
 
 
-def _others(chosen: Sequence[Hypothesis], k: int) -> list[Hypothesis]:
+def without(chosen: Sequence[Hypothesis], k: int) -> list[Hypothesis]:
+    """Return a model without its k-th term."""
     return [*chosen[:k], *chosen[k + 1 :]]

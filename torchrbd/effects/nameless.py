@@ -16,8 +16,8 @@ from torchrbd.effects.sites import Site, Window
 from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.robot import RobotModel
 
-# Mass and first moments of a body.
-_FIRST_MOMENTS = 4
+# The first of a body's parameters: its mass and first moments.
+_MASS_AND_MOMENTS = 4
 
 
 class FrictionForATime(CoulombFriction):
@@ -36,7 +36,7 @@ class ForceAtPoint(Effect):
     """tau += -J_c(q)' f during a window of time: force f, in the base's axes, acts at a point c of the link.
 
     It is linear in f and in c f': twelve coefficients -(f, c_i f_k), of which six are free (``diagnosis/attack.py``).
-    The torque against -1 N along an axis is that of a unit mass which weighs 1 N along it.
+    Column k is the torque that carries a unit mass whose weight is -1 N along the base's axis k.
     """
 
     id = "force_at_point"
@@ -47,7 +47,7 @@ class ForceAtPoint(Effect):
     whole_robot = True
     units: ClassVar[Mapping[str, str]] = {
         **{f"force_{axis}": "N" for axis in "xyz"},
-        **{f"moment_{i}{k}": "N m" for i in "xyz" for k in "xyz"},
+        **{f"point_{i}_force_{k}": "N m" for i in "xyz" for k in "xyz"},
     }
     prior = CoefficientPrior(
         "Forces act some decimetres from a link's origin.", std=(*[1.0] * 3, *[0.3] * 9), of_any_size=True
@@ -62,7 +62,7 @@ class ForceAtPoint(Effect):
         inside = signals.inside(site.window)
         if not inside.any():
             return {label: torch.zeros_like(signals.q) for label in labels}
-        own = slice(PARAMETERS_PER_BODY * site.body, PARAMETERS_PER_BODY * site.body + _FIRST_MOMENTS)
+        own = slice(PARAMETERS_PER_BODY * site.body, PARAMETERS_PER_BODY * site.body + _MASS_AND_MOMENTS)
         q, still = signals.q, torch.zeros_like(signals.q)
         axes = torch.eye(3, dtype=q.dtype)
         against = [signals.robot.regressor_batch_last(q, still, still, -axis)[:, own] for axis in axes]
