@@ -14,8 +14,8 @@ from simulated import inverse_dynamics, joint_names, multisine, with_wrong_inert
 from vision_head.motion import Motion
 
 from torchrbd.dataset.band import band_hz
+from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.search import search_effects
-from torchrbd.diagnosis.terms import Explanation
 from torchrbd.inference.preparation import read
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.clocks import in_band
@@ -55,7 +55,7 @@ def arm(seed: int) -> str:
     return random_urdf(seed, 5 + seed % 3, kinds=("revolute",), branching=0.0, massless=0.0)
 
 
-def background(one: Case, *recordings: Recording) -> Explanation:
+def background(one: Case, *recordings: Recording) -> SearchOutcome:
     """Return rigid body and baseline friction on recordings of a case, its own one by default, and no effects."""
     robot = RobotModel.from_urdf(one.cad)
     reading, _ = read(robot, recordings or [one.recording], Settings.from_mapping({}, "test"))

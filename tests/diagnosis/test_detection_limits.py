@@ -11,8 +11,8 @@ from simulated import joint_names
 
 from torchrbd.diagnosis.detection_limits import detection_limits
 from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of
+from torchrbd.diagnosis.outcome import SearchOutcome, search_effects
 from torchrbd.diagnosis.results import DetectionLimit
-from torchrbd.diagnosis.search import Explanation, search_effects
 from torchrbd.effects import Site, effect
 
 EFFECTS = (
@@ -29,22 +29,22 @@ ROTOR = at_joint(1, lambda m: 0.05 * m.qdd[:, 1])
 Found = dict[tuple[str, tuple[str, ...]], DetectionLimit]
 
 
-def by_place(found: Explanation) -> Found:
+def by_place(found: SearchOutcome) -> Found:
     return {(x.effect, x.joints): x for x in detection_limits(found)}
 
 
 @pytest.fixture(scope="module")
-def explanation() -> Explanation:
+def explanation() -> SearchOutcome:
     """Return what is found where a rotor is missing at the second joint."""
     return search_effects(fitted(ROTOR), [effect(name) for name in EFFECTS], lambda _: None)
 
 
 @pytest.fixture(scope="module")
-def found(explanation: Explanation) -> Found:
+def found(explanation: SearchOutcome) -> Found:
     return by_place(explanation)
 
 
-def test_what_is_in_the_model_or_acts_for_a_time_has_no_limit(explanation: Explanation, found: Found) -> None:
+def test_what_is_in_the_model_or_acts_for_a_time_has_no_limit(explanation: SearchOutcome, found: Found) -> None:
     assert [t.own.name for t in explanation.terms] == [("rotor_inertia", Site(1))]
     assert ("rotor_inertia", (SECOND,)) not in found
     assert {name for name, _ in found} <= set(EFFECTS) - {"payload"}
@@ -55,7 +55,7 @@ def test_what_is_in_the_model_or_acts_for_a_time_has_no_limit(explanation: Expla
 
 @pytest.mark.parametrize(("name", "joint"), [("joint_spring", 1), ("quadratic_drag", 0)])
 def test_value_and_std_are_those_of_a_model_that_has_the_effect(
-    explanation: Explanation, name: str, joint: int
+    explanation: SearchOutcome, name: str, joint: int
 ) -> None:
     fit, rows = explanation.fit, explanation.rows
     h = hypothesis_of(fit, rows, rows.columns.candidate(effect(name), Site(joint), {}))
@@ -83,7 +83,7 @@ def test_none_is_what_the_parameter_is_without_the_effect(found: Found) -> None:
         assert limit.none == pytest.approx(coulomb, rel=0.1)
 
 
-def test_what_the_prior_says_is_no_limit(explanation: Explanation, found: Found) -> None:
+def test_what_the_prior_says_is_no_limit(explanation: SearchOutcome, found: Found) -> None:
     """Were the data to leave half of the prior's variance, they would not tell."""
     h = next(h for h in explanation.last if h.name == ("joint_spring", Site(0)))
     std = h.extra(explanation.fit, explanation.rows).std / h.scale
@@ -92,7 +92,7 @@ def test_what_the_prior_says_is_no_limit(explanation: Explanation, found: Found)
     assert len(detection_limits(sharp)) == 1
 
 
-def test_a_curve_has_no_limit(explanation: Explanation) -> None:
+def test_a_curve_has_no_limit(explanation: SearchOutcome) -> None:
     rows = explanation.rows
     curve = rows.columns.candidate(effect("smooth_torque_over_q"), Site(0), {"low": -1.0, "high": 1.0})
     h = Hypothesis(curve, 1.0, np.zeros(21), np.full(21, 1e-6), 1.0, 1)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from likelihood.fits import Motion, at_joint, carried, fitted
 
+from torchrbd.diagnosis.curve_hypotheses import curvature_directions, is_of_time
 from torchrbd.diagnosis.discrepancy import Discrepancy, learn_discrepancy
-from torchrbd.diagnosis.residual import curvature_directions, is_of_time
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.likelihood.likelihood import Likelihood
 

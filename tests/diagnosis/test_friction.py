@@ -13,7 +13,7 @@ from simulated import joint_names, record, with_wrong_inertials
 
 import torchrbd
 from torchrbd.diagnosis.friction import Friction, ordinary_friction
-from torchrbd.diagnosis.hypotheses import carried
+from torchrbd.diagnosis.hypotheses import rows_with_load
 from torchrbd.effects import Site, effect
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.learning import learn
@@ -118,7 +118,7 @@ def test_how_sure_it_is_that_directions_differ_is_told(push: float) -> None:
 def test_a_joint_with_a_constant_torque_has_even_friction(name: str, site: Site, found_as: str) -> None:
     """Also where it is that of a spring's rest: both are told of what happens within a reversal alone."""
     fit, e = learnt(PUSHED), effect(name)
-    rows = carried(fit)
+    rows = rows_with_load(fit)
     law = rows.columns.candidate(e, site, {})
     F = rows.features(law)
     beside = fit.extended((Extra(law.place, F, np.ones(len(F))),))
@@ -170,7 +170,7 @@ def test_each_joint_has_an_offset_that_is_no_finding() -> None:
 def test_one_constant_torque_is_enough(name: str, site: Site) -> None:
     """That of a law, or friction that differs by direction, takes its place."""
     fit = learnt(PUSHED)
-    rows = carried(fit)
+    rows = rows_with_load(fit)
     laws = [rows.columns.candidate(effect(name), site, {})] if name else []
     fit = fit.extended([Extra(c.place, F, np.ones(len(F))) for c in laws if len(F := rows.features(c))])
     every = ordinary_friction(fit, rows.columns, (*ALL, "torque_offset"), laws)

@@ -31,15 +31,15 @@ from torchrbd.dataset.shapes import axes
 from torchrbd.diagnosis.discrepancy import learn_discrepancy
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, hypothesis_of
 from torchrbd.diagnosis.ranking import _ranked
-from torchrbd.diagnosis.screening import refined, screened
+from torchrbd.diagnosis.screening import refine_shape, screen
 from torchrbd.diagnosis.search import Search
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect, known_effects
+from torchrbd.likelihood.coefficient_prior import coefficient_std
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
-from torchrbd.likelihood.sizes import coefficient_std
 
 ALL = list(known_effects().values())
 FOR_A_TIME, SHIFTS = {"payload", "external_wrench", "torque_offset"}, {"time_delay", "actuator_lag"}
@@ -77,7 +77,7 @@ ROTOR, STRIBECK, RIPPLE = at_joint(1, rotor), at_joint(0, stribeck), at_joint(1,
 def leading(torque) -> tuple[Likelihood, Rows, list[Hypothesis]]:
     fit = fitted(torque)
     rows = carried(fit)
-    return fit, rows, screened(fit, rows, ALL)
+    return fit, rows, screen(fit, rows, ALL)
 
 
 def searched(torque) -> tuple[Search, list[Hypothesis]]:
@@ -121,7 +121,7 @@ def test_what_shifts_the_only_joint_is_the_clock() -> None:
     urdf = arm_urdf(0, 1)
     recording = recorded(urdf, 2, friction(VISCOUS[:1], COULOMB[:1], WIDTH), **OPTIONS)
     fit = learn(Machine(rows_of(wrong_robot(urdf, 1), [recording])))
-    names = {h.candidate.effect.id for h in screened(fit, carried(fit), ALL)}
+    names = {h.candidate.effect.id for h in screen(fit, carried(fit), ALL)}
     assert "torque_offset" in names
     assert not names & SHIFTS
 
@@ -161,15 +161,15 @@ def test_load_that_is_taken_up_is_found_with_its_time() -> None:
     assert window.end_s > 19.0
     # Edges near the best one share its evidence, and are paid for.
     assert best.tried == found[0].tried
-    alone = hypothesis_of(fit, rows, refined(fit, rows, found[0]).candidate)
+    alone = hypothesis_of(fit, rows, refine_shape(fit, rows, found[0]).candidate)
     assert alone is not None
-    assert refined(fit, rows, found[0]).log_evidence < alone.log_evidence - 2.0
+    assert refine_shape(fit, rows, found[0]).log_evidence < alone.log_evidence - 2.0
     assert abs(best.coefficients[0] - MASS) < 4 * best.std[0]
 
 
 def test_refining_comes_nearer_to_the_truth_than_the_grid() -> None:
     fit, rows, found = leading(RIPPLE)
-    coarse, fine = found[0], refined(fit, rows, found[0])
+    coarse, fine = found[0], refine_shape(fit, rows, found[0])
     assert fine.tried == coarse.tried
     assert abs(fine.candidate.shape["order"] - 17.4) < abs(coarse.candidate.shape["order"] - 17.4)
     assert abs(fine.log_evidence - coarse.log_evidence) < 6.0
@@ -190,16 +190,16 @@ def test_refined_cell_replaces_the_grids_best() -> None:
     cell = logsumexp([evidence(v) for v in np.linspace(low, high, 9)]) - np.log(9)
     others = [evidence(v) for v in grid if v != c.shape["order"]]
     expected = logsumexp([*others, cell]) - np.log(len(grid))
-    assert refined(fit, rows, h).log_evidence == pytest.approx(expected, abs=1e-6)
+    assert refine_shape(fit, rows, h).log_evidence == pytest.approx(expected, abs=1e-6)
 
 
 def test_refining_what_says_nothing_gains_nothing() -> None:
     """Of two shapes that are alike, and as good as none, a finer cell makes no better hypothesis."""
     fit = fitted()
     rows = carried(fit)
-    for h in screened(fit, rows, [effect("one_sided_spring"), effect("stribeck_friction")]):
+    for h in screen(fit, rows, [effect("one_sided_spring"), effect("stribeck_friction")]):
         if abs(h.log_evidence) < 3:
-            assert refined(fit, rows, h).log_evidence < h.log_evidence + 0.3
+            assert refine_shape(fit, rows, h).log_evidence < h.log_evidence + 0.3
 
 
 def test_shapes_that_were_tried_are_paid_for() -> None:
@@ -219,7 +219,7 @@ def test_what_averaging_has_cost_stays_paid_beside_another_fit(torque) -> None:
     fit, rows, found = leading(torque)
     # Stretches are screened without the edges of what begins and ends in them.
     always = [h for h in found if h.candidate.site.always]
-    for h in (*always[:5], refined(fit, rows, found[0])):
+    for h in (*always[:5], refine_shape(fit, rows, found[0])):
         one, alone = again(fit, rows, h), hypothesis_of(fit, rows, h.candidate)
         assert one is not None
         assert alone is not None
@@ -273,7 +273,7 @@ def test_joint_without_torque_has_no_hypotheses() -> None:
     recording = recorded(URDF, 2, with_friction(), missing=[silent], **OPTIONS)
     fit = learn(Machine(rows_of(wrong_robot(URDF, 1), [recording])))
     rows = carried(fit)
-    found = screened(fit, rows, ALL)
+    found = screen(fit, rows, ALL)
     assert len(found) > 15
     own = [h for h in found if h.candidate.site.joint == 1 and not h.candidate.effect.whole_robot]
     assert not own
@@ -305,7 +305,7 @@ def test_offset_of_a_torque_is_no_drift() -> None:
     """Were a recording's level to tell how large its drift is, an offset would pass for the level of a large one."""
     plain, fit = fitted(), fitted(at_joint(1, lambda m: 0.0 * m.t + 1.5))
     rows = carried(fit)
-    found = [h for h in screened(fit, rows, ALL) if h.candidate.site.always]
+    found = [h for h in screen(fit, rows, ALL) if h.candidate.site.always]
     (offset,) = (h for h in found if h.name == ("torque_offset", Site(1)))
     assert offset.log_evidence > 50.0
     (best,) = Search(rows, ALL, learn_discrepancy(fit, rows)).evidence([], offset)

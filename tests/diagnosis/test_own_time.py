@@ -15,10 +15,10 @@ from simulated import with_wrong_inertials
 from torchrbd.diagnosis import ranking
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import _Fits
-from torchrbd.diagnosis.extending import Extended, extended
+from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
 from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.outcome import SearchOutcome, Term
 from torchrbd.diagnosis.results import OWN_TIME, Finding, Where
-from torchrbd.diagnosis.search import Explanation, Term
 from torchrbd.effects import Site, Window
 from torchrbd.inference.ordinary import with_friction as friction_of
 from torchrbd.inference.ordinary import with_machine
@@ -34,7 +34,7 @@ def quiet(*_: object) -> None:
     """Tell nobody how far the work is."""
 
 
-def searched(torque: Callable | None) -> tuple[Explanation, Callable[[Explanation], Extended]]:
+def searched(torque: Callable | None) -> tuple[SearchOutcome, Callable[[SearchOutcome], FinalModel]]:
     """Return what is found in one recording, another one held out, and what makes a model of an explanation."""
     first = recorded(URDF, 2, with_friction(torque), name="first", **OPTIONS)
     second = recorded(URDF, 3, with_friction(), name="second", **{**OPTIONS, "duration_s": 10.0})
@@ -42,10 +42,10 @@ def searched(torque: Callable | None) -> tuple[Explanation, Callable[[Explanatio
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [first], settings, ())
     ranked = ranking.run_search(prepared.reading, settings, prepared.kept_back, quiet)
     prepared = with_machine(prepared, settings, friction_of(settings), quiet, ranked.clocks)
-    return ranked.explanation, lambda found: extended(prepared, found, MAY, quiet)
+    return ranked.explanation, lambda found: fit_final_model(prepared, found, MAY, quiet)
 
 
-def told(found: Explanation, window: Window) -> Explanation:
+def told(found: SearchOutcome, window: Window) -> SearchOutcome:
     """Return the same with a load in a window, believed to be as heavy as a load may be."""
     c = candidate(found.rows, "payload", Site(body=1, window=window))
     one = Hypothesis(c, 30.0, np.zeros(10), np.ones(10), 1.0, 1)

@@ -11,11 +11,11 @@ import pytest
 from likelihood.fits import at_joint, carried, fitted
 
 from torchrbd.diagnosis import search
+from torchrbd.diagnosis.curve_hypotheses import is_curve
 from torchrbd.diagnosis.discrepancy import learn_discrepancy
+from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.posterior import log_odds
-from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.search import Search, search_effects
-from torchrbd.diagnosis.terms import Explanation
 from torchrbd.effects import Site, effect
 
 EFFECTS = (
@@ -36,7 +36,7 @@ PULL_SIZE, PULLS_S = 0.8, (6.2, 9.1)
 PULL = at_joint(0, lambda m: PULL_SIZE * ((m.t >= PULLS_S[0]) & (m.t < PULLS_S[1])))
 
 
-def searched(torque: Any, names: Sequence[str] = EFFECTS) -> tuple[Explanation, list[float]]:
+def searched(torque: Any, names: Sequence[str] = EFFECTS) -> tuple[SearchOutcome, list[float]]:
     told: list[float] = []
     return search_effects(fitted(torque), [effect(name) for name in names], told.append), told
 

@@ -6,10 +6,10 @@ from likelihood.fits import Motion, at_joint, fitted
 from scipy.optimize import minimize
 
 from torchrbd.diagnosis.discrepancy import learn_discrepancy
-from torchrbd.diagnosis.hypotheses import Hypothesis, carried, hypothesis_of
-from torchrbd.diagnosis.screening import screened
+from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of, rows_with_load
+from torchrbd.diagnosis.screening import screen
 from torchrbd.diagnosis.search import Search
-from torchrbd.diagnosis.sharpening import at_summit, shape_stds
+from torchrbd.diagnosis.sharpening import find_summit, shape_stds
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect
 
@@ -26,8 +26,8 @@ def spring(m: Motion) -> np.ndarray:
 @pytest.fixture(scope="module")
 def case():
     fit = fitted(at_joint(0, spring))
-    rows = carried(fit)
-    (coarse,) = (h for h in screened(fit, rows, [effect("counterbalance")]) if h.candidate.site == Site(0))
+    rows = rows_with_load(fit)
+    (coarse,) = (h for h in screen(fit, rows, [effect("counterbalance")]) if h.candidate.site == Site(0))
     return fit, rows, coarse
 
 
@@ -38,7 +38,7 @@ def best_of(case) -> Hypothesis:
 
 def test_summit_is_that_of_a_general_optimiser(case) -> None:
     fit, rows, coarse = case
-    best = at_summit(fit, rows, coarse)
+    best = find_summit(fit, rows, coarse)
 
     def loss(x: np.ndarray) -> float:
         shape = dict(zip(("dead_centre", "crank_ratio"), x.tolist(), strict=True))
@@ -63,7 +63,7 @@ def test_best_shape_is_the_true_one_and_has_more_evidence(case) -> None:
 
 def test_hypotheses_without_a_shape_stay(case) -> None:
     fit, rows, _ = case
-    (one,) = (h for h in screened(fit, rows, [effect("joint_spring")]) if h.candidate.site == Site(0))
+    (one,) = (h for h in screen(fit, rows, [effect("joint_spring")]) if h.candidate.site == Site(0))
     best = Search(rows, (), learn_discrepancy(fit, rows)).best_shape(fit, one)
     assert best.candidate == one.candidate
     assert best.log_evidence == pytest.approx(one.log_evidence, abs=1e-9)

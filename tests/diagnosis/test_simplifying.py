@@ -14,11 +14,11 @@ from inference.problems import urdf_of
 
 from torchrbd.dataset.columns import Candidate, Columns
 from torchrbd.diagnosis import simplifying
-from torchrbd.diagnosis.estimate_evidence import bayes_factor
-from torchrbd.diagnosis.extending import Extended
+from torchrbd.diagnosis.evidence_cap import bayes_factor
+from torchrbd.diagnosis.final_model import FinalModel
 from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.outcome import SearchOutcome, Term
 from torchrbd.diagnosis.simplifying import as_estimated, simplified
-from torchrbd.diagnosis.terms import Explanation, Term
 from torchrbd.effects import JointScale, Site, effect
 from torchrbd.robot import RobotModel
 
@@ -63,19 +63,19 @@ class Fit(SimpleNamespace):
         return self
 
 
-def model(terms: Sequence[Term], *springs: tuple[float, float]) -> Extended:
+def model(terms: Sequence[Term], *springs: tuple[float, float]) -> FinalModel:
     candidates, fit = tuple(t.own.candidate for t in terms), Fit(extra=[f"old {t.own.name[0]}" for t in terms])
-    found = Explanation(cast(Any, None), cast(Any, fit), ROWS, tuple(terms), [], [], 0, cast(Any, None))
+    found = SearchOutcome(cast(Any, None), cast(Any, fit), ROWS, tuple(terms), [], [], 0, cast(Any, None))
     made = cast(Any, Model(springs=springs))
-    return Extended(cast(Any, None), found, made, made, (), candidates, (NARROW,) * len(terms))
+    return FinalModel(cast(Any, None), found, made, made, (), candidates, (NARROW,) * len(terms))
 
 
 @pytest.fixture(autouse=True)
-def refitted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Extended, tuple[str, ...]]]:
+def refitted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[FinalModel, tuple[str, ...]]]:
     """Return the models that were fitted again; none is a fit of data, and priors are of one."""
-    calls: list[tuple[Extended, tuple[str, ...]]] = []
+    calls: list[tuple[FinalModel, tuple[str, ...]]] = []
 
-    def extended(_: Any, found: Explanation, may: tuple[str, ...], __: Any) -> Extended:
+    def extended(_: Any, found: SearchOutcome, may: tuple[str, ...], __: Any) -> FinalModel:
         calls.append((replace(model(found.terms, ZERO, ZERO), found=found), may))
         return calls[-1][0]
 
@@ -85,7 +85,7 @@ def refitted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Extended, tuple[str,
     return calls
 
 
-def simplest(terms: Sequence[Term], *springs: tuple[float, float]) -> Extended:
+def simplest(terms: Sequence[Term], *springs: tuple[float, float]) -> FinalModel:
     return simplified(model(terms, *springs), cast(Any, None), ("joint_spring",), lambda *_: None)
 
 

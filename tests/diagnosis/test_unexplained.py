@@ -16,13 +16,13 @@ from report.rendered import Text, render
 from shortened import slow_but
 from simulated import Motion, inverse_dynamics, joint_names, with_wrong_inertials
 
+from torchrbd.diagnosis.curve_hypotheses import is_curve
 from torchrbd.diagnosis.curves import loudest_part
 from torchrbd.diagnosis.explain import explain
-from torchrbd.diagnosis.extending import Extended, extended
+from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
 from torchrbd.diagnosis.friction import COULOMB as EVEN
 from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.ranking import run_search
-from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import Curve, HeldOutCheck, Unexplained, Where
 from torchrbd.diagnosis.unexplained import drifts, large_errors, merge_errors, unexplained
 from torchrbd.effects.smooth_torque import HUM
@@ -53,7 +53,7 @@ def quiet(*_: object) -> None:
     """Tell nobody how far the work is."""
 
 
-def diagnosed(torque: Callable | None, seconds: Sequence[float] = (30.0,), may: Sequence[str] = MAY) -> Extended:
+def diagnosed(torque: Callable | None, seconds: Sequence[float] = (30.0,), may: Sequence[str] = MAY) -> FinalModel:
     """Return the model with what the search finds of few laws in recordings that last so long."""
     recordings = [
         recorded(URDF, 2 + k, with_friction(torque), name=f"run{k + 1}", **{**OPTIONS, "duration_s": length})
@@ -63,20 +63,20 @@ def diagnosed(torque: Callable | None, seconds: Sequence[float] = (30.0,), may: 
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), recordings, settings, ())
     ranked = run_search(prepared.reading, settings, prepared.kept_back, quiet)
     prepared = with_machine(prepared, settings, friction_of(settings), quiet, ranked.clocks)
-    return extended(prepared, ranked.explanation, may, quiet)
+    return fit_final_model(prepared, ranked.explanation, may, quiet)
 
 
 @pytest.fixture(scope="module")
-def bumped() -> Extended:
+def bumped() -> FinalModel:
     return diagnosed(at_joint(0, bump))
 
 
 @pytest.fixture(scope="module")
-def told(bumped: Extended) -> Unexplained:
+def told(bumped: FinalModel) -> Unexplained:
     return unexplained(bumped)[0]
 
 
-def test_a_curve_is_no_larger_than_it_is_believed_to_be(bumped: Extended) -> None:
+def test_a_curve_is_no_larger_than_it_is_believed_to_be(bumped: FinalModel) -> None:
     found, model = bumped.found, bumped
     curves = [(t.own, c) for t, c in zip(found.terms, model.terms, strict=True) if is_curve(c)]
     assert curves
@@ -87,7 +87,7 @@ def test_a_curve_is_no_larger_than_it_is_believed_to_be(bumped: Extended) -> Non
         assert (scale > 0).all()
 
 
-def test_curves_leave_ordinary_friction_its_place(bumped: Extended) -> None:
+def test_curves_leave_ordinary_friction_its_place(bumped: FinalModel) -> None:
     model = bumped
     for f, c in zip(model.friction, model.model.terms, strict=False):
         w, _ = model.model.coefficients(c)

@@ -16,15 +16,15 @@ from simulated import Motion
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.edges import Edges
 from torchrbd.diagnosis.hypotheses import average_over_shapes, hypothesis_of
-from torchrbd.diagnosis.windows import Windows, in_recordings, in_windows, located, weigh_windows
+from torchrbd.diagnosis.windows import Windows, in_recordings, in_windows, place_window, weigh_windows
 from torchrbd.effects import JointScale, Shape, Site, Window
 from torchrbd.effects.registry import effect
 from torchrbd.effects.stribeck_friction import StribeckFriction
+from torchrbd.likelihood.coefficient_prior import coefficient_std
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.learning import learn
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.machine import Machine
-from torchrbd.likelihood.sizes import coefficient_std
 
 
 @pytest.fixture(scope="module")
@@ -258,7 +258,7 @@ def test_window_is_told_of_those_that_come_gradually_and_at_once(
     found = max(every, key=lambda h: h.log_evidence)
     window = found.candidate.site.window
     assert np.isinf(window.start_s) != np.isinf(window.end_s)
-    near = located(fit, rows, found)
+    near = place_window(fit, rows, found)
     assert near.candidate.site.window.start_s == pytest.approx(BEGIN_S, abs=2 * rows.dt_out)
 
 
@@ -268,7 +268,7 @@ def test_located_window_pays_for_all_that_may_be(two_recordings: tuple[Likelihoo
     edges = Edges(fit, rows, "second")
     h = max((h for h in in_windows(fit, rows, effect("payload")) if h is not None), key=lambda h: h.log_evidence)
     near = Windows.near(edges, h.candidate.site.window)
-    found = located(fit, rows, h)
+    found = place_window(fit, rows, h)
     (each,) = weigh_windows(fit, rows, candidate(rows, "payload", Site(body=1, window=Window("second"))), [near])
     assert each is not None
     assert found.tried == h.tried

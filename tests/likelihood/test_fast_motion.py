@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from torchrbd.dataset.band import band_hz
-from torchrbd.diagnosis.hypotheses import carried, hypothesis_of
+from torchrbd.diagnosis.hypotheses import hypothesis_of, rows_with_load
 from torchrbd.effects import Site, effect
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import read
@@ -54,7 +54,7 @@ def learnt(folder: Path, monkeypatch: pytest.MonkeyPatch, step: float) -> Likeli
 def test_dry_friction_is_not_taken_for_an_elastic_joint(tmp_path, monkeypatch, step) -> None:
     pytest.importorskip("mujoco")
     fit = learnt(tmp_path, monkeypatch, step)
-    rows, spring = carried(fit), effect("joint_elasticity")
+    rows, spring = rows_with_load(fit), effect("joint_elasticity")
     np.testing.assert_allclose(fit.friction[2, 1:], 2.4, rtol=0.02)
     # Soft and stiff, slow and fast ones; the last one had more than 100 nats.
     shapes = [(1.2, 0.0), (6.0, 0.0), (48.0, 0.0), (66.0, 1.16e-5)]

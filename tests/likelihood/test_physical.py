@@ -10,8 +10,8 @@ import torch
 from likelihood.arms import arm_urdf
 from scipy.optimize import approx_fprime, minimize
 
+from torchrbd.likelihood.coefficient_prior import inertial_scale
 from torchrbd.likelihood.physical import expanded, most_probable
-from torchrbd.likelihood.sizes import inertial_scale
 from torchrbd.parameters import ORTHONORMAL, PARAMETERS_PER_BODY, is_physical
 from torchrbd.robot import RobotModel, pseudo_inertia
 

@@ -8,7 +8,7 @@ from likelihood.arms import arm_urdf
 from torchrbd.dataset.columns import Candidate
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect
-from torchrbd.likelihood.sizes import TORQUE_SCALES, UNIT_SCALES, coefficient_std, inertial_scale
+from torchrbd.likelihood.coefficient_prior import TORQUE_SCALES, UNIT_SCALES, coefficient_std, inertial_scale
 from torchrbd.parameters import PARAMETERS_PER_BODY, is_physical
 from torchrbd.robot import RobotModel, from_pseudo_inertia, pseudo_inertia
 

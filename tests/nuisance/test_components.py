@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from likelihood.fits import DELAY_S, at_joint, carried, fitted
 
+from torchrbd.diagnosis.curve_hypotheses import curves_at
 from torchrbd.diagnosis.hypotheses import hypothesis_of
-from torchrbd.diagnosis.residual import curves_at
 from torchrbd.effects import Site, effect
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.nuisance.component import Component

@@ -12,7 +12,7 @@ import numpy as np
 
 from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.decisions import DECISIONS
-from torchrbd.diagnosis.extending import Extended
+from torchrbd.diagnosis.final_model import FinalModel
 from torchrbd.diagnosis.posterior import prior_log_odds, probabilities
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Where
@@ -23,7 +23,7 @@ from torchrbd.inference.series import torque_series
 from torchrbd.likelihood.clocks import of_one_machine
 
 
-def clock_offset(ranked: Ranking, extended: Extended, identification: Identification) -> Finding | None:
+def clock_offset(ranked: Ranking, extended: FinalModel, identification: Identification) -> Finding | None:
     """Return the offset of the clocks as a finding, if it is likelier than not.
 
     Args:
@@ -74,7 +74,7 @@ def _is_offset(h: Ranked) -> bool:
 
 
 def _worth(
-    extended: Extended, identification: Identification
+    extended: FinalModel, identification: Identification
 ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
     """Return by joint the held-out nmse without the offset and with it, and the RMS of what it moves [N m or N]."""
     prepared, model = extended.prepared, copy(identification.model)

@@ -9,18 +9,18 @@ import math
 
 import torch
 
+from torchrbd.diagnosis.curve_hypotheses import is_curve
 from torchrbd.diagnosis.curves import driven_by
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import places
-from torchrbd.diagnosis.hypotheses import SHARED, Hypothesis, believed, whole
-from torchrbd.diagnosis.residual import is_curve
+from torchrbd.diagnosis.hypotheses import SHARED, Hypothesis, prior_std, whole
+from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.results import DetectionLimit
-from torchrbd.diagnosis.terms import Explanation
 
 _DIGITS = 4
 
 
-def detection_limits(found: Explanation) -> tuple[DetectionLimit, ...]:
+def detection_limits(found: SearchOutcome) -> tuple[DetectionLimit, ...]:
     """Return an estimate for each effect at each place that is not in the model, in its best shape.
 
     Effects that act for a time only are left out, and parameters that the data does not identify.
@@ -30,10 +30,10 @@ def detection_limits(found: Explanation) -> tuple[DetectionLimit, ...]:
     return tuple(sorted(filter(None, each), key=lambda one: (one.joints, one.links, one.effect)))
 
 
-def _limit(found: Explanation, h: Hypothesis) -> DetectionLimit | None:
+def _limit(found: SearchOutcome, h: Hypothesis) -> DetectionLimit | None:
     """Return the first parameter that moves with the coefficients; its std by the delta method."""
     c, robot = h.candidate, found.rows.columns.robot
-    prior = torch.from_numpy(believed(found.fit, found.rows, c)[0])
+    prior = torch.from_numpy(prior_std(found.fit, found.rows, c)[0])
     own = found.fit.friction
     w, std = torch.from_numpy(whole(c, h.coefficients, own)).requires_grad_(True), torch.from_numpy(h.std)
     fresh = torch.tensor([c.site.joint is None or label not in SHARED for label in c.labels])

@@ -13,7 +13,7 @@ from torchrbd.diagnosis.deflection import joint_deflections
 from torchrbd.diagnosis.detection_limits import detection_limits
 from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.explain import explain, likeliest_left, reported
-from torchrbd.diagnosis.extending import extended
+from torchrbd.diagnosis.final_model import fit_final_model
 from torchrbd.diagnosis.held_out_checks import held_out_checks
 from torchrbd.diagnosis.localisation import locate
 from torchrbd.diagnosis.negligible import is_negligible
@@ -118,7 +118,7 @@ def diagnose(
     found, may = search.explanation, [e.id for e in settings.chosen_effects()]
     asked, prepared = prepared, with_machine(prepared, settings, with_friction(settings), progress, search.clocks)
     progress("fitting what was found", 0.0)
-    model = simplified(extended(prepared, found, may, progress), prepared, may, progress)
+    model = simplified(fit_final_model(prepared, found, may, progress), prepared, may, progress)
     found = model.found
     worthless = tells_nothing(model.prepared, model.model)
     if worthless and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):

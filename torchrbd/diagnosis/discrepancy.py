@@ -20,9 +20,9 @@ import numpy as np
 
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.calibration import calibrated
+from torchrbd.diagnosis.curve_hypotheses import curves_at, is_of_time, is_over_own_signal, tones
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.posterior import needless
-from torchrbd.diagnosis.residual import curves_at, is_of_time, is_over_own_signal, tones
 from torchrbd.likelihood.additions import Additions
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.likelihood import Likelihood

@@ -11,18 +11,19 @@ import torch
 
 from torchrbd.dataset.block_statistics import Block
 from torchrbd.dataset.columns import Candidate, Columns
+from torchrbd.diagnosis.curve_hypotheses import is_curve
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.diagnosis.decisions import DECISIONS
-from torchrbd.diagnosis.estimate_evidence import estimate_evidence
-from torchrbd.diagnosis.extending import Extended
+from torchrbd.diagnosis.evidence_cap import evidence_of_estimate
+from torchrbd.diagnosis.final_model import FinalModel
 from torchrbd.diagnosis.friction import COULOMB, OFFSET, UNEVEN, Friction
 from torchrbd.diagnosis.held_out_checks import held_out_ratio
-from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, whole
+from torchrbd.diagnosis.hypotheses import Hypothesis, mean_of, prior_std, whole
 from torchrbd.diagnosis.negligible import contradicted, is_negligible, split_negligible, with_errors
+from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.posterior import Inclusion, inclusion, log_odds, probability_of
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.ranking import SearchResult
-from torchrbd.diagnosis.residual import is_curve
 from torchrbd.diagnosis.results import (
     HELD_OUT,
     OWN_TIME,
@@ -37,7 +38,6 @@ from torchrbd.diagnosis.results import (
     strongest_first,
 )
 from torchrbd.diagnosis.simplifying import as_estimated
-from torchrbd.diagnosis.terms import Explanation
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.effects import Effect, Site
 from torchrbd.effects.base import UNEVENNESS
@@ -64,11 +64,11 @@ class Explained:
 
     findings: tuple[Finding, ...]
     not_confirmed: tuple[Finding, ...]
-    model: Extended
+    model: FinalModel
     apart: tuple[Candidate, ...]
 
 
-def explain(extended: Extended) -> Explained:
+def explain(extended: FinalModel) -> Explained:
     """Describe what was found, if it, or its family, is likelier than not."""
     robot = extended.prepared.robot
     everywhere = {(c.effect, c.site) for c, _, _ in _sure(extended)}
@@ -132,7 +132,7 @@ def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[t
     return [pair for pair, (one, own) in zip(kept, every, strict=True) if not is_part(one, own)]
 
 
-def _terms_and_findings(extended: Extended, *, likely: bool = True) -> list[tuple[Candidate, Finding]]:
+def _terms_and_findings(extended: FinalModel, *, likely: bool = True) -> list[tuple[Candidate, Finding]]:
     """Return terms that are likelier than not, or whose family is, with their findings.
 
     Args:
@@ -157,7 +157,7 @@ def _judged_as(judged: Finding, one: Finding) -> Finding:
 class _Fits:
     """The model as it is first fitted, without some of its terms, each fitted once."""
 
-    def __init__(self, extended: Extended) -> None:
+    def __init__(self, extended: FinalModel) -> None:
         self.prepared, self.first = extended.prepared, extended.first
         self._friction, self._noise = len(extended.friction), extended.model.noise_variance
         self._fitted = {frozenset[Candidate](): self.first}
@@ -229,7 +229,7 @@ def _acts_in(block: Block, site: Site) -> bool:
     return site.recordings is None or block.recording in site.recordings
 
 
-def _sure(extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:
+def _sure(extended: FinalModel) -> Iterator[tuple[Candidate, float, Inclusion]]:
     """Yield the terms of a model that may be findings, their log evidence, and how sure they are."""
     found, terms = extended.found, extended.model.proper_terms
     for friction, candidate in zip(extended.friction, terms, strict=False):
@@ -243,20 +243,20 @@ def _sure(extended: Extended) -> Iterator[tuple[Candidate, float, Inclusion]]:
         yield candidate, one.own.log_evidence, inclusion(one.own, one.rivals, found.rows)
 
 
-def _as_estimated(friction: Friction, term: Candidate, extended: Extended) -> Friction:
+def _as_estimated(friction: Friction, term: Candidate, extended: FinalModel) -> Friction:
     """Return baseline friction no surer than its estimate; without the effect it is the URDF's."""
     model, found = extended.model, extended.found
-    std, scales = believed(found.fit, found.rows, term)
+    std, scales = prior_std(found.fit, found.rows, term)
     none = extended.prepared.prior.reference[model.columns.of(term)].numpy()
     evidence = mean_of(
-        np.array([estimate_evidence(model, term, std * scale, None, none, term.labels) for scale in scales])
+        np.array([evidence_of_estimate(model, term, std * scale, None, none, term.labels) for scale in scales])
     )
     if evidence >= friction.log_evidence:
         return friction
     return replace(friction, log_evidence=evidence, probability=probability_of(evidence))
 
 
-def _laws(friction: Friction, term: Candidate, extended: Extended) -> tuple[tuple[Hypothesis, float], ...]:
+def _laws(friction: Friction, term: Candidate, extended: FinalModel) -> tuple[tuple[Hypothesis, float], ...]:
     """Return Coulomb friction that is the same in both directions, or is not, and how probable each is."""
     if friction.law == 1.0:
         return ()
@@ -279,7 +279,7 @@ def places(robot: RobotModel, term: Candidate) -> tuple[tuple[str, ...], tuple[s
     return joints, () if site.body is None else (robot.body_names[site.body],)
 
 
-def likeliest_left(found: Explanation) -> NextEffect | None:
+def likeliest_left(found: SearchOutcome) -> NextEffect | None:
     """Return what is likeliest given what was found, if it is likelier than not: the search ended before."""
     if not found.last or log_odds(found.last[0], found.rows) <= 0.0:
         return None
@@ -306,7 +306,7 @@ def _finding(
     term: Candidate,
     evidence: float,
     sure: Inclusion,
-    extended: Extended,
+    extended: FinalModel,
     ends_s: Mapping[str, float],
     alike: tuple[Alternative, ...],
 ) -> Finding:
@@ -356,7 +356,7 @@ def reciprocal(q: Quantity) -> Quantity:
     return replace(q, value=math.nan, std=math.nan, at_least=1.0 / (max(c, 0.0) + _ONE_SIDED * std))
 
 
-def reported(search: SearchResult, extended: Extended) -> Ranking:
+def reported(search: SearchResult, extended: FinalModel) -> Ranking:
     """Return a ranking whose adopted hypotheses have the parameters of the model that is reported."""
     final = {(c.effect.id, c.site): c for c in extended.terms}
     known = dict[tuple[object, ...], dict[str, float]]()
@@ -375,7 +375,7 @@ def reported(search: SearchResult, extended: Extended) -> Ranking:
     return replace(ranked, first=of(ranked.first), adopted=of(ranked.adopted), last=of(ranked.last))
 
 
-def _std_left_open(term: Candidate, extended: Extended) -> dict[str, float]:
+def _std_left_open(term: Candidate, extended: FinalModel) -> dict[str, float]:
     """Return the standard deviations of a term's parameters as the likelihood has them, its shape as it is."""
     if term not in extended.terms:
         return {}
@@ -389,7 +389,7 @@ def _std_left_open(term: Candidate, extended: Extended) -> dict[str, float]:
     return dict(zip(term.effect.units, torch.nan_to_num(variance).clamp_min(0.0).sqrt().tolist(), strict=True))
 
 
-def _alternatives(term: Candidate, sure: Inclusion, extended: Extended) -> tuple[Alternative, ...]:
+def _alternatives(term: Candidate, sure: Inclusion, extended: FinalModel) -> tuple[Alternative, ...]:
     """Return the effects that cannot be distinguished from a term, the likeliest first, with their parameters."""
     model, fit, own = extended.model, extended.found.fit, (term.effect.id, replace(term.site, window=None))
     alike = [(h.candidate, whole(h.candidate, h.coefficients, fit.friction), p) for h, p in sure.laws if h.name != own]
@@ -406,7 +406,7 @@ def _alternatives(term: Candidate, sure: Inclusion, extended: Extended) -> tuple
     return tuple(dict.fromkeys(found))
 
 
-def torque_rms(term: Candidate, extended: Extended) -> dict[str, float]:
+def torque_rms(term: Candidate, extended: FinalModel) -> dict[str, float]:
     """Return by joint the RMS of the torque that a term carries [N m or N], w' A w / n of its columns' moments A."""
     model, statistics = extended.model, extended.prepared.training
     found, own = {}, torch.zeros_like(model.x)

@@ -18,10 +18,10 @@ from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.effects import Site
 from torchrbd.effects.base import DIRECTION, SPEED
+from torchrbd.likelihood.coefficient_prior import coefficient_std
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.sizes import coefficient_std
 
 # Columns that baseline friction has too.
 SHARED = (SPEED, DIRECTION)
@@ -59,7 +59,7 @@ class Hypothesis:
 
     def extra(self, fit: Likelihood, rows: Rows) -> Extra:
         """Return its columns, as a model takes them."""
-        std, _ = believed(fit, rows, self.candidate)
+        std, _ = prior_std(fit, rows, self.candidate)
         return Extra(self.candidate.place, rows.features(self.candidate), std * self.scale)
 
 
@@ -68,7 +68,7 @@ def meet(a: Candidate, b: Candidate) -> bool:
     return a.place is None or b.place is None or a.place == b.place
 
 
-def carried(fit: Likelihood) -> Rows:
+def rows_with_load(fit: Likelihood) -> Rows:
     """Return the rows whose signals carry the load and friction of a fit."""
     own = fit.around_its_fit(alone=True)
     return fit.machine.rows.around(own.pi, own.friction, own.rest_width)
@@ -99,7 +99,7 @@ def agree_shape(fit: Likelihood, rows: Rows, one: Hypothesis, *, plausible: bool
     return one
 
 
-def believed(fit: Likelihood, rows: Rows, candidate: Candidate) -> tuple[np.ndarray, tuple[float, ...]]:
+def prior_std(fit: Likelihood, rows: Rows, candidate: Candidate) -> tuple[np.ndarray, tuple[float, ...]]:
     """Return how large coefficients are believed to be, (K,) and multiples, whatever the time in which they act."""
     if not (candidate.site.always or candidate.effect.of_each_recording):
         at = replace(candidate.site, window=None, recordings=None)
@@ -119,7 +119,7 @@ def average_over_shapes(fit: Likelihood, rows: Rows, candidates: Sequence[Candid
     if not len(felt):
         return None
     parts = [known[k][0] for k in felt]
-    sizes = [believed(fit, rows, c) for c in parts]
+    sizes = [prior_std(fit, rows, c) for c in parts]
     scales = np.array(sizes[0][1])
     std = np.stack([s for s, _ in sizes])[:, None] * scales[:, None]
     found = added(S[felt][:, None], r[felt][:, None], std, parts[0].effect.prior.positive)
@@ -150,7 +150,7 @@ def support(
         mean, covariance: (K,) and (K, K), posterior of its coefficients.
         friction: (n, 3), what the machine's own friction is then.
     """
-    rng, std = np.random.default_rng(0), believed(fit, rows, h.candidate)[0] * h.scale
+    rng, std = np.random.default_rng(0), prior_std(fit, rows, h.candidate)[0] * h.scale
     root = np.linalg.cholesky(covariance + _ROUNDING * np.diag(covariance.diagonal() + 1e-300))
     unit = rng.standard_normal((_DRAWS, len(mean)))
     after = _allowed(h, friction, rows, mean + unit @ root.T)

@@ -14,12 +14,12 @@ import numpy as np
 
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.attack import attack
+from torchrbd.diagnosis.curve_hypotheses import depends_on, is_curve
 from torchrbd.diagnosis.curves import loudest_part
-from torchrbd.diagnosis.hypotheses import Hypothesis, carried
-from torchrbd.diagnosis.residual import depends_on, is_curve
+from torchrbd.diagnosis.hypotheses import Hypothesis, rows_with_load
+from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.results import Attack, Curve, Location, Region, ResidualMap, Where
 from torchrbd.diagnosis.search import Search, without
-from torchrbd.diagnosis.terms import Explanation
 from torchrbd.effects import Effect, effect
 from torchrbd.effects.nameless import FORCE_AT_POINT, FRICTION_FOR_A_TIME
 from torchrbd.effects.smooth_torque import SmoothTorque
@@ -44,7 +44,7 @@ _BINS, _FEWEST_BINS, _ROWS_IN_BIN, _LEAST_ROWS = 48, 4, 6, 2
 
 
 def locate(
-    found: Explanation, report: Callable[[float], None] = lambda _: None
+    found: SearchOutcome, report: Callable[[float], None] = lambda _: None
 ) -> tuple[tuple[Location, ...], tuple[ResidualMap, ...]]:
     """Locate what the rigid body with baseline friction leaves, and what the model of a search leaves.
 
@@ -55,7 +55,7 @@ def locate(
     Returns:
         The locations of each model, largest gain first, and maps of both residuals over time, position and velocity.
     """
-    search = Search(carried(found.base), list(_FORMS), found.discrepancy, report)
+    search = Search(rows_with_load(found.base), list(_FORMS), found.discrepancy, report)
     chosen, _ = search.improve([], search.rank([]))
     chosen = search.with_other_curves(chosen)
     fit, every = search.fit(chosen), [*search.conditional(chosen), *search.own_curves(chosen)]

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis.decisions import DECISIONS
-from torchrbd.diagnosis.extending import Extended
+from torchrbd.diagnosis.final_model import FinalModel
 from torchrbd.diagnosis.results import Finding
 
 
@@ -55,7 +55,7 @@ def with_errors(term: Candidate, one: Finding, before: Mapping[str, float], afte
     return replace(one, nmse_before={j: before[j] for j in touched}, nmse_after={j: after[j] for j in touched})
 
 
-def is_negligible(finding: Finding, extended: Extended) -> bool:
+def is_negligible(finding: Finding, extended: FinalModel) -> bool:
     """Say whether held-out data hardly shows a finding, and the finding carries next to no torque of its joint.
 
     Other inertial parameters, or other friction, explain the data as well then. It counts if one joint shows it, unless

@@ -17,12 +17,12 @@ from torchrbd._runtime.threads import single_threaded
 from torchrbd.dataset.band import band_hz
 from torchrbd.dataset.reading import Progress, Reading
 from torchrbd.dataset.rows import KeptBack, not_held_out
-from torchrbd.diagnosis.hypotheses import Hypothesis, carried, hypothesis_of, whole
-from torchrbd.diagnosis.models import Models
+from torchrbd.diagnosis.evidence import ModelEvidence
+from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of, rows_with_load, whole
+from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.screening import is_clocks
 from torchrbd.diagnosis.search import search_effects
-from torchrbd.diagnosis.terms import Explanation
 from torchrbd.effects import Effect, Site, Window
 from torchrbd.effects.registry import effect
 from torchrbd.errors import RecordingError
@@ -54,7 +54,7 @@ class SearchResult:
 
     ranking: Ranking
     clocks: Clocks
-    explanation: Explanation
+    explanation: SearchOutcome
 
 
 @time_limited
@@ -171,11 +171,11 @@ def without_terms(search: SearchResult, effects: Sequence[Effect]) -> SearchResu
         effects: what may be there.
     """
     before = search.explanation
-    found = replace(before, fit=before.base, rows=carried(before.base), terms=(), last=before.first)
+    found = replace(before, fit=before.base, rows=rows_with_load(before.base), terms=(), last=before.first)
     return _result(found, search.ranking.band_hz, replace(search.clocks, fit=before.base), effects)
 
 
-def _result(found: Explanation, band: float, clocks: Clocks, effects: Sequence[Effect]) -> SearchResult:
+def _result(found: SearchOutcome, band: float, clocks: Clocks, effects: Sequence[Effect]) -> SearchResult:
     fit, robot = found.base, found.rows.columns.robot
     late = _of_all(clocks, effects)
 
@@ -203,7 +203,7 @@ def _result(found: Explanation, band: float, clocks: Clocks, effects: Sequence[E
 
 
 def _evidence_of(
-    found: Explanation,
+    found: SearchOutcome,
     effects: Sequence[Effect],
     first: Sequence[Ranked],
     effect_id: str,
@@ -229,7 +229,7 @@ def _evidence_of(
     one = hypothesis_of(found.base, found.rows, candidate)
     if one is None:
         return -math.inf
-    (one,) = Models(found.rows, effects, found.discrepancy).evidence([], one)
+    (one,) = ModelEvidence(found.rows, effects, found.discrepancy).evidence([], one)
     return one.log_evidence
 
 

@@ -8,7 +8,7 @@ from torchrbd._runtime.deadline import is_over
 from torchrbd.dataset.reading import Progress
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import Explained, explain
-from torchrbd.diagnosis.extending import Extended, extended
+from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
 from torchrbd.diagnosis.held_out_checks import held_out_ratio, over_blocks
 from torchrbd.diagnosis.ranking import SearchResult
 from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, strongest_first
@@ -30,10 +30,10 @@ def is_refuted(first: Explained, asked: Prepared) -> bool:
     return bool(first.model.terms) and refuted(first.model.prepared, first.model.model, asked, shown_of(first.model))
 
 
-def shown_of(extended: Extended) -> Ratio | None:
+def shown_of(final: FinalModel) -> Ratio | None:
     """Return the size on held-out data of what a model adds to the plain one, see ``held_out_ratio``."""
-    prepared = extended.prepared
-    return held_out_ratio(prepared.judging, extended.model, prepared.fit(prepared.columns.urdf_friction).x)
+    prepared = final.prepared
+    return held_out_ratio(prepared.judging, final.model, prepared.fit(prepared.columns.urdf_friction).x)
 
 
 def refuted(prepared: Prepared, model: FittedModel, asked: Prepared, there: Ratio | None) -> bool:
@@ -66,7 +66,9 @@ def friction_alone(
         progress: called with the stage and the part of it that is done.
     """
     alike = with_machine(prepared, settings, with_friction(settings), progress, search.clocks)
-    return _instead(first, extended(alike, search.explanation, [e.id for e in settings.chosen_effects()], progress))
+    return _instead(
+        first, fit_final_model(alike, search.explanation, [e.id for e in settings.chosen_effects()], progress)
+    )
 
 
 def what_counts(first: Explained) -> Explained:
@@ -93,13 +95,13 @@ def functions_alone(
     if not found.terms:
         return ()
     alike = with_machine(prepared, settings, with_friction(settings), progress, replace(search.clocks, fit=found.fit))
-    model = extended(alike, found, [e.id for e in settings.chosen_effects()], progress)
+    model = fit_final_model(alike, found, [e.id for e in settings.chosen_effects()], progress)
     if refuted(model.prepared, model.model, prepared, shown_of(model)):
         return ()
     return tuple(one for one in functions(model) if one.where.recordings is None)
 
 
-def _instead(first: Explained, model: Extended) -> Explained:
+def _instead(first: Explained, model: FinalModel) -> Explained:
     """Return the findings of another model; findings of the first that this one lacks become "not confirmed"."""
     other = explain(model)
     known = {_kind(f) for f in (*other.findings, *other.not_confirmed)}

@@ -12,7 +12,7 @@ from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.dataset.shapes import varied
 from torchrbd.diagnosis.hypotheses import Hypothesis, agree_shape, average_over_shapes, hypothesis_of, mean_of
-from torchrbd.diagnosis.windows import in_recordings, in_windows, located
+from torchrbd.diagnosis.windows import in_recordings, in_windows, place_window
 from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.likelihood import Likelihood
 
@@ -20,7 +20,7 @@ from torchrbd.likelihood.likelihood import Likelihood
 _FINE = 9
 
 
-def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
+def screen(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
     """Return every effect at every place given a fit, for a time and in some recordings too, greatest evidence first.
 
     Args:
@@ -28,7 +28,7 @@ def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hyp
         rows: its rows, whose signals carry its load and friction.
         effects: what may be there.
     """
-    found: list[Hypothesis | None] = [*lasting(fit, rows, effects)]
+    found: list[Hypothesis | None] = [*screen_lasting(fit, rows, effects)]
     for e in effects:
         found += [] if e.is_ubiquitous else in_windows(fit, rows, e)
         # Friction of some recordings only is not the machine's.
@@ -36,7 +36,9 @@ def screened(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hyp
     return sorted((h for h in found if h is not None), key=lambda h: -h.log_evidence)
 
 
-def lasting(fit: Likelihood, rows: Rows, effects: Sequence[Effect], place: int | None = None) -> list[Hypothesis]:
+def screen_lasting(
+    fit: Likelihood, rows: Rows, effects: Sequence[Effect], place: int | None = None
+) -> list[Hypothesis]:
     """Return every effect that acts all the time, at every place or at one joint only, given a fit."""
     robot, found = rows.columns.robot, list[Hypothesis | None]()
     for e in (e for e in effects if not e.is_ubiquitous):
@@ -47,10 +49,10 @@ def lasting(fit: Likelihood, rows: Rows, effects: Sequence[Effect], place: int |
     return [h for h in found if h is not None]
 
 
-def refined(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+def refine_shape(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis whose shape, or window, lies between those of the grid, averaged over the finer cell."""
     if h.candidate.site.window is not None:
-        return located(fit, rows, h)
+        return place_window(fit, rows, h)
     columns, at = rows.columns, hypothesis_of(fit, rows, h.candidate)
     if at is None:
         return h

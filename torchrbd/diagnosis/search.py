@@ -16,14 +16,14 @@ import numpy as np
 from torchrbd._runtime.deadline import is_over
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
+from torchrbd.diagnosis.curve_hypotheses import curves, is_curve, is_over_own_signal
 from torchrbd.diagnosis.discrepancy import Discrepancy, learn_discrepancy
-from torchrbd.diagnosis.hypotheses import Hypothesis, again, carried, hypothesis_of, meet
-from torchrbd.diagnosis.models import Models, show_bodies
+from torchrbd.diagnosis.evidence import ModelEvidence, show_bodies
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, hypothesis_of, meet, rows_with_load
+from torchrbd.diagnosis.outcome import SearchOutcome, Term
 from torchrbd.diagnosis.posterior import needless
-from torchrbd.diagnosis.residual import curves, is_curve, is_over_own_signal
-from torchrbd.diagnosis.screening import lasting, refined, screened
-from torchrbd.diagnosis.sharpening import at_summit
-from torchrbd.diagnosis.terms import Explanation, Term
+from torchrbd.diagnosis.screening import refine_shape, screen, screen_lasting
+from torchrbd.diagnosis.sharpening import find_summit
 from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.likelihood import Likelihood
 
@@ -41,7 +41,7 @@ def search_effects(
     effects: Sequence[Effect],
     report: Callable[[float], None],
     discrepancy: Discrepancy | None = None,
-) -> Explanation:
+) -> SearchOutcome:
     """Search among effects, and leave to curves what these do not explain.
 
     Args:
@@ -50,7 +50,7 @@ def search_effects(
         report: called after each step with the part of the work that is done, which rises.
         discrepancy: curves and noise of the same base, if they are known.
     """
-    rows = carried(base)
+    rows = rows_with_load(base)
     search = Search(rows, effects, discrepancy or learn_discrepancy(base, rows), report)
     first = search.rank([])
     chosen, last = search.improve([], first)
@@ -62,7 +62,7 @@ def search_effects(
         chosen, last = search.improve(chosen, search.rank(chosen))
     chosen = search.with_other_curves(chosen)
     fit, terms = search.final(base, search.terms(chosen))
-    return Explanation(base, fit, search.rows, terms, first, last, len(first), search.discrepancy)
+    return SearchOutcome(base, fit, search.rows, terms, first, last, len(first), search.discrepancy)
 
 
 def _only_once(chosen: Sequence[Hypothesis], effects: Sequence[Effect]) -> set[tuple[str, Site]]:
@@ -75,7 +75,7 @@ def _only_once(chosen: Sequence[Hypothesis], effects: Sequence[Effect]) -> set[t
     return {(e, h.name[1]) for h in always for e in (late if h.candidate.effect.shifts_clocks else h.name[:1])}
 
 
-class Search(Models):
+class Search(ModelEvidence):
     """The steps of one search; a model is a list of hypotheses.
 
     Args:
@@ -106,7 +106,7 @@ class Search(Models):
         if is_over():
             return []
         known = _only_once(chosen, self.effects)
-        return self._compare(chosen, _NEAR, lambda fit: screened(fit, self.rows, self.effects), known)
+        return self._compare(chosen, _NEAR, lambda fit: screen(fit, self.rows, self.effects), known)
 
     def _compare(
         self,
@@ -134,10 +134,10 @@ class Search(Models):
 
     def best_shape(self, fit: Likelihood, h: Hypothesis) -> Hypothesis:
         """Return a hypothesis at the best shape, or window, given a fit."""
-        one = refined(fit, self.rows, h)
+        one = refine_shape(fit, self.rows, h)
         if one.candidate.site.window is not None:
             return one
-        best = hypothesis_of(fit, self.rows, at_summit(fit, self.rows, one).candidate)
+        best = hypothesis_of(fit, self.rows, find_summit(fit, self.rows, one).candidate)
         if best is None:
             return one
         best = replace(best, log_evidence=best.log_evidence + one.paid, tried=one.tried, paid=one.paid)
@@ -205,8 +205,8 @@ class Search(Models):
 
         def every(fit: Likelihood) -> list[Hypothesis]:
             if windowed:
-                return screened(fit, self.rows, self.effects)
-            return lasting(fit, self.rows, self.effects, place)
+                return screen(fit, self.rows, self.effects)
+            return screen_lasting(fit, self.rows, self.effects, place)
 
         known = _only_once(rest, self.effects) | {h.name}
         return self._compare(rest, _RIVALS, every, known)[: 2 * _RIVALS]
@@ -215,7 +215,7 @@ class Search(Models):
         """Return the search with the load and friction of its model in all features, if its evidence rises by that."""
         if not any(h.candidate.effect.uses_load for h in chosen):
             return None
-        other = Search(carried(self.fit(chosen)), self.effects, self.discrepancy, self._report, self._done)
+        other = Search(rows_with_load(self.fit(chosen)), self.effects, self.discrepancy, self._report, self._done)
         onwards = chosen
         for k, h in enumerate(chosen):
             if h.candidate.effect.uses_load:

@@ -16,7 +16,7 @@ import torch
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.dataset.shapes import ShapeSlope, slopes, varied
-from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, agree_shape, believed, hypothesis_of
+from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, agree_shape, hypothesis_of, prior_std
 from torchrbd.effects import Site
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
@@ -29,7 +29,7 @@ _STEPS, _HALVINGS = 6, 3
 _WORSE = 2.0
 
 
-def at_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+def find_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis at the shape of the greatest evidence that Gauss-Newton steps find."""
     best, free = hypothesis_of(fit, rows, h.candidate), varied(rows.columns, h.candidate)
     for _ in range(_STEPS if best is not None and free else 0):
@@ -74,7 +74,7 @@ def _step(fit: Likelihood, rows: Rows, h: Hypothesis, now: Hypothesis) -> dict[s
     F = [_features(rows, s) for s in around]
     S, r = fit.precision_and_score(c.place, np.concatenate((rows.features(c), *F)))
     widths = np.array([axes[s.parameter].std for s in around])
-    std = np.concatenate((believed(fit, rows, c)[0] * h.scale, widths))
+    std = np.concatenate((prior_std(fit, rows, c)[0] * h.scale, widths))
     steps = dict[str, float]()
     for s, step in zip(around, added(S, r, std).mean[-len(F) :], strict=True):
         value = c.shape[s.parameter]

@@ -10,15 +10,15 @@ import numpy as np
 import torch
 
 from torchrbd.dataset.columns import Candidate
+from torchrbd.diagnosis.curve_hypotheses import depends_on, is_curve
 from torchrbd.diagnosis.curves import fitted_curve, loudest_part
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import torque_rms
-from torchrbd.diagnosis.extending import Extended
+from torchrbd.diagnosis.final_model import FinalModel
 from torchrbd.diagnosis.held_out_checks import EXTENDED
 from torchrbd.diagnosis.hypotheses import Hypothesis
-from torchrbd.diagnosis.residual import depends_on, is_curve
+from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.results import HeldOutCheck, Region, Unexplained, Where
-from torchrbd.diagnosis.terms import Explanation
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.results import TorqueSeries
@@ -30,7 +30,7 @@ from torchrbd.robot.units import torque_unit
 _ERRORS = ("error", "larger error")
 
 
-def unexplained(extended: Extended) -> tuple[Unexplained, ...]:
+def unexplained(extended: FinalModel) -> tuple[Unexplained, ...]:
     """Return torques that no known effect explains: smooth functions and tones."""
     return (*functions(extended), *tones(extended.found))
 
@@ -51,7 +51,7 @@ def merge_errors(found: Sequence[Unexplained]) -> tuple[Unexplained, ...]:
     return tuple(kept)
 
 
-def functions(extended: Extended) -> list[Unexplained]:
+def functions(extended: FinalModel) -> list[Unexplained]:
     """Return smooth functions that held-out data shows, or that are of one recording.
 
     Others are in the model, and listed in the ranking.
@@ -60,7 +60,7 @@ def functions(extended: Extended) -> list[Unexplained]:
     return [one for one in every if one.share >= DECISIONS.no_change or one.where.recordings is not None]
 
 
-def tones(found: Explanation) -> list[Unexplained]:
+def tones(found: SearchOutcome) -> list[Unexplained]:
     """Return tones of the fitted recordings, of which held-out recordings say nothing."""
     return [_tone(found, term.own) for term in found.terms if term.own.candidate.effect is HUM]
 
@@ -85,7 +85,7 @@ def drifts(series: TorqueSeries, robot: RobotModel) -> Iterator[Unexplained]:
             yield Unexplained((name,), ("t",), Where(), share, kind="drift", sizes=sizes, unit=unit)
 
 
-def _tone(found: Explanation, h: Hypothesis) -> Unexplained:
+def _tone(found: SearchOutcome, h: Hypothesis) -> Unexplained:
     """Describe torque of one frequency, whatever the motion, as the wide band shows it."""
     rows, joint, names, f = found.rows, h.candidate.joint, h.candidate.site.recordings, h.candidate.shape["frequency"]
     assert names is not None
@@ -102,7 +102,7 @@ def _tone(found: Explanation, h: Hypothesis) -> Unexplained:
     return Unexplained((robot.joint_names[joint],), ("t",), where, share, kind="tone", sizes=sizes, unit=unit)
 
 
-def _curve(extended: Extended, term: Candidate) -> Unexplained:
+def _curve(extended: FinalModel, term: Candidate) -> Unexplained:
     model, judging = extended.model, extended.prepared.judging
     robot, joint = model.columns.robot, term.joint
     name, unit = robot.joint_names[joint], torque_unit(robot, joint)
@@ -142,7 +142,7 @@ def large_errors(
             yield Unexplained((name,), (), Where(), share, kind="larger error", sizes=sizes)
 
 
-def only_where_fitted(full: Extended, plain: Extended) -> Iterator[Unexplained]:
+def only_where_fitted(full: FinalModel, plain: FinalModel) -> Iterator[Unexplained]:
     """Yield joints that a model explains much better on fitted data, though held-out data refutes it.
 
     Args:

@@ -18,7 +18,7 @@ import numpy as np
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.edges import Edges
-from torchrbd.diagnosis.hypotheses import Hypothesis, believed, hypothesis_of, mean_of
+from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of, mean_of, prior_std
 from torchrbd.effects import Effect, Window
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
@@ -97,7 +97,7 @@ def _in_some(
     known = []
     for candidate in candidates:
         F = rows.features(candidate)
-        std, multiples = believed(fit, rows, candidate)
+        std, multiples = prior_std(fit, rows, candidate)
         if np.isfinite(F).all() and (std > 0).all():
             known.append((candidate, F, std, np.array(multiples)))
     every = []
@@ -225,7 +225,7 @@ def weigh_windows(
     """
     always = rows.columns.candidate(candidate.effect, replace(candidate.site, window=None), candidate.shape)
     F, place = rows.features(always), candidate.place
-    std, multiples = believed(fit, rows, always)
+    std, multiples = prior_std(fit, rows, always)
     if place is not None:
         own, F = F, np.zeros((len(F), rows.n_dof, F.shape[-1]))
         F[:, place] = own
@@ -363,7 +363,7 @@ def moments(
     return _halves(fit, cross), gram, score
 
 
-def located(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+def place_window(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis whose window begins and ends when it fits best, near the edges of blocks.
 
     A load that comes or goes is a step, which whitened rows place to some hundredths of a second: the evidence of a

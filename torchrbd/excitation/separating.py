@@ -29,7 +29,7 @@ from torchrbd.excitation.conditioning import REST_PART, Conditioning
 from torchrbd.excitation.limits import Limits
 from torchrbd.excitation.results import Separation
 from torchrbd.excitation.rivals import Known, Question, Rival, other_terms
-from torchrbd.likelihood.sizes import inertial_scale
+from torchrbd.likelihood.coefficient_prior import inertial_scale
 
 # Coefficients may be so many times what the first recordings gave; a shape may differ by this part; slopes by steps.
 _SIZE, _SHAPE, _STEP = 3.0, 0.2, 0.01

@@ -58,8 +58,8 @@ class Prepared:
         input_noise: effect of position noise on a fit on filtered states.
         states: information lost to uncertain states; None if the states are filtered ones.
         facts: what the user should know of the input.
-        believed: by effect and site, standard deviations (K,) of its coefficients, where the prior knows more than that
-            their torque is no larger than the joint's.
+        prior_stds: by effect and site, standard deviations (K,) of its coefficients, where the prior knows more than
+            that their torque is no larger than the joint's.
         known_shapes: by effect and site, standard deviations of its shapes by another fit.
         late: by recording, how much later its torque is than its motion, and the standard deviation [s], where that is
             identified: it is read so much earlier. Under "" that of other recordings. None if it was not estimated.
@@ -76,7 +76,7 @@ class Prepared:
     input_noise: InputNoise
     states: UncertainStates | None
     facts: tuple[Remark, ...]
-    believed: Mapping[tuple[str, Site], Sequence[float]] = field(default_factory=dict)
+    prior_stds: Mapping[tuple[str, Site], Sequence[float]] = field(default_factory=dict)
     known_shapes: Mapping[tuple[str, Site], Mapping[str, float]] = field(default_factory=dict)
     late: Mapping[str, tuple[float, float]] | None = None
 

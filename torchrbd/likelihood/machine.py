@@ -16,9 +16,9 @@ from torch import Tensor
 
 from torchrbd.dataset.rows import Rows
 from torchrbd.effects import Signals
+from torchrbd.likelihood.coefficient_prior import inertial_scale
 from torchrbd.likelihood.hyper import Hyper
 from torchrbd.likelihood.noise import predicted
-from torchrbd.likelihood.sizes import inertial_scale
 from torchrbd.nuisance.breakaway import Breakaway
 from torchrbd.nuisance.clock_offset import ClockOffset
 from torchrbd.nuisance.component import Along, Component

@@ -24,7 +24,7 @@ def reread(prepared: Prepared, columns: Columns, progress: Progress) -> Prepared
     """Return the same data with other columns; what it says of uncertain states is left as it was.
 
     Slopes have a prior as wide as their grid, or as another fit's uncertainty, centred where they stand; terms that
-    share no column have what is ``believed`` of them.
+    share no column have their ``prior_stds``.
     """
     prior = prepared.prior
     held = [name for b, name in enumerate(prepared.robot.body_names) if b not in prior.bodies]
@@ -37,7 +37,7 @@ def reread(prepared: Prepared, columns: Columns, progress: Progress) -> Prepared
             prior.scale[k, k] = min(float(prior.scale[k, k]), axes(columns, c)[c.parameter].std, known)
             continue
         others = {k for other in columns.candidates if other is not c for k in columns.of(other)}
-        for k, std in zip(columns.of(c), prepared.believed.get((c.effect.id, c.site), ()), strict=False):
+        for k, std in zip(columns.of(c), prepared.prior_stds.get((c.effect.id, c.site), ()), strict=False):
             if k not in others:
                 prior.scale[k, k] = min(float(prior.scale[k, k]), std)
     return replace(prepared, columns=columns, statistics=statistics, prior=prior)

@@ -24,7 +24,7 @@ class Term:
 
 
 @dataclass(frozen=True)
-class Explanation:
+class SearchOutcome:
     """The terms that a search has found.
 
     Attributes:

@@ -15,10 +15,10 @@ import numpy as np
 
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
+from torchrbd.diagnosis.curve_hypotheses import curvature_directions, is_of_time
 from torchrbd.diagnosis.discrepancy import Discrepancy
-from torchrbd.diagnosis.hypotheses import Hypothesis, believed, mean_of, support
+from torchrbd.diagnosis.hypotheses import Hypothesis, mean_of, prior_std, support
 from torchrbd.diagnosis.posterior import log_odds
-from torchrbd.diagnosis.residual import curvature_directions, is_of_time
 from torchrbd.effects import Effect
 from torchrbd.effects.base import ShowsBodies
 from torchrbd.effects.smooth_torque import SmoothTorque
@@ -31,7 +31,7 @@ from torchrbd.likelihood.likelihood import Likelihood
 _KNOWN = 4
 
 
-class Models:
+class ModelEvidence:
     """The models of a search, lists of hypotheses, and what each hypothesis is worth in one.
 
     Args:
@@ -128,7 +128,7 @@ class Models:
         first, new, score = len(chosen), len(without), self._score(without, len(chosen))
         found = list[Hypothesis]()
         for h in offered:
-            size, scales = believed(fit, self.rows, h.candidate)
+            size, scales = prior_std(fit, self.rows, h.candidate)
             place = h.candidate.place
             with_it = self._prune_curves(without.with_([h.extra(fit, self.rows)]), first, place)
             scale = max(scales, key=lambda one: with_it.sized({new: one * size}).log_evidence)
@@ -157,7 +157,7 @@ class Models:
         std = np.sqrt(covariance.diagonal())
         signs = truncated(mean, std, h.candidate.effect.prior.positive)
         bounds = signs + support(h, fit, self.rows, mean, covariance, model.friction)
-        size, scales = believed(fit, self.rows, h.candidate)
+        size, scales = prior_std(fit, self.rows, h.candidate)
         each = np.array([model.sized({k: scale * size}).log_evidence for scale in scales])
         gain += mean_of(each) - model.log_evidence
         return replace(h, log_evidence=float(gain + bounds + h.paid), coefficients=mean, std=std)

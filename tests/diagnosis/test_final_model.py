@@ -14,10 +14,10 @@ from likelihood.arms import recorded
 from likelihood.fits import OPTIONS, URDF, at_joint, with_friction
 from simulated import Motion, with_wrong_inertials
 
+from torchrbd.diagnosis.curve_hypotheses import curves, has_friction, is_curve, stands_in
 from torchrbd.diagnosis.explain import _Fits, _once
-from torchrbd.diagnosis.extending import Extended, extended
+from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
 from torchrbd.diagnosis.ranking import run_search
-from torchrbd.diagnosis.residual import curves, has_friction, is_curve, stands_in
 from torchrbd.diagnosis.search import Term
 from torchrbd.effects import Site, effect
 from torchrbd.inference.ordinary import with_friction as friction_of
@@ -45,7 +45,7 @@ def with_curves(
     torque: Any = waves,
     may: tuple[str, ...] = MAY,
     **options: Any,
-) -> Extended:
+) -> FinalModel:
     """Return a model with a curve over the velocity and one over the position, whatever the evidence."""
     recording = recorded(URDF, 2, with_friction(at_joint(0, torque)), **{**OPTIONS, "duration_s": 30.0})
     settings = Settings.from_mapping({"effects": may, **options}, "test")
@@ -56,19 +56,19 @@ def with_curves(
     own = {h.candidate.effect.id: h for h in curves(found.fit, found.rows) if h.candidate.site == Site(0)}
     terms = tuple(Term(own[name], ()) for name in wanted)
     fit = found.base.extended([own[name].extra(found.base, found.rows) for name in wanted]).refit
-    return extended(prepared, replace(found, terms=terms, fit=fit), may, lambda *_: None)
+    return fit_final_model(prepared, replace(found, terms=terms, fit=fit), may, lambda *_: None)
 
 
 @pytest.fixture(scope="module")
-def model() -> Extended:
+def model() -> FinalModel:
     return with_curves()
 
 
-def late_columns(model: Extended) -> list[int]:
+def late_columns(model: FinalModel) -> list[int]:
     return [k for c in model.terms if stands_in(c) for k in model.model.columns.of(c)]
 
 
-def test_a_curve_over_the_velocity_changes_nothing_else(model: Extended) -> None:
+def test_a_curve_over_the_velocity_changes_nothing_else(model: FinalModel) -> None:
     assert [(is_curve(c), stands_in(c)) for c in model.terms] == [(True, True), (True, False)]
     late = late_columns(model)
     rest = np.setdiff1d(np.arange(len(model.model.x)), late)
@@ -77,13 +77,13 @@ def test_a_curve_over_the_velocity_changes_nothing_else(model: Extended) -> None
     assert model.model.x[late].abs().max() > 0.1
 
 
-def test_intervals_are_those_of_the_model_without_it(model: Extended) -> None:
+def test_intervals_are_those_of_the_model_without_it(model: FinalModel) -> None:
     for f in model.first.proper_terms[: len(model.friction)]:
         for name, (value, std) in estimated_parameters(model.model, f).items():
             assert (value, std) == pytest.approx(estimated_parameters(model.first, f)[name], rel=1e-9)
 
 
-def test_it_is_where_the_posterior_of_what_is_left_is_largest(model: Extended) -> None:
+def test_it_is_where_the_posterior_of_what_is_left_is_largest(model: FinalModel) -> None:
     """w = D^2 C'(tau - X x) / s^2, also where the motion never comes to a knot and D is zero."""
     late, training = late_columns(model), model.prepared.training
     pull = training.scores(model.model.x, 1.0 / model.model.noise_variance).sum(0)[late]
@@ -115,7 +115,7 @@ def test_a_model_without_a_law_is_the_fit_without_it_and_its_slopes() -> None:
     prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [recording], settings, ())
     ranked = run_search(prepared.reading, settings, prepared.kept_back, lambda *_: None)
     prepared = with_machine(prepared, settings, friction_of(settings), lambda *_: None, ranked.clocks)
-    model = extended(prepared, ranked.explanation, MAY, lambda *_: None)
+    model = fit_final_model(prepared, ranked.explanation, MAY, lambda *_: None)
     (law,) = model.terms
     assert any(c not in model.first.proper_terms for c in model.first.terms), "the law has slopes"
     ordinary = model.first.proper_terms[: len(model.friction)]
@@ -141,7 +141,7 @@ def test_friction_that_a_law_stands_in_for_is_sure_without_it() -> None:
     with_law = replace(
         plain, terms=(Term(law, ()),), fit=plain.base.extended([law.extra(plain.base, plain.rows)]).refit
     )
-    never, model = (extended(prepared, found, MAY, lambda *_: None) for found in (plain, with_law))
+    never, model = (fit_final_model(prepared, found, MAY, lambda *_: None) for found in (plain, with_law))
     again = model.without(model.terms)
     assert [f.candidate for f in again.friction] == [f.candidate for f in model.friction]
     viscous = [one.friction[0] for one in (never, again, model)]
@@ -150,7 +150,7 @@ def test_friction_that_a_law_stands_in_for_is_sure_without_it() -> None:
     assert viscous[2].log_evidence < 0.5 * viscous[0].log_evidence
 
 
-def test_a_torque_is_told_once(model: Extended) -> None:
+def test_a_torque_is_told_once(model: FinalModel) -> None:
     """The level that friction falls to is Coulomb friction; whoever adds both up has it twice."""
     columns, fading = model.model.columns, effect("time_varying_friction")
     laws = [columns.candidate(fading, Site(0), shape) for shape in fading.shapes(columns.scales[0])[:1]]

@@ -44,7 +44,7 @@ def bayes_factor(difference: np.ndarray, covariance: np.ndarray, prior_std: np.n
     return 0.5 * float((z / values - z / (1.0 + values) - np.log1p(1.0 / values)).sum())
 
 
-def estimate_evidence(
+def evidence_of_estimate(
     model: FittedModel,
     term: Candidate,
     prior_std: np.ndarray,

@@ -1,8 +1,8 @@
 """The extended model: physically valid, its coefficients fitted by least squares in the band of identification.
 
 Terms, their shapes (such as the frequency of a ripple), load and friction in features, and prior sizes are those of the
-search. Its own coefficients come from whitened rows of a wide band: they decide what is there, and predict worse where
-a law is not quite right (KUKA KR300: 0.116 of the torque variance on held-out data in the mean, 0.040 here).
+search. The coefficients of the search come from whitened rows of a wide band. They decide what is there, but where a
+law is not quite right they predict worse than these.
 
 Friction and inertia are linear in a joint's own velocity, acceleration and load, and Coulomb friction is one of the
 friction curves over any signal. Such curves could absorb a part of friction and inertia. They are therefore fitted to
@@ -22,10 +22,10 @@ import torch
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.reading import Progress
 from torchrbd.dataset.shapes import slopes
+from torchrbd.diagnosis.curve_hypotheses import has_friction
 from torchrbd.diagnosis.friction import OFFSET, Friction, ordinary_friction, weighed_given
-from torchrbd.diagnosis.residual import has_friction
+from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.sharpening import shape_stds
-from torchrbd.diagnosis.terms import Explanation
 from torchrbd.effects import Site
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
@@ -36,7 +36,7 @@ from torchrbd.likelihood.likelihood import Likelihood
 
 
 @dataclass(frozen=True)
-class Extended:
+class FinalModel:
     """A model with baseline friction and all that was found.
 
     Attributes:
@@ -51,14 +51,14 @@ class Extended:
     """
 
     prepared: Prepared
-    found: Explanation
+    found: SearchOutcome
     first: FittedModel
     model: FittedModel
     friction: tuple[Friction, ...]
     terms: tuple[Candidate, ...]
     open: tuple[np.ndarray, ...]
 
-    def without(self, gone: Collection[Candidate]) -> Extended:
+    def without(self, gone: Collection[Candidate]) -> FinalModel:
         """Return the fit without some of its ``terms``, all else at the shapes, and in the noise, that it has.
 
         Baseline friction may have been absorbed by these, and is weighed again.
@@ -77,7 +77,7 @@ class Extended:
         return replace(self, found=found, first=first, model=model, friction=friction, terms=terms, open=left_open)
 
 
-def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progress: Progress) -> Extended:
+def fit_final_model(prepared: Prepared, found: SearchOutcome, may: Sequence[str], progress: Progress) -> FinalModel:
     """Fit baseline friction and what was found to all data that is not held out.
 
     Args:
@@ -91,14 +91,14 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     given, laws = _friction_given(found)
     friction = ordinary_friction(given, columns, may, laws)
     # Nothing is larger than the likelihood believes; of two kinds at one place, than of the larger.
-    believed: dict[tuple[str, Site], np.ndarray] = {}
+    prior_stds: dict[tuple[str, Site], np.ndarray] = {}
     for t in found.terms:
         at, std = (t.own.candidate.effect.id, t.own.candidate.site), t.own.extra(found.fit, found.rows).std
-        believed[at] = np.maximum(std, believed.get(at, 0.0))
+        prior_stds[at] = np.maximum(std, prior_stds.get(at, 0.0))
     # The level of the drift, which these offsets are, has its size.
     offsets = [f.candidate.site for f in friction if f.candidate.effect is OFFSET]
-    believed |= {(OFFSET.id, at): given.hyper.drift[np.array([at.joint])] for at in offsets}
-    prepared = replace(prepared, believed=believed, known_shapes=shape_stds(found.fit, found.rows, own))
+    prior_stds |= {(OFFSET.id, at): given.hyper.drift[np.array([at.joint])] for at in offsets}
+    prepared = replace(prepared, prior_stds=prior_stds, known_shapes=shape_stds(found.fit, found.rows, own))
     terms = tuple(columns.candidate(c.effect, c.site, c.shape) for c in own)
     weights = [torch.from_numpy(found.fit.coefficients(k)) for k in range(len(terms))]
     early = (*(f.candidate for f in friction), *(c for c in terms if not has_friction(c)))
@@ -110,10 +110,10 @@ def extended(prepared: Prepared, found: Explanation, may: Sequence[str], progres
     first = fit_with_shapes(prepared, early)
     left_open = tuple(found.fit.coefficients_covariance(k) for k in range(len(terms)))
     model = with_late(prepared, first, late) if late else first
-    return Extended(prepared, found, first, model, friction, terms, left_open)
+    return FinalModel(prepared, found, first, model, friction, terms, left_open)
 
 
-def _friction_given(found: Explanation) -> tuple[Likelihood, list[Candidate]]:
+def _friction_given(found: SearchOutcome) -> tuple[Likelihood, list[Candidate]]:
     """Return the likelihood in which friction is weighed, and its laws: without curves that could be a proxy for it."""
     own = [t.own.candidate for t in found.terms]
     early = [e for e, c in zip(found.fit.extra, own, strict=True) if not has_friction(c)]

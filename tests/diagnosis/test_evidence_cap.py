@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from torchrbd.diagnosis.estimate_evidence import bayes_factor
+from torchrbd.diagnosis.evidence_cap import bayes_factor
 
 
 @pytest.mark.parametrize("size", [1, 2, 4])
