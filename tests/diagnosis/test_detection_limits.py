@@ -11,8 +11,9 @@ from simulated import joint_names
 
 from torchrbd.diagnosis.detection_limits import detection_limits
 from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of
-from torchrbd.diagnosis.outcome import SearchOutcome, search_effects
+from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.results import DetectionLimit
+from torchrbd.diagnosis.search import search_effects
 from torchrbd.effects import Site, effect
 
 EFFECTS = (

@@ -16,11 +16,12 @@ import torch
 from effects.sites import SCALE
 from robot.random_robots import random_states, random_urdf
 
-from torchrbd.effects import Effect, Signals, Site, Term, Window
+from torchrbd.effects import Effect, Signals, Site, Term, Window, known_effects
 from torchrbd.effects.base_tilt import BaseTilt
 from torchrbd.effects.encoder_offset import EncoderOffset
 from torchrbd.effects.external_wrench import ExternalWrench
 from torchrbd.effects.geometry_error import GeometryError
+from torchrbd.effects.nameless import FORCE_AT_POINT, FRICTION_FOR_A_TIME
 from torchrbd.effects.payload import Payload
 from torchrbd.robot import PARAMETERS, RobotModel
 
@@ -161,22 +162,47 @@ def test_payload_is_an_added_body_for_a_while() -> None:
     np.testing.assert_allclose(added, expected * inside, atol=1e-10)
 
 
-def test_wrench_is_pinocchios_external_force() -> None:
-    site = ExternalWrench().sites(ROBOT, (HALF,))[-1]
-    assert site.body is not None
-    joint, wrench = JOINTS[ROBOT.joint_bodies.index(site.body)], np.array([5.0, -3.0, 8.0, 0.4, -1.2, 0.7])
+def pushed(joint: int, force: np.ndarray, point: np.ndarray, moment: np.ndarray | float = 0.0) -> np.ndarray:
+    """Return Pinocchio's torques (n, N) for a force at a point of a joint's frame, and a moment, in the base's axes."""
 
     def forces(model: pin.Model, data: pin.Data, q: np.ndarray) -> pin.StdVec_Force:
         pin.forwardKinematics(model, data, q)
         found, R = pin.StdVec_Force(), data.oMi[joint].rotation.T
+        f = R @ force
+        own = pin.Force(f, np.cross(point, f) + R @ (moment + np.zeros(3)))
         for k in range(model.njoints):
-            found.append(pin.Force(R @ wrench[:3], R @ wrench[3:]) if k == joint else pin.Force.Zero())
+            found.append(own if k == joint else pin.Force.Zero())
         return found
 
-    expected = rnea(MODEL, *STATES, forces=forces) - rnea(MODEL, *STATES)
     inside = (np.arange(20) >= 5) & (np.arange(20) <= 14)
+    return (rnea(MODEL, *STATES, forces=forces) - rnea(MODEL, *STATES)) * inside
+
+
+def test_wrench_is_pinocchios_external_force() -> None:
+    site = ExternalWrench().sites(ROBOT, (HALF,))[-1]
+    assert site.body is not None
+    joint, wrench = JOINTS[ROBOT.joint_bodies.index(site.body)], np.array([5.0, -3.0, 8.0, 0.4, -1.2, 0.7])
     added = torque(ExternalWrench(), site, dict(zip(ExternalWrench.units, wrench, strict=True)))
-    np.testing.assert_allclose(added, expected * inside, atol=1e-10)
+    np.testing.assert_allclose(added, pushed(joint, wrench[:3], np.zeros(3), wrench[3:]), atol=1e-10)
+
+
+def test_force_at_a_point_is_pinocchios() -> None:
+    site = FORCE_AT_POINT.sites(ROBOT, (HALF,))[-1]
+    assert site.body is not None
+    joint = JOINTS[ROBOT.joint_bodies.index(site.body)]
+    force, point = np.array([5.0, -3.0, 8.0]), np.array([0.1, -0.3, 0.2])
+    values = np.concatenate((force, np.outer(point, force).ravel()))
+    added = torque(FORCE_AT_POINT, site, dict(zip(FORCE_AT_POINT.units, values, strict=True)))
+    np.testing.assert_allclose(added, pushed(joint, force, point), atol=1e-10)
+
+
+def test_friction_for_a_time_is_coulomb_friction_within_its_window() -> None:
+    sites = FRICTION_FOR_A_TIME.sites(ROBOT, (HALF,))
+    assert [site.joint for site in sites] == list(range(ROBOT.n_dof))
+    inside = (np.arange(20) >= 5) & (np.arange(20) <= 14)
+    added = torque(FRICTION_FOR_A_TIME, sites[1], {"coulomb": 2.0})
+    always = torque(known_effects()["coulomb_friction"], Site(1), {"coulomb": 2.0})
+    np.testing.assert_allclose(added, always * inside, atol=1e-12)
 
 
 class TestSites:

@@ -1,4 +1,4 @@
-"""Every limit that decides what a diagnosis reports, and how sure it says to be."""
+"""Every limit that decides what a diagnosis reports, given probabilities, and how sure it says to be."""
 
 from __future__ import annotations
 

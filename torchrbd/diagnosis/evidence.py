@@ -3,7 +3,7 @@
 A model is the machine, hypotheses, and the curves of the discrepancy that these leave needed. Noise is held. Curves
 have the amplitudes of greatest evidence, so nothing is integrated over the rows again: see ``additions``.
 
-    score = log p(tau | model) + sum over its curves of their prior log odds
+    score = log p(tau | model) + log p(friction resists) + sum over its curves of their prior log odds
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class ModelEvidence:
         self.rows, self.effects, self.discrepancy = rows, effects, discrepancy
         # Curves that hypotheses may make needless, and their log odds as terms. Those over time are noise and stay.
         lasting_curves = ((k, h) for k, h in enumerate(discrepancy.curves) if not is_of_time(h.candidate))
-        self._rare = {k: log_odds(replace(h, log_evidence=h.paid), rows) for k, h in lasting_curves}
+        self._curve_odds = {k: log_odds(replace(h, log_evidence=h.paid), rows) for k, h in lasting_curves}
         self._basis = [self._directions(h) for h in discrepancy.curves]
         pairs = zip(self._basis, discrepancy.extra, strict=True)
         self._curves = [e if len(b) == e.n else Extra(e.place, b @ e.features, e.std[1:]) for b, e in pairs]
@@ -94,11 +94,11 @@ class ModelEvidence:
             place: the joint whose curves may change. Default: all.
         """
         here = [k for k, e in enumerate(self._curves) if place in (None, e.place)]
-        kept = [k for k in here if k in self._rare and model.has(first + k)]
-        time = [first + k for k in here if k not in self._rare]
+        kept = [k for k in here if k in self._curve_odds and model.has(first + k)]
+        time = [first + k for k in here if k not in self._curve_odds]
         while True:
             model = model.likeliest([*time, *(first + k for k in kept)])
-            odds = {k: model.evidence_for(first + k) + self._rare[k] for k in kept}
+            odds = {k: model.evidence_for(first + k) + self._curve_odds[k] for k in kept}
             least = min(kept, key=odds.__getitem__, default=None)
             if least is None or odds[least] > 0.0:
                 return model
@@ -107,7 +107,7 @@ class ModelEvidence:
 
     def _prior(self, model: Additions, first: int) -> float:
         """Return the prior log odds of the curves of a model."""
-        return sum(rare for k, rare in self._rare.items() if model.has(first + k))
+        return sum(rare for k, rare in self._curve_odds.items() if model.has(first + k))
 
     def _score(self, model: Additions, first: int) -> float:
         """Return the log evidence of a model, signs of friction included, plus the prior log odds of its curves."""
@@ -173,7 +173,7 @@ class ModelEvidence:
         Curves over time are noise: they predict no other time. What drifts is reported from the residual.
         """
         model, n = self._model(chosen)[1], len(chosen)
-        return [self._estimate(k, model, n + k) for k in self._rare if model.has(n + k)]
+        return [self._estimate(k, model, n + k) for k in self._curve_odds if model.has(n + k)]
 
     def _estimate(self, curve: int, model: Additions, k: int) -> Hypothesis:
         """Return a curve with amplitude, coefficients and evidence of the k-th component of a model."""
