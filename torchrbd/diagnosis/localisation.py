@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from torchrbd.diagnosis.attack import attack
 from torchrbd.diagnosis.curve_hypotheses import depends_on, is_curve
 from torchrbd.diagnosis.curves import loudest_part
 from torchrbd.diagnosis.hypotheses import Hypothesis, rows_with_load
-from torchrbd.diagnosis.outcome import SearchOutcome
+from torchrbd.diagnosis.outcome import SearchOutcome, Term
 from torchrbd.diagnosis.results import Attack, Curve, Location, Region, ResidualMap, Where
 from torchrbd.diagnosis.search import Search, without
 from torchrbd.effects import Effect, effect
@@ -58,19 +59,27 @@ def locate(
     search = Search(rows_with_load(found.base), list(_FORMS), found.discrepancy, report)
     chosen, _ = search.improve([], search.rank([]))
     chosen = search.with_other_curves(chosen)
-    fit, every = search.fit(chosen), [*search.conditional(chosen), *search.own_curves(chosen)]
+    every = [*search.conditional(chosen), *search.own_curves(chosen)]
+    fit, kept = search.final(found.base, [Term(h, ()) for h in every])
+    located = [_as_in(fit, k, term.own) for k, term in enumerate(kept)]
     attacks = {
         h.candidate: attack(search.fit(without(chosen, k)), search.rows, h.candidate, payload=_form(h) == "payload")
         for k, h in enumerate(chosen)
         if h.candidate.site.body is not None
     }
-    first = [_location("rigid_body", h, fit, search.rows, attacks.get(h.candidate)) for h in every]
-    rest = (t.own for t in found.terms if is_curve(t.own.candidate) and not _is_of_time(t.own))
-    after = [_location("extended", h, found.fit, found.rows) for h in rest]
+    first = [_location("rigid_body", h, fit, search.rows, attacks.get(h.candidate)) for h in located]
+    rest = [_as_in(found.fit, k, t.own) for k, t in enumerate(found.terms) if is_curve(t.own.candidate)]
+    after = [_location("extended", h, found.fit, found.rows) for h in rest if not _is_of_time(h)]
     noise = [float(np.std(fit.residual(j)[m])) if m.any() else math.nan for j, m in enumerate(found.rows.measured)]
     maps = (*residual_maps("rigid_body", found.base, noise), *residual_maps("extended", found.fit, noise))
     ordered = (sorted(each, key=lambda one: -one.gain) for each in (first, after))
     return tuple(one for each in ordered for one in each), maps
+
+
+def _as_in(fit: Likelihood, k: int, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis with the coefficients of the k-th additional columns of a fit."""
+    std = np.sqrt(fit.coefficients_covariance(k).diagonal())
+    return replace(h, coefficients=fit.coefficients(k), std=std)
 
 
 def _is_of_time(h: Hypothesis) -> bool:
