@@ -79,7 +79,7 @@ def refitted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[FinalModel, tuple[st
         calls.append((replace(model(found.terms, ZERO, ZERO), found=found), may))
         return calls[-1][0]
 
-    monkeypatch.setattr(simplifying, "extended", extended)
+    monkeypatch.setattr(simplifying, "fit_final_model", extended)
     monkeypatch.setattr(simplifying, "believed", lambda _, __, c: (np.ones(len(c.labels)), ()))
     monkeypatch.setattr(Hypothesis, "extra", lambda self, *_: f"new {self.name[0]}")
     return calls

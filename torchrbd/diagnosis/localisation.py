@@ -27,12 +27,13 @@ from torchrbd.effects.smooth_torque import SmoothTorque
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.robot.units import torque_unit
 
+_PAYLOAD = effect("payload")
 _FORMS: dict[Effect, str] = {
     effect("torque_offset"): "level",
     FRICTION_FOR_A_TIME: "friction",
     effect("time_varying_friction"): "friction",
     effect("time_delay"): "delay",
-    effect("payload"): "payload",
+    _PAYLOAD: "payload",
     FORCE_AT_POINT: "force",
 }
 """Hypotheses without a law, and what each is called."""
@@ -63,9 +64,9 @@ def locate(
     fit, kept = search.final(found.base, [Term(h, ()) for h in every])
     located = [_as_in(fit, k, term.own) for k, term in enumerate(kept)]
     attacks = {
-        h.candidate: attack(search.fit(without(chosen, k)), search.rows, h.candidate, payload=_form(h) == "payload")
-        for k, h in enumerate(chosen)
-        if h.candidate.site.body is not None
+        c: attack(search.fit(without(chosen, k)), search.rows, c, payload=c.effect is _PAYLOAD)
+        for k, c in enumerate(h.candidate for h in chosen)
+        if c.site.body is not None
     }
     first = [_location("rigid_body", h, fit, search.rows, attacks.get(h.candidate)) for h in located]
     rest = [_as_in(found.fit, k, t.own) for k, t in enumerate(found.terms) if is_curve(t.own.candidate)]
