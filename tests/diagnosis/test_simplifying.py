@@ -80,7 +80,7 @@ def refitted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[FinalModel, tuple[st
         return calls[-1][0]
 
     monkeypatch.setattr(simplifying, "fit_final_model", extended)
-    monkeypatch.setattr(simplifying, "believed", lambda _, __, c: (np.ones(len(c.labels)), ()))
+    monkeypatch.setattr(simplifying, "prior_std", lambda _, __, c: (np.ones(len(c.labels)), ()))
     monkeypatch.setattr(Hypothesis, "extra", lambda self, *_: f"new {self.name[0]}")
     return calls
 
