@@ -23,7 +23,7 @@ from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
 from torchrbd.diagnosis.friction import COULOMB as EVEN
 from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.ranking import run_search
-from torchrbd.diagnosis.results import Curve, HeldOutCheck, Unexplained, Where
+from torchrbd.diagnosis.results import HeldOutCheck, Unexplained, Where
 from torchrbd.diagnosis.unexplained import drifts, large_errors, merge_errors, unexplained
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.identify import summarise
@@ -218,7 +218,7 @@ def test_where_nothing_is_left_nothing_is_told() -> None:
     [([0, 0, 0, 5, 6, 4, 0, 0], (3.0, 5.0)), ([0, 0, 0, -5, -6, 0, 0, 0], (3.0, 4.0)), ([9, 1, 1, 1, 1], (0.0, 0.0))],
 )
 def test_a_curve_is_loud_around_its_largest_departure(torque: list[float], expected: tuple[float, float]) -> None:
-    assert loudest_part(Curve("q", tuple(map(float, range(len(torque)))), tuple(torque), ())) == expected
+    assert loudest_part(np.arange(float(len(torque))), np.array(torque, dtype=float)) == expected
 
 
 @pytest.mark.parametrize(

@@ -61,9 +61,8 @@ def _evenly(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.unique(np.append(np.searchsorted(length, along), len(x) - 1))
 
 
-def loudest_part(curve: Curve) -> tuple[float, float]:
+def loudest_part(at: np.ndarray, torque: np.ndarray) -> tuple[float, float]:
     """Return the interval around the largest departure from the median in which a curve stays above half of that."""
-    at, torque = np.array(curve.at), np.array(curve.torque)
     size = np.abs(torque - np.median(torque))
     low = high = int(size.argmax())
     while low > 0 and size[low - 1] > _ACTS * size.max():

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.attack import attack
 from torchrbd.diagnosis.curve_hypotheses import depends_on, is_curve
@@ -20,7 +21,7 @@ from torchrbd.diagnosis.curves import loudest_part
 from torchrbd.diagnosis.hypotheses import Hypothesis, rows_with_load
 from torchrbd.diagnosis.outcome import SearchOutcome, Term
 from torchrbd.diagnosis.results import Attack, Curve, Location, Region, ResidualMap, Where
-from torchrbd.diagnosis.search import Search, without
+from torchrbd.diagnosis.search import Search
 from torchrbd.effects import Effect, effect
 from torchrbd.effects.nameless import FORCE_AT_POINT, FRICTION_FOR_A_TIME
 from torchrbd.effects.smooth_torque import SmoothTorque
@@ -39,8 +40,8 @@ _FORMS: dict[Effect, str] = {
 """Hypotheses without a law, and what each is called."""
 # A joint is named with a link where the torque of what acts on the link is at least this part of the residual.
 _FELT = 0.5
-# Points of a curve between two knots.
-_POINTS = 10
+# Points of a curve between two knots, and bins that show where a curve acts.
+_POINTS, _PARTS = 10, 30
 # Bins of a map, rows that each has on average, and rows that make a level.
 _BINS, _FEWEST_BINS, _ROWS_IN_BIN, _LEAST_ROWS = 48, 4, 6, 2
 
@@ -57,24 +58,31 @@ def locate(
     Returns:
         The locations of each model, largest gain first, and maps of both residuals over time, position and velocity.
     """
-    search = Search(rows_with_load(found.base), list(_FORMS), found.discrepancy, report)
-    chosen, _ = search.improve([], search.rank([]))
-    chosen = search.with_other_curves(chosen)
-    every = [*search.conditional(chosen), *search.own_curves(chosen)]
-    fit, kept = search.final(found.base, [Term(h, ()) for h in every])
-    located = [_as_in(fit, k, term.own) for k, term in enumerate(kept)]
-    attacks = {
-        c: attack(search.fit(without(chosen, k)), search.rows, c, payload=c.effect is _PAYLOAD)
-        for k, c in enumerate(h.candidate for h in chosen)
-        if c.site.body is not None
-    }
-    first = [_location("rigid_body", h, fit, search.rows, attacks.get(h.candidate)) for h in located]
+    first, fit = _without_laws(found, report)
     rest = [_as_in(found.fit, k, t.own) for k, t in enumerate(found.terms) if is_curve(t.own.candidate)]
     after = [_location("extended", h, found.fit, found.rows) for h in rest if not _is_of_time(h)]
     noise = [float(np.std(fit.residual(j)[m])) if m.any() else math.nan for j, m in enumerate(found.rows.measured)]
     maps = (*residual_maps("rigid_body", found.base, noise), *residual_maps("extended", found.fit, noise))
     ordered = (sorted(each, key=lambda one: -one.gain) for each in (first, after))
     return tuple(one for each in ordered for one in each), maps
+
+
+def _without_laws(found: SearchOutcome, report: Callable[[float], None]) -> tuple[list[Location], Likelihood]:
+    """Return the locations that hypotheses without a law find in the base, and the model with these."""
+    search = Search(rows_with_load(found.base), list(_FORMS), found.discrepancy, report)
+    chosen, _ = search.improve([], search.rank([]))
+    chosen = search.with_other_curves(chosen)
+    every = [*search.conditional(chosen), *search.own_curves(chosen)]
+    fit, kept = search.final(found.base, [Term(h, ()) for h in every])
+    located = [_as_in(fit, k, term.own) for k, term in enumerate(kept)]
+
+    def point(c: Candidate) -> Attack | None:
+        if c.site.body is None:
+            return None
+        others = search.fit([h for h in chosen if h.candidate is not c])
+        return attack(others, search.rows, c, payload=c.effect is _PAYLOAD)
+
+    return [_location("rigid_body", h, fit, search.rows, point(h.candidate)) for h in located], fit
 
 
 def _as_in(fit: Likelihood, k: int, h: Hypothesis) -> Hypothesis:
@@ -108,11 +116,12 @@ def _location(model: str, h: Hypothesis, fit: Likelihood, rows: Rows, point: Att
     if site.joint is not None:
         felt = [site.joint]
     curve = _curve(h, rows)
+    region = None if curve is None else Region(curve.signal, *_interval(h, rows, (left + torque)[felt[0]]))
     return Location(
         model=model,
         joints=tuple(names[j] for j in felt),
         links=() if site.body is None else (robot.body_names[site.body],),
-        where=_where(h, rows, curve),
+        where=_where(h, rows, region),
         depends_on=_depends_on(h, names),
         form=_form(h),
         course="abrupt" if site.window is not None else "slow" if h.candidate.effect.of_conditions else "",
@@ -153,12 +162,31 @@ def _share(before: float, after: float) -> float:
     return min(max(1.0 - (after / before) ** 2, 0.0), 1.0) if before > 0.0 else 0.0
 
 
-def _where(h: Hypothesis, rows: Rows, curve: Curve | None) -> Where:
+def _interval(h: Hypothesis, rows: Rows, left: np.ndarray) -> tuple[float, float]:
+    """Return the interval of its signal in which a curve acts most.
+
+    Knots of a curve may be far apart. So the residual without it, (M,) at its joint, is averaged in bins of the signal
+    that hold equally many rows; as a factor of sign(qd) if it is friction.
+    """
+    c = h.candidate
+    assert isinstance(c.effect, SmoothTorque)
+    effect, joint = c.effect, c.site.joint if c.site.other is None else c.site.other
+    assert joint is not None
+    v = rows.evaluated(lambda signals: effect.values(signals, joint))
+    factor = rows.evaluated(lambda s: s.joint(c.joint).direction()) if effect.friction else np.ones_like(v)
+    edges = np.unique(np.quantile(v, np.linspace(0.0, 1.0, _PARTS + 1)))
+    bins = len(edges) - 1
+    which = np.clip(np.digitize(v, edges) - 1, 0, bins - 1)
+    own, power = (np.bincount(which, x * rows.measured[c.joint], bins) for x in (factor * left, factor**2))
+    first, last = loudest_part(np.arange(float(bins)), own / np.maximum(power, 1e-300))
+    return float(edges[int(first)]), float(edges[int(last) + 1])
+
+
+def _where(h: Hypothesis, rows: Rows, region: Region | None) -> Where:
     """Return recordings, times and region; no recording where there is only one."""
     window, recordings = h.candidate.site.window, h.candidate.site.recordings
-    region = None if curve is None else (Region(curve.signal, *loudest_part(curve)),)
     if window is None:
-        return Where(recordings, None, region)
+        return Where(recordings, None, None if region is None else (region,))
     t = rows.t[rows.recording == rows.recordings.index(window.recording)]
     span = round(max(window.start_s, float(t[0])), 2), round(min(window.end_s, float(t[-1])), 2)
     whole = math.isinf(window.start_s) and math.isinf(window.end_s)

@@ -113,7 +113,7 @@ def _curve(extended: FinalModel, term: Candidate) -> Unexplained:
     carried = torque_rms(term, extended).get(name, 0.0)
     recording = None if term.site.window is None else term.site.window.recording
     if curve is not None and signals[0] != "t":
-        region = Region(signals[0], *loudest_part(curve))
+        region = Region(signals[0], *loudest_part(np.array(curve.at), np.array(curve.torque)))
     where = Where(None if recording is None else (recording,), None, None if region is None else (region,))
     return Unexplained((name,), signals, where, share, curve, sizes={"torque_rms": carried}, unit=unit)
 
