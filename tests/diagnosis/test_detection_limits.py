@@ -10,6 +10,7 @@ from likelihood.fits import COULOMB, URDF, at_joint, carried, fitted
 from simulated import joint_names
 
 from torchrbd.diagnosis.detection_limits import detection_limits
+from torchrbd.diagnosis.explain import likeliest_left
 from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of
 from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.results import DetectionLimit
@@ -109,3 +110,12 @@ def test_a_spring_of_twelve_std_stands_out(found: Found) -> None:
     assert h is not None
     assert h.coefficients[0] == pytest.approx(size, abs=4.0 * h.std[0])
     assert h.coefficients[0] > 6.0 * h.std[0]
+
+
+def test_another_effect_is_next_only_where_the_search_ended_before(explanation: SearchOutcome) -> None:
+    ended_before = replace(explanation, terms=(), last=explanation.first, complete=False)
+    found = likeliest_left(ended_before)
+    assert found is not None
+    assert (found.terms, found.effect) == (0, explanation.first[0].candidate.effect.id)
+    assert likeliest_left(replace(ended_before, complete=True)) is None
+    assert explanation.complete

@@ -173,7 +173,7 @@ def diagnose(
         not_confirmed=not_confirmed,
         held_out_ratio=there if findings else None,
         refuted=plainly,
-        next_effect=likeliest_left(found),
+        next_effect=likeliest_left(search.explanation),
     )
 
 

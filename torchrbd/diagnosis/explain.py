@@ -280,8 +280,8 @@ def places(robot: RobotModel, term: Candidate) -> tuple[tuple[str, ...], tuple[s
 
 
 def likeliest_left(found: SearchOutcome) -> NextEffect | None:
-    """Return what is likeliest given what was found, if it is likelier than not: the search ended before."""
-    if not found.last or log_odds(found.last[0], found.rows) <= 0.0:
+    """Return what is likeliest given what was found, if it is likelier than not and the search ended before."""
+    if found.complete or not found.last or log_odds(found.last[0], found.rows) <= 0.0:
         return None
     robot, c = found.rows.columns.robot, found.last[0].candidate
     joints, links = places(robot, c)

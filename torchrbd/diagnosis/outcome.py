@@ -35,6 +35,7 @@ class SearchOutcome:
         first, last: all other hypotheses given the base, and given the model, likeliest first.
         considered: number of hypotheses.
         discrepancy: curves and noise that hypotheses were compared with.
+        complete: whether the search ended since nothing else was likelier than not.
     """
 
     base: Likelihood
@@ -45,3 +46,4 @@ class SearchOutcome:
     last: list[Hypothesis]
     considered: int
     discrepancy: Discrepancy
+    complete: bool = True

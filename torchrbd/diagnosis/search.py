@@ -61,8 +61,9 @@ def search_effects(
         search, chosen = now
         chosen, last = search.improve(chosen, search.rank(chosen))
     chosen = search.with_other_curves(chosen)
+    complete = not is_over() and len(chosen) < MOST_TERMS
     fit, terms = search.final(base, search.terms(chosen))
-    return SearchOutcome(base, fit, search.rows, terms, first, last, len(first), search.discrepancy)
+    return SearchOutcome(base, fit, search.rows, terms, first, last, len(first), search.discrepancy, complete)
 
 
 def _only_once(chosen: Sequence[Hypothesis], effects: Sequence[Effect]) -> set[tuple[str, Site]]:
