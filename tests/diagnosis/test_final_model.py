@@ -14,10 +14,11 @@ from likelihood.arms import recorded
 from likelihood.fits import OPTIONS, URDF, at_joint, with_friction
 from simulated import Motion, with_wrong_inertials
 
-from torchrbd.diagnosis.curve_hypotheses import curves, has_friction, is_curve, stands_in
-from torchrbd.diagnosis.explain import _Fits, _once
+from torchrbd.diagnosis.curve_hypotheses import could_absorb_baseline, curves, has_friction, is_curve
+from torchrbd.diagnosis.explain import _once
 from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
 from torchrbd.diagnosis.ranking import run_search
+from torchrbd.diagnosis.refitted_models import RefittedModels
 from torchrbd.diagnosis.search import Term
 from torchrbd.effects import Site, effect
 from torchrbd.inference.ordinary import with_friction as friction_of
@@ -65,11 +66,11 @@ def model() -> FinalModel:
 
 
 def late_columns(model: FinalModel) -> list[int]:
-    return [k for c in model.terms if stands_in(c) for k in model.model.columns.of(c)]
+    return [k for c in model.terms if could_absorb_baseline(c) for k in model.model.columns.of(c)]
 
 
 def test_a_curve_over_the_velocity_changes_nothing_else(model: FinalModel) -> None:
-    assert [(is_curve(c), stands_in(c)) for c in model.terms] == [(True, True), (True, False)]
+    assert [(is_curve(c), could_absorb_baseline(c)) for c in model.terms] == [(True, True), (True, False)]
     late = late_columns(model)
     rest = np.setdiff1d(np.arange(len(model.model.x)), late)
     torch.testing.assert_close(model.model.x[rest], model.first.x[rest], rtol=0, atol=0)
@@ -124,7 +125,7 @@ def test_a_model_without_a_law_is_the_fit_without_it_and_its_slopes() -> None:
     expected = judge(judging, model.prepared.fit(ordinary).x).nmse
     assert judge(judging, without.model.x).nmse == pytest.approx(expected, rel=1e-6)
     # At the noise of the whole model, which the other joint's torque is weighed against.
-    assert _Fits(model).error_without([law])["joint1"] == pytest.approx(expected["joint1"], rel=0.02)
+    assert RefittedModels(model).error_without([law])["joint1"] == pytest.approx(expected["joint1"], rel=0.02)
     assert expected["joint1"] > 10.0 * judge(judging, model.model.x).nmse["joint1"]
 
 
@@ -170,7 +171,7 @@ def test_a_torque_is_told_once(model: FinalModel) -> None:
 def test_friction_is_missed_without_curves_of_which_it_may_be_a_part() -> None:
     """A curve of friction over the position has a constant part, and held-out time would not miss Coulomb friction."""
     model = with_curves(("smooth_friction_over_q", "smooth_torque_over_q"))
-    fits = _Fits(model)
+    fits = RefittedModels(model)
     coulomb = [f.candidate for f in model.friction if f.candidate.effect.id == "coulomb_friction"]
     assert len(coulomb) == 2
     for gone in ([], *([c] for c in coulomb)):

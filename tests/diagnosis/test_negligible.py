@@ -161,7 +161,7 @@ def test_what_stands_in_for_something_else_is_no_finding_and_stays(
     def error_without(_: object, gone: Sequence[Candidate]) -> dict[str, float]:
         return {FIRST: own if drag in gone else 0.1, SECOND: 0.4 if drag in gone else 0.1}
 
-    monkeypatch.setattr(explaining._Fits, "error_without", error_without)
+    monkeypatch.setattr(explaining.RefittedModels, "error_without", error_without)
     found = explain(model)
     assert (DRAG in {f.effect for f in found.findings}) is told
     assert (DRAG in {f.effect for f in found.not_confirmed}) is not told

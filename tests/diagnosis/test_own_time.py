@@ -14,10 +14,10 @@ from simulated import with_wrong_inertials
 
 from torchrbd.diagnosis import ranking
 from torchrbd.diagnosis.decisions import DECISIONS
-from torchrbd.diagnosis.explain import _Fits
 from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.outcome import SearchOutcome, Term
+from torchrbd.diagnosis.refitted_models import RefittedModels
 from torchrbd.diagnosis.results import OWN_TIME, Finding, Where
 from torchrbd.effects import Site, Window
 from torchrbd.inference.ordinary import with_friction as friction_of
@@ -58,7 +58,7 @@ def test_load_is_shown_by_blocks_of_its_time_where_it_is_carried(loaded: bool) -
     found, model_of = searched(payload if loaded else None)
     model = model_of(told(found, Window("first", BEGIN_S)))
     (term,) = model.terms
-    fits = _Fits(model)
+    fits = RefittedModels(model)
     one = fits.in_its_time(term, LOAD)
     assert one.judged_on == OWN_TIME
     assert not fits.held_out_sees(term)
@@ -73,16 +73,16 @@ def test_load_is_shown_by_blocks_of_its_time_where_it_is_carried(loaded: bool) -
 def test_what_held_out_blocks_see_or_is_too_short_is_not_judged_by_its_own_time() -> None:
     found, model_of = searched(None)
     brief = model_of(told(found, Window("first", 5.1, 5.4)))
-    one = _Fits(brief).in_its_time(brief.terms[0], LOAD)
+    one = RefittedModels(brief).in_its_time(brief.terms[0], LOAD)
     assert (one.judged_on, one.nmse_before, one.nmse_after) == ("", {}, {})
-    assert not _Fits(brief).held_out_sees(brief.terms[0])
+    assert not RefittedModels(brief).held_out_sees(brief.terms[0])
     model = model_of(told(found, Window("first", BEGIN_S)))
     (term,) = model.terms
     held_out = model.prepared.held_out.clone()
     inside = [b.recording == "first" and b.start_s > BEGIN_S for b in model.prepared.statistics.blocks]
     held_out[torch.nonzero(torch.tensor(inside))[0]] = True
     seen = replace(model, prepared=replace(model.prepared, held_out=held_out))
-    assert not _Fits(model).held_out_sees(term)
-    assert _Fits(seen).held_out_sees(term)
+    assert not RefittedModels(model).held_out_sees(term)
+    assert RefittedModels(seen).held_out_sees(term)
     # What acts always is judged by what is held out.
-    assert all(_Fits(model).held_out_sees(friction.candidate) for friction in model.friction)
+    assert all(RefittedModels(model).held_out_sees(friction.candidate) for friction in model.friction)

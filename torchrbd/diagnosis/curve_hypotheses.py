@@ -104,7 +104,7 @@ def curvature_directions(curve: Hypothesis) -> np.ndarray:
     return null_space(line[None]).T
 
 
-def stands_in(candidate: Candidate) -> bool:
+def could_absorb_baseline(candidate: Candidate) -> bool:
     """Say whether a term is a curve over a signal in which friction or inertia is linear: it could absorb these."""
     effect = candidate.effect
     return isinstance(effect, SmoothTorque) and candidate.site.other is None and effect.signal in ("qd", "qdd", "load")
@@ -112,7 +112,9 @@ def stands_in(candidate: Candidate) -> bool:
 
 def has_friction(candidate: Candidate) -> bool:
     """Say whether a term is a curve that may hold a part of baseline friction."""
-    return stands_in(candidate) or (isinstance(candidate.effect, SmoothTorque) and candidate.effect.friction)
+    return could_absorb_baseline(candidate) or (
+        isinstance(candidate.effect, SmoothTorque) and candidate.effect.friction
+    )
 
 
 def depends_on(candidate: Candidate, joint_names: Sequence[str]) -> tuple[str, ...]:

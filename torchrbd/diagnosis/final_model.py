@@ -9,6 +9,8 @@ friction curves over any signal. Such curves could absorb a part of friction and
 the residual of all else, and friction is reported without them:
 
     w ~ N(0, D^2),   (C'C / s^2 + D^-2) w = C'(tau - X x) / s^2
+
+with the features C and coefficients w of the curves, their prior D, all other columns X x, and the noise s.
 """
 
 from __future__ import annotations
@@ -69,10 +71,10 @@ class FinalModel:
         found = replace(before, fit=fit, terms=tuple(before.terms[k] for k in kept))
         given, laws = _friction_given(found)
         friction = tuple(weighed_given(f, given, self.model.columns.robot, laws) for f in self.friction)
-        early = (*self.first.proper_terms[: len(self.friction)], *(c for c in terms if not has_friction(c)))
-        late = tuple(c for c in terms if has_friction(c))
-        first = fit_with_shapes(self.prepared, early)
-        model = with_late(self.prepared, first, late) if late else first
+        others = (*self.first.proper_terms[: len(self.friction)], *(c for c in terms if not has_friction(c)))
+        curves = tuple(c for c in terms if has_friction(c))
+        first = fit_with_shapes(self.prepared, others)
+        model = with_curves(self.prepared, first, curves) if curves else first
         left_open = tuple(self.open[k] for k in kept)
         return replace(self, found=found, first=first, model=model, friction=friction, terms=terms, open=left_open)
 
@@ -101,36 +103,36 @@ def fit_final_model(prepared: Prepared, found: SearchOutcome, may: Sequence[str]
     prepared = replace(prepared, prior_stds=prior_stds, known_shapes=shape_stds(found.fit, found.rows, own))
     terms = tuple(columns.candidate(c.effect, c.site, c.shape) for c in own)
     weights = [torch.from_numpy(found.fit.coefficients(k)) for k in range(len(terms))]
-    early = (*(f.candidate for f in friction), *(c for c in terms if not has_friction(c)))
-    late = tuple(c for c in terms if has_friction(c))
-    around = [s for c, w in zip(terms, weights, strict=True) if c not in late for s in slopes(columns, c, w)]
+    others = (*(f.candidate for f in friction), *(c for c in terms if not has_friction(c)))
+    curves = tuple(c for c in terms if has_friction(c))
+    around = [s for c, w in zip(terms, weights, strict=True) if c not in curves for s in slopes(columns, c, w)]
     supplied = found.fit.around_its_fit(alone=True)
-    every = columns.of_candidates((*early, *late, *around), supplied.pi, supplied.friction)
-    prepared = with_input_noise(reread(prepared, every, progress), early)
-    first = fit_with_shapes(prepared, early)
+    every = columns.of_candidates((*others, *curves, *around), supplied.pi, supplied.friction)
+    prepared = with_input_noise(reread(prepared, every, progress), others)
+    first = fit_with_shapes(prepared, others)
     left_open = tuple(found.fit.coefficients_covariance(k) for k in range(len(terms)))
-    model = with_late(prepared, first, late) if late else first
+    model = with_curves(prepared, first, curves) if curves else first
     return FinalModel(prepared, found, first, model, friction, terms, left_open)
 
 
 def _friction_given(found: SearchOutcome) -> tuple[Likelihood, list[Candidate]]:
     """Return the likelihood in which friction is weighed, and its laws: without curves that could be a proxy for it."""
     own = [t.own.candidate for t in found.terms]
-    early = [e for e, c in zip(found.fit.extra, own, strict=True) if not has_friction(c)]
-    fit = found.fit if len(early) == len(own) else found.fit.extended(early).refit
+    others = [e for e, c in zip(found.fit.extra, own, strict=True) if not has_friction(c)]
+    fit = found.fit if len(others) == len(own) else found.fit.extended(others).refit
     return fit.with_heavy_tails(), [c for c in own if not has_friction(c)]
 
 
-def with_late(prepared: Prepared, first: FittedModel, late: Sequence[Candidate]) -> FittedModel:
+def with_curves(prepared: Prepared, first: FittedModel, curves: Sequence[Candidate]) -> FittedModel:
     """Return a model with curves fitted to what it leaves, its own coefficients as they are."""
     columns, prior = prepared.columns, replace(prepared.prior, mean=first.x)
-    at = torch.tensor([k for c in late for k in columns.of(c)])
+    at = torch.tensor([k for c in curves for k in columns.of(c)])
     found = scaled_equations(prior, prepared.training.total(), columns, 1.0 / first.noise_variance).posterior(at)
     size = prior.scale.diagonal()[at]
     covariance = size.unsqueeze(1) * torch.from_numpy(found.covariance(range(len(at)))) * size
     return replace(
         first,
-        terms=(*first.terms, *late),
+        terms=(*first.terms, *curves),
         x=first.x.index_add(0, at, size * torch.from_numpy(found.z)),
         free=torch.cat((first.free, at)),
         laplace=torch.block_diag(first.laplace, covariance),

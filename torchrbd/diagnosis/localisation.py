@@ -16,7 +16,7 @@ import numpy as np
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.attack import attack
-from torchrbd.diagnosis.curve_hypotheses import depends_on, is_curve
+from torchrbd.diagnosis.curve_hypotheses import depends_on, is_curve, is_of_time
 from torchrbd.diagnosis.curves import loudest_part
 from torchrbd.diagnosis.hypotheses import Hypothesis, rows_with_load
 from torchrbd.diagnosis.outcome import SearchOutcome, Term
@@ -24,7 +24,7 @@ from torchrbd.diagnosis.results import Attack, Curve, Location, Region, Residual
 from torchrbd.diagnosis.search import Search
 from torchrbd.effects import Effect, effect
 from torchrbd.effects.nameless import FORCE_AT_POINT, FRICTION_FOR_A_TIME
-from torchrbd.effects.smooth_torque import SmoothTorque
+from torchrbd.effects.smooth_torque import HUM, SmoothTorque
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.robot.units import torque_unit
 
@@ -60,7 +60,9 @@ def locate(
     """
     first, fit = _without_laws(found, report)
     rest = [_as_in(found.fit, k, t.own) for k, t in enumerate(found.terms) if is_curve(t.own.candidate)]
-    after = [_location("extended", h, found.fit, found.rows) for h in rest if not _is_of_time(h)]
+    # The report has its own entries for tones, and for what changes with time.
+    over_states = (h for h in rest if h.candidate.effect is not HUM and not is_of_time(h.candidate))
+    after = [_location("extended", h, found.fit, found.rows) for h in over_states]
     noise = [float(np.std(fit.residual(j)[m])) if m.any() else math.nan for j, m in enumerate(found.rows.measured)]
     maps = (*residual_maps("rigid_body", found.base, noise), *residual_maps("extended", found.fit, noise))
     ordered = (sorted(each, key=lambda one: -one.gain) for each in (first, after))
@@ -89,11 +91,6 @@ def _as_in(fit: Likelihood, k: int, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis with the coefficients of the k-th additional columns of a fit."""
     std = np.sqrt(fit.coefficients_covariance(k).diagonal())
     return replace(h, coefficients=fit.coefficients(k), std=std)
-
-
-def _is_of_time(h: Hypothesis) -> bool:
-    """Say whether a curve is one over time, or a tone: the report has its own entries for these."""
-    return isinstance(h.candidate.effect, SmoothTorque) and h.candidate.effect.signal == "t"
 
 
 def _location(model: str, h: Hypothesis, fit: Likelihood, rows: Rows, point: Attack | None = None) -> Location:
