@@ -96,3 +96,24 @@ def test_columns_at_a_joint_without_torque_are_worth_nothing() -> None:
     found = Additions(fit, [Extra(1, fit.machine.rows.q[1:] ** 3, np.ones(1))])
     assert found.log_evidence == pytest.approx(0.0, abs=1e-9)
     assert (found.coefficients(0), found.covariance(0)) == (0.0, 1.0)
+
+
+def test_components_that_are_integrated_out_count_as_before(fit: Likelihood, extras: list[Extra]) -> None:
+    """Amplitudes, evidence, friction and its signs of the small model are those of the model with all components."""
+    whole = Additions(fit, [*extras, Extra(0, fit.machine.rows.q[:1] ** 2, np.ones(1))]).without(3)
+    small = whole.around([1, 0])
+    assert len(small) == len(whole)
+    assert [small.has(k) for k in range(4)] == [True, True, True, False]
+    for a, b in (
+        (small, whole),
+        (small.without(1), whole.without(1)),
+        (small.rescaled({0: 2.0}), whole.rescaled({0: 2.0})),
+        (small.likeliest([1]), whole.likeliest([1])),
+    ):
+        assert a.log_evidence == pytest.approx(b.log_evidence, abs=1e-7)
+        assert a.resistance == pytest.approx(b.resistance, abs=1e-7)
+        np.testing.assert_allclose(a.friction, b.friction, rtol=1e-8)
+        for k in (0, 1):
+            np.testing.assert_allclose(a.coefficients(k), b.coefficients(k), rtol=1e-7, atol=1e-12)
+            np.testing.assert_allclose(a.covariance(k), b.covariance(k), rtol=1e-7, atol=1e-14)
+            assert a.evidence_for(k) == pytest.approx(b.evidence_for(k), abs=1e-7)

@@ -125,18 +125,25 @@ class ModelEvidence:
         One that makes a curve needless gets what that costs, by its prior odds.
         """
         fit, without = self._model(chosen)
-        first, new, score = len(chosen), len(without), self._score(without, len(chosen))
+        first, score = len(chosen), self._score(without, len(chosen))
+        every = without.with_([h.extra(fit, self.rows) for h in offered])
         found = list[Hypothesis]()
-        for h in offered:
+        for new, h in enumerate(offered, len(without)):
             size, scales = prior_std(fit, self.rows, h.candidate)
             place = h.candidate.place
-            with_it = self._prune_curves(without.with_([h.extra(fit, self.rows)]), first, place)
+            others = [k for k in range(len(without), len(every)) if k != new]
+            with_it = self._prune_curves(self._around(every.without(*others), first, new, place), first, place)
             scale = max(scales, key=lambda one: with_it.sized({new: one * size}).log_evidence)
             if scale != h.scale:
                 h = replace(h, scale=scale)
                 with_it = self._prune_curves(with_it.sized({new: scale * size}), first, place)
             found.append(self._assess(h, fit, with_it, new, self._score(with_it, first) - score))
         return found
+
+    def _around(self, model: Additions, first: int, k: int, place: int | None) -> Additions:
+        """Return a model in which the k-th component and the curves of its joint may change; at all joints, if None."""
+        curves = [first + i for i, e in enumerate(self._curves) if e.place == place]
+        return model if place is None else model.around([*curves, k])
 
     def conditional(self, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return the terms of a model, each with its evidence given all others."""
@@ -145,10 +152,11 @@ class ModelEvidence:
         for k, h in enumerate(chosen):
             # Curves of its joint that it makes needless come back.
             place = h.candidate.place
+            model = self._around(every, first, k, place)
             sizes = {first + i: e.std for i, e in enumerate(self._curves) if place in (None, e.place)}
-            without = self._prune_curves(every.sized(sizes).without(k), first, place)
-            gain = self._score(every, first) - self._score(without, first)
-            found.append(self._assess(h, fit, every, k, gain))
+            without = self._prune_curves(model.sized(sizes).without(k), first, place)
+            gain = self._score(model, first) - self._score(without, first)
+            found.append(self._assess(h, fit, model, k, gain))
         return found
 
     def _assess(self, h: Hypothesis, fit: Likelihood, model: Additions, k: int, gain: float) -> Hypothesis:

@@ -20,6 +20,7 @@ from scipy.linalg import get_lapack_funcs
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import truncated
 from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.root import forwards
 
 # Steps of amplitudes; gain [nats] that is worth another one; factors of one step; least degrees of freedom.
 _STEPS, _LEAST_GAIN, _LEAST, _MOST, _FREEDOM = 20, 0.1, 0.1, 10.0, 1e-6
@@ -47,35 +48,62 @@ class Additions:
     """
 
     def __init__(self, fit: Likelihood, extra: Sequence[Extra] = ()) -> None:
-        free = np.zeros_like(fit.hyper.resists)
-        self._machine, self.std, self._first = fit.extended(()).with_(resists=free), np.zeros(0), [0]
+        free, at = np.zeros_like(fit.hyper.resists), fit.machine.friction.index
+        self._machine, self.std, self._at = fit.extended(()).with_(resists=free), np.zeros(0), dict[int, np.ndarray]()
         self._S, self._r, self._white = np.zeros((0, 0)), np.zeros(0), tuple[White, ...]()
-        self._V = self._taken = np.zeros((len(self._machine.gaussian.z), 0))
-        self._friction_variance = self._machine.gaussian.covariance(fit.machine.friction.index).diagonal()
+        self._V, self._taken = np.zeros((len(self._machine.gaussian.z), 0)), np.zeros((len(at), 0))
+        self._friction = self._machine.gaussian.z[at]
+        self._friction_variance = self._machine.gaussian.covariance(at).diagonal()
+        self._others, self._given = dict[int, bool](), 0.0
         self._append(extra)
 
     def __len__(self) -> int:
-        return len(self._first) - 1
+        return len(self._at) + len(self._others)
 
     def with_(self, extra: Sequence[Extra]) -> Additions:
-        """Return these components and others."""
+        """Return these components and others, where none is integrated out."""
+        assert not self._others, "components are added to a model before others are integrated out"
         other = self._copy(self.std)
         other._append(extra)
         return other
 
-    def without(self, k: int) -> Additions:
-        """Return all components but the k-th: its prior is that it is zero."""
+    def without(self, *components: int) -> Additions:
+        """Return all components but some: their prior is that they are zero."""
         std = self.std.copy()
-        std[self.at(k)] = 0.0
+        for k in components:
+            std[self.at(k)] = 0.0
         return self._copy(std)
 
     def has(self, k: int) -> bool:
         """Say whether the k-th component is in the model: ``without`` leaves it out."""
-        return bool(self.std[self.at(k)].any())
+        return self._others[k] if k in self._others else bool(self.std[self.at(k)].any())
 
     def at(self, k: int) -> np.ndarray:
         """Return the numbers of the k-th component's coefficients."""
-        return np.arange(self._first[k], self._first[k + 1])
+        return self._at[k]
+
+    def around(self, components: Sequence[int]) -> Additions:
+        """Return the same model with all but some components integrated out, as the machine's coefficients are.
+
+            S' = S - W'W,   r' = r - W'u,   W = L^-1 D_o S_o,   u = L^-1 D_o r_o,   L L' = 1 + D_o S_oo D_o
+
+        The index o is of those that are integrated out. Components keep their numbers; these may change no more.
+        """
+        others = np.concatenate([np.zeros(0, int), *(at for k, at in self._at.items() if k not in components)])
+        kept, o = np.concatenate([self._at[k] for k in components]), others[self.std[others] > 0]
+        std = self.std[o, None]
+        L = np.linalg.cholesky(np.eye(len(o)) + std * self._S[np.ix_(o, o)] * std.T)
+        right = std * np.column_stack((self._S[np.ix_(o, kept)], self._r[o], self._taken[:, o].T))
+        W, u, T = np.split(forwards(L, right), [len(kept), len(kept) + 1], axis=1)
+        other, ends = self._copy(self.std[kept]), np.cumsum([len(self._at[k]) for k in components])
+        other._at = dict(zip(components, np.split(np.arange(len(kept)), ends[:-1]), strict=True))
+        other._others = self._others | {k: self.has(k) for k in self._at if k not in components}
+        other._S, other._r = self._S[np.ix_(kept, kept)] - W.T @ W, self._r[kept] - W.T @ u[:, 0]
+        other._given = self._given + 0.5 * float(u[:, 0] @ u[:, 0]) - float(np.log(L.diagonal()).sum())
+        other._taken = self._taken[:, kept] - T.T @ W
+        other._friction = self._friction - T.T @ u[:, 0]
+        other._friction_variance = self._friction_variance + (T**2).sum(0)
+        return other
 
     def _copy(self, std: np.ndarray) -> Additions:
         other = copy(self)
@@ -85,7 +113,7 @@ class Additions:
         return other
 
     def _append(self, extra: Sequence[Extra]) -> None:
-        gaussian, known = self._machine.gaussian, len(self.std)
+        gaussian, known, friction = self._machine.gaussian, len(self.std), self._machine.machine.friction.index
         first = known + np.cumsum([0, *(e.n for e in extra)])
         new = [white for k, e in zip(first.tolist(), extra, strict=False) for white in self._whitened(k, e)]
         K = int(first[-1])
@@ -99,8 +127,10 @@ class Additions:
         own -= V.T @ V[:, known:]
         self._S = np.block([[self._S, own[:known]], [own[:known].T, own[known:]]])
         self._r, self.std = np.concatenate((self._r, r)), np.concatenate((self.std, *(e.std for e in extra)))
-        self._V, self._taken = V, np.concatenate((self._taken, gaussian.solve(cross)), axis=1)
-        self._first, self._white = [*self._first, *first[1:].tolist()], (*self._white, *new)
+        self._V, self._taken = V, np.concatenate((self._taken, gaussian.solve(cross)[friction]), axis=1)
+        parts = np.split(np.arange(known, K), first[1:-1] - known)
+        self._at = self._at | dict(zip(range(len(self), len(self) + len(extra)), parts, strict=False))
+        self._white = (*self._white, *new)
 
     def _whitened(self, first: int, extra: Extra) -> list[White]:
         """Return a component's columns at all joints that have rows; its coefficients count from the first."""
@@ -142,7 +172,8 @@ class Additions:
     @cached_property
     def log_evidence(self) -> float:
         """Log evidence [nats] of the components, against none."""
-        return 0.5 * float(self.z @ (self.std * self._r)) - float(np.log(self._root.diagonal()).sum())
+        own = 0.5 * float(self.z @ (self.std * self._r)) - float(np.log(self._root.diagonal()).sum())
+        return self._given + own
 
     def coefficients(self, k: int) -> np.ndarray:
         """Return the coefficients (K,) of the k-th component in their own units."""
@@ -162,17 +193,17 @@ class Additions:
     @property
     def friction(self) -> np.ndarray:
         """Viscous and both Coulomb coefficients of the machine's joints given the components, (n, 3)."""
-        z = self._machine.gaussian.z - self._taken @ (self.z * self.std)
-        return self._machine.machine.friction.of(z, self._machine.hyper)
+        z, machine = self._machine.gaussian.z.copy(), self._machine.machine
+        z[machine.friction.index] = self._friction - self._taken @ (self.z * self.std)
+        return machine.friction.of(z, self._machine.hyper)
 
     @property
     def resistance(self) -> float:
         """Log evidence [nats] that friction resists: of the signs of the machine's own coefficients, one by one."""
-        at = self._machine.machine.friction.index
-        taken = self._taken[at] * self.std
+        taken = self._taken * self.std
         variance = self._friction_variance + ((taken @ self._inverse) * taken).sum(1)
-        mean = self._machine.gaussian.z[at] - taken @ self.z
-        return float(truncated(mean, np.sqrt(np.maximum(variance, 0.0)), range(len(at))))
+        mean = self._friction - taken @ self.z
+        return float(truncated(mean, np.sqrt(np.maximum(variance, 0.0)), range(len(mean))))
 
     def sized(self, sizes: Mapping[int, np.ndarray]) -> Additions:
         """Return the same components; some have other prior standard deviations (K,), by their number."""
