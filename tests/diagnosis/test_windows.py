@@ -50,7 +50,7 @@ def test_windows_are_sums_of_their_blocks(two_recordings: tuple[Likelihood, Rows
         S, r = fit.gaussian.precision_and_score(columns)
         own = [added(S, r, k * std, c.effect.prior.positive).log_evidence for k in scales]
         expected, best = expected + own, max(best, logsumexp(own) - np.log(len(own)))
-    (found,) = weigh_windows(fit, rows, c, [windows])
+    (found,) = weigh_windows(Edges(fit, rows, "second"), c, [windows])
     assert found is not None
     got, one = found
     assert one == pytest.approx(best, abs=1e-6)
@@ -137,7 +137,7 @@ def test_what_begins_and_ends_at_once_is_told_as_its_rows_are(
     times = np.concatenate(([-np.inf], t[[40, 141, 250, 333]], [np.inf]))
     for pair in ((1, 2), (1, 4), (2, 3), (0, 3), (2, 5)):
         one = Windows(times, np.array([pair]), at_once=True)
-        (found,) = weigh_windows(fit, rows, candidate(rows, name, replace(at, window=Window("second"))), [one])
+        (found,) = weigh_windows(edges, candidate(rows, name, replace(at, window=Window("second"))), [one])
         assert found is not None
         exact = hypothesis_of(fit, rows, found[0].candidate)
         assert exact is not None
@@ -200,12 +200,12 @@ def test_push_is_found_by_its_edges_where_noise_is_coloured(wandering: tuple[Lik
     fit, rows = wandering
     fit = fit.with_(noise=tuple(replace(n, tail=None) for n in fit.hyper.noise)).levelled()
     name = rows.recordings[0]
-    found = [h for h in in_windows(fit, rows, effect("external_wrench")) if h is not None]
+    found = [h for h in in_windows(fit, rows, [effect("external_wrench")]) if h is not None]
     best = max(found, key=lambda h: h.log_evidence)
     window = best.candidate.site.window
     np.testing.assert_allclose((window.start_s, window.end_s), PUSHED_S, atol=rows.dt_out)
     c = candidate(rows, "external_wrench", Site(body=best.candidate.site.body, window=Window(name)))
-    (gradually,) = weigh_windows(fit, rows, c, [Windows.of_blocks(rows, name)])
+    (gradually,) = weigh_windows(Edges(fit, rows, name), c, [Windows.of_blocks(rows, name)])
     assert gradually is not None
     assert gradually[0].log_evidence < best.log_evidence - 5.0
 
@@ -228,7 +228,7 @@ def test_edges_on_both_sides_of_what_is_held_out_are_apart_by_rows() -> None:
     at = edges.at(near.times)
     assert len(near.pairs)
     assert (np.diff(at[near.pairs], axis=1) > 2 * edges.reach).all()
-    (found,) = weigh_windows(fit, rows, candidate(rows, "payload", Site(body=1, window=Window(name))), [near])
+    (found,) = weigh_windows(edges, candidate(rows, "payload", Site(body=1, window=Window(name))), [near])
     assert found is not None
 
 
@@ -241,13 +241,13 @@ def test_window_is_told_of_those_that_come_gradually_and_at_once(
     both, one = Windows.at_jumps(edges)
     n = int(edges.inside.sum()) // 2
     gradually = Windows.of_blocks(rows, "second"), Windows.with_one_end(rows, "second")
-    every = [h for h in in_windows(fit, rows, effect("payload")) if h is not None and h.candidate.site.body == 1]
+    every = [h for h in in_windows(fit, rows, [effect("payload")]) if h is not None and h.candidate.site.body == 1]
     in_second = [h for h in every if h.candidate.site.window.recording == "second"]
     c = candidate(rows, "payload", Site(body=1, window=Window("second")))
     for h, kinds, count in zip(
         in_second, zip(gradually, (both, one), strict=True), (n * (n - 1) // 2, 2 * n), strict=True
     ):
-        soft, sharp = (found[0] for found in weigh_windows(fit, rows, c, kinds) if found is not None)
+        soft, sharp = (found[0] for found in weigh_windows(edges, c, kinds) if found is not None)
         looked_at = np.log(len(kinds[1].pairs) / count)
         expected = np.logaddexp(soft.log_evidence, sharp.log_evidence + looked_at) - np.log(4)
         assert h.log_evidence == pytest.approx(expected, abs=1e-6)
@@ -266,10 +266,10 @@ def test_located_window_pays_for_all_that_may_be(two_recordings: tuple[Likelihoo
     """Its evidence is the mean over all moments, of which those nearby have any."""
     fit, rows = two_recordings
     edges = Edges(fit, rows, "second")
-    h = max((h for h in in_windows(fit, rows, effect("payload")) if h is not None), key=lambda h: h.log_evidence)
+    h = max((h for h in in_windows(fit, rows, [effect("payload")]) if h is not None), key=lambda h: h.log_evidence)
     near = Windows.near(edges, h.candidate.site.window)
     found = place_window(fit, rows, h)
-    (each,) = weigh_windows(fit, rows, candidate(rows, "payload", Site(body=1, window=Window("second"))), [near])
+    (each,) = weigh_windows(edges, candidate(rows, "payload", Site(body=1, window=Window("second"))), [near])
     assert each is not None
     assert found.tried == h.tried
     assert found.paid == pytest.approx(each[0].paid + np.log(len(near.pairs) / h.tried))

@@ -29,10 +29,9 @@ def screen(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypot
         effects: what may be there.
     """
     found: list[Hypothesis | None] = [*screen_lasting(fit, rows, effects)]
-    for e in effects:
-        found += [] if e.is_ubiquitous else in_windows(fit, rows, e)
-        # Friction of some recordings only is not the machine's.
-        found += in_recordings(fit, rows, e)
+    found += in_windows(fit, rows, [e for e in effects if not e.is_ubiquitous])
+    # Friction of some recordings only is not the machine's.
+    found += (h for e in effects for h in in_recordings(fit, rows, e))
     return sorted((h for h in found if h is not None), key=lambda h: -h.log_evidence)
 
 

@@ -35,21 +35,22 @@ _MOST_OF_TIME = 0.9
 _MOST_RECORDINGS = 8
 
 
-def in_windows(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
-    """Yield an effect at every place where it may act for a time, averaged over the windows of each recording.
+def in_windows(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> Iterator[Hypothesis | None]:
+    """Yield effects at every place where they may act for a time, averaged over the windows of each recording.
 
     What comes and stays, or is there and goes, is as likely as what comes and goes, and another hypothesis; its edge is
     known to some rows. Either may happen at once or gradually.
     """
     for name in rows.seen_recordings:
-        sites = [site for site in e.sites(rows.columns.robot, (Window(name),)) if site.window is not None]
+        places = ((e, site) for e in effects for site in e.sites(rows.columns.robot, (Window(name),)))
+        sites = [(e, s) for e, s in places if s.window is not None and (s.joint is None or rows.seen[s.joint])]
         if not sites:
-            return
+            continue
         edges = Edges(fit, rows, name)
         kinds = Windows.of_blocks(rows, name), Windows.with_one_end(rows, name), *Windows.at_jumps(edges)
         moments = int(edges.inside.sum()) // _ROW_STEP
-        for site in (s for s in sites if s.joint is None or rows.seen[s.joint]):
-            both, one, both_at_once, one_at_once = weigh_windows(fit, rows, rows.columns.candidate(e, site, {}), kinds)
+        for e, site in sites:
+            both, one, both_at_once, one_at_once = weigh_windows(edges, rows.columns.candidate(e, site, {}), kinds)
             yield _either(both, both_at_once, moments * (moments - 1) // 2)
             yield _either(one, one_at_once, 2 * moments)
 
@@ -214,7 +215,7 @@ def _pairs(begin: np.ndarray, end: np.ndarray, longest: int) -> np.ndarray:
 
 
 def weigh_windows(
-    fit: Likelihood, rows: Rows, candidate: Candidate, kinds: Sequence[Windows]
+    edges: Edges, candidate: Candidate, kinds: Sequence[Windows]
 ) -> list[tuple[Hypothesis, float] | None]:
     """Average over windows of time that touch torques, of one recording and several kinds.
 
@@ -223,18 +224,14 @@ def weigh_windows(
     Returns:
         For each kind its hypothesis, and the evidence of the best window.
     """
+    fit, rows = edges.fit, edges.rows
     always = rows.columns.candidate(candidate.effect, replace(candidate.site, window=None), candidate.shape)
-    F, place = rows.features(always), candidate.place
     std, multiples = prior_std(fit, rows, always)
-    if place is not None:
-        own, F = F, np.zeros((len(F), rows.n_dof, F.shape[-1]))
-        F[:, place] = own
     times = [
         np.unique(np.concatenate([np.zeros(0), *(kind.times for kind in kinds if kind.at_once is at_once)]))
         for at_once in (False, True)
     ]
-    assert candidate.site.window is not None
-    sums = _sums(Edges(fit, rows, candidate.site.window.recording), F, *times)
+    sums = _sums(edges, candidate.place, rows.features(always), *times)
     found = []
     for kind in kinds:
         at = np.searchsorted(times[kind.at_once], kind.times) + len(times[0]) * kind.at_once
@@ -289,7 +286,9 @@ def _shared(V: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
     return both + both.transpose(0, 2, 1)
 
 
-def _sums(edges: Edges, F: np.ndarray, gradually: np.ndarray, at_once: np.ndarray) -> tuple[np.ndarray, ...]:
+def _sums(
+    edges: Edges, place: int | None, F: np.ndarray, gradually: np.ndarray, at_once: np.ndarray
+) -> tuple[np.ndarray, ...]:
     """Return the moments of what ends at edges, at times (B,) [s] gradually and then at others (E,) at once.
 
     The rows before an edge are those of the features. If something ends at once, the rows around it differ.
@@ -306,28 +305,38 @@ def _sums(edges: Edges, F: np.ndarray, gradually: np.ndarray, at_once: np.ndarra
     cuts = np.unique(np.concatenate(([first, behind], before)))
     part = np.full(len(edges.inside), -1)
     part[inside] = np.searchsorted(cuts, inside, side="right") - 1
-    parts = moments(fit, None, F, part, len(cuts))
+    parts = moments(fit, place, F, part, len(cuts))
     kept = np.searchsorted(cuts, before)
     V, gram, score = (np.concatenate((np.zeros_like(x[:1]), np.cumsum(x, 0)))[kept] for x in parts)
     passed = gram.copy()
     if len(sharp):
         cross = np.zeros((len(sharp), len(fit.gaussian.z), len(F)))
-        for joint, (block, left) in enumerate(zip(fit.gaussian.blocks, fit.gaussian.left, strict=True)):
-            if not (len(left) and F[:, joint].any()):
-                continue
-            leap, going, row = edges.leap(joint, F[:, joint], at[sharp])
+        for joint, own in _by_joint(fit, place, F):
+            block, left = fit.gaussian.blocks[joint], fit.gaussian.left[joint]
+            leap, going, row = edges.leap(joint, own, at[sharp])
             gram[sharp] += leap @ leap.transpose(0, 2, 1)
             passed[sharp] += leap @ going.transpose(0, 2, 1)
             score[sharp] += (leap @ left[row][..., None])[..., 0]
             cross[:, block.own] += block.of_rows(row).swapaxes(0, 1) @ leap.transpose(0, 2, 1)
-        V[sharp] += _halves(fit, cross)
+        V[sharp] += _halves(fit, place, cross)
     return V, gram, passed, score
 
 
-def _halves(fit: Likelihood, cross: np.ndarray) -> np.ndarray:
-    """Return L^-1 X'C (B, P, K) of X'C (B, P, K)."""
+def _by_joint(fit: Likelihood, place: int | None, F: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield the joints that features (K, M) at a place, or (K, n, M) at all, touch, and the features (K, M) there."""
+    for j in range(len(fit.index)) if place is None else [place]:
+        own = F[:, j] if place is None else F
+        if len(fit.index[j]) and own.any():
+            yield j, own
+
+
+def _halves(fit: Likelihood, place: int | None, cross: np.ndarray) -> np.ndarray:
+    """Return L^-1 X'C (B, P, K) of X'C (B, P, K); of features at one joint, only where it is not zero."""
     count, P, K = cross.shape
-    return fit.gaussian.half(cross.transpose(1, 0, 2).reshape(P, -1)).reshape(P, count, K).transpose(1, 0, 2)
+    found = fit.gaussian.half(cross.transpose(1, 0, 2).reshape(P, -1))
+    if place is not None:
+        found = found[fit.gaussian.root.reached(place)]
+    return found.reshape(-1, count, K).transpose(1, 0, 2)
 
 
 def moments(
@@ -343,16 +352,14 @@ def moments(
         count: number of parts B.
 
     Returns:
-        L^-1 X'C (B, P, K), C'C (B, K, K) and C'e (B, K).
+        L^-1 X'C (B, P, K), C'C (B, K, K) and C'e (B, K), see ``_halves``.
     """
     K, P = len(F), len(fit.gaussian.z)
     cross, gram, score = np.zeros((count, P, K)), np.zeros((count, K, K)), np.zeros((count, K))
-    for j, index in enumerate(fit.index):
-        if place not in (None, j):
-            continue
-        own, of_rows = F[:, j] if place is None else F, part[index]
+    for j, own in _by_joint(fit, place, F):
+        of_rows = part[fit.index[j]]
         inside = np.flatnonzero(of_rows >= 0)
-        if not (len(inside) and own.any()):
+        if not len(inside):
             continue
         seen, first = np.unique(of_rows[inside], return_index=True)
         edges = np.append(inside[first], inside[-1] + 1)
@@ -360,7 +367,7 @@ def moments(
         cross[np.ix_(seen, b.own)] += b.in_parts(C, edges)
         gram[seen] += np.stack([C[:, begin:end] @ C[:, begin:end].T for begin, end in pairwise(edges)])
         score[seen] += np.add.reduceat((C * fit.gaussian.left[j])[:, : edges[-1]], edges[:-1], axis=1).T
-    return _halves(fit, cross), gram, score
+    return _halves(fit, place, cross), gram, score
 
 
 def place_window(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
@@ -372,8 +379,9 @@ def place_window(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     window = h.candidate.site.window
     assert window is not None
     always = replace(h.candidate, site=replace(h.candidate.site, window=Window(window.recording)))
-    windows = Windows.near(Edges(fit, rows, window.recording), window)
-    (near,) = weigh_windows(fit, rows, always, [windows]) if len(windows.pairs) else (None,)
+    edges = Edges(fit, rows, window.recording)
+    windows = Windows.near(edges, window)
+    (near,) = weigh_windows(edges, always, [windows]) if len(windows.pairs) else (None,)
     exact = None if near is None else hypothesis_of(fit, rows, near[0].candidate)
     if near is None or exact is None:
         return h

@@ -67,7 +67,7 @@ class Likelihood:
         sites = np.zeros((3, int(self._first[-1])))
         sites[:, machine.friction.index] = hyper.resists.reshape(3, -1)
         self._bodies = expanded(root * hyper.bodies, hyper.kappa)
-        self.gaussian = Gaussian(whitened, sites.shape[1], self._bodies, sites, machine.local)
+        self.gaussian = Gaussian(whitened, sites.shape[1], self._bodies, sites, self._local)
         self._residuals = dict[int, np.ndarray]()
 
     def _design(self, joint: int, known: Design | None) -> Design:
@@ -88,6 +88,15 @@ class Likelihood:
         if block is not None and one is known:
             return block
         return one.white(self.hyper.noise[joint], None if block is None else block.bare)
+
+    @property
+    def _local(self) -> list[np.ndarray]:
+        """Indices of the coefficients that only one joint has, joint by joint."""
+        found = [[own] for own in self.machine.local]
+        for k, e in enumerate(self.extra):
+            if e.place is not None:
+                found[e.place].append(self.further(k))
+        return [np.concatenate(own) for own in found]
 
     @property
     def log_evidence(self) -> float:

@@ -84,6 +84,10 @@ class Root:
         found[self.shared] = forwards(self.L, shared)
         return found
 
+    def reached(self, group: int) -> np.ndarray:
+        """Return where F^-1 B (P, ...) may not be zero for B that is zero but at one group and the shared ones."""
+        return np.concatenate((self.shared, self.local[group].own))
+
     def solve(self, B: np.ndarray) -> np.ndarray:
         """Return H^-1 B for B (P, ...)."""
         found = self.half(B)
