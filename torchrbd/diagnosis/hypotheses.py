@@ -25,6 +25,8 @@ from torchrbd.likelihood.likelihood import Likelihood
 
 # Columns that baseline friction has too.
 SHARED = (SPEED, DIRECTION)
+# Numbers of the features whose rows are read together.
+_AT_ONCE = 4_000_000
 # Draws that estimate how much of a distribution physics allows, and the part of variances that is rounding.
 _DRAWS, _ROUNDING = 256, 1e-12
 # The gain [nats] that is worth another step of a shape, and how many there are towards one that agrees.
@@ -109,20 +111,34 @@ def prior_std(fit: Likelihood, rows: Rows, candidate: Candidate) -> tuple[np.nda
 
 def average_over_shapes(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> Hypothesis | None:
     """Return the evidence of an effect at a place, averaged over its shapes and sizes; None if no torque feels it."""
-    known = [(c, F) for c in candidates if np.isfinite(F := rows.features(c)).all()]
-    if not known:
+    return average_each(fit, rows, [candidates])[0]
+
+
+def average_each(fit: Likelihood, rows: Rows, effects: Sequence[Sequence[Candidate]]) -> list[Hypothesis | None]:
+    """Return the same for several effects at one place, given the candidates of each; their rows are read together."""
+    finite = [[c for c in candidates if np.isfinite(rows.rms(c)).all()] for candidates in effects]
+    found: dict[Candidate, tuple[np.ndarray, np.ndarray]] = {}
+    for K in {len(c.labels) for several in finite for c in several}:
+        alike = list({c: None for several in finite for c in several if len(c.labels) == K})
+        step = max(1, _AT_ONCE // max(1, rows.features(alike[0]).size))
+        for some in (alike[k : k + step] for k in range(0, len(alike), step)):
+            every = fit.precisions_and_scores(some[0].place, np.stack([rows.features(c) for c in some]))
+            found |= dict(zip(some, zip(*every, strict=True), strict=True))
+    return [_average(fit, rows, several, [found[c] for c in several]) for several in finite]
+
+
+def _average(
+    fit: Likelihood, rows: Rows, known: Sequence[Candidate], moments: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> Hypothesis | None:
+    """Average over the shapes and sizes of an effect, given precision (K, K) and score (K,) of each shape."""
+    felt = [(c, S, r) for c, (S, r) in zip(known, moments, strict=True) if S.any()]
+    if not felt:
         return None
-    S, r = fit.precision_and_score(known[0][0].place, np.concatenate([F for _, F in known]))
-    at = np.arange(len(r)).reshape(len(known), -1)
-    S, r = S[at[:, :, None], at[:, None, :]], r[at]
-    felt = np.flatnonzero(S.any(axis=(1, 2)))
-    if not len(felt):
-        return None
-    parts = [known[k][0] for k in felt]
+    parts, S, r = zip(*felt, strict=True)
     sizes = [prior_std(fit, rows, c) for c in parts]
     scales = np.array(sizes[0][1])
     std = np.stack([s for s, _ in sizes])[:, None] * scales[:, None]
-    found = added(S[felt][:, None], r[felt][:, None], std, parts[0].effect.prior.positive)
+    found = added(np.stack(S)[:, None], np.stack(r)[:, None], std, parts[0].effect.prior.positive)
     shape, size = np.unravel_index(int(found.log_evidence.argmax()), found.log_evidence.shape)
     best, mean = (shape, size), mean_of(found.log_evidence)
     paid = mean - mean_of(found.log_evidence[shape])

@@ -11,7 +11,7 @@ import numpy as np
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.dataset.shapes import varied
-from torchrbd.diagnosis.hypotheses import Hypothesis, agree_shape, average_over_shapes, hypothesis_of, mean_of
+from torchrbd.diagnosis.hypotheses import Hypothesis, agree_shape, average_each, hypothesis_of, mean_of
 from torchrbd.diagnosis.windows import in_recordings, in_windows, place_window
 from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.likelihood import Likelihood
@@ -39,13 +39,14 @@ def screen_lasting(
     fit: Likelihood, rows: Rows, effects: Sequence[Effect], place: int | None = None
 ) -> list[Hypothesis]:
     """Return every effect that acts all the time, at every place or at one joint only, given a fit."""
-    robot, found = rows.columns.robot, list[Hypothesis | None]()
+    columns, grids = rows.columns, dict[int | None, list[list[Candidate]]]()
     for e in (e for e in effects if not e.is_ubiquitous):
-        for site in e.sites(robot):
-            if _may_be(e, site, rows) and place in (None, None if e.whole_robot else site.joint):
-                grid = e.shapes(rows.columns.scale(site))
-                found.append(average_over_shapes(fit, rows, [rows.columns.candidate(e, site, shape) for shape in grid]))
-    return [h for h in found if h is not None]
+        for site in e.sites(columns.robot):
+            at = None if e.whole_robot else site.joint
+            if _may_be(e, site, rows) and place in (None, at):
+                grid = [columns.candidate(e, site, shape) for shape in e.shapes(columns.scale(site))]
+                grids.setdefault(at, []).append(grid)
+    return [h for several in grids.values() for h in average_each(fit, rows, several) if h is not None]
 
 
 def refine_shape(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
@@ -90,7 +91,7 @@ def _less(total: float, part: float) -> float:
 
 def _hypotheses_of(fit: Likelihood, rows: Rows, candidates: Sequence[Candidate]) -> list[Hypothesis]:
     """Return the evidence of candidates one by one, without those that cannot be evaluated."""
-    return [one for c in candidates if (one := hypothesis_of(fit, rows, c)) is not None]
+    return [one for one in average_each(fit, rows, [[c] for c in candidates]) if one is not None]
 
 
 def _may_be(e: Effect, site: Site, rows: Rows) -> bool:

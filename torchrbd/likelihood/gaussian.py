@@ -242,14 +242,20 @@ class Gaussian(Posterior):
 
     def precision_and_score(self, columns: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return precision S (K, K) and score r (K,) of whitened columns, (K, m) by joint."""
-        K = len(next(iter(columns.values())))
-        cross, own, r = np.zeros((len(self.z), K)), np.zeros((K, K)), np.zeros(K)
+        S, r = self.precisions_and_scores({joint: C[None] for joint, C in columns.items()})
+        return S[0], r[0]
+
+    def precisions_and_scores(self, columns: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Return S (G, K, K) and r (G, K) of alternatives of whitened columns, (G, K, m) by joint, each by itself."""
+        G, K, _ = next(iter(columns.values())).shape
+        cross, own, r = np.zeros((len(self.z), G * K)), np.zeros((G, K, K)), np.zeros((G, K))
         for joint, C in columns.items():
             b = self.blocks[joint]
-            cross[b.own] += b.times(C.T)
-            own += C @ C.T
+            cross[b.own] += b.times(C.reshape(G * K, -1).T)
+            own += C @ C.swapaxes(1, 2)
             r += C @ self.left[joint]
-        return self.schur(cross, own), r
+        V = self.half(cross).T.reshape(G, K, -1)
+        return own - V @ V.swapaxes(1, 2), r
 
 
 def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int] = ()) -> Addition:
@@ -263,15 +269,29 @@ def added(S: np.ndarray, r: np.ndarray, std: np.ndarray, positive: Sequence[int]
     Raises:
         LinAlgError: S is not positive definite.
     """
-    A = np.eye(S.shape[-1]) + std[..., :, None] * S * std[..., None, :]
-    inverse = np.linalg.inv(A)
+    inverse, log_det = _inverse(np.eye(S.shape[-1]) + std[..., :, None] * S * std[..., None, :])
     mean = std * (inverse @ (std * r)[..., None])[..., 0]
     spread = std * np.sqrt(np.maximum(np.diagonal(inverse, axis1=-2, axis2=-1), 0.0))
-    sign, log_det = np.linalg.slogdet(A)
-    if not (sign > 0).all():
-        raise np.linalg.LinAlgError("columns given a posterior have no positive definite precision")
     log_evidence = 0.5 * (mean * r).sum(-1) - 0.5 * log_det
     return Addition(log_evidence + truncated(mean, spread, positive), mean, spread)
+
+
+def _inverse(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the inverses (*batch, K, K) of precisions and the logs of their determinants (*batch,).
+
+    Raises:
+        LinAlgError: one is not positive definite.
+    """
+    if A.shape[-1] == 1:
+        # Most hypotheses have one coefficient: much quicker than one matrix after the other.
+        inverse, positive = 1.0 / A, A[..., 0, 0] > 0
+        log_det = np.log(np.where(positive, A[..., 0, 0], 1.0))
+    else:
+        inverse, (sign, log_det) = np.linalg.inv(A), np.linalg.slogdet(A)
+        positive = sign > 0
+    if not positive.all():
+        raise np.linalg.LinAlgError("columns given a posterior have no positive definite precision")
+    return inverse, log_det
 
 
 def truncated(mean: np.ndarray, std: np.ndarray, positive: Sequence[int]) -> np.ndarray:

@@ -168,13 +168,15 @@ class Likelihood:
             place: joint of the features; None for all joints.
             features: (K, M), or (K, n, M) for all joints.
         """
-        each = dict(enumerate(features.swapaxes(0, 1))) if place is None else {place: features}
+        S, r = self.precisions_and_scores(place, features[None])
+        return S[0], r[0]
+
+    def precisions_and_scores(self, place: int | None, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the same of alternatives, (G, K, K) and (G, K), of features (G, K, M), or (G, K, n, M)."""
+        each = dict(enumerate(np.moveaxis(features, 2, 0))) if place is None else {place: features}
         felt = {j: self.hyper.noise[j].white(F) for j, F in each.items() if len(self.index[j]) and F.any()}
-        return (
-            self.gaussian.precision_and_score(felt)
-            if felt
-            else (np.zeros((len(features),) * 2), np.zeros(len(features)))
-        )
+        G, K = features.shape[:2]
+        return self.gaussian.precisions_and_scores(felt) if felt else (np.zeros((G, K, K)), np.zeros((G, K)))
 
     def dispersion(self, joint: int) -> float:
         """Return the scatter of a joint's scores over blocks of time, divided by that of white rows."""
