@@ -211,6 +211,6 @@ def test_a_plant_has_the_mass_and_torques_of_its_model() -> None:
     for recording in (None, "day"):
         at = Conditions(t, recording=recording)
         bias = model.bias_forces(q[None], qd[None], t[None], recording=recording)[0]
-        torch.testing.assert_close(plant.rigid(q, qd) + plant.terms(q, qd, at), bias, rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(plant.rigid(q, qd) + plant.terms(q, at)(qd), bias, rtol=1e-9, atol=1e-9)
         mass = model.mass_matrix(q[None], t[None], recording=recording)[0]
         torch.testing.assert_close(plant.mass(q, at), mass, rtol=1e-9, atol=1e-9)

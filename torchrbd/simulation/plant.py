@@ -13,7 +13,7 @@ Presliding friction counts as the Coulomb friction that it becomes: its state at
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,10 +77,14 @@ class Plant:
         self._viscous, self._offset, self._coulomb, self._uneven, self._armature = (
             _sums(width, by_joint, label) for label in (SPEED, LEVEL, DIRECTION, UNEVENNESS, ACCELERATION)
         )
-        whole, self._instant, self._others = (
-            RigidBodyDynamics(model.robot, pi, some, width).requires_grad_(False) for some in (terms, instant, others)
-        )
-        self._whole, self._has_others = whole, bool(others)
+
+        def of(some: Iterable[Term]) -> RigidBodyDynamics:
+            return RigidBodyDynamics(model.robot, pi, some, width).requires_grad_(False)
+
+        self._whole, self._instant, self._others = of(terms), of(instant), of(others)
+        moving = [term for term in others if _follows_velocity(of([term]), term)]
+        still = [term for term in others if term not in moving]
+        self._moving, self._still = (of(some) if some else None for some in (moving, still))
         self._weighs = any(t.effect.family not in _OF_VELOCITY or t.effect.uses_load for t in others)
         self.is_bare = all(t.effect.of_rotor for t in by_joint) and not others
         self.conditional = any(not t.site.always or t.effect.of_conditions for t in others)
@@ -97,16 +101,27 @@ class Plant:
         """Return the rigid body's torque without acceleration, (W, n_dof)."""
         return self.robot.inverse_dynamics(q, qd, torch.zeros_like(q), self._pi)
 
-    def terms(self, q: Tensor, qd: Tensor, at: Conditions) -> Tensor:
-        """Return the torque of terms of the present state at velocities (..., W, n_dof)."""
-        way = torch.tanh(qd / self._width)
-        plain = self._viscous * qd + self._coulomb * way + self._uneven * way.abs() + self._offset
-        if not self._has_others:
-            return plain
+    def terms(self, q: Tensor, at: Conditions) -> Callable[[Tensor], Tensor]:
+        """Return the torque of terms of the present state, as a function of velocities (..., W, n_dof).
+
+        What does not depend on the velocity is computed once.
+        """
+        fixed = self._offset
+        if self._still is not None:
+            fixed = fixed + self._torque(self._still, q, torch.zeros_like(q), at)
+
+        def of_velocity(qd: Tensor) -> Tensor:
+            way = torch.tanh(qd / self._width)
+            plain = self._viscous * qd + self._coulomb * way + self._uneven * way.abs() + fixed
+            return plain if self._moving is None else plain + self._torque(self._moving, q, qd, at)
+
+        return of_velocity
+
+    @staticmethod
+    def _torque(model: RigidBodyDynamics, q: Tensor, qd: Tensor, at: Conditions) -> Tensor:
         shape = np.broadcast_shapes(q.shape, qd.shape)
         q, qd = (x.expand(shape).reshape(-1, *shape[-2:]) for x in (q, qd))
-        added = self._others.term_torque(q, qd, torch.zeros_like(q), at.t[None], at.temperature, at.recording)
-        return plain + added.reshape(shape)
+        return model.term_torque(q, qd, torch.zeros_like(q), at.t[None], at.temperature, at.recording).reshape(shape)
 
     def of_recorded_motion(self, states: States) -> Tensor | None:
         """Return the torque of terms along the motion of a tile, (N, n_dof), in the torque of a recording; or None."""
@@ -125,6 +140,15 @@ def _sliding(term: Term) -> Term:
     if not isinstance(term.effect, PreslidingHysteresis):
         return term
     return Term(CoulombFriction(), term.site, term.coefficients, {})
+
+
+def _follows_velocity(model: RigidBodyDynamics, term: Term) -> bool:
+    """Say whether the torque of a term depends on the velocity, given the model of it alone."""
+    window, names = term.site.window, term.site.recordings or (None,)
+    q = torch.zeros(1, model.robot.n_dof, dtype=torch.float64)
+    qd, recording = torch.ones_like(q).requires_grad_(), names[0] if window is None else window.recording
+    with torch.enable_grad():
+        return model.term_torque(q, qd, q, q[:, 0], q, recording).requires_grad
 
 
 def _is_plain(term: Term) -> bool:

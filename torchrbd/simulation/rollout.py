@@ -128,8 +128,10 @@ def _implicit(
     if plant.is_bare:
         return free
 
+    torque = plant.terms(q, at)
+
     def force(v: Tensor) -> Tensor:
-        return torch.where(drive.moved, 0.0, plant.terms(q, v, at))
+        return torch.where(drive.moved, 0.0, torque(v))
 
     impulse = (mass @ free.unsqueeze(-1)).squeeze(-1)
     return balanced_velocity(mass, impulse, force, near, _GAMMA * drive.h, plant.slowest)
