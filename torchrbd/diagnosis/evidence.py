@@ -30,6 +30,13 @@ from torchrbd.likelihood.likelihood import Likelihood
 # Models that are kept.
 _KNOWN = 4
 
+Key = tuple[tuple[Candidate, float], ...]
+
+
+def key_of(chosen: Iterable[Hypothesis]) -> Key:
+    """Return what decides what a model is worth: its terms, and how large they are believed to be."""
+    return tuple((h.candidate, h.scale) for h in chosen)
+
 
 class ModelEvidence:
     """The models of a search, lists of hypotheses, and what each hypothesis is worth in one.
@@ -48,7 +55,7 @@ class ModelEvidence:
         self._basis = [self._directions(h) for h in discrepancy.curves]
         pairs = zip(self._basis, discrepancy.extra, strict=True)
         self._curves = [e if len(b) == e.n else Extra(e.place, b @ e.features, e.std[1:]) for b, e in pairs]
-        self._known = dict[tuple[tuple[Candidate, float], ...], tuple[Likelihood, Additions]]()
+        self._known = dict[Key, tuple[Likelihood, Additions]]()
 
     def _directions(self, curve: Hypothesis) -> np.ndarray:
         """Return the directions (n, K) of a curve's coefficients.
@@ -73,8 +80,7 @@ class ModelEvidence:
 
     def _model(self, chosen: Sequence[Hypothesis]) -> tuple[Likelihood, Additions]:
         """Return the model, and the same as components that are added to its machine, all curves among them."""
-        key = tuple((h.candidate, h.scale) for h in chosen)
-        if key not in self._known:
+        if (key := key_of(chosen)) not in self._known:
             base, curves = self.discrepancy.fit, self._curves
             extras = [h.extra(base, self.rows) for h in chosen]
             small, n = self._prune_curves(Additions(base, [*extras, *curves]), len(chosen)), len(chosen)

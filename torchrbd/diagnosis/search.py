@@ -18,7 +18,7 @@ from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.curve_hypotheses import curves, is_curve, is_over_own_signal
 from torchrbd.diagnosis.discrepancy import Discrepancy, learn_discrepancy
-from torchrbd.diagnosis.evidence import ModelEvidence, show_bodies
+from torchrbd.diagnosis.evidence import Key, ModelEvidence, key_of, show_bodies
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, hypothesis_of, meet, rows_with_load
 from torchrbd.diagnosis.outcome import SearchOutcome, Term
 from torchrbd.diagnosis.posterior import needless
@@ -97,6 +97,8 @@ class Search(ModelEvidence):
     ) -> None:
         super().__init__(rows, effects, discrepancy)
         self._report, self._done = report, done
+        # Models and terms for which no rival was likelier.
+        self._likeliest = set[tuple[Key, Key]]()
 
     def _advance(self) -> None:
         self._done += _STEP * (1.0 - self._done)
@@ -162,11 +164,12 @@ class Search(ModelEvidence):
             leaders = self._leaders(h for h in found if h.candidate not in dropped)[: MOST_TERMS - len(chosen)]
             if not leaders:
                 break
-            before = [*chosen, *leaders]
-            chosen = self._drop_needless(before)
-            dropped |= {h.candidate for h in before} - {h.candidate for h in chosen}
+            before, offered = chosen, [*chosen, *leaders]
+            chosen = self._drop_needless(offered)
+            dropped |= {h.candidate for h in offered} - {h.candidate for h in chosen}
             self._advance()
-            found = self.rank(chosen)
+            if key_of(chosen) != key_of(before):
+                found = self.rank(chosen)
         return chosen, found
 
     def _leaders(self, found: Iterable[Hypothesis]) -> list[Hypothesis]:
@@ -195,7 +198,11 @@ class Search(ModelEvidence):
             if is_over():
                 break
             rest = without(chosen, k)
+            if (known := (key_of(rest), key_of([h]))) in self._likeliest:
+                continue
             best = max((self.reshape(rest, h), *self.rivals(rest, h)), key=self.odds)
+            if key_of([best]) == key_of([h]):
+                self._likeliest.add(known)
             chosen = [*chosen[:k], best, *chosen[k + 1 :]]
             self._advance()
         return chosen
