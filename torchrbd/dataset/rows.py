@@ -156,7 +156,12 @@ class Rows:
         ]
         columns = self.columns.of_candidates((), pi, friction).at_scales(scales)
         tiles = tuple(replace(t, signals=columns.signals(t.states)) for t in self.tiles)
-        return replace(self, columns=columns, tiles=tiles, _known=Remembered(_MOST_REMEMBERED), _rms={})
+        return replace(self.uncached, columns=columns, tiles=tiles)
+
+    @property
+    def uncached(self) -> Rows:
+        """The same rows, none of whose features are cached."""
+        return replace(self, _known=Remembered(_MOST_REMEMBERED), _rms={})
 
 
 def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:

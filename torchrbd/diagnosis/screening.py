@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,32 +20,41 @@ from torchrbd.likelihood.likelihood import Likelihood
 _FINE = 9
 
 
-def screen(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> list[Hypothesis]:
+Wanted = Callable[[Effect, Site], bool]
+"""Says whether an effect is looked for at a site; its window has no ends, and its ``recordings`` are empty: some."""
+
+
+def anywhere(effect: Effect, site: Site) -> bool:
+    """Say that an effect is looked for at a site."""
+    return True
+
+
+def screen(fit: Likelihood, rows: Rows, effects: Sequence[Effect], wanted: Wanted = anywhere) -> list[Hypothesis]:
     """Return every effect at every place given a fit, for a time and in some recordings too, greatest evidence first.
 
     Args:
         fit: the base.
         rows: its rows, whose signals carry its load and friction.
         effects: what may be there.
+        wanted: where to look.
     """
-    found: list[Hypothesis | None] = [*screen_lasting(fit, rows, effects)]
-    found += in_windows(fit, rows, [e for e in effects if not e.is_ubiquitous])
+    found: list[Hypothesis | None] = [*screen_lasting(fit, rows, effects, wanted)]
+    found += in_windows(fit, rows, [e for e in effects if not e.is_ubiquitous], wanted)
     # Friction of some recordings only is not the machine's.
-    found += (h for e in effects for h in in_recordings(fit, rows, e))
+    found += (h for e in effects for h in in_recordings(fit, rows, e, wanted))
     return sorted((h for h in found if h is not None), key=lambda h: -h.log_evidence)
 
 
 def screen_lasting(
-    fit: Likelihood, rows: Rows, effects: Sequence[Effect], place: int | None = None
+    fit: Likelihood, rows: Rows, effects: Sequence[Effect], wanted: Wanted = anywhere
 ) -> list[Hypothesis]:
-    """Return every effect that acts all the time, at every place or at one joint only, given a fit."""
+    """Return every effect that acts all the time, at every place where it is wanted, given a fit."""
     columns, grids = rows.columns, dict[int | None, list[list[Candidate]]]()
     for e in (e for e in effects if not e.is_ubiquitous):
         for site in e.sites(columns.robot):
-            at = None if e.whole_robot else site.joint
-            if _may_be(e, site, rows) and place in (None, at):
+            if _may_be(e, site, rows) and wanted(e, site):
                 grid = [columns.candidate(e, site, shape) for shape in e.shapes(columns.scale(site))]
-                grids.setdefault(at, []).append(grid)
+                grids.setdefault(None if e.whole_robot else site.joint, []).append(grid)
     return [h for several in grids.values() for h in average_each(fit, rows, several) if h is not None]
 
 

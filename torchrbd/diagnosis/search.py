@@ -22,7 +22,7 @@ from torchrbd.diagnosis.evidence import Key, ModelEvidence, key_of, show_bodies
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, hypothesis_of, meet, rows_with_load
 from torchrbd.diagnosis.outcome import SearchOutcome, Term
 from torchrbd.diagnosis.posterior import needless
-from torchrbd.diagnosis.screening import refine_shape, screen, screen_lasting
+from torchrbd.diagnosis.screening import Wanted, anywhere, refine_shape, screen, screen_lasting
 from torchrbd.diagnosis.sharpening import find_summit
 from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.likelihood import Likelihood
@@ -63,7 +63,7 @@ def search_effects(
     chosen = search.with_other_curves(chosen)
     complete = not is_over() and len(chosen) < MOST_TERMS
     fit, terms = search.final(base, search.terms(chosen))
-    return SearchOutcome(base, fit, search.rows, terms, first, last, len(first), search.discrepancy, complete)
+    return SearchOutcome(base, fit, search.rows.uncached, terms, first, last, len(first), search.discrepancy, complete)
 
 
 def _only_once(chosen: Sequence[Hypothesis], effects: Sequence[Effect]) -> set[tuple[str, Site]]:
@@ -108,23 +108,33 @@ class Search(ModelEvidence):
         """Return what is likeliest given a model, with refined shapes, then all others."""
         if is_over():
             return []
-        known = _only_once(chosen, self.effects)
-        return self._compare(chosen, _NEAR, lambda fit: screen(fit, self.rows, self.effects), known)
+        return self._compare(chosen, _NEAR, _only_once(chosen, self.effects), anywhere)
 
     def _compare(
         self,
         chosen: Sequence[Hypothesis],
         near: int,
-        every: Callable[[Likelihood], list[Hypothesis]],
         known: Collection[tuple[str, Site]],
+        wanted: Wanted,
+        *,
+        lasting: bool = False,
     ) -> list[Hypothesis]:
         """Return hypotheses given a model, the likeliest first.
 
         Curves explain much of what a law does. So laws are compared without curves, too, to see which are to be tried.
+
+        Args:
+            chosen: the model.
+            near: how many have their shapes refined.
+            known: effects and places that are no hypotheses.
+            wanted: where to look.
+            lasting: whether to look only for what acts all the time.
         """
         present, short, others = {h.candidate for h in chosen}, list[Hypothesis](), list[Hypothesis]()
+        look = screen_lasting if lasting else screen
         for given in self.with_and_without_curves(chosen):
-            found = self.ordered(h for h in every(given) if h.name not in known and h.candidate not in present)
+            every = look(given, self.rows, self.effects, wanted)
+            found = self.ordered(h for h in every if h.name not in known and h.candidate not in present)
             short += [self.best_shape(given, h) for h in found[:near]]
             others = others or found[near:]
         judged = {_kind(h): h for h in reversed(self.judge(chosen, short)) if h.candidate not in present}
@@ -209,15 +219,17 @@ class Search(ModelEvidence):
 
     def rivals(self, rest: Sequence[Hypothesis], h: Hypothesis) -> list[Hypothesis]:
         """Return what may be in the place of a term: at its joint or on the whole robot, for its time if it has one."""
-        place, windowed = h.candidate.place, h.candidate.site.window is not None
+        place, window = h.candidate.place, h.candidate.site.window
 
-        def every(fit: Likelihood) -> list[Hypothesis]:
-            if windowed:
-                return screen(fit, self.rows, self.effects)
-            return screen_lasting(fit, self.rows, self.effects, place)
+        def wanted(e: Effect, site: Site) -> bool:
+            at, other = None if e.whole_robot else site.joint, site.window
+            if window is None:
+                return place in (None, at)
+            here = place is None or at in (None, place)
+            return here and (other is None or other.recording == window.recording)
 
         known = _only_once(rest, self.effects) | {h.name}
-        return self._compare(rest, _RIVALS, every, known)[: 2 * _RIVALS]
+        return self._compare(rest, _RIVALS, known, wanted, lasting=window is None)[: 2 * _RIVALS]
 
     def with_own_load(self, chosen: list[Hypothesis]) -> tuple[Search, list[Hypothesis]] | None:
         """Return the search with the load and friction of its model in all features, if its evidence rises by that."""

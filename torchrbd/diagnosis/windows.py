@@ -9,7 +9,7 @@ blocks of time are judged without their edges; those between moments at which th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
@@ -19,7 +19,7 @@ from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.edges import Edges
 from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of, mean_of, prior_std
-from torchrbd.effects import Effect, Window
+from torchrbd.effects import Effect, Site, Window
 from torchrbd.likelihood.gaussian import added
 from torchrbd.likelihood.likelihood import Likelihood
 
@@ -35,15 +35,18 @@ _MOST_OF_TIME = 0.9
 _MOST_RECORDINGS = 8
 
 
-def in_windows(fit: Likelihood, rows: Rows, effects: Sequence[Effect]) -> Iterator[Hypothesis | None]:
-    """Yield effects at every place where they may act for a time, averaged over the windows of each recording.
+def in_windows(
+    fit: Likelihood, rows: Rows, effects: Sequence[Effect], wanted: Callable[[Effect, Site], bool] = lambda *_: True
+) -> Iterator[Hypothesis | None]:
+    """Yield effects wherever they are wanted and may act for a time, averaged over the windows of each recording.
 
     What comes and stays, or is there and goes, is as likely as what comes and goes, and another hypothesis; its edge is
     known to some rows. Either may happen at once or gradually.
     """
     for name in rows.seen_recordings:
         places = ((e, site) for e in effects for site in e.sites(rows.columns.robot, (Window(name),)))
-        sites = [(e, s) for e, s in places if s.window is not None and (s.joint is None or rows.seen[s.joint])]
+        seen = ((e, s) for e, s in places if s.window is not None and (s.joint is None or rows.seen[s.joint]))
+        sites = [(e, site) for e, site in seen if wanted(e, site)]
         if not sites:
             continue
         edges = Edges(fit, rows, name)
@@ -71,8 +74,10 @@ def _either(
     return replace(best, log_evidence=mean, tried=count, paid=mean - alone)
 
 
-def in_recordings(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis | None]:
-    """Yield an effect that comes and goes at every place in some of the recordings, averaged over which and shapes.
+def in_recordings(
+    fit: Likelihood, rows: Rows, e: Effect, wanted: Callable[[Effect, Site], bool] = lambda *_: True
+) -> Iterator[Hypothesis | None]:
+    """Yield an effect that comes and goes, wherever it is wanted, in some of the recordings, averaged over which.
 
     An effect in some recordings and an effect in all others differ by the effect in all, which friction absorbs if it
     is an offset. Both are as likely, and two hypotheses: those that have the first recording and those that lack it.
@@ -85,7 +90,7 @@ def in_recordings(fit: Likelihood, rows: Rows, e: Effect) -> Iterator[Hypothesis
         [chosen for chosen in product((False, True), repeat=len(names)) if any(chosen) and not all(chosen)]
     )
     for site in e.sites(rows.columns.robot):
-        if site.joint is None or rows.seen[site.joint]:
+        if (site.joint is None or rows.seen[site.joint]) and wanted(e, replace(site, recordings=())):
             shapes = e.shapes(rows.columns.scale(site))
             every = [rows.columns.candidate(e, site, shape) for shape in shapes]
             yield from _in_some(fit, rows, every, part, [inside[inside[:, 0] == first] for first in (True, False)])
