@@ -205,7 +205,11 @@ def gpu() -> str:
 
 @table
 def diagnosis_seconds() -> str:
-    return stored("speed", "diagnosis", {"recording": "recordings", "seconds": "seconds"})
+    return stored(
+        "speed",
+        "diagnosis",
+        {"recording": "recordings", "seconds": "seconds", "of identify": "of `identify`", "memory [GB]": "memory [GB]"},
+    )
 
 
 @table
