@@ -83,8 +83,8 @@ def spent(seconds: float, joints: int, recordings: int, rate_hz: float = RATE_HZ
 
     from torchrbd import diagnose, identify
 
-    urdf = arm(joints).encode()
-    data = recorded(arm(joints), seconds, recordings, rate_hz, many)
+    text = arm(joints)
+    urdf, data = text.encode(), recorded(text, seconds, recordings, rate_hz, many)
     begin = time.process_time()
     identify(urdf, data)
     between = time.process_time()

@@ -205,11 +205,8 @@ def gpu() -> str:
 
 @table
 def diagnosis_seconds() -> str:
-    return stored(
-        "speed",
-        "diagnosis",
-        {"recording": "recordings", "seconds": "seconds", "of identify": "of `identify`", "memory [GB]": "memory [GB]"},
-    )
+    columns = {"recording": "recordings", "seconds": "`diagnose` [s]", "of identify": "`identify` [s]"}
+    return stored("speed", "diagnosis", columns | {"memory [GB]": "memory [GB]"})
 
 
 @table

@@ -28,8 +28,9 @@ from simulated import Motion, joint_names
 
 from torchrbd.dataset.rows import Rows
 from torchrbd.dataset.shapes import axes
+from torchrbd.diagnosis import hypotheses
 from torchrbd.diagnosis.discrepancy import learn_discrepancy
-from torchrbd.diagnosis.hypotheses import Hypothesis, again, hypothesis_of
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, average_each, hypothesis_of
 from torchrbd.diagnosis.ranking import _ranked
 from torchrbd.diagnosis.screening import refine_shape, screen
 from torchrbd.diagnosis.search import Search
@@ -200,6 +201,33 @@ def test_refining_what_says_nothing_gains_nothing() -> None:
     for h in screen(fit, rows, [effect("one_sided_spring"), effect("stribeck_friction")]):
         if abs(h.log_evidence) < 3:
             assert refine_shape(fit, rows, h).log_evidence < h.log_evidence + 0.3
+
+
+@pytest.mark.parametrize("at_once", [1, 4_000_000])
+@pytest.mark.parametrize(
+    ("names", "site"),
+    [
+        (("joint_spring", "stribeck_friction", "torque_ripple", "quadratic_drag"), Site(0)),
+        (("base_tilt", "time_delay"), Site()),
+    ],
+    ids=["at a joint", "of the whole robot"],
+)
+def test_effects_are_weighed_together_as_one_by_one(
+    names: tuple[str, ...], site: Site, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever their number of coefficients and shapes, and however many are read at once."""
+    monkeypatch.setattr(hypotheses, "_AT_ONCE", at_once)
+    fit, rows, _ = leading(RIPPLE)
+    shapes = [(effect(name), effect(name).shapes(rows.columns.scale(site))) for name in names]
+    grids = [[rows.columns.candidate(e, site, shape) for shape in each] for e, each in shapes]
+    together = average_each(fit, rows, [*grids, []])
+    assert together[-1] is None
+    for one, grid in zip(together, grids, strict=False):
+        each = [hypothesis_of(fit, rows, c) for c in grid]
+        assert one is not None
+        assert one.tried == len(grid)
+        expected = logsumexp([h.log_evidence for h in each if h is not None]) - np.log(len(grid))
+        assert one.log_evidence == pytest.approx(expected, abs=1e-8)
 
 
 def test_shapes_that_were_tried_are_paid_for() -> None:

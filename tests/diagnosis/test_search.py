@@ -144,3 +144,21 @@ def test_what_a_model_has_is_not_added_to_it_again() -> None:
     first = next(h for h in search.rank([]) if h.candidate.site.window is not None)
     small = replace(first, scale=1e-3 * first.scale)
     assert first.candidate not in [h.candidate for h in search.rank([small])]
+
+
+def test_rivals_of_what_acts_for_a_time_are_at_its_place() -> None:
+    """At its joint or on the whole robot; what lasts has rivals that last, at its joint."""
+    fit = fitted(PULL)
+    rows = carried(fit)
+    effects = [effect(name) for name in ("torque_offset", "payload", "joint_spring", "quadratic_drag")]
+    search = Search(rows, effects, learn_discrepancy(fit, rows))
+    ranked = search.rank([])
+    brief = next(h for h in ranked if h.candidate.site.window is not None and h.candidate.place is not None)
+    places = {h.candidate.place for h in search.rivals([], brief)}
+    assert places
+    assert places <= {None, brief.candidate.place}
+    lasting = next(h for h in ranked if h.candidate.effect.id == "joint_spring")
+    rivals = [h.candidate for h in search.rivals([], lasting)]
+    assert rivals
+    assert {c.place for c in rivals} == {lasting.candidate.place}
+    assert all(c.site.window is None for c in rivals)

@@ -343,3 +343,15 @@ def test_coefficient_that_is_surely_positive_needs_no_site() -> None:
 def test_matrix_that_is_no_precision_is_refused() -> None:
     with pytest.raises(np.linalg.LinAlgError):
         added(np.array([[1.0, 5.0], [5.0, 1.0]]), np.zeros(2), np.ones(2))
+
+
+def test_one_coefficient_is_as_one_of_two_whose_other_cannot_be() -> None:
+    rng = np.random.default_rng(10)
+    S, r, std = rng.uniform(0.0, 5.0, (6, 1, 1)), rng.normal(size=(6, 1)), rng.uniform(0.0, 2.0, (6, 1))
+    both = np.tile(np.eye(2), (6, 1, 1)) * S, np.pad(r, ((0, 0), (0, 1)), constant_values=3.0)
+    one, two = added(S, r, std, positive=(0,)), added(*both, np.pad(std, ((0, 0), (0, 1))), positive=(0,))
+    np.testing.assert_allclose(one.log_evidence, two.log_evidence, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(one.mean[:, 0], two.mean[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(one.std[:, 0], two.std[:, 0], rtol=1e-12)
+    with pytest.raises(np.linalg.LinAlgError, match="no positive definite precision"):
+        added(np.array([[-5.0]]), np.zeros(1), np.ones(1))

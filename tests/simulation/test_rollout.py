@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import mujoco
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from robot.random_robots import random_states, random_urdf
 from torch import Tensor
 
 import torchrbd
-from torchrbd.effects import Site, Term, effect, known_effects
+from torchrbd.effects import JointEffect, JointScale, JointState, Shape, Site, Term, effect, known_effects
 from torchrbd.effects.smooth_torque import HUM, SMOOTH
 from torchrbd.errors import PhysicalError
 from torchrbd.model import RigidBodyDynamics
@@ -214,3 +217,44 @@ def test_a_plant_has_the_mass_and_torques_of_its_model() -> None:
         torch.testing.assert_close(plant.rigid(q, qd) + plant.terms(q, at)(qd), bias, rtol=1e-9, atol=1e-9)
         mass = model.mass_matrix(q[None], t[None], recording=recording)[0]
         torch.testing.assert_close(plant.mass(q, at), mass, rtol=1e-9, atol=1e-9)
+
+
+class Sided(JointEffect):
+    """tau += level where the joint moves forwards: it follows the velocity, by which it has no derivative."""
+
+    id, words, equation = "test_sided", "a sided torque", "level (qd > 0)"
+    units: ClassVar[Mapping[str, str]] = {"level": "{tau}"}
+
+    def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
+        return {"test sided": (state.qd > 0).to(state.q)}
+
+    def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"level": coefficients[0]}
+
+    def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
+        return (parameters["level"],), {}
+
+    def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("one", "moves"),
+    [
+        (term("joint_spring", 2, 3.0, -1.0), False),
+        (term("quadratic_drag", 1, 2.0), True),
+        (Term(Sided(), Site(0), torch.tensor([1.0], dtype=torch.float64), {}), True),
+        (
+            Term(
+                Sided(), Site(0, window=torchrbd.effects.Window("day", 3.0, 4.0)),
+                torch.tensor([1.0], dtype=torch.float64), {},
+            ),
+            True,
+        ),
+    ],
+    ids=["a spring", "drag", "by comparison", "by comparison, for a time"],
+)  # fmt: skip
+def test_what_depends_on_the_velocity_is_computed_at_each(one: Term, moves: bool) -> None:
+    plant, (q, qd) = Plant(RigidBodyDynamics(ROBOT, terms=[one])), begin(4)
+    torque = plant.terms(q, Conditions(torch.full((4,), 3.5, dtype=torch.float64), recording="day"))
+    assert torch.equal(torque(qd), torque(-qd)) is not moves

@@ -156,10 +156,10 @@ class Rows:
         ]
         columns = self.columns.of_candidates((), pi, friction).at_scales(scales)
         tiles = tuple(replace(t, signals=columns.signals(t.states)) for t in self.tiles)
-        return replace(self.uncached, columns=columns, tiles=tiles)
+        return replace(self.without_cache, columns=columns, tiles=tiles)
 
     @property
-    def uncached(self) -> Rows:
+    def without_cache(self) -> Rows:
         """The same rows, none of whose features are cached."""
         return replace(self, _known=Remembered(_MOST_REMEMBERED), _rms={})
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.dataset.shapes import varied
 from torchrbd.diagnosis.hypotheses import Hypothesis, agree_shape, average_each, hypothesis_of, mean_of
-from torchrbd.diagnosis.windows import in_recordings, in_windows, place_window
+from torchrbd.diagnosis.windows import PlaceFilter, anywhere, in_recordings, in_windows, place_window
 from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.likelihood import Likelihood
 
@@ -20,16 +20,7 @@ from torchrbd.likelihood.likelihood import Likelihood
 _FINE = 9
 
 
-Wanted = Callable[[Effect, Site], bool]
-"""Says whether an effect is looked for at a site; its window has no ends, and its ``recordings`` are empty: some."""
-
-
-def anywhere(effect: Effect, site: Site) -> bool:
-    """Say that an effect is looked for at a site."""
-    return True
-
-
-def screen(fit: Likelihood, rows: Rows, effects: Sequence[Effect], wanted: Wanted = anywhere) -> list[Hypothesis]:
+def screen(fit: Likelihood, rows: Rows, effects: Sequence[Effect], wanted: PlaceFilter = anywhere) -> list[Hypothesis]:
     """Return every effect at every place given a fit, for a time and in some recordings too, greatest evidence first.
 
     Args:
@@ -46,7 +37,7 @@ def screen(fit: Likelihood, rows: Rows, effects: Sequence[Effect], wanted: Wante
 
 
 def screen_lasting(
-    fit: Likelihood, rows: Rows, effects: Sequence[Effect], wanted: Wanted = anywhere
+    fit: Likelihood, rows: Rows, effects: Sequence[Effect], wanted: PlaceFilter = anywhere
 ) -> list[Hypothesis]:
     """Return every effect that acts all the time, at every place where it is wanted, given a fit."""
     columns, grids = rows.columns, dict[int | None, list[list[Candidate]]]()

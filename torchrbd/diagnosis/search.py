@@ -22,8 +22,9 @@ from torchrbd.diagnosis.evidence import Key, ModelEvidence, key_of, show_bodies
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, hypothesis_of, meet, rows_with_load
 from torchrbd.diagnosis.outcome import SearchOutcome, Term
 from torchrbd.diagnosis.posterior import needless
-from torchrbd.diagnosis.screening import Wanted, anywhere, refine_shape, screen, screen_lasting
+from torchrbd.diagnosis.screening import refine_shape, screen, screen_lasting
 from torchrbd.diagnosis.sharpening import find_summit
+from torchrbd.diagnosis.windows import PlaceFilter, anywhere
 from torchrbd.effects import Effect, Site
 from torchrbd.likelihood.likelihood import Likelihood
 
@@ -63,7 +64,9 @@ def search_effects(
     chosen = search.with_other_curves(chosen)
     complete = not is_over() and len(chosen) < MOST_TERMS
     fit, terms = search.final(base, search.terms(chosen))
-    return SearchOutcome(base, fit, search.rows.uncached, terms, first, last, len(first), search.discrepancy, complete)
+    return SearchOutcome(
+        base, fit, search.rows.without_cache, terms, first, last, len(first), search.discrepancy, complete
+    )
 
 
 def _only_once(chosen: Sequence[Hypothesis], effects: Sequence[Effect]) -> set[tuple[str, Site]]:
@@ -98,7 +101,7 @@ class Search(ModelEvidence):
         super().__init__(rows, effects, discrepancy)
         self._report, self._done = report, done
         # Models and terms for which no rival was likelier.
-        self._likeliest = set[tuple[Key, Key]]()
+        self._no_likelier_rival = set[tuple[Key, Key]]()
 
     def _advance(self) -> None:
         self._done += _STEP * (1.0 - self._done)
@@ -115,7 +118,7 @@ class Search(ModelEvidence):
         chosen: Sequence[Hypothesis],
         near: int,
         known: Collection[tuple[str, Site]],
-        wanted: Wanted,
+        wanted: PlaceFilter,
         *,
         lasting: bool = False,
     ) -> list[Hypothesis]:
@@ -208,11 +211,11 @@ class Search(ModelEvidence):
             if is_over():
                 break
             rest = without(chosen, k)
-            if (known := (key_of(rest), key_of([h]))) in self._likeliest:
+            if (known := (key_of(rest), key_of([h]))) in self._no_likelier_rival:
                 continue
             best = max((self.reshape(rest, h), *self.rivals(rest, h)), key=self.odds)
             if key_of([best]) == key_of([h]):
-                self._likeliest.add(known)
+                self._no_likelier_rival.add(known)
             chosen = [*chosen[:k], best, *chosen[k + 1 :]]
             self._advance()
         return chosen

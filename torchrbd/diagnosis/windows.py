@@ -35,8 +35,17 @@ _MOST_OF_TIME = 0.9
 _MOST_RECORDINGS = 8
 
 
+PlaceFilter = Callable[[Effect, Site], bool]
+"""Says whether to look for an effect at a site. A window is its whole recording; ``()`` stands for some recordings."""
+
+
+def anywhere(effect: Effect, site: Site) -> bool:
+    """Return True: look for the effect at the site."""
+    return True
+
+
 def in_windows(
-    fit: Likelihood, rows: Rows, effects: Sequence[Effect], wanted: Callable[[Effect, Site], bool] = lambda *_: True
+    fit: Likelihood, rows: Rows, effects: Sequence[Effect], wanted: PlaceFilter = anywhere
 ) -> Iterator[Hypothesis | None]:
     """Yield effects wherever they are wanted and may act for a time, averaged over the windows of each recording.
 
@@ -75,9 +84,9 @@ def _either(
 
 
 def in_recordings(
-    fit: Likelihood, rows: Rows, e: Effect, wanted: Callable[[Effect, Site], bool] = lambda *_: True
+    fit: Likelihood, rows: Rows, e: Effect, wanted: PlaceFilter = anywhere
 ) -> Iterator[Hypothesis | None]:
-    """Yield an effect that comes and goes, wherever it is wanted, in some of the recordings, averaged over which.
+    """Yield an effect that comes and goes, wherever it is wanted, averaged over its shapes and sets of recordings.
 
     An effect in some recordings and an effect in all others differ by the effect in all, which friction absorbs if it
     is an offset. Both are as likely, and two hypotheses: those that have the first recording and those that lack it.
@@ -340,7 +349,7 @@ def _halves(fit: Likelihood, place: int | None, cross: np.ndarray) -> np.ndarray
     count, P, K = cross.shape
     found = fit.gaussian.half(cross.transpose(1, 0, 2).reshape(P, -1))
     if place is not None:
-        found = found[fit.gaussian.root.reached(place)]
+        found = found[fit.gaussian.root.group_and_shared(place)]
     return found.reshape(-1, count, K).transpose(1, 0, 2)
 
 

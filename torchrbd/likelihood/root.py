@@ -84,8 +84,8 @@ class Root:
         found[self.shared] = forwards(self.L, shared)
         return found
 
-    def reached(self, group: int) -> np.ndarray:
-        """Return where F^-1 B (P, ...) may not be zero for B that is zero but at one group and the shared ones."""
+    def group_and_shared(self, group: int) -> np.ndarray:
+        """Return the indices of one group and of the shared ones: if B is zero elsewhere, F^-1 B is too."""
         return np.concatenate((self.shared, self.local[group].own))
 
     def solve(self, B: np.ndarray) -> np.ndarray:

@@ -32,6 +32,8 @@ from torchrbd.recordings import States
 
 # Of a joint's width of rest; families whose torque does not depend on accelerations.
 _SLOWEST, _OF_VELOCITY = 1e-2, ("friction", "spring")
+# Longer than any recording [s].
+_LONG_S = 1e6
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ class Plant:
             return RigidBodyDynamics(model.robot, pi, some, width).requires_grad_(False)
 
         self._whole, self._instant, self._others = of(terms), of(instant), of(others)
-        moving = [term for term in others if _follows_velocity(of([term]), term)]
+        moving = [term for term in others if _depends_on_velocity(of([term]), term)]
         still = [term for term in others if term not in moving]
         self._moving, self._still = (of(some) if some else None for some in (moving, still))
         self._weighs = any(t.effect.family not in _OF_VELOCITY or t.effect.uses_load for t in others)
@@ -142,13 +144,19 @@ def _sliding(term: Term) -> Term:
     return Term(CoulombFriction(), term.site, term.coefficients, {})
 
 
-def _follows_velocity(model: RigidBodyDynamics, term: Term) -> bool:
-    """Say whether the torque of a term depends on the velocity, given the model of it alone."""
-    window, names = term.site.window, term.site.recordings or (None,)
-    q = torch.zeros(1, model.robot.n_dof, dtype=torch.float64)
-    qd, recording = torch.ones_like(q).requires_grad_(), names[0] if window is None else window.recording
+def _depends_on_velocity(model: RigidBodyDynamics, term: Term) -> bool:
+    """Say whether the torque of a term depends on the velocity, given the model of it alone.
+
+    It does if it has a derivative by it, or differs between velocities: a comparison has no derivative.
+    """
+    window, (name, *_) = term.site.window, term.site.recordings or (None,)
+    qd = torch.linspace(-1.0, 1.0, 3, dtype=torch.float64).unsqueeze(1).repeat(1, model.robot.n_dof).requires_grad_()
+    q, t = torch.full_like(qd, 0.1), torch.zeros(3, dtype=torch.float64)
+    if window is not None:
+        name, t = window.recording, t + 0.5 * (max(window.start_s, -_LONG_S) + min(window.end_s, _LONG_S))
     with torch.enable_grad():
-        return model.term_torque(q, qd, q, q[:, 0], q, recording).requires_grad
+        torque = model.term_torque(q, qd, torch.zeros_like(q), t, q, name)
+    return torque.requires_grad or bool((torque != torque[:1]).any())
 
 
 def _is_plain(term: Term) -> bool:
